@@ -1,0 +1,70 @@
+"""What commands say: tables and JSON on standard output or in a named file, progress on standard error."""
+
+import json
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from softcal.app.files import write_text
+
+
+def say(line: str) -> None:
+    """Print one line of progress on standard error."""
+    print(line, file=sys.stderr, flush=True)
+
+
+def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Print an aligned table on standard output; floats with four significant digits, None as a dash."""
+    cells = [[*header], *([_cell(value) for value in row] for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+    for k, row in enumerate(cells):
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+        if k == 0:
+            print("  ".join("-" * width for width in widths))
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def write_json(target: str, value: object) -> None:
+    """Write a result as JSON into a file, or on standard output where the target is `-`. NaN is refused."""
+    text = json.dumps(value, indent=2, allow_nan=False) + "\n"
+    if target == "-":
+        sys.stdout.write(text)
+    else:
+        write_text(Path(target), text)
+
+
+class Progress:
+    """Lines like `3/40 units, 12 s, about 2 min left` on standard error: rewritten in place on a terminal."""
+
+    def __init__(self, what: str, total: int) -> None:
+        self._what, self._total, self._start, self._done, self._shown_s = what, total, time.monotonic(), 0, 0.0
+
+    def step(self, note: str = "", count: int = 1) -> None:
+        """Count finished items and show where the work stands."""
+        self._done += count
+        elapsed_s = time.monotonic() - self._start
+        is_last = self._done >= self._total
+        is_terminal = sys.stderr.isatty()
+        if not is_last and elapsed_s - self._shown_s < (0.1 if is_terminal else 5.0):
+            return
+        self._shown_s = elapsed_s
+        left_s = elapsed_s / max(1, self._done) * (self._total - self._done)
+        line = f"{self._done}/{self._total} {self._what}, {_duration(elapsed_s)}"
+        line += "" if is_last else f", about {_duration(left_s)} left"
+        line += f"  {note}" if note else ""
+        print(
+            f"\r\x1b[K{line}" if is_terminal else line,
+            end="\n" if is_last or not is_terminal else "",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 100 else f"{seconds / 60:.0f} min"

@@ -1,0 +1,91 @@
+"""What a map γ is: windows of a target unit in, windows in the source's space out."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from softcal.core.identity import Settings, content_sha256
+from softcal.core.network import Network
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+
+
+class UnitMap(Protocol):
+    """A fitted map γ. Complete when it exists; the same input always gives the same output."""
+
+    @property
+    def family(self) -> str:
+        """Name of the family in `catalogue.py`."""
+        ...
+
+    def apply(self, windows: Array) -> Array:
+        """Carry (n, taps) target windows, newest sample last, into the source's window space."""
+        ...
+
+    def apply_signal(self, signal: Array) -> Array:
+        """Carry every full window of a gap-free (n,) signal: (n - taps + 1, taps).
+
+        Equal to `apply(windows(signal))`; a map that works sample by sample does it in one pass over the signal.
+        """
+        ...
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return the parameters under stable names."""
+        ...
+
+    def settings(self) -> Settings:
+        """Return JSON values that `arrays` does not hold."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Anchors:
+    """A few known loads on the target unit: outputs at rest under each load, and the loads themselves.
+
+    Args:
+        output: (k,) in the recording's output unit.
+        reference: (k,) in the source's reference unit.
+    """
+
+    output: Array
+    reference: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FitProblem:
+    """All that a fit of γ may know. The target's reference is not among it.
+
+    Args:
+        source: labelled recording of the source unit.
+        network: the shared network f trained on it.
+        target: unlabelled recording of the target unit.
+        anchors: known loads of the target, where someone took them.
+        seed: drives every random choice of the fit.
+    """
+
+    source: LabelledRecording
+    network: Network
+    target: OutputRecording
+    anchors: Anchors | None = None
+    seed: int = 0
+
+
+class MapFamily(Protocol):
+    """One way to fit γ."""
+
+    @property
+    def name(self) -> str: ...
+
+    def fit(self, problem: FitProblem) -> UnitMap:
+        """Fit γ, or raise `UnitRefused` saying why this recording allows none."""
+        ...
+
+    def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> UnitMap:
+        """Rebuild a map from `UnitMap.arrays()` and `UnitMap.settings()`."""
+        ...
+
+
+def map_sha256(unit_map: UnitMap) -> str:
+    """Return the content hash of a map: its family and its parameters."""
+    return content_sha256(unit_map.arrays(), {"family": unit_map.family, **unit_map.settings()})

@@ -1,0 +1,160 @@
+"""Recordings of one unit, checked once when made. A fit that takes an `OutputRecording` cannot read a reference."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from softcal.core.errors import InputError
+from softcal.core.windows import TAPS, windows
+
+Array: TypeAlias = NDArray[np.float64]
+Indices: TypeAlias = NDArray[np.int64]
+
+GAP_FACTOR = 1.5
+"""A step of t_s longer than this many sample periods is a gap: no window reaches across it."""
+
+RATE_TOLERANCE = 0.02
+"""Largest relative difference between the declared rate and the one the time stamps show."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutputRecording:
+    """The output of one unit while it was pressed, without any reference.
+
+    Args:
+        serial: the unit's serial.
+        t_s: (n,) time stamps in s, strictly increasing.
+        output: (n,) sensor output in `output_unit`.
+        sample_rate_Hz: nominal sample rate; the median step of `t_s` must agree within 2 %.
+        output_unit: physical unit of `output`.
+        stage_mm: (n,) stage position in mm, positive when it compresses, where the station knows it.
+
+    Raises:
+        InputError: not finite, time repeated or backward, too short, or a rate that is not the declared one.
+    """
+
+    serial: str
+    t_s: Array
+    output: Array
+    sample_rate_Hz: float
+    output_unit: str = "V"
+    stage_mm: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t_s", _column("t_s", self.t_s))
+        object.__setattr__(self, "output", _column("output", self.output))
+        _same_length("t_s", self.t_s, "output", self.output)
+        if self.stage_mm is not None:
+            object.__setattr__(self, "stage_mm", _column("stage_mm", self.stage_mm))
+            _same_length("t_s", self.t_s, "stage_mm", self.stage_mm)
+        if len(self.t_s) < TAPS:
+            raise InputError(f"{len(self.t_s)} samples; at least {TAPS} are needed to fill one window")
+        _check_time(self.t_s, self.sample_rate_Hz)
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    @cached_property
+    def segments(self) -> tuple[slice, ...]:
+        """The gap-free stretches, in time order; a stretch shorter than one window is kept."""
+        breaks = np.flatnonzero(np.diff(self.t_s) > GAP_FACTOR / self.sample_rate_Hz) + 1
+        edges = [0, *breaks.tolist(), len(self.t_s)]
+        return tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True))
+
+    @cached_property
+    def window_rows(self) -> Indices:
+        """(m,) index of the newest sample of every full window; windows never reach across a gap."""
+        return np.concatenate([np.arange(s.start + TAPS - 1, s.stop) for s in self.segments]).astype(np.int64)
+
+    @cached_property
+    def windows(self) -> Array:
+        """(m, TAPS) full windows, newest sample last; row k belongs to sample `window_rows[k]`."""
+        parts = [windows(self.output[s]) for s in self.segments if s.stop - s.start >= TAPS]
+        if not parts:
+            raise InputError(f"no gap-free stretch of {TAPS} samples; record the unit again without gaps")
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def part(self, start: int, stop: int) -> "OutputRecording":
+        """Return samples start ... stop - 1 as a recording of their own."""
+        stage = None if self.stage_mm is None else self.stage_mm[start:stop]
+        return OutputRecording(
+            self.serial, self.t_s[start:stop], self.output[start:stop], self.sample_rate_Hz, self.output_unit, stage
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledRecording:
+    """An output recording together with the reference read beside it (source unit, or an audit).
+
+    Args:
+        unlabelled: the recording as any fit of a target may see it.
+        reference: (n,) reference in `reference_unit`, sample by sample beside the output.
+
+    Raises:
+        InputError: lengths differ or a value is not finite.
+    """
+
+    unlabelled: OutputRecording
+    reference: Array
+    reference_unit: str = "N"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "reference", _column("reference", self.reference))
+        _same_length("output", self.unlabelled.output, "reference", self.reference)
+
+    def __len__(self) -> int:
+        return len(self.reference)
+
+    @property
+    def serial(self) -> str:
+        return self.unlabelled.serial
+
+    @property
+    def windows(self) -> Array:
+        """(m, TAPS) full windows of the output, newest sample last."""
+        return self.unlabelled.windows
+
+    @property
+    def window_reference(self) -> Array:
+        """(m,) reference at the newest sample of every full window."""
+        return self.reference[self.unlabelled.window_rows]
+
+    def part(self, start: int, stop: int) -> "LabelledRecording":
+        """Return samples start ... stop - 1 as a recording of their own."""
+        return LabelledRecording(self.unlabelled.part(start, stop), self.reference[start:stop], self.reference_unit)
+
+
+def _column(name: str, values: Array) -> Array:
+    column = np.asarray(values, dtype=np.float64)
+    if column.ndim != 1:
+        raise InputError(f"{name} has {column.ndim} dimensions; one column of numbers was expected")
+    bad = np.flatnonzero(~np.isfinite(column))
+    if len(bad):
+        raise InputError(f"{name} is {column[bad[0]]} at sample {bad[0]}; {len(bad)} of {len(column)} are not finite")
+    return column
+
+
+def _same_length(name: str, values: Array, other_name: str, other: Array) -> None:
+    if len(values) != len(other):
+        raise InputError(
+            f"{name} has {len(values)} samples, {other_name} has {len(other)}; both must come from one recording"
+        )
+
+
+def _check_time(t_s: Array, sample_rate_Hz: float) -> None:
+    if not (np.isfinite(sample_rate_Hz) and sample_rate_Hz > 0):
+        raise InputError(f"sample rate is {sample_rate_Hz} Hz; a positive number was expected")
+    steps = np.diff(t_s)
+    bad = np.flatnonzero(steps <= 0)
+    if len(bad):
+        k = int(bad[0])
+        kind = "repeats" if steps[k] == 0 else "goes backward"
+        raise InputError(f"t_s {kind} at sample {k + 1}: {t_s[k]:.6g} s, then {t_s[k + 1]:.6g} s")
+    seen_Hz = 1.0 / float(np.median(steps))
+    if abs(seen_Hz / sample_rate_Hz - 1) > RATE_TOLERANCE:
+        raise InputError(
+            f"the time stamps show {seen_Hz:.4g} Hz, the declared sample rate is {sample_rate_Hz:.4g} Hz; "
+            "correct the one that is wrong"
+        )

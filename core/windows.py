@@ -1,0 +1,24 @@
+"""The window of the time-delay network: the last 15 output samples, newest last. Nothing else knows the number."""
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+TAPS = 15
+
+
+def windows(signal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return every full window of a gap-free signal as a read-only view.
+
+    Args:
+        signal: (n,) output samples in time order, n >= TAPS.
+
+    Returns:
+        (n - TAPS + 1, TAPS); row k holds samples k ... k + TAPS - 1, newest sample last.
+
+    Raises:
+        ValueError: fewer than TAPS samples.
+    """
+    if len(signal) < TAPS:
+        raise ValueError(f"{len(signal)} samples, at least {TAPS} are needed for one window")
+    return sliding_window_view(signal, TAPS)
