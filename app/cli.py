@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import importlib.util
 import sys
 from importlib.metadata import version
 
@@ -54,6 +55,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"softcal {version('softcal')}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in COMMANDS:
+        if importlib.util.find_spec(f"softcal.app.commands.{name}") is None:
+            continue
         importlib.import_module(f"softcal.app.commands.{name}").add_parser(commands)
     return parser
 

@@ -1,0 +1,73 @@
+"""What a lot is: the facts of `lot.toml`, and how a serial may look."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from softcal.core.errors import InputError
+
+SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+"""Serials become file names and bar codes: letters, digits, dot, dash and underscore, 64 at most."""
+
+
+def check_serial(serial: str) -> str:
+    """Return the serial, or raise `InputError` saying which characters are allowed."""
+    if not SERIAL.fullmatch(serial) or ".." in serial:
+        raise InputError(
+            f"serial {serial[:80]!r}: 1 to 64 letters, digits, '.', '-' or '_' are allowed, starting with a letter "
+            "or digit"
+        )
+    return serial
+
+
+@dataclass(frozen=True)
+class Lot:
+    """The units made together, calibrated against one source unit.
+
+    Args:
+        id: name of the lot.
+        source: serial of the source unit.
+        sample_rate_Hz: nominal sample rate of every recording of the lot.
+        sensor_model: what kind of sensor it is.
+        reference_quantity, reference_unit: what the source's reference measures, for example force in N.
+        output_unit: physical unit of the sensor output.
+        limit_rmse: largest acceptable error of a unit in `reference_unit`; None leaves it to the source's own error.
+    """
+
+    id: str
+    source: str
+    sample_rate_Hz: float
+    sensor_model: str = ""
+    reference_quantity: str = "force"
+    reference_unit: str = "N"
+    output_unit: str = "V"
+    limit_rmse: float | None = None
+
+    def __post_init__(self) -> None:
+        check_serial(self.source)
+        if not re.fullmatch(r"[\w][\w .+-]{0,63}", self.id):
+            raise InputError(
+                f"lot id {self.id[:80]!r}: 1 to 64 letters, digits, spaces, '.', '-', '+' or '_' are allowed"
+            )
+        for name, value in (("sample_rate_Hz", self.sample_rate_Hz), ("limit rmse", self.limit_rmse)):
+            if value is not None and not 0 < value < float("inf"):
+                raise InputError(f"{name} is {value}; a positive number was expected")
+
+    def settings(self) -> dict[str, float | str | None]:
+        """Return everything but the id as JSON values."""
+        return {key: value for key, value in vars(self).items() if key != "id"}
+
+    @classmethod
+    def from_settings(cls, lot_id: str, settings: Mapping[str, object]) -> "Lot":
+        """Rebuild a lot from its id and `settings()`."""
+        limit = settings.get("limit_rmse")
+        return cls(
+            id=lot_id,
+            source=str(settings["source"]),
+            sample_rate_Hz=float(str(settings["sample_rate_Hz"])),
+            sensor_model=str(settings["sensor_model"]),
+            reference_quantity=str(settings["reference_quantity"]),
+            reference_unit=str(settings["reference_unit"]),
+            output_unit=str(settings["output_unit"]),
+            limit_rmse=None if limit is None else float(str(limit)),
+        )
