@@ -1,0 +1,144 @@
+"""Values between page, registry and station: what was ordered, how far it is, what the station says of itself."""
+
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import StrEnum
+
+
+class OrderKind(StrEnum):
+    """What a station can be asked to do."""
+
+    SOURCE = "source"
+    """Press the source unit with the source profile and record output and reference."""
+    UNIT = "unit"
+    """Press a target unit with the short profile and record its output."""
+    GOLDEN = "golden"
+    """Press a golden unit: the check that lets the station run this shift."""
+    CHECK = "check"
+    """Self-test of the station without a unit."""
+    STOP = "stop"
+    """Stop the run that is in progress; never waits behind another order."""
+    ACKNOWLEDGE = "acknowledge"
+    """The operator has read the reason of a stop; the station may home and be ready again."""
+
+
+class RunState(StrEnum):
+    """The state of one ordered run."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    DONE = "done"
+    ERROR = "error"
+    CANCELLED = "cancelled"
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the run occupies its station."""
+        return self in (RunState.QUEUED, RunState.RUNNING)
+
+
+class StationState(StrEnum):
+    """What the station is doing, as one word for the screen."""
+
+    STARTING = "starting"
+    CLOSED = "closed"
+    """The gate is closed: the reasons say what is missing."""
+    READY = "ready"
+    RUNNING = "running"
+    STOPPED = "stopped"
+    """A run was stopped; nothing moves until somebody acknowledges."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """One wish of a person or a program to a station.
+
+    Args:
+        order_id: unique text, given by whoever asks; the same id twice is one order.
+        station: name of the station that is meant.
+        kind: what to do.
+        serial: the unit's serial, for kinds that press a unit.
+        lot_id: the lot the unit belongs to.
+        actor: who asked.
+        reason: why, where a reason is needed (an override, a repeat).
+        created: when it was asked, with time zone.
+    """
+
+    order_id: str
+    station: str
+    kind: OrderKind
+    serial: str = ""
+    lot_id: str = ""
+    actor: str = ""
+    reason: str = ""
+    created: datetime | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind in (OrderKind.SOURCE, OrderKind.UNIT, OrderKind.GOLDEN) and not self.serial:
+            raise ValueError(f"an order of kind {self.kind} needs the serial of a unit")
+
+
+@dataclass(frozen=True)
+class Signal:
+    """The newest stretch of the live signal, thinned for a screen.
+
+    Args:
+        t_s: (n,) seconds since the run began.
+        output: (n,) sensor output in `output_unit`.
+        stage_mm: (n,) stage position in mm.
+        force_N: (n,) force in N; empty where no load cell reads.
+    """
+
+    t_s: tuple[float, ...] = ()
+    output: tuple[float, ...] = ()
+    stage_mm: tuple[float, ...] = ()
+    force_N: tuple[float, ...] = ()
+    output_unit: str = "V"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far one order is.
+
+    Args:
+        order_id: the order it belongs to.
+        state: queued, running, done, error or cancelled.
+        phase: what happens now, in words ("searching for contact").
+        fraction: 0 ... 1 of the run.
+        remaining_s: estimated seconds to the end.
+        code: "" while all is well, else the stable code of the message ("E-NOREPLY").
+        message: one sentence for the operator; on an error what happened and what to do.
+        recording_sha256: content hash of the stored recording, once there is one.
+        signal: the live signal.
+    """
+
+    order_id: str
+    state: RunState
+    phase: str = ""
+    fraction: float = 0.0
+    remaining_s: float = 0.0
+    code: str = ""
+    message: str = ""
+    recording_sha256: str = ""
+    signal: Signal = field(default_factory=Signal)
+
+
+@dataclass(frozen=True)
+class Heartbeat:
+    """What a station says of itself every second; older than 3 s means that nobody is there.
+
+    Args:
+        station: name of the station.
+        state: what it is doing.
+        at: when this was written, with time zone.
+        reasons: why the gate is closed or the station stopped; empty when it is ready.
+        process: host and process id of the owner of the ports.
+        order_id: the active order, "" when there is none.
+    """
+
+    station: str
+    state: StationState
+    at: datetime
+    reasons: tuple[str, ...] = ()
+    process: str = ""
+    order_id: str = ""
