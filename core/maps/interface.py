@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
 from softcal.core.identity import Settings, content_sha256
 from softcal.core.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
