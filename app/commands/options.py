@@ -1,0 +1,68 @@
+"""Options that several commands share, and what they mean."""
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from softcal.core.training import EpochReport, NetworkConfig
+    from softcal.db.registry import Registry
+
+REGISTRY_HELP = (
+    "SQLAlchemy URL of the registry; default: $SOFTCAL_REGISTRY, else an SQLite file in the user's data folder"
+)
+JSON_HELP = "machine-readable result; - for standard output"
+
+
+def add_registry(parser: argparse.ArgumentParser) -> None:
+    """Add `--registry URL`."""
+    parser.add_argument("--registry", metavar="URL", help=REGISTRY_HELP)
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add `--json FILE`."""
+    parser.add_argument("--json", metavar="FILE", help=JSON_HELP)
+
+
+def add_network(parser: argparse.ArgumentParser) -> None:
+    """Add the options of f's training."""
+    group = parser.add_argument_group("shared network")
+    group.add_argument("--hidden", type=_widths, default=(120, 70, 35), metavar="N,N,..", help="default 120,70,35")
+    group.add_argument("--seed", type=int, default=0, help="drives initial weights and batch order (default 0)")
+    group.add_argument("--members", type=int, default=1, metavar="N", help="networks averaged into one (default 1)")
+
+
+def _widths(text: str) -> tuple[int, ...]:
+    try:
+        widths = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        widths = ()
+    if not widths or min(widths) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: positive layer widths such as 120,70,35 were expected")
+    return widths
+
+
+def network_config(options: argparse.Namespace) -> "NetworkConfig":
+    """Return the training configuration that the options give."""
+    from softcal.core.training import NetworkConfig
+
+    return NetworkConfig(hidden=options.hidden, seed=options.seed, members=options.members)
+
+
+@contextmanager
+def registry_of(options: argparse.Namespace) -> "Iterator[Registry]":
+    """Open the registry the options name, and close it after the block."""
+    from softcal.app.bootstrap import registry_url
+    from softcal.db.connection import open_registry
+
+    with open_registry(registry_url(options.registry)) as registry:
+        yield registry
+
+
+def epoch_line(report: "EpochReport", unit: str) -> str:
+    """Return one line of training progress."""
+    return (
+        f"training f: epoch {report.epoch}/{report.max_epochs}, validation {report.validation_rmse:.4g} {unit}, "
+        f"best {report.best_validation_rmse:.4g} {unit}"
+    )

@@ -1,0 +1,61 @@
+"""Engines: the same results from each, and a worker that dies costs its item nothing but time."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from softcal.app.engine import EngineChoice, WorkerLost, run_all
+from softcal.core.errors import InputError
+
+
+def _add(shared: int, item: int) -> int:
+    return shared + item
+
+
+def _die_once(folder: str, item: int) -> int:
+    mark = Path(folder) / str(item)
+    if item == 3 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), 9)
+    return item
+
+
+def _always_die(shared: None, item: int) -> int:
+    if item == 3:
+        os.kill(os.getpid(), 9)
+    return item
+
+
+def _refuse(shared: None, item: int) -> int:
+    raise InputError(f"item {item}")
+
+
+@pytest.mark.parametrize("choice", [EngineChoice(), EngineChoice(jobs=2)], ids=["one process", "two processes"])
+def test_every_item_is_computed_once(choice: EngineChoice) -> None:
+    assert sorted(run_all(choice, _add, 100, iter(range(20)))) == list(range(100, 120))
+
+
+@pytest.mark.filterwarnings("ignore")  # the cluster's own event loops warn while they close
+def test_dask_gives_the_same(require) -> None:
+    assert sorted(run_all(EngineChoice("dask", 1), _add, 100, range(5))) == list(range(100, 105))
+
+
+def test_a_killed_worker_loses_nothing(tmp_path: Path) -> None:
+    assert sorted(run_all(EngineChoice(jobs=2), _die_once, str(tmp_path), range(8))) == list(range(8))
+
+
+def test_an_item_that_always_kills_its_worker_is_given_up_alone() -> None:
+    results = list(run_all(EngineChoice(jobs=2), _always_die, None, range(6)))
+    assert [r.item for r in results if isinstance(r, WorkerLost)] == [3]
+    assert sorted(r for r in results if not isinstance(r, WorkerLost)) == [0, 1, 2, 4, 5]
+
+
+def test_an_error_of_the_work_reaches_the_caller() -> None:
+    with pytest.raises(InputError, match="item"):
+        list(run_all(EngineChoice(jobs=2), _refuse, None, range(3)))
+
+
+def test_an_engine_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(InputError, match="local, dask"):
+        EngineChoice("ray")

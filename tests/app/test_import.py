@@ -1,0 +1,129 @@
+"""`softcal import`: tables become a lot folder, or nothing is written and one line says why."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.cli import main
+from softcal.app.lot_folder import open_lot_folder
+
+
+def _table(folder: Path, name: str = "S1", rows: int = 60, **columns: object) -> Path:
+    t_s = np.arange(rows) / 50
+    table = pd.DataFrame({"t": t_s, "volts": 0.5 + 0.1 * np.sin(t_s), "newton": 1 + np.sin(t_s)} | columns)
+    path = folder / f"{name}.csv"
+    table.to_csv(path, index=False)
+    return path
+
+
+def _import(*files: Path, out: Path, source: str = "S1", extra: tuple[str, ...] = ()) -> int:
+    options = ["--output-column", "volts", "--reference-column", "newton", "--time-column", "t"]
+    return main(["import", *map(str, files), "--source", source, "--out", str(out), *options, *extra])
+
+
+def test_files_become_source_units_and_audit(tmp_path: Path) -> None:
+    files = [_table(tmp_path, "S1"), _table(tmp_path, "S2")]
+    assert _import(*files, out=tmp_path / "lot", extra=("--audit",)) == 0
+    folder = open_lot_folder(tmp_path / "lot")
+    assert folder.lot.sample_rate_Hz == 50
+    assert list(folder.unit_paths) == ["S2"]
+    assert "reference" not in pd.read_csv(folder.unit_paths["S2"]).columns
+    audit = folder.read_audit("S2")
+    assert audit is not None
+    np.testing.assert_allclose(audit.reference, 1 + np.sin(np.arange(60) / 50))
+
+
+def test_a_wide_table_becomes_a_unit_per_column(tmp_path: Path) -> None:
+    path = _table(tmp_path, "wide", x_1=np.linspace(0, 1, 60), x_2=np.linspace(1, 2, 60))
+    options = ["--output-column", "x_*", "--reference-column", "newton", "--sample-rate", "50"]
+    assert main(["import", str(path), "--source", "x_1", "--out", str(tmp_path / "lot"), *options]) == 0
+    folder = open_lot_folder(tmp_path / "lot")
+    assert list(folder.unit_paths) == ["x_2"]
+    np.testing.assert_allclose(folder.read_unit("x_2").output, np.linspace(1, 2, 60))
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".xlsx"])
+def test_other_formats_read_like_csv(tmp_path: Path, suffix: str) -> None:
+    table = pd.read_csv(_table(tmp_path))
+    other = tmp_path / f"S9{suffix}"
+    table.to_parquet(other) if suffix == ".parquet" else table.to_excel(other, index=False)
+    assert _import(other, out=tmp_path / "lot", source="S9") == 0
+    np.testing.assert_allclose(open_lot_folder(tmp_path / "lot").read_source().reference, table["newton"])
+
+
+def _broken_excel(folder: Path) -> Path:
+    path = folder / "S1.xlsx"
+    path.write_bytes(b"PK\x03\x04 this is no archive")
+    return path
+
+
+def _with_text(folder: Path) -> Path:
+    path = _table(folder)
+    lines = path.read_text().splitlines()
+    lines[41] = lines[41].split(",")[0] + ",abc,1.0"
+    path.write_text("\n".join(lines))
+    return path
+
+
+def _empty(folder: Path) -> Path:
+    path = folder / "S1.csv"
+    path.touch()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (_broken_excel, "not an Excel file"),
+        (_with_text, "line 42, column 'volts': 'abc' is not a finite number"),
+        (_empty, "the file is empty"),
+        (lambda folder: folder / "S1.csv", "there is no such file"),
+        (lambda folder: _table(folder, rows=10), "at least 15"),
+        (lambda folder: _table(folder, volts=[np.nan] * 60), "is not a finite number (60 such rows)"),
+        (lambda folder: _table(folder, t=np.zeros(60)), "never advances"),
+    ],
+)
+def test_what_cannot_be_used_is_named_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], make, says: str
+) -> None:
+    assert _import(make(tmp_path), out=tmp_path / "lot") == 2
+    said = capsys.readouterr().err.strip()
+    assert says in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "lot").exists()
+
+
+def test_a_declared_rate_that_the_time_stamps_deny_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _import(_table(tmp_path), out=tmp_path / "lot", extra=("--sample-rate", "100")) == 2
+    assert "the time stamps show 50 Hz, the declared sample rate is 100 Hz" in capsys.readouterr().err
+
+
+def test_a_serial_given_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "b").mkdir()
+    assert _import(_table(tmp_path), _table(tmp_path / "b"), out=tmp_path / "lot") == 2
+    assert "comes twice" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_there_already_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "lot").mkdir()
+    (tmp_path / "lot" / "mine.txt").write_text("keep")
+    assert _import(_table(tmp_path), out=tmp_path / "lot") == 2
+    assert [p.name for p in (tmp_path / "lot").iterdir()] == ["mine.txt"]
+
+
+def test_a_file_name_that_leaves_the_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _import(_table(tmp_path), out=tmp_path / "lot", source="../S1", extra=("--serial", "../S1")) == 2
+    assert "letters, digits" in capsys.readouterr().err
+
+
+def test_rows_choose_what_fits_and_what_scores(tmp_path: Path) -> None:
+    files = [_table(tmp_path, "S1"), _table(tmp_path, "S2")]
+    extra = ("--audit", "--rows", "0:40", "--audit-rows", "40:60")
+    assert _import(*files, out=tmp_path / "lot", extra=extra) == 0
+    folder = open_lot_folder(tmp_path / "lot")
+    audit = folder.read_audit("S2")
+    assert (len(folder.read_unit("S2")), len(audit) if audit else None) == (40, 20)

@@ -1,0 +1,67 @@
+"""A lot folder: where the keys of lot.toml may stand, and what stops a lot."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.lot_folder import open_lot_folder, write_lot_toml
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+
+GOOD = 'sample_rate_Hz = 50.0\nsource = "A0"\n[lot]\nid = "x"\n[output]\nunit = "V"\n'
+
+
+def _lot(folder: Path, toml: str = GOOD) -> Path:
+    for name, serial in (("source", "A0"), ("units", "A1")):
+        (folder / name).mkdir(parents=True)
+        t_s = np.arange(40) / 50
+        pd.DataFrame({"t_s": t_s, "output": t_s, "reference": t_s}).to_csv(folder / name / f"{serial}.csv", index=False)
+    (folder / "lot.toml").write_text(toml)
+    return folder
+
+
+def test_the_bare_keys_may_follow_the_output_table(tmp_path: Path) -> None:
+    toml = '[lot]\nid = "x"\n[output]\nunit = "V"\nsample_rate_Hz = 50.0\nsource = "A0"\n'
+    assert open_lot_folder(_lot(tmp_path, toml)).lot.source == "A0"
+
+
+def test_what_is_written_reads_back(tmp_path: Path) -> None:
+    lot = Lot("x y", "A0", 48.9, "insole", "pressure", "bar", "count", 0.02)
+    write_lot_toml(_lot(tmp_path), lot)
+    assert open_lot_folder(tmp_path).lot == lot
+
+
+def test_a_units_reference_column_is_not_read(tmp_path: Path) -> None:
+    folder = open_lot_folder(_lot(tmp_path))
+    assert not hasattr(folder.read_unit("A1"), "reference")
+
+
+@pytest.mark.parametrize(
+    ("toml", "says"),
+    [
+        (GOOD.replace("A0", "A7"), "no recording of the source unit 'A7'; found A0"),
+        (GOOD.replace('id = "x"\n', ""), "[lot] id is None"),
+        (GOOD.replace("50.0", '"fast"'), "a number was expected"),
+        (GOOD + 'source = "A5"\n', "given more than once"),
+        ("[lot\n", "not valid TOML"),
+        (GOOD.replace("50.0", "-1.0"), "a positive number was expected"),
+    ],
+)
+def test_a_lot_toml_that_cannot_be_used_says_why(tmp_path: Path, toml: str, says: str) -> None:
+    with pytest.raises(InputError) as error:
+        open_lot_folder(_lot(tmp_path, toml))
+    assert says in str(error.value)
+
+
+def test_a_serial_in_two_formats_is_refused(tmp_path: Path) -> None:
+    _lot(tmp_path)
+    pd.read_csv(tmp_path / "units/A1.csv").to_parquet(tmp_path / "units/A1.parquet")
+    with pytest.raises(InputError, match="given twice"):
+        open_lot_folder(tmp_path)
+
+
+def test_keys_that_are_not_known_are_remarked(tmp_path: Path) -> None:
+    (remark,) = open_lot_folder(_lot(tmp_path, GOOD + 'colour = "red"\n')).remarks
+    assert "colour" in remark

@@ -1,0 +1,59 @@
+"""The wheel holds every folder, and no module of app/ hides a library."""
+
+import importlib.metadata
+import sys
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("app", "core", "db", "station")
+
+
+def _project() -> dict:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def test_every_folder_with_modules_is_packaged() -> None:
+    on_disk = {
+        "softcal." + ".".join(folder.relative_to(ROOT).parts)
+        for top in FOLDERS
+        for folder in [ROOT / top, *(ROOT / top).rglob("*")]
+        if folder.is_dir() and any(folder.glob("*.py"))
+    }
+    assert on_disk == set(_project()["tool"]["setuptools"]["packages"])
+
+
+def test_no_module_of_app_has_the_name_of_a_library() -> None:
+    # `streamlit run app/main.py` puts app/ first on sys.path.
+    libraries = set(sys.stdlib_module_names) | set(importlib.metadata.packages_distributions()) - {"softcal"}
+    modules = {path.stem for path in (ROOT / "app").glob("*.py")} - {"__init__"}
+    assert not modules & libraries
+
+
+def test_every_dependency_is_locked_at_one_version() -> None:
+    locked = {
+        line.split("==")[0].lower().replace("_", "-") for line in (ROOT / "requirements.lock").read_text().split()
+    }
+    groups = [_project()["project"]["dependencies"], *_project()["project"]["optional-dependencies"].values()]
+    wanted = {_name(requirement) for group in groups for requirement in group} - {"softcal"}
+    assert wanted <= locked
+
+
+def _name(requirement: str) -> str:
+    return requirement.replace("[", ">").replace("=", ">").split(">")[0].strip().lower().replace("_", "-")
+
+
+def test_the_repository_names_no_path_of_a_machine() -> None:
+    suspicious = [
+        path.relative_to(ROOT)
+        for path in _tracked()
+        if path.suffix in {".py", ".md", ".toml", ".c", ".h", ".ino"} and path != Path(__file__)
+        for word in ("/work/", "/root/", "/tmp/")
+        if word in path.read_text(encoding="utf-8")
+    ]
+    assert not suspicious
+
+
+def _tracked() -> list[Path]:
+    skipped = {".venv", ".git", ".links", "build", "softcal-demo"}
+    return [p for p in ROOT.rglob("*.*") if p.is_file() and not skipped & set(p.relative_to(ROOT).parts)]
