@@ -1,0 +1,73 @@
+"""Acquisition: all channels are sampled at the same instants, unless the output's clock says otherwise.
+
+A stream cannot know the output of later instants. Where an effect asks for them (a clock that runs ahead, samples that
+were lost), the last two samples are extended by a straight line; a batch uses the true ones.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
+
+
+def _read_at(flow: Flow, wanted_s: Array, state: Memory) -> None:
+    known_s = np.concatenate([state.get("t_s", np.empty(0)), flow.t_s])
+    known_V = np.concatenate([state.get("output_V", np.empty(0)), flow.output_V])
+    # The oldest instant the next chunk can ask for moves with the clock; one sample more is kept to interpolate.
+    keep = max(0, int(np.searchsorted(known_s, min(wanted_s[-1], known_s[-1]))) - 2)
+    state["t_s"], state["output_V"] = known_s[keep:], known_V[keep:]
+    flow.output_V = np.interp(wanted_s, known_s, known_V)
+    late = wanted_s > known_s[-1]
+    if late.any() and len(known_s) > 1:
+        slope = (known_V[-1] - known_V[-2]) / (known_s[-1] - known_s[-2])
+        flow.output_V[late] = known_V[-1] + slope * (wanted_s[late] - known_s[-1])
+
+
+def _clock_offset(flow: Flow, values: Sequence[float], state: Memory) -> None:
+    _read_at(flow, flow.t_s - values[0], state)
+
+
+def _clock_skew(flow: Flow, values: Sequence[float], state: Memory) -> None:
+    _read_at(flow, flow.t_s * (1.0 + values[0]), state)
+
+
+def _dropped_samples(flow: Flow, _: Sequence[float], state: Memory) -> None:
+    period_s = float(np.median(flow.step_s[flow.step_s > 0])) if np.any(flow.step_s > 0) else 0.0
+    wanted_s = flow.t_s.copy()
+    for lost_at_s, count in flow.episodes.get("dropped_samples", ()):
+        wanted_s = wanted_s + count * period_s * (flow.t_s >= lost_at_s)
+    _read_at(flow, wanted_s, state)
+
+
+EFFECTS = (
+    Effect(
+        id="clock_offset",
+        stage="acquisition",
+        hook=Hook.CLOCK,
+        equation="output_V(t) is the true V(t − Δ)",
+        source="latency of a serial link; 1–50 ms over USB",
+        parameters=(Parameter("delta", "s", -2.0, 2.0, 0.04, neutral=0.0),),
+        step=_clock_offset,
+    ),
+    Effect(
+        id="clock_skew",
+        stage="acquisition",
+        hook=Hook.CLOCK,
+        equation="output_V(t) is V(t·(1 + ε))",
+        source="10–100 ppm for a crystal, up to 1 % for an RC clock",
+        parameters=(Parameter("epsilon", "", -0.03, 0.03, 0.001, neutral=0.0),),
+        step=_clock_skew,
+    ),
+    Effect(
+        id="dropped_samples",
+        stage="acquisition",
+        hook=Hook.CLOCK,
+        equation="output samples missing, later ones closed up",
+        source="overrun of a serial buffer; blocks of 1–100 samples",
+        parameters=(Parameter("count", "", 0.0, 1000.0, 5.0, neutral=0.0),),
+        step=_dropped_samples,
+        is_episodic=True,
+    ),
+)

@@ -1,0 +1,27 @@
+"""The one list of effects a diagnosis can blame, in the order of the signal chain."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from softcal.core.errors import InputError
+from softcal.core.twin import acquisition, electronics, load_cell, mechanics, motion, transduction
+from softcal.core.twin.effects import Effect
+
+EFFECTS: Mapping[str, Effect] = MappingProxyType(
+    {
+        effect.id: effect
+        for module in (motion, mechanics, transduction, electronics, load_cell, acquisition)
+        for effect in module.EFFECTS
+    }
+)
+
+
+def effect(effect_id: str) -> Effect:
+    """Return the effect of this identifier.
+
+    Raises:
+        InputError: not in the catalogue.
+    """
+    if effect_id not in EFFECTS:
+        raise InputError(f"{effect_id!r} is not an effect of the catalogue; known are {', '.join(EFFECTS)}")
+    return EFFECTS[effect_id]

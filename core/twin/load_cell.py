@@ -1,0 +1,77 @@
+"""Load cell: the force becomes the force reading, F_meas = F + Gaussian noise."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
+from softcal.core.twin.signals import low_pass
+
+NONLINEARITY_SPAN_N = 10.0
+"""F_max of `loadcell_nonlinearity`: the capacity of the cell. Another capacity is a change of λ and of the gain."""
+
+
+def read_force(flow: Flow) -> None:
+    """Set the reading of an ideal cell."""
+    flow.reading_N = flow.force_N
+
+
+def _saturation(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    if np.isfinite(values[0]):
+        flow.reading_N = values[0] * np.tanh(flow.reading_N / values[0])
+
+
+def _nonlinearity(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    flow.reading_N = flow.reading_N * (1.0 + values[0] * (1.0 - flow.reading_N / NONLINEARITY_SPAN_N))
+
+
+def _creep(flow: Flow, values: Sequence[float], state: Memory) -> None:
+    slow = low_pass(flow.reading_N, flow.step_s, values[1], memory(state, "low_pass_N", 0.0, 0.0))
+    flow.reading_N = flow.reading_N + values[0] * slow
+
+
+def _drift(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    flow.reading_N = flow.reading_N + values[0] * flow.t_s
+
+
+EFFECTS = (
+    Effect(
+        id="loadcell_saturation",
+        stage="load_cell",
+        hook=Hook.READING,
+        equation="F_meas = F_sat·tanh(F/F_sat)",
+        source="cell or amplifier near its capacity",
+        parameters=(Parameter("F_sat", "N", 0.5, 1000.0, 15.0, neutral=np.inf, scale="inverse_square"),),
+        step=_saturation,
+    ),
+    Effect(
+        id="loadcell_nonlinearity",
+        stage="load_cell",
+        hook=Hook.READING,
+        equation="F_meas = F + λ·F·(1 − F/F_max)",
+        source="terminal-line nonlinearity of a strain-gauge cell; 0.02–3 % of full scale",
+        parameters=(Parameter("lambda", "", -0.5, 0.5, 0.03, neutral=0.0),),
+        step=_nonlinearity,
+    ),
+    Effect(
+        id="loadcell_creep",
+        stage="load_cell",
+        hook=Hook.READING,
+        equation="F_meas = F + k·LP_τ[F]",
+        source="creep of the spring element, OIML R60; 0.05–0.2 % for cheap bars, more when overloaded",
+        parameters=(
+            Parameter("k", "", -0.3, 0.3, 0.02, neutral=0.0),
+            Parameter("tau", "s", 0.3, 1000.0, 20.0, scale="log"),
+        ),
+        step=_creep,
+    ),
+    Effect(
+        id="loadcell_drift",
+        stage="load_cell",
+        hook=Hook.READING,
+        equation="F_meas = F + r·t",
+        source="zero drift of the amplifier; 0.01–0.1 % of full scale per K",
+        parameters=(Parameter("r", "N/s", -0.1, 0.1, 0.001, neutral=0.0),),
+        step=_drift,
+    ),
+)

@@ -1,0 +1,150 @@
+"""Mechanics: the position of the pad becomes the force on the sensor, F = k1·δ + k3·δ³ with δ = max(0, u − u0)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
+from softcal.core.twin.parameters import BaseParameters
+from softcal.core.twin.signals import compiled, completed_presses, direction_state, low_pass
+
+
+def press(flow: Flow, base: BaseParameters) -> None:
+    """Set deformation and force from the position of the pad, with a toe and a soft frame where effects set them."""
+    indentation = np.maximum(0.0, flow.pad_mm - flow.contact_mm)
+    if flow.toe_mm or flow.compliance_mm_N:
+        indentation = soft_contact(indentation, flow.toe_mm, flow.compliance_mm_N, base.k1_N_mm, base.k3_N_mm3)
+    flow.deformation_mm = indentation
+    flow.force_N = elastic_force(indentation, base.k1_N_mm, base.k3_N_mm3)
+
+
+@compiled
+def elastic_force(deformation: Array, k1: float, k3: float) -> Array:
+    """Return F = k1·δ + k3·δ³ in N; δ in mm."""
+    return deformation * (k1 + k3 * deformation * deformation)
+
+
+@compiled
+def soft_contact(travel: Array, toe: float, compliance: float, k1: float, k3: float) -> Array:
+    """Solve δ = toe(max(0, travel − c_f·F(δ))) for δ by Newton from the sample before; monotone, so one root.
+
+    Args:
+        travel: (n,) u − u0 where positive, else 0, mm.
+        toe: length ℓ of toe(x) = x − ℓ·(1 − exp(−x/ℓ)), mm; 0 for none.
+        compliance: c_f, mm/N; 0 for a rigid frame.
+    """
+    out = np.empty_like(travel)
+    x = 0.0
+    for k in range(len(travel)):
+        target = travel[k]
+        x = min(x, target) if x > 0.0 else target
+        deformation = 0.0
+        for _ in range(30):
+            bend = np.exp(-x / toe) if toe > 0.0 else 0.0
+            deformation = x - toe * (1.0 - bend)
+            error = x + compliance * deformation * (k1 + k3 * deformation * deformation) - target
+            slope = 1.0 + compliance * (k1 + 3.0 * k3 * deformation * deformation) * (1.0 - bend)
+            x = min(max(x - error / slope, 0.0), target)
+            if abs(error) < 1e-10:
+                break
+        bend = np.exp(-x / toe) if toe > 0.0 else 0.0
+        out[k] = x - toe * (1.0 - bend)
+    return out
+
+
+def _contact_shift(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    flow.contact_mm = flow.contact_mm + values[0] * -np.expm1(-flow.t_s / values[1])
+
+
+def _frame_compliance(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    flow.compliance_mm_N = values[0]
+
+
+def _misaligned_contact(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    flow.toe_mm = values[0]
+
+
+def _stress_relaxation(flow: Flow, values: Sequence[float], state: Memory) -> None:
+    relaxed = low_pass(flow.force_N, flow.step_s, values[1], memory(state, "low_pass_N", 0.0, 0.0))
+    flow.force_N = np.maximum(0.0, flow.force_N - values[0] * relaxed)
+
+
+def _mechanical_hysteresis(flow: Flow, values: Sequence[float], state: Memory) -> None:
+    start = memory(state, "z", 0.0, flow.deformation_mm[0])
+    flow.force_N = flow.force_N * (1.0 + values[0] * direction_state(flow.deformation_mm, values[1], start))
+
+
+def _mullins_softening(flow: Flow, values: Sequence[float], state: Memory) -> None:
+    presses = completed_presses(flow.deformation_mm, memory(state, "presses", 0.0, 0.0))
+    flow.force_N = flow.force_N * (1.0 + values[0] * np.expm1(-presses / values[1]))
+
+
+EFFECTS = (
+    Effect(
+        id="contact_shift",
+        stage="mechanics",
+        hook=Hook.CONTACT,
+        equation="u0(t) = u0 + s·(1 − exp(−t/τ))",
+        source="settling of an adhesive or of the pad on its bed; exponential approach",
+        parameters=(
+            Parameter("s", "mm", -0.5, 0.5, 0.08, neutral=0.0),
+            Parameter("tau", "s", 2.0, 1000.0, 40.0, scale="log"),
+        ),
+        step=_contact_shift,
+    ),
+    Effect(
+        id="frame_compliance",
+        stage="mechanics",
+        hook=Hook.CONTACT,
+        equation="δ = max(0, u − u0 − c_f·F), solved for F",
+        source="spring in series, Hooke; 1–50 µm/N for bench stands",
+        parameters=(Parameter("c_f", "mm/N", 0.0, 0.3, 0.03, neutral=0.0),),
+        step=_frame_compliance,
+    ),
+    Effect(
+        id="misaligned_contact",
+        stage="mechanics",
+        hook=Hook.CONTACT,
+        equation="δ → δ − ℓ·(1 − exp(−δ/ℓ))",
+        source="toe region of a compression curve, ASTM D695 annex on toe compensation",
+        parameters=(Parameter("l", "mm", 0.0, 1.5, 0.2, neutral=0.0),),
+        step=_misaligned_contact,
+    ),
+    Effect(
+        id="stress_relaxation",
+        stage="mechanics",
+        hook=Hook.FORCE,
+        equation="F = max(0, Fe − g·LP_τ[Fe])",
+        source="standard linear solid, Zener 1948; 2–20 % per decade in virgin Ecoflex",
+        parameters=(
+            Parameter("g", "", 0.0, 0.8, 0.1, neutral=0.0),
+            Parameter("tau", "s", 0.03, 300.0, 5.0, scale="log"),
+        ),
+        step=_stress_relaxation,
+    ),
+    Effect(
+        id="mechanical_hysteresis",
+        stage="mechanics",
+        hook=Hook.FORCE,
+        equation="F = Fe·(1 + a·z), dz/dt = (dδ/dt)/d0·(1 − z·sign(dδ/dt))",
+        source="rate-independent hysteresis, Duhem form; loops of 2–10 % in silicone rubber",
+        parameters=(
+            Parameter("a", "", -0.1, 0.5, 0.05, neutral=0.0),
+            Parameter("d0", "mm", 0.02, 5.0, 0.3, scale="log"),
+        ),
+        step=_mechanical_hysteresis,
+    ),
+    Effect(
+        id="mullins_softening",
+        stage="mechanics",
+        hook=Hook.FORCE,
+        equation="F = Fe·(1 − m·(1 − exp(−N/N0))), N = completed compressions",
+        source="Mullins 1969; 5–30 % in virgin silicone",
+        parameters=(
+            Parameter("m", "", -0.1, 0.8, 0.1, neutral=0.0),
+            Parameter("N0", "", 0.2, 50.0, 3.0, scale="log"),
+        ),
+        step=_mullins_softening,
+    ),
+)

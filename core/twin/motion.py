@@ -1,0 +1,24 @@
+"""Motion: the recorded stage position becomes the position of the pad."""
+
+from collections.abc import Sequence
+
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
+from softcal.core.twin.signals import play
+
+
+def _backlash(flow: Flow, values: Sequence[float], state: Memory) -> None:
+    start = memory(state, "position_mm", flow.pad_mm[0] - values[0])
+    flow.pad_mm = play(flow.pad_mm, values[0], start)
+
+
+BACKLASH = Effect(
+    id="backlash",
+    stage="motion",
+    hook=Hook.MOTION,
+    equation="the pad follows u through a play operator of width b",
+    source="play operator, Brokate and Sprekels 1996; 5–20 µm for ball screws, 20–150 µm for lead screws",
+    parameters=(Parameter("b", "mm", 0.0, 1.0, 0.05, neutral=0.0),),
+    step=_backlash,
+)
+
+EFFECTS = (BACKLASH,)

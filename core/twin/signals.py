@@ -1,0 +1,105 @@
+"""The recursions of the twin, compiled with numba: low-pass, play operator, rate-independent state, time shift.
+
+Every recursion carries its state in a small array from chunk to chunk, so a stream and a batch give the same numbers.
+"""
+
+from collections.abc import Callable
+from typing import TypeVar, cast
+
+import numba
+import numpy as np
+
+from softcal.core.recording import Array
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+def compiled(function: Function) -> Function:
+    """Compile with numba and keep the machine code on disk; the types of the function stay visible."""
+    return cast(Function, numba.njit(cache=True, error_model="numpy")(function))
+
+
+@compiled
+def low_pass(signal: Array, step_s: Array, tau_s: float, state: Array) -> Array:
+    """Return the first-order low-pass τ·dy/dt = x − y, exact for an input that is straight between samples.
+
+    Args:
+        signal: (n,) input x.
+        step_s: (n,) time since the sample before, s; 0 at the start of a run.
+        tau_s: time constant τ > 0.
+        state: (2,) y and x at the sample before; (0, ·) starts at rest at 0. Updated in place.
+    """
+    out = np.empty_like(signal)
+    y, x0 = state[0], state[1]
+    h_before, decay, old, new = -1.0, 1.0, 0.0, 0.0
+    for k in range(len(signal)):
+        x1 = signal[k]
+        h = step_s[k] / tau_s
+        if h != h_before:
+            decay = np.exp(-h)
+            mean = (1.0 - decay) / h if h > 1e-9 else 1.0
+            old, new, h_before = mean - decay, 1.0 - mean, h
+        y = decay * y + old * x0 + new * x1
+        x0 = x1
+        out[k] = y
+    state[0], state[1] = y, x0
+    return out
+
+
+@compiled
+def play(signal: Array, width: float, state: Array) -> Array:
+    """Return the play operator of width b: y stays until x leaves [y, y + b] and is then pushed along.
+
+    Args:
+        state: (1,) y at the sample before; 0 at the start of a run, which begins retracted.
+    """
+    out = np.empty_like(signal)
+    y = state[0]
+    for k in range(len(signal)):
+        y = min(max(y, signal[k] - width), signal[k])
+        out[k] = y
+    state[0] = y
+    return out
+
+
+@compiled
+def direction_state(signal: Array, scale: float, state: Array) -> Array:
+    """Return z of dz/dx = (1 − z·sign(dx))/scale: rate-independent, +1 after long loading, −1 after long unloading.
+
+    The step between two samples is solved exactly: z goes to ±1 by exp(−|Δx|/scale).
+
+    Args:
+        state: (2,) z and x at the sample before; (0, x(0)) at the start of a run.
+    """
+    out = np.empty_like(signal)
+    z, x0 = state[0], state[1]
+    for k in range(len(signal)):
+        move = signal[k] - x0
+        if move > 0.0:
+            z = 1.0 - (1.0 - z) * np.exp(-move / scale)
+        elif move < 0.0:
+            z = -1.0 + (1.0 + z) * np.exp(move / scale)
+        x0 = signal[k]
+        out[k] = z
+    state[0], state[1] = z, x0
+    return out
+
+
+@compiled
+def completed_presses(deformation: Array, state: Array) -> Array:
+    """Return how many compressions are completed at each sample; one is complete when contact is lost again.
+
+    Args:
+        deformation: (n,) δ in mm, 0 without contact.
+        state: (2,) presses so far, and 1 while in contact. Updated in place.
+    """
+    out = np.empty_like(deformation)
+    count, touching = state[0], state[1]
+    for k in range(len(deformation)):
+        if deformation[k] > 0.0:
+            touching = 1.0
+        elif touching > 0.0:
+            count, touching = count + 1.0, 0.0
+        out[k] = count
+    state[0], state[1] = count, touching
+    return out

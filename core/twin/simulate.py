@@ -1,0 +1,202 @@
+"""The chain from stage position to recording: in one call, or as a stream that carries its state."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.recording import Array
+from softcal.core.twin.catalogue import EFFECTS, effect
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory
+from softcal.core.twin.electronics import digitise, divide
+from softcal.core.twin.load_cell import read_force
+from softcal.core.twin.mechanics import press
+from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
+from softcal.core.twin.transduction import conduct
+
+ORDER = {name: position for position, name in enumerate(EFFECTS)}
+
+
+@dataclass(frozen=True)
+class EffectSetting:
+    """One effect switched on.
+
+    Args:
+        effect_id: identifier of the catalogue.
+        values: parameter values by name; a parameter left out stands at its usual value.
+        episodes: rows of an episodic effect, in s since the start of the run: (start, stop) of each bad contact,
+            or (instant, count) of each loss of samples.
+
+    Raises:
+        InputError: unknown effect or parameter, or a value that is not finite.
+    """
+
+    effect_id: str
+    values: Mapping[str, float] = field(default_factory=dict)
+    episodes: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        known = [p.name for p in effect(self.effect_id).parameters]
+        for name, value in self.values.items():
+            if name not in known:
+                raise InputError(f"{self.effect_id} has no parameter {name!r}; known are {', '.join(known)}")
+            if not np.isfinite(value):
+                raise InputError(f"{self.effect_id}.{name} is {value}; a finite number was expected")
+
+    @property
+    def ordered_values(self) -> tuple[float, ...]:
+        """Values in the order of the effect's equation."""
+        return tuple(float(self.values.get(p.name, p.usual)) for p in effect(self.effect_id).parameters)
+
+
+@dataclass(frozen=True)
+class Twin:
+    """The simulator of one unit on the station: base parameters, effects that are switched on, electronics."""
+
+    parameters: BaseParameters = BaseParameters()
+    effects: tuple[EffectSetting, ...] = ()
+    metadata: ReadoutMetadata = ReadoutMetadata()
+
+    def __post_init__(self) -> None:
+        ids = [setting.effect_id for setting in self.effects]
+        if len(set(ids)) < len(ids):
+            raise InputError(f"an effect is switched on twice: {', '.join(ids)}")
+
+    @property
+    def clean(self) -> "Twin":
+        """The same twin without any effect."""
+        return Twin(self.parameters, (), self.metadata)
+
+
+def run_chain(
+    flow: Flow,
+    base: BaseParameters,
+    readout: ReadoutMetadata,
+    effects: Sequence[Effect],
+    values: Sequence[Sequence[float]],
+    memories: Sequence[Memory],
+) -> None:
+    """Pass one stretch of a run through the whole chain, without noise and ADC; the flow holds every signal then.
+
+    Args:
+        flow: time, stage position and temperature; the rest is written.
+        effects: in any order; each acts at its hook, at one hook in the order of the catalogue.
+        values: (number of effects, its parameters).
+        memories: one per effect, empty at the start of a run.
+    """
+    steps = sorted(range(len(effects)), key=lambda k: (effects[k].hook, ORDER.get(effects[k].id, len(ORDER))))
+
+    def apply(hook: Hook) -> None:
+        for k in steps:
+            if effects[k].hook == hook:
+                effects[k].step(flow, values[k], memories[k])
+
+    flow.pad_mm, flow.contact_mm = flow.stage_mm, base.u0_mm
+    flow.toe_mm = flow.compliance_mm_N = 0.0
+    apply(Hook.MOTION)
+    apply(Hook.CONTACT)
+    press(flow, base)
+    apply(Hook.FORCE)
+    sense(flow, base, readout, apply)
+    read_force(flow)
+    apply(Hook.READING)
+
+
+def sense(flow: Flow, base: BaseParameters, readout: ReadoutMetadata, apply: Callable[[Hook], None]) -> None:
+    """Pass force (or deformation, for a strain sensor) through channel, electronics and the output's clock."""
+    flow.drive = flow.deformation_mm if readout.sensor_type == "strain" else flow.force_N
+    flow.wiring_ohm, flow.reference_V = 0.0, flow.vref_V
+    apply(Hook.CHANNEL)
+    conduct(flow, base)
+    apply(Hook.RESISTANCE)
+    apply(Hook.REFERENCE)
+    divide(flow, readout)
+    apply(Hook.OUTPUT)
+    apply(Hook.CLOCK)
+
+
+class TwinStream:
+    """A twin in use: give it the stage position as time goes on, it gives force and output.
+
+    The same samples in chunks of any size give the same numbers as in one call.
+
+    Args:
+        twin: the unit.
+        rng: source of the noise; None for a unit without noise. The ADC always rounds.
+    """
+
+    def __init__(self, twin: Twin, rng: np.random.Generator | None) -> None:
+        self._twin = twin
+        self._rng = rng.spawn(2) if rng is not None else None
+        self._effects = [effect(setting.effect_id) for setting in twin.effects]
+        self._values = [setting.ordered_values for setting in twin.effects]
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new run from rest; the noise goes on."""
+        self._memories: list[Memory] = [{} for _ in self._effects]
+        self._last_t_s: float | None = None
+        self._first_temperature_C = 0.0
+
+    def advance(self, t_s: Array, stage_mm: Array, temperature_C: Array | None = None) -> tuple[Array, Array]:
+        """Return force_N and output_V, (n,) each, at the next n instants of the run.
+
+        Args:
+            t_s: (n,) time since the start of the run, strictly increasing over all calls.
+            stage_mm: (n,) stage position, positive when it compresses.
+            temperature_C: (n,) temperature of the channel, where an effect depends on it.
+
+        Raises:
+            ValueError: time does not go on, or lengths differ.
+        """
+        t_s = np.asarray(t_s, dtype=np.float64)
+        stage_mm = np.asarray(stage_mm, dtype=np.float64)
+        if len(t_s) != len(stage_mm):
+            raise ValueError(f"t_s has {len(t_s)} samples, stage_mm {len(stage_mm)}")
+        if not len(t_s):
+            return np.empty(0), np.empty(0)
+        flow = self._flow(t_s, stage_mm, temperature_C)
+        run_chain(flow, self._twin.parameters, self._twin.metadata, self._effects, self._values, self._memories)
+        noise_N, noise_V = self._noise(len(t_s))
+        return flow.reading_N + noise_N, digitise(flow.output_V, noise_V, self._twin.metadata)
+
+    def _flow(self, t_s: Array, stage_mm: Array, temperature_C: Array | None) -> Flow:
+        before_s = t_s[0] if self._last_t_s is None else self._last_t_s
+        step_s = np.diff(t_s, prepend=before_s)
+        if np.any(step_s[1:] <= 0) or (self._last_t_s is not None and step_s[0] <= 0):
+            raise ValueError("t_s must go on: every instant later than the one before")
+        rise_K = None
+        if temperature_C is not None:
+            if self._last_t_s is None:
+                self._first_temperature_C = float(temperature_C[0])
+            rise_K = np.asarray(temperature_C, dtype=np.float64) - self._first_temperature_C
+        self._last_t_s = float(t_s[-1])
+        episodes = {s.effect_id: np.array(s.episodes) for s in self._twin.effects if s.episodes}
+        return Flow(t_s, step_s, stage_mm, rise_K, self._twin.metadata.vref_V, episodes)
+
+    def _noise(self, count: int) -> tuple[Array, Array]:
+        if self._rng is None:
+            return np.zeros(count), np.zeros(count)
+        force, output = self._rng
+        base = self._twin.parameters
+        return force.normal(0.0, base.sigma_force_N, count), output.normal(0.0, base.sigma_output_V, count)
+
+
+def simulate(
+    twin: Twin,
+    t_s: Array,
+    stage_mm: Array,
+    rng: np.random.Generator | None = None,
+    temperature_C: Array | None = None,
+) -> tuple[Array, Array]:
+    """Return force_N and output_V, (n,) each, of one run that starts from rest at t_s[0].
+
+    Args:
+        twin: the unit.
+        t_s: (n,) strictly increasing instants in s.
+        stage_mm: (n,) stage position in mm.
+        rng: source of the noise; None for no noise.
+        temperature_C: (n,) temperature of the channel.
+    """
+    return TwinStream(twin, rng).advance(np.asarray(t_s) - t_s[0], stage_mm, temperature_C)

@@ -1,0 +1,128 @@
+"""Transduction: the channel turns what it feels into a resistance, R = R0/(1 − κ·F)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
+from softcal.core.twin.parameters import BaseParameters
+from softcal.core.twin.signals import compiled, direction_state, low_pass
+
+COLLAPSED = 0.02
+"""Smallest 1 − κ·F that is computed: below it the channel is shut and the pressure form has no meaning."""
+
+
+def conduct(flow: Flow, base: BaseParameters) -> None:
+    """Set the resistance of the channel from what it feels."""
+    flow.resistance_ohm = channel_resistance(flow.drive, base.r0_ohm, base.kappa_per_N)
+
+
+@compiled
+def channel_resistance(drive: Array, r0: float, kappa: float) -> Array:
+    """Return R = R0/(1 − κ·F) in Ω (Park and others 2010, pressure form; Kim and others 2020)."""
+    out = np.empty_like(drive)
+    for k in range(len(drive)):
+        out[k] = r0 / max(1.0 - kappa * drive[k], COLLAPSED)
+    return out
+
+
+def _channel_creep(flow: Flow, values: Sequence[float], state: Memory) -> None:
+    slow = low_pass(flow.drive, flow.step_s, values[1], memory(state, "low_pass", 0.0, 0.0))
+    flow.drive = (1.0 - values[0]) * flow.drive + values[0] * slow
+
+
+def _channel_hysteresis(flow: Flow, values: Sequence[float], state: Memory) -> None:
+    start = memory(state, "z", 0.0, flow.drive[0])
+    flow.drive = flow.drive * (1.0 + values[0] * direction_state(flow.drive, values[1], start))
+
+
+def _channel_collapse(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    flow.resistance_ohm = flow.resistance_ohm * (1.0 + values[0] * np.maximum(0.0, flow.drive - values[1]) ** 2)
+
+
+def _thermal_drift(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    if flow.temperature_rise_K is not None:
+        flow.resistance_ohm = flow.resistance_ohm * (1.0 + values[0] * flow.temperature_rise_K)
+
+
+def _ageing_drift(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    flow.resistance_ohm = flow.resistance_ohm * (1.0 + values[0] * np.log1p(flow.t_s / values[1]))
+
+
+def _intermittent_contact(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    bad = np.zeros(len(flow.t_s), dtype=np.bool_)
+    for start_s, stop_s in flow.episodes.get("intermittent_contact", ()):
+        bad |= (flow.t_s >= start_s) & (flow.t_s < stop_s)
+    flow.resistance_ohm = flow.resistance_ohm + values[0] * bad
+
+
+EFFECTS = (
+    Effect(
+        id="channel_creep",
+        stage="transduction",
+        hook=Hook.CHANNEL,
+        equation="Fc = (1 − c)·F + c·LP_τ[F]",
+        source="delayed closing of an embedded channel, Kelvin–Voigt; 1–10 % over 0.05–100 s",
+        parameters=(
+            Parameter("c", "", -0.5, 1.0, 0.08, neutral=0.0),
+            Parameter("tau", "s", 0.03, 300.0, 5.0, scale="log"),
+        ),
+        step=_channel_creep,
+    ),
+    Effect(
+        id="channel_hysteresis",
+        stage="transduction",
+        hook=Hook.CHANNEL,
+        equation="Fc = F·(1 + a·z), dz/dt = (dF/dt)/f0·(1 − z·sign(dF/dt))",
+        source="rate-independent hysteresis, Duhem form; 1–5 % in eGaIn channels",
+        parameters=(
+            Parameter("a", "", -0.5, 0.5, 0.04, neutral=0.0),
+            Parameter("f0", "N", 0.05, 20.0, 1.0, scale="log"),
+        ),
+        step=_channel_hysteresis,
+    ),
+    Effect(
+        id="channel_collapse",
+        stage="transduction",
+        hook=Hook.RESISTANCE,
+        equation="R = R0/(1 − κ·F)·(1 + β·max(0, F − Fc)²)",
+        source="closing of a microchannel under pressure, Park and others 2010; above 60–80 % of the limit",
+        parameters=(
+            Parameter("beta", "1/N²", -0.05, 5.0, 0.03, neutral=0.0),
+            Parameter("Fc", "N", 0.2, 50.0, 4.0),
+        ),
+        step=_channel_collapse,
+    ),
+    Effect(
+        id="thermal_drift",
+        stage="transduction",
+        hook=Hook.RESISTANCE,
+        equation="R0(t) = R0·(1 + α·(T(t) − T(0)))",
+        source="temperature coefficient of a liquid-metal channel, about 1e-3/K",
+        parameters=(Parameter("alpha", "1/K", -0.05, 0.05, 0.001, neutral=0.0),),
+        step=_thermal_drift,
+    ),
+    Effect(
+        id="ageing_drift",
+        stage="transduction",
+        hook=Hook.RESISTANCE,
+        equation="R0(t) = R0·(1 + γ·ln(1 + t/τ))",
+        source="logarithmic ageing; 0.1–5 % per day",
+        parameters=(
+            Parameter("gamma", "", -0.2, 0.2, 0.005, neutral=0.0),
+            Parameter("tau", "s", 0.5, 2000.0, 30.0, scale="log"),
+        ),
+        step=_ageing_drift,
+    ),
+    Effect(
+        id="intermittent_contact",
+        stage="transduction",
+        hook=Hook.RESISTANCE,
+        equation="R + ΔR during a few intervals",
+        source="loose lead of a channel; steps tied to the motion of the cable",
+        parameters=(Parameter("dR", "ohm", -5.0, 50.0, 0.3, neutral=0.0),),
+        step=_intermittent_contact,
+        is_episodic=True,
+    ),
+)
