@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the batch, print the table, write the report."""
     from softcal.app.engine import EngineChoice
     from softcal.app.lot_folder import open_lot_folder
-    from softcal.app.workflow.batch import BatchConfig, batch_table, report_json, run_batch
+    from softcal.app.workflow.batch import TABLE_HEADER, BatchConfig, report_json, run_batch, table_row
 
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:
@@ -62,11 +62,10 @@ def run(options: argparse.Namespace) -> int:
         if options.out is not None:
             from softcal.app.workflow.export import export_units
 
-            passed = [u.record.serial for u in report.units if u.record.verdict in ("pass", "conditional")]
+            passed = [u.serial for u in report.units if u.verdict in ("pass", "conditional")]
             export_units(registry, passed, ("json",), options.out)
             say(f"{options.out}: calibration files of {len(passed)} units")
-    header, rows = batch_table(report)
-    print_table(header, rows)
+    print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
     if options.json:
         write_json(options.json, report_json(report))
@@ -80,7 +79,7 @@ def _watch(unit: str) -> "Watch":
     return Watch(
         on_epoch=lambda report: say(epoch_line(report, unit)) if report.epoch % 20 == 0 else None,
         on_start=lambda total: progress.append(Progress("units", total)),
-        on_unit=lambda result: progress[0].step(f"{result.record.serial} {result.record.verdict}"),
+        on_unit=lambda result: progress[0].step(f"{result.serial} {result.verdict}"),
     )
 
 

@@ -7,14 +7,17 @@ from dataclasses import asdict, dataclass, replace
 from softcal.app.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.lot_folder import LotFolder
 from softcal.app.workflow.train import TrainedOrFound, train_or_find
-from softcal.core.calibrate import CalibrationConfig, SourceModel, calibrate_unit, limit_of
-from softcal.core.calibration import CalibrationRecord, refused_record
+from softcal.core.calibrate import CalibrationConfig, calibrate_unit
+from softcal.core.calibration import CalibrationRecord
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.identity import content_sha256
+from softcal.core.lot import Lot
 from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.scoring import score_map
+from softcal.core.source_model import SourceModel, make_source_model
 from softcal.core.training import EpochReport, NetworkConfig
+from softcal.core.verdict import Limit
 from softcal.db.registry import Registry
 
 
@@ -46,14 +49,29 @@ class UnitResult:
     """One row of the report.
 
     Args:
-        record: the calibration, also of a unit that was refused.
-        revision: its revision in the registry.
+        serial: the unit.
+        verdict: pass, conditional, fail or retest.
+        reasons: why, most important first.
+        record: its calibration; None for a unit that could not be read or mapped.
+        revision: revision of the calibration in the registry.
         is_new: whether it was fitted now; otherwise the registry had it.
     """
 
-    record: CalibrationRecord
-    revision: int
-    is_new: bool
+    serial: str
+    verdict: str
+    reasons: tuple[str, ...]
+    record: CalibrationRecord | None = None
+    revision: int | None = None
+    is_new: bool = True
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A unit that got no map, and why."""
+
+    serial: str
+    verdict: str
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +86,7 @@ class BatchReport:
     @property
     def counts(self) -> dict[str, int]:
         """Units by verdict."""
-        words = [unit.record.verdict for unit in self.units]
+        words = [unit.verdict for unit in self.units]
         return {word: words.count(word) for word in ("pass", "conditional", "fail", "retest")}
 
 
@@ -77,7 +95,6 @@ class _Task:
     """One unit on its way to a worker."""
 
     recording: OutputRecording
-    recording_sha256: str
     audit: LabelledRecording | None
     input_sha256: str
 
@@ -88,7 +105,7 @@ class _Shared:
 
     source: SourceModel
     config: BatchConfig
-    limit_rmse: float | None
+    limit: Limit | None
 
 
 def _silent(_: object) -> None:
@@ -116,44 +133,46 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     start_s = time.perf_counter()
     source = folder.read_source()
     trained = train_or_find(folder.lot, source, registry, config.network, config.actor, watch.on_epoch)
-    shared = _Shared(SourceModel.of(source, trained.network), config, folder.lot.limit_rmse)
+    shared = _Shared(make_source_model(source, trained.network), config, _limit(folder.lot))
     watch.on_start(len(folder.unit_paths))
     results: dict[str, UnitResult] = {}
     for result in _results(folder, registry, shared):
-        results[result.record.serial] = result
+        results[result.serial] = result
         watch.on_unit(result)
     ordered = tuple(results[serial] for serial in folder.unit_paths)
     return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s)
 
 
+def _limit(lot: Lot) -> Limit | None:
+    return None if lot.limit_rmse is None else Limit(lot.reference_unit, lot.limit_rmse)
+
+
 def _results(folder: LotFolder, registry: Registry, shared: _Shared) -> Iterator[UnitResult]:
-    finished: list[UnitResult] = []
-    chunks = _chunks(folder, registry, shared, finished)
+    ready: list[UnitResult] = []
+    chunks = _chunks(folder, registry, shared, ready)
     for answer in run_all(shared.config.engine, _fit_chunk, shared, chunks):
-        records = _lost(answer.item, shared) if isinstance(answer, WorkerLost) else answer
+        outcomes = _lost(answer.item) if isinstance(answer, WorkerLost) else answer
         with registry.transaction():
-            for record in records:
-                finished.append(_register(folder, registry, record, shared.config))
-        yield from finished
-        finished.clear()
-    yield from finished
+            ready += [_register(folder.lot.id, registry, outcome, shared.config.actor) for outcome in outcomes]
+        while ready:
+            yield ready.pop(0)
+    yield from ready
 
 
-def _chunks(
-    folder: LotFolder, registry: Registry, shared: _Shared, finished: list[UnitResult]
-) -> Iterator[list[_Task]]:
-    """Read the units one by one; those that need no fit go straight to `finished`."""
+def _chunks(folder: LotFolder, registry: Registry, shared: _Shared, ready: list[UnitResult]) -> Iterator[list[_Task]]:
+    """Read the units one by one; those that need no fit go straight to `ready`."""
     chunk: list[_Task] = []
     for serial in folder.unit_paths:
         try:
             task = _read_task(folder, registry, serial, shared)
         except InputError as error:
-            record = refused_record(serial, shared.source.network.id, "retest", f"recording not readable: {error}")
-            finished.append(_register(folder, registry, record, shared.config))
+            refusal = Refusal(serial, "retest", f"recording not readable: {error}")
+            ready.append(_register(folder.lot.id, registry, refusal, shared.config.actor))
             continue
         known = None if shared.config.refit else registry.find_calibration(serial, task.input_sha256)
         if known is not None:
-            finished.append(UnitResult(known.record, known.revision, False))
+            record = known.record
+            ready.append(UnitResult(serial, record.verdict, record.reasons, record, known.revision, is_new=False))
             continue
         chunk.append(task)
         if len(chunk) == shared.config.chunk:
@@ -166,55 +185,55 @@ def _chunks(
 def _read_task(folder: LotFolder, registry: Registry, serial: str, shared: _Shared) -> _Task:
     recording = folder.read_unit(serial)
     audit = folder.read_audit(serial)
-    sha256 = registry.add_recording(folder.lot.id, serial, "unit", recording)
-    audit_sha256 = None
-    if audit is not None:
-        audit_sha256 = registry.add_recording(folder.lot.id, serial, "audit", audit.unlabelled, audit.reference)
+    actor, lot_id = shared.config.actor, folder.lot.id
+    with registry.transaction():
+        sha256 = registry.add_recording(lot_id, recording, "unit", actor=actor)
+        audit_sha256 = None if audit is None else registry.add_recording(lot_id, audit, "audit", actor=actor)
     settings = {
         "recording": sha256,
         "audit": audit_sha256,
         "network": shared.source.network.id,
         "calibration": asdict(shared.config.calibration),
         "own": asdict(shared.config.network) if shared.config.score_own and audit is not None else None,
-        "limit_rmse": shared.limit_rmse,
+        "limit": None if shared.limit is None else asdict(shared.limit),
     }
-    return _Task(recording, sha256, audit, content_sha256({}, settings))
+    return _Task(recording, audit, content_sha256({}, settings))
 
 
-def _fit_chunk(shared: _Shared, tasks: list[_Task]) -> list[CalibrationRecord]:
+def _fit_chunk(shared: _Shared, tasks: list[_Task]) -> list[CalibrationRecord | Refusal]:
     return [_fit_unit(shared, task) for task in tasks]
 
 
-def _fit_unit(shared: _Shared, task: _Task) -> CalibrationRecord:
-    source, serial = shared.source, task.recording.serial
+def _fit_unit(shared: _Shared, task: _Task) -> CalibrationRecord | Refusal:
     start_s = time.perf_counter()
     try:
-        problem = FitProblem(source.recording, source.network, task.recording)
-        limit = limit_of(source, shared.limit_rmse)
-        calibration = calibrate_unit(problem, limit, shared.config.calibration, source)
+        problem = FitProblem(shared.source.source, shared.source.network, task.recording)
+        calibration = calibrate_unit(problem, shared.limit, shared.config.calibration, shared.source)
     except UnitRefused as error:
-        refused = refused_record(serial, source.network.id, "fail", str(error))
-        return replace(refused, input_sha256=task.input_sha256, recording_sha256=task.recording_sha256)
+        return Refusal(task.recording.serial, "fail", str(error))
     record = calibration.to_record(
         input_sha256=task.input_sha256,
-        recording_sha256=task.recording_sha256,
+        recording_sha256=task.recording.sha256,
         fit_s=time.perf_counter() - start_s,
     )
     if task.audit is None:
         return record
     own = shared.config.network if shared.config.score_own else None
-    scores = score_map(source.network, calibration.unit_map, task.audit, own)
+    scores = score_map(shared.source.network, calibration.unit_map, task.audit, own)
     return replace(record, before_rmse=scores.before, after_rmse=scores.after, own_rmse=scores.own)
 
 
-def _lost(tasks: list[_Task], shared: _Shared) -> list[CalibrationRecord]:
-    reason = "the process that fitted it died three times; run the batch again, with --jobs 1 to see more"
-    return [refused_record(t.recording.serial, shared.source.network.id, "retest", reason) for t in tasks]
+def _lost(tasks: list[_Task]) -> list[Refusal]:
+    reason = "the process that fitted it died; run the batch again with --jobs 1 to see why"
+    return [Refusal(task.recording.serial, "retest", reason) for task in tasks]
 
 
-def _register(folder: LotFolder, registry: Registry, record: CalibrationRecord, config: BatchConfig) -> UnitResult:
-    revision = registry.add_calibration(folder.lot.id, record, actor=config.actor, reason="batch")
-    return UnitResult(record, revision, True)
+def _register(lot_id: str, registry: Registry, outcome: CalibrationRecord | Refusal, actor: str) -> UnitResult:
+    if isinstance(outcome, Refusal):
+        registry.add_refusal(lot_id, outcome.serial, outcome.verdict, (outcome.reason,), actor=actor)
+        return UnitResult(outcome.serial, outcome.verdict, (outcome.reason,))
+    revision = registry.add_calibration(lot_id, outcome, actor=actor, reason="batch")
+    return UnitResult(outcome.serial, outcome.verdict, outcome.reasons, outcome, revision)
 
 
 def report_json(report: BatchReport) -> dict[str, object]:
@@ -233,28 +252,28 @@ def report_json(report: BatchReport) -> dict[str, object]:
 
 def _unit_json(unit: UnitResult) -> dict[str, object]:
     record = unit.record
-    unit_map = {"family": record.family, "revision": unit.revision, "sha256": record.map_sha256}
+    errors = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse", "fit_s")
+    unit_map = None
+    if record is not None:
+        unit_map = {"family": record.family, "revision": unit.revision, "sha256": record.map_sha256}
     return {
-        "serial": record.serial,
-        "verdict": record.verdict,
-        "reasons": list(record.reasons),
-        "predicted_rmse": record.predicted_rmse,
-        "before_rmse": record.before_rmse,
-        "after_rmse": record.after_rmse,
-        "own_rmse": record.own_rmse,
-        "fit_s": record.fit_s,
+        "serial": unit.serial,
+        "verdict": unit.verdict,
+        "reasons": list(unit.reasons),
+        **{name: getattr(record, name, None) for name in errors},
         "map": unit_map,
         "is_new": unit.is_new,
     }
 
 
-def batch_table(report: BatchReport) -> tuple[list[str], list[list[object]]]:
-    """Return header and rows of the table a person reads."""
-    header = ["serial", "verdict", "predicted", "before", "after", "own", "after/own", "fit_s", "map", "reason"]
-    rows: list[list[object]] = []
-    for unit in report.units:
-        record = unit.record
-        ratio = record.after_rmse / record.own_rmse if record.after_rmse and record.own_rmse else None
-        errors = [record.predicted_rmse, record.before_rmse, record.after_rmse, record.own_rmse, ratio, record.fit_s]
-        rows.append([record.serial, record.verdict, *errors, record.family, "; ".join(record.reasons)[:100]])
-    return header, rows
+TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", "after/own", "fit_s", "map", "reason")
+
+
+def table_row(unit: UnitResult) -> list[object]:
+    """Return one row of the table a person reads, under `TABLE_HEADER`."""
+    record, reason = unit.record, "; ".join(unit.reasons)[:100]
+    if record is None:
+        return [unit.serial, unit.verdict, *[None] * 7, reason]
+    ratio = record.after_rmse / record.own_rmse if record.after_rmse and record.own_rmse else None
+    errors = [record.predicted_rmse, record.before_rmse, record.after_rmse, record.own_rmse, ratio, record.fit_s]
+    return [unit.serial, unit.verdict, *errors, record.family, reason]

@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from softcal.app.recording_file import read_recording, write_columns
-from softcal.core.calibrate import Calibration
-from softcal.core.errors import InputError
+from softcal.core.calibration import Calibration
 from softcal.core.estimate import Estimate, estimate
 from softcal.core.lot import Lot
 from softcal.core.network import Network
@@ -15,14 +14,11 @@ def calibrated_unit(registry: Registry, serial: str, revision: int | None = None
     """Return the lot, the shared network and the calibration of a unit.
 
     Raises:
-        InputError: the registry does not know the serial, or the unit was refused and has no map.
+        InputError: the registry has no calibration of the serial.
     """
     stored = registry.calibration(serial, revision)
-    if not stored.record.has_map:
-        why = "; ".join(stored.record.reasons)
-        raise InputError(f"unit {serial} has no map, its verdict is {stored.record.verdict}: {why}; press it again")
-    lot = Lot.from_settings(stored.lot_id, registry.lot(stored.lot_id).settings)
-    return lot, registry.network(stored.record.network_id), Calibration.from_record(stored.record)
+    network = registry.network(stored.record.network_id)
+    return registry.lot(stored.lot_id), network, Calibration.from_record(stored.record)
 
 
 def estimate_file(registry: Registry, serial: str, source: Path, target: Path, revision: int | None = None) -> Estimate:

@@ -1,5 +1,6 @@
 """Train the shared network f of a lot, or find the one trained before from the same recording and configuration."""
 
+import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
@@ -26,13 +27,6 @@ class TrainedOrFound:
     metrics: dict[str, float]
 
 
-def training_sha256(source: LabelledRecording, config: NetworkConfig) -> str:
-    """Return the content hash of all that a training depends on."""
-    arrays = {"t_s": source.unlabelled.t_s, "output": source.unlabelled.output, "reference": source.reference}
-    units = {"output_unit": source.unlabelled.output_unit, "reference_unit": source.reference_unit}
-    return content_sha256(arrays, {"config": asdict(config), **units})
-
-
 def train_or_find(
     lot: Lot,
     source: LabelledRecording,
@@ -40,31 +34,27 @@ def train_or_find(
     config: NetworkConfig,
     actor: str,
     on_epoch: Callable[[EpochReport], None] | None = None,
-    timer: Callable[[], float] | None = None,
 ) -> TrainedOrFound:
     """Return the registered network of this source and configuration; train and register it where there is none."""
-    import time
-
-    now = timer or time.perf_counter
-    registry.add_lot(lot.id, lot.sensor_model, lot.settings(), actor=actor)
-    recording_sha256 = registry.add_recording(lot.id, lot.source, "source", source.unlabelled, source.reference)
-    input_sha256 = training_sha256(source, config)
+    registry.add_lot(lot, actor=actor)
+    recording_sha256 = registry.add_recording(lot.id, source, "source", actor=actor)
+    input_sha256 = content_sha256({}, {"source": recording_sha256, "config": asdict(config)})
     found = registry.find_network(input_sha256)
     if found is not None:
-        return TrainedOrFound(found, False, dict(registry.network_metrics(found.id)))
-    start_s = now()
+        return _registered(registry, found, False)
+    start_s = time.perf_counter()
     trained = fit_network(source, config, on_epoch)
     metrics = {
         "validation_rmse": trained.validation_rmse,
-        "epochs": float(trained.epochs),
-        "train_s": now() - start_s,
+        "epochs": float(max(trained.epochs)),
+        "train_s": time.perf_counter() - start_s,
     }
-    registry.add_network(
-        lot.id,
-        trained.network,
-        metrics,
-        {"config": asdict(config), "source_recording_sha256": recording_sha256},
-        input_sha256,
-        actor=actor,
-    )
-    return TrainedOrFound(trained.network, True, metrics)
+    training = {"config": asdict(config), "source_recording_sha256": recording_sha256}
+    # Another process may have trained the same in the meantime; the id that comes back is the one to go on with.
+    network_id = registry.add_network(lot.id, trained.network, metrics, training, input_sha256, actor=actor)
+    return _registered(registry, network_id, True)
+
+
+def _registered(registry: Registry, network_id: str, is_new: bool) -> TrainedOrFound:
+    metrics = {name: float(str(value)) for name, value in registry.network_entry(network_id).metrics.items()}
+    return TrainedOrFound(registry.network(network_id), is_new, metrics)
