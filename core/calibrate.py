@@ -1,0 +1,117 @@
+"""One unit from its recording to map, interval, forecast error and verdict. No reference of the unit is ever seen."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+
+import numpy as np
+
+from softcal.core.calibration import Calibration
+from softcal.core.errors import UnitRefused
+from softcal.core.findings import map_findings
+from softcal.core.forecast import MapEvidence, forecast_error, gather_evidence, variance_table
+from softcal.core.health import check_alive, health_findings, output_limits
+from softcal.core.maps.catalogue import family
+from softcal.core.maps.choose import ChosenMap, MapConfig, choose_map
+from softcal.core.maps.interface import FitProblem, UnitMap
+from softcal.core.recording import OutputRecording
+from softcal.core.source_model import SourceModel, make_source_model
+from softcal.core.verdict import Limit, decide, default_limit
+from softcal.core.windows import TAPS
+
+IDENTITY = "identity"
+
+
+@dataclass(frozen=True)
+class CalibrationConfig:
+    """How a unit is calibrated; one configuration for every sensor and data set.
+
+    Args:
+        map: how the map is chosen.
+        parts: stretches of the recording the chosen family is fitted to again, to see how firm it stands.
+    """
+
+    map: MapConfig = field(default_factory=MapConfig)
+    parts: int = 3
+
+
+def calibrate_unit(
+    problem: FitProblem,
+    limit: Limit | None = None,
+    config: CalibrationConfig = CalibrationConfig(),  # noqa: B008 - frozen
+    source_model: SourceModel | None = None,
+) -> Calibration:
+    """Fit the unit's map and say how far it can be trusted.
+
+    Args:
+        problem: source, network and the unit's unlabelled recording.
+        limit: tolerance limit of the lot; None derives one from the source's own error and says so.
+        config: method parameters.
+        source_model: what `make_source_model` made of the same source; made here when None. Make it once per lot.
+
+    Raises:
+        UnitRefused: the recording allows no map at all; the message says why and what to do.
+    """
+    model = source_model or make_source_model(problem.source, problem.network)
+    target, source = problem.target, problem.source.unlabelled
+    check_alive(target, source)
+    limits = output_limits(target, source)
+    chosen = choose_map(problem, config.map)
+    evidence = gather_evidence(
+        model, target, chosen.unit_map, _rivals(chosen), _refitted(problem, chosen, config.parts), limits
+    )
+    forecast = forecast_error(evidence.budget)
+    findings = (*health_findings(target, source, limits), *map_findings(model, target, chosen.unit_map, evidence))
+    limit = limit or default_limit(problem.source.reference_unit, model.held_out_rmse)
+    return Calibration(
+        serial=target.serial,
+        network_id=problem.network.id,
+        unit_map=chosen.unit_map,
+        interval=model.interval.widened(variance_table(model, evidence)),
+        output_limits=limits,
+        forecast=forecast,
+        verdict=decide(forecast, limit, findings),
+        evidence=_numbers(evidence, chosen, limit, tuple(f.kind for f in findings)),
+        config=asdict(config),
+    )
+
+
+def _rivals(chosen: ChosenMap) -> list[UnitMap]:
+    return [other for name, other in chosen.alternatives.items() if name != IDENTITY]
+
+
+def _refitted(problem: FitProblem, chosen: ChosenMap, parts: int) -> list[UnitMap]:
+    """Fit the chosen family again with one stretch of the recording left out at a time."""
+    refits = []
+    for target in _without_one_part(problem.target, parts):
+        try:
+            refits.append(family(chosen.family).fit(replace(problem, target=target)))
+        except UnitRefused:
+            continue
+    return refits
+
+
+def _without_one_part(target: OutputRecording, parts: int) -> list[OutputRecording]:
+    edges = np.linspace(0, len(target), parts + 1).astype(int)
+    if edges[1] < 4 * TAPS:
+        return []
+    return [_without(target, slice(a, b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+def _without(target: OutputRecording, left_out: slice) -> OutputRecording:
+    keep = np.ones(len(target), dtype=bool)
+    keep[left_out] = False
+    stage_mm = None if target.stage_mm is None else target.stage_mm[keep]
+    return replace(target, t_s=target.t_s[keep], output=target.output[keep], stage_mm=stage_mm)
+
+
+def _numbers(
+    evidence: MapEvidence, chosen: ChosenMap, limit: Limit, kinds: tuple[str, ...]
+) -> Mapping[str, float | str | None]:
+    return {
+        **{f"map_{name}": value for name, value in chosen.evidence.items()},
+        **{f"u_{name}": value for name, value in evidence.budget.items()},
+        "correction_rms": evidence.correction_rms,
+        "limit_rmse": limit.maximum_rmse,
+        "limit_origin": limit.origin,
+        "findings": ", ".join(kinds),
+    }

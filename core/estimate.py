@@ -1,0 +1,185 @@
+"""f∘γ over a recording or sample by sample, each estimate with its 90 % interval and a flag; their only composition."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softcal.core.calibration import Calibration
+from softcal.core.errors import InputError
+from softcal.core.health import run_lengths
+from softcal.core.network import Network
+from softcal.core.recording import GAP_FACTOR, Array, Indices, OutputRecording
+from softcal.core.windows import TAPS
+
+Flags = NDArray[np.str_]
+FLAG_TYPE = "<U12"
+WARM_UP, GAP, INVALID = "warm-up", "gap", "invalid"
+STUCK, SATURATED, OUT_OF_RANGE, UNFAMILIAR = "stuck", "saturated", "out of range", "unfamiliar"
+
+RANGE_MARGIN = 0.05
+"""An estimate further than this share of the source's range beyond it is out of range."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What a unit says about the reference, sample by sample.
+
+    Args:
+        t_s: (n,) time stamps in s.
+        estimate: (n,) in `reference_unit`; NaN where no full window ends.
+        lower, upper: (n,) ends of the 90 % interval, lower <= estimate <= upper.
+        flag: (n,) empty where the row is trusted, else why not: `warm-up` (no full window yet since the start), `gap`
+            (none yet since a gap), `invalid` (no usable sample or time), `stuck` (the output does not move),
+            `saturated` (the output is at a rail), `out of range` (beyond the loads of the source), `unfamiliar` (a
+            window unlike any of the source).
+    """
+
+    t_s: Array
+    estimate: Array
+    lower: Array
+    upper: Array
+    flag: Flags
+    reference_unit: str = "N"
+
+
+@dataclass(frozen=True)
+class EstimateRow:
+    """One row of an `Estimate`."""
+
+    t_s: float
+    estimate: float
+    lower: float
+    upper: float
+    flag: str
+
+
+def estimate(network: Network, calibration: Calibration, recording: OutputRecording) -> Estimate:
+    """Estimate the reference over a whole recording.
+
+    Args:
+        network: the shared network f the calibration belongs to.
+        calibration: of the unit that was recorded.
+        recording: its output.
+
+    Raises:
+        InputError: the calibration belongs to another network, or the output has another physical unit.
+    """
+    check_fits(network, calibration, recording.output_unit)
+    n = len(recording)
+    value, lower, upper = (np.full(n, np.nan) for _ in range(3))
+    flag = np.full(n, GAP, dtype=FLAG_TYPE)
+    flag[recording.segments[0]] = WARM_UP
+    for segment in recording.segments:
+        output = recording.output[segment]
+        if len(output) < TAPS:
+            continue
+        rows = slice(segment.start + TAPS - 1, segment.stop)
+        mapped = calibration.unit_map.apply_signal(output)
+        newest = slice(TAPS - 1, None)
+        value[rows], lower[rows], upper[rows], flag[rows] = _judge(
+            network, calibration, mapped, output[newest], run_lengths(output)[newest]
+        )
+    return Estimate(recording.t_s, value, lower, upper, flag, network.reference_unit)
+
+
+def check_fits(network: Network, calibration: Calibration, output_unit: str) -> None:
+    """Refuse a calibration of another network, or an output in another physical unit, with `InputError`."""
+    if calibration.network_id != network.id:
+        raise InputError(
+            f"unit {calibration.serial} was calibrated with network {calibration.network_id[:12]}, "
+            f"this one is {network.id[:12]}; use the one it was calibrated with"
+        )
+    if output_unit != network.output_unit:
+        raise InputError(f"output is in {output_unit}, the calibration expects {network.output_unit}")
+
+
+def _judge(
+    network: Network, calibration: Calibration, mapped: Array, newest: Array, run: Indices
+) -> tuple[Array, Array, Array, Flags]:
+    """Return estimate, lower, upper and flag for (n, TAPS) mapped windows."""
+    interval, limits = calibration.interval, calibration.output_limits
+    value = network.evaluate(mapped)
+    shape = interval.support.shape(mapped)
+    distance = interval.support.distance(shape)
+    half = interval.half(value, shape, distance)
+    flag = np.full(len(value), "", dtype=FLAG_TYPE)
+    flag[distance > interval.familiar_distance] = UNFAMILIAR
+    margin = RANGE_MARGIN * (interval.high - interval.low)
+    flag[(value < interval.low - margin) | (value > interval.high + margin)] = OUT_OF_RANGE
+    flag[(newest <= limits.rail_low) | (newest >= limits.rail_high)] = SATURATED
+    flag[run >= limits.stuck_samples] = STUCK
+    return value, value - half, value + half, flag
+
+
+class StreamingEstimator:
+    """The same estimates one sample at a time, with constant memory; a crash resumes from `state()`.
+
+    Args:
+        network: the shared network f.
+        calibration: of this unit; replace it with `use` between two samples.
+        sample_rate_Hz: nominal sample rate; a longer pause than 1.5 periods empties the window.
+
+    Raises:
+        InputError: the calibration belongs to another network.
+    """
+
+    def __init__(self, network: Network, calibration: Calibration, sample_rate_Hz: float) -> None:
+        check_fits(network, calibration, network.output_unit)
+        self._network, self._calibration = network, calibration
+        self._longest_step_s = GAP_FACTOR / sample_rate_Hz
+        self._window = np.zeros(TAPS)
+        self._filled, self._run, self._last_t_s, self._waiting_for = 0, 0, -np.inf, WARM_UP
+
+    def use(self, calibration: Calibration) -> None:
+        """Go on with another calibration of the same unit from the next sample on; the window is kept."""
+        check_fits(self._network, calibration, self._network.output_unit)
+        self._calibration = calibration
+
+    def advance(self, t_s: float, output: float) -> EstimateRow:
+        """Take one sample and return its row; equal to the batch to float32 rounding.
+
+        A value or time that is not finite, or a time that repeats or goes backward, gives a row flagged `invalid` and
+        enters nothing.
+        """
+        if not (np.isfinite(t_s) and np.isfinite(output) and t_s > self._last_t_s):
+            return EstimateRow(t_s, np.nan, np.nan, np.nan, INVALID)
+        if t_s - self._last_t_s > self._longest_step_s and self._last_t_s > -np.inf:
+            self._filled, self._run, self._waiting_for = 0, 0, GAP
+        self._push(t_s, output)
+        if self._filled < TAPS:
+            return EstimateRow(t_s, np.nan, np.nan, np.nan, self._waiting_for)
+        value, lower, upper, flag = _judge(
+            self._network,
+            self._calibration,
+            self._calibration.unit_map.apply(self._window[None, :]),
+            self._window[-1:],
+            np.array([self._run]),
+        )
+        return EstimateRow(t_s, float(value[0]), float(lower[0]), float(upper[0]), str(flag[0]))
+
+    def _push(self, t_s: float, output: float) -> None:
+        self._run = self._run + 1 if self._run and output == self._window[-1] else 1
+        self._window[:-1] = self._window[1:]
+        self._window[-1] = output
+        self._filled = min(self._filled + 1, TAPS)
+        self._last_t_s = t_s
+
+    def state(self) -> dict[str, object]:
+        """Return all that a restart needs besides network and calibration, as JSON values."""
+        return {
+            "window": self._window.tolist(),
+            "filled": self._filled,
+            "run": self._run,
+            "last_t_s": None if self._last_t_s == -np.inf else self._last_t_s,
+            "waiting_for": self._waiting_for,
+        }
+
+    def restore(self, state: Mapping[str, object]) -> None:
+        """Go on from a `state()` taken earlier."""
+        self._window = np.array(state["window"], dtype=np.float64)
+        self._filled, self._run = int(str(state["filled"])), int(str(state["run"]))
+        last = state["last_t_s"]
+        self._last_t_s = -np.inf if last is None else float(str(last))
+        self._waiting_for = str(state["waiting_for"])

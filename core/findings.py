@@ -1,0 +1,105 @@
+"""What the mapped windows of a unit tell about it: wrong programme, other sensor, reversed wiring, drift, creep."""
+
+import numpy as np
+
+from softcal.core.forecast import MapEvidence, map_variance, rest_rows
+from softcal.core.maps.interface import UnitMap
+from softcal.core.recording import Array, OutputRecording
+from softcal.core.source_model import SourceModel
+from softcal.core.verdict import Finding
+
+UNFAMILIAR_SHARE = 0.05
+COVERED_SHARE = 0.75
+DRIFT_FACTOR = 2.0
+"""A drift or creep at rest of this many times the source's own error is worth a word."""
+
+
+def map_findings(
+    model: SourceModel, target: OutputRecording, unit_map: UnitMap, evidence: MapEvidence
+) -> tuple[Finding, ...]:
+    """Say in words what the mapped windows show against the unit, if anything."""
+    checks = (_unfamiliar(model, evidence), _uncovered(model, evidence), _restless(model, target, evidence))
+    return tuple(f for f in (*checks, _reversed(model, target), _not_better(evidence)) if f is not None)
+
+
+def _unfamiliar(model: SourceModel, evidence: MapEvidence) -> Finding | None:
+    share = float(np.mean(evidence.distance > model.interval.familiar_distance))
+    if share <= UNFAMILIAR_SHARE:
+        return None
+    limit = model.interval.support.roughness_limit
+    rough = float(np.mean(evidence.shape.roughness > limit))
+    cause = (
+        "its fast movements are unlike the source's: other sensor type, readout or rate"
+        if rough > share / 2
+        else ("other loads or speeds than the source has seen: wrong programme, or another sensor type")
+    )
+    text = f"unfamiliar: {share:.0%} of the mapped windows lie outside what the source has shown; {cause}"
+    return Finding("unfamiliar", text, "fail" if share > 0.3 else "conditional")
+
+
+def _uncovered(model: SourceModel, evidence: MapEvidence) -> Finding | None:
+    """Return a finding where the unit's loads reach over too little of the source's range."""
+    low, high = model.interval.low, model.interval.high
+    reach = np.quantile(evidence.estimate, (0.005, 0.995))
+    share = float((min(reach[1], high) - max(reach[0], low)) / (high - low))
+    if share >= COVERED_SHARE:
+        return None
+    unit = model.network.reference_unit
+    text = (
+        f"profile not covered: the unit was pressed from {reach[0]:.3g} to {reach[1]:.3g} {unit}, "
+        f"{max(share, 0):.0%} of the source's range of {low:.3g} to {high:.3g} {unit}"
+    )
+    return Finding("not covered", text)
+
+
+def _restless(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> Finding | None:
+    """Return a finding where estimates at rest wander: a trend over the recording is drift, else slow recovery."""
+    spread = evidence.budget["rest"]
+    if spread < DRIFT_FACTOR * model.held_out_rmse:
+        return None
+    at_rest = rest_rows(model, evidence.estimate, evidence.shape)
+    t_s = target.t_s[target.window_rows[evidence.rows]][at_rest]
+    value = evidence.estimate[at_rest]
+    trend = np.polyfit(t_s - t_s.mean(), value, 1)[0]
+    explained = float(np.corrcoef(t_s, value)[0, 1] ** 2)
+    unit = model.network.reference_unit
+    if explained > 0.5:
+        moved = float(trend * (t_s[-1] - t_s[0]))
+        text = f"drift inside the recording: estimates at rest move by {moved:+.3g} {unit}; warm up, record again"
+        return Finding("drift", text)
+    text = f"unsteady at rest: estimates scatter by {spread:.3g} {unit} between presses: strong creep or a loose mount"
+    return Finding("creep", text)
+
+
+def _reversed(model: SourceModel, target: OutputRecording) -> Finding | None:
+    """Return a finding where the output moves against the source's direction."""
+    source = model.source.unlabelled
+    if target.stage_mm is None or source.stage_mm is None:
+        unit_sign, source_sign = _lean(target.output), _lean(source.output)
+        surely = min(abs(unit_sign), abs(source_sign)) > 0.3
+    else:
+        unit_sign = float(np.corrcoef(target.output, target.stage_mm)[0, 1])
+        source_sign = float(np.corrcoef(source.output, source.stage_mm)[0, 1])
+        surely = min(abs(unit_sign), abs(source_sign)) > 0.3
+    if not surely or unit_sign * source_sign > 0:
+        return None
+    text = "wrong wiring: the output moves against the source's direction; exchange the two leads or check the divider"
+    return Finding("reversed", text, "fail")
+
+
+def _lean(output: Array) -> float:
+    """Return the robust skewness (Bowley 1901, with 5 % tails): positive where the unit rests low and peaks high."""
+    low, middle, high = np.quantile(output, (0.02, 0.5, 0.98))
+    return float((high + low - 2 * middle) / (high - low))
+
+
+def _not_better(evidence: MapEvidence) -> Finding | None:
+    """Return a finding where the map may be worse than doing nothing: it corrects less than it is uncertain by."""
+    doubt = float(np.sqrt(map_variance(evidence.budget)))
+    if doubt <= max(evidence.correction_rms, 0.5 * evidence.budget["model"]):
+        return None
+    text = (
+        f"the map changes the estimates by {evidence.correction_rms:.3g} but is uncertain by {doubt:.3g}: "
+        "it may be worse than doing nothing"
+    )
+    return Finding("not better", text)

@@ -1,0 +1,178 @@
+"""Forecast the error of one unit without a label: a budget of what source, map and recording leave open."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softcal.core.health import OutputLimits, rail_share
+from softcal.core.maps.interface import UnitMap
+from softcal.core.recording import Array, Indices, OutputRecording
+from softcal.core.source_model import SourceModel
+from softcal.core.support import WindowShape
+from softcal.core.uncertainty import DIRECTIONS, LEVELS, ErrorForecast
+
+ROWS = 8_000
+"""Windows looked at per unit, evenly spaced: enough for every number below, whatever the recording's length."""
+
+QUANTILES = np.linspace(0.005, 0.995, 100)
+
+SENSITIVITY = {
+    "disagreement": 0.5,
+    "stability": 1.0,
+    "support": 1.0,
+    "shift": 0.2,
+    "rest": 1.0,
+    "resolution": 1.0,
+    "clipping": 1.0,
+}
+"""Sensitivity coefficients c_i of the budget."""
+
+RELATIVE_UNCERTAINTY = 0.2
+"""Standard deviation of log(true / forecast RMSE)."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapEvidence:
+    """What the mapped windows of one unit show.
+
+    Args:
+        rows: (n,) indices of the windows looked at, among the recording's full windows.
+        estimate: (n,) f on the mapped windows, in the reference unit.
+        shape: of the mapped windows.
+        distance: (n,) of the mapped windows from the source's support.
+        disagreement: (n,) RMS difference of the other candidate maps' estimates from `estimate`.
+        unmapped: (n,) f on the raw windows: what doing nothing would say.
+        budget: standard uncertainties in the reference unit: `model` and the names of `SENSITIVITY`.
+    """
+
+    rows: Indices
+    estimate: Array
+    shape: WindowShape
+    distance: Array
+    disagreement: Array
+    unmapped: Array
+    budget: Mapping[str, float]
+
+    @property
+    def correction_rms(self) -> float:
+        """RMS difference between doing something and doing nothing, in the reference unit."""
+        return _rms(self.estimate - self.unmapped)
+
+
+def gather_evidence(
+    model: SourceModel,
+    target: OutputRecording,
+    unit_map: UnitMap,
+    alternatives: Sequence[UnitMap],
+    resampled: Sequence[UnitMap],
+    limits: OutputLimits,
+) -> MapEvidence:
+    """Look at one unit through its map and through the maps it might have had.
+
+    Args:
+        model: the lot's source.
+        target: recording of the unit.
+        unit_map: the chosen map.
+        alternatives: other candidates for the whole recording.
+        resampled: the same kind of map fitted to parts of the recording.
+        limits: rails of the raw output.
+    """
+    rows = np.unique(np.linspace(0, len(target.windows) - 1, ROWS).astype(np.int64))
+    raw = target.windows[rows]
+    network, interval = model.network, model.interval
+    mapped = unit_map.apply(raw)
+    estimate = network.evaluate(mapped)
+    shape = interval.support.shape(mapped)
+    distance = interval.support.distance(shape)
+    disagreement = _spread(estimate, [network.evaluate(other.apply(raw)) for other in alternatives])
+    stability = _spread(estimate, [network.evaluate(part.apply(raw)) for part in resampled])
+    cells = interval.direction(shape), interval.column(estimate)
+    budget = {
+        "model": _rms(model.residuals.rmse_table[cells]),
+        "disagreement": _rms(disagreement),
+        "stability": _rms(stability),
+        "support": interval.sensitivity * _rms(distance),
+        "shift": _rms(np.quantile(estimate, QUANTILES) - np.quantile(model.estimate, QUANTILES)),
+        "rest": _rest_spread(model, estimate, shape),
+        "resolution": _resolution(model, target, mapped, raw),
+        "clipping": _clipping(model, target, limits),
+    }
+    return MapEvidence(rows, estimate, shape, distance, disagreement, network.evaluate(raw), budget)
+
+
+def forecast_error(budget: Mapping[str, float]) -> ErrorForecast:
+    """Combine a budget: u_c^2 = u_model^2 + sum (c_i u_i)^2 (GUM, JCGM 100:2008, eq. 10), with its own uncertainty."""
+    rmse = float(np.sqrt(budget["model"] ** 2 + map_variance(budget)))
+    guard = float(np.exp(2 * RELATIVE_UNCERTAINTY))
+    return ErrorForecast(rmse, rmse / guard, rmse * guard)
+
+
+def map_variance(budget: Mapping[str, float]) -> float:
+    """Return the part of the forecast's variance that is the map's and the recording's, not the network's."""
+    return float(sum((coefficient * budget[name]) ** 2 for name, coefficient in SENSITIVITY.items()))
+
+
+def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
+    """Spread the map's variance over direction and load level: (3, LEVELS), half even, half where the maps disagree."""
+    total = map_variance(evidence.budget)
+    mean_square = float(np.mean(evidence.disagreement**2))
+    if mean_square == 0:
+        return np.full((len(DIRECTIONS), LEVELS), total)
+    pattern = np.ones((len(DIRECTIONS), LEVELS))
+    direction, column = model.interval.direction(evidence.shape), model.interval.column(evidence.estimate)
+    local = evidence.disagreement**2 / mean_square
+    counts = np.zeros_like(pattern)
+    sums = np.zeros_like(pattern)
+    np.add.at(counts, (direction, column), 1.0)
+    np.add.at(sums, (direction, column), local)
+    pattern = (_smooth(sums) + 5.0) / (_smooth(counts) + 5.0)
+    return total * (0.5 + 0.5 * pattern)
+
+
+def _smooth(table: Array) -> Array:
+    kernel = np.ones(9)
+    return np.stack([np.convolve(row, kernel, mode="same") for row in table])
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else 0.0
+
+
+def _spread(estimate: Array, others: Sequence[Array]) -> Array:
+    if not others:
+        return np.zeros_like(estimate)
+    return np.asarray(np.sqrt(np.mean([(other - estimate) ** 2 for other in others], axis=0)))
+
+
+def rest_rows(model: SourceModel, estimate: Array, shape: WindowShape) -> NDArray[np.bool_]:
+    """Mark the windows at rest: holding still at the unit's own lowest loads."""
+    low = float(np.quantile(estimate, 0.02))
+    still = model.interval.direction(shape) == 1
+    return np.asarray(still & (estimate < low + 0.1 * (model.interval.high - model.interval.low)))
+
+
+def _rest_spread(model: SourceModel, estimate: Array, shape: WindowShape) -> float:
+    """Return how far estimates at rest scatter beyond what the source's own do: drift, creep, a loose mount."""
+    spread = [
+        float(np.std(e[rest_rows(model, e, s)])) if rest_rows(model, e, s).any() else 0.0
+        for e, s in ((estimate, shape), (model.estimate, model.shape))
+    ]
+    return float(np.sqrt(max(spread[0] ** 2 - spread[1] ** 2, 0.0)))
+
+
+def _resolution(model: SourceModel, target: OutputRecording, mapped: Array, raw: Array) -> float:
+    """Return d / (2 sqrt 3) for the step d of the unit's readout, carried through map and network."""
+    steps = np.abs(np.diff(np.unique(target.output)))
+    quantum = float(np.min(steps, initial=np.inf))
+    gain = float(np.std(mapped) / np.std(raw)) / model.network.output_scale
+    source_quantum = float(np.min(np.abs(np.diff(np.unique(model.source.unlabelled.output)))))
+    excess = max((quantum * gain) ** 2 - (source_quantum / model.network.output_scale) ** 2, 0.0)
+    return model.interval.sensitivity * float(np.sqrt(excess / 12))
+
+
+def _clipping(model: SourceModel, target: OutputRecording, limits: OutputLimits) -> float:
+    """Return the error of a clipped stretch: the load there is anywhere in the upper third of the range."""
+    shares = [rail_share(target.output, rail) for rail in (limits.rail_low, limits.rail_high) if np.isfinite(rail)]
+    return float(np.sqrt(sum(shares) / 12)) * (model.interval.high - model.interval.low) / 3
