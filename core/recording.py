@@ -6,7 +6,9 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
 from softcal.core.errors import InputError
+from softcal.core.identity import content_sha256
 from softcal.core.windows import TAPS, windows
 
 Array: TypeAlias = NDArray[np.float64]
@@ -76,6 +78,20 @@ class OutputRecording:
             raise InputError(f"no gap-free stretch of {TAPS} samples; record the unit again without gaps")
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 (hex) of all arrays and settings, the serial among them."""
+        return content_sha256(self.arrays(), self.settings())
+
+    def arrays(self) -> dict[str, Array]:
+        """Return the columns under their names in files."""
+        stage = {} if self.stage_mm is None else {"stage_mm": self.stage_mm}
+        return {"t_s": self.t_s, "output": self.output, **stage}
+
+    def settings(self) -> dict[str, float | str]:
+        """Return all that is not a column."""
+        return {"serial": self.serial, "sample_rate_Hz": self.sample_rate_Hz, "output_unit": self.output_unit}
+
     def part(self, start: int, stop: int) -> "OutputRecording":
         """Return samples start ... stop - 1 as a recording of their own."""
         stage = None if self.stage_mm is None else self.stage_mm[start:stop]
@@ -110,6 +126,19 @@ class LabelledRecording:
     @property
     def serial(self) -> str:
         return self.unlabelled.serial
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 (hex) of all arrays and settings, the reference and the serial among them."""
+        return content_sha256(self.arrays(), self.settings())
+
+    def arrays(self) -> dict[str, Array]:
+        """Return the columns under their names in files."""
+        return {**self.unlabelled.arrays(), "reference": self.reference}
+
+    def settings(self) -> dict[str, float | str]:
+        """Return all that is not a column."""
+        return {**self.unlabelled.settings(), "reference_unit": self.reference_unit}
 
     @property
     def windows(self) -> Array:

@@ -1,0 +1,151 @@
+"""What the registry gives back: frozen values, never rows of a table."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+from softcal.core.calibration import CalibrationRecord
+
+
+@dataclass(frozen=True)
+class UnitEntry:
+    """A unit of a lot and where it stands.
+
+    Args:
+        lot_id, serial: which unit; a serial may stand in two lots.
+        role: source or target.
+        verdict: of the newest result; None while there is none.
+        reasons: why, most important first.
+        revision, family, map_sha256, predicted_rmse, before_rmse, after_rmse, own_rmse: of the newest calibration of
+            this lot; None while there is none.
+        made_at: when the newest result was made, UTC.
+        is_conflict: two registries calibrated this serial under one revision; `history` shows both.
+    """
+
+    lot_id: str
+    serial: str
+    role: str
+    verdict: str | None = None
+    reasons: tuple[str, ...] = ()
+    revision: int | None = None
+    family: str | None = None
+    map_sha256: str | None = None
+    predicted_rmse: float | None = None
+    before_rmse: float | None = None
+    after_rmse: float | None = None
+    own_rmse: float | None = None
+    made_at: datetime | None = None
+    is_conflict: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class StoredCalibration:
+    """One revision in the history of a serial.
+
+    Args:
+        record: the calibration itself.
+        lot_id: lot it was made in.
+        revision: 1, 2, 3 ... per serial.
+        made_at: UTC; never before the revision it follows.
+        actor, reason: who made it, and why.
+        rolled_back_to: the older revision this one repeats, for a rollback.
+        origin: the registry that wrote it.
+        is_current: this is the map in use.
+        is_conflict: another registry wrote a revision of this number for this serial.
+    """
+
+    record: CalibrationRecord
+    lot_id: str
+    revision: int
+    made_at: datetime
+    actor: str
+    reason: str
+    rolled_back_to: int | None
+    origin: str
+    is_current: bool
+    is_conflict: bool
+
+    @property
+    def serial(self) -> str:
+        return self.record.serial
+
+
+@dataclass(frozen=True)
+class NetworkEntry:
+    """What is known of a shared network beside its weights.
+
+    Args:
+        id: content hash of the network.
+        lot_id: lot it was trained for.
+        input_sha256: content hash of what it was trained from.
+        training: settings of the training.
+        metrics: what the training reached.
+        added_at: UTC.
+    """
+
+    id: str
+    lot_id: str
+    input_sha256: str
+    training: Mapping[str, object]
+    metrics: Mapping[str, object]
+    added_at: datetime
+
+
+@dataclass(frozen=True)
+class RecordingEntry:
+    """What is known of a recording without reading it.
+
+    Args:
+        sha256: content hash, with serial, rate and units.
+        kind: source, unit or audit.
+        samples: number of samples.
+        reference_unit: None where it has no reference.
+    """
+
+    sha256: str
+    lot_id: str
+    serial: str
+    kind: str
+    samples: int
+    sample_rate_Hz: float
+    output_unit: str
+    reference_unit: str | None
+    added_at: datetime
+
+
+@dataclass(frozen=True)
+class LimitEntry:
+    """One version of a lot's limit.
+
+    Args:
+        version: 1, 2, 3 ... per lot.
+        rmse: largest acceptable error in the lot's reference unit; None leaves it to the source's own error.
+    """
+
+    lot_id: str
+    version: int
+    rmse: float | None
+    made_at: datetime
+    actor: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class AuditRow:
+    """Who did what, when and why. `key`, `before` and `after` are canonical JSON text; `hash` covers every field."""
+
+    origin: str
+    seq: int
+    at: datetime
+    actor: str
+    action: str
+    entity: str
+    key: str
+    before: str | None
+    after: str | None
+    reason: str
+    prev_hash: str
+    hash: str
+
+    def with_hash(self, value: str) -> "AuditRow":
+        return replace(self, hash=value)

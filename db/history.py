@@ -1,0 +1,108 @@
+"""The audit trail: append-only rows chained by hashes, one chain per registry that wrote them.
+
+hash = SHA-256 of the canonical JSON of every field and of the hash before it, so that a row that was edited, removed
+or put in between is found (after Schneier and Kelsey 1999, Secure audit logs, section 3).
+"""
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+
+from sqlalchemy import Connection, Table, insert, select
+
+from softcal.core.errors import RegistryError
+from softcal.db.entries import AuditRow
+from softcal.db.tables import audit, canonical_json
+
+FIRST_HASH = "0" * 64
+Values = Mapping[str, object]
+
+
+def append(
+    connection: Connection,
+    origin: str,
+    at: datetime,
+    actor: str,
+    action: str,
+    entity: str,
+    key: tuple[str | int, ...],
+    *,
+    after: Values | None,
+    before: Values | None = None,
+    reason: str = "",
+) -> AuditRow:
+    """Write the next row of the chain of `origin`, in the transaction of the change it tells of."""
+    seq, prev_hash = head(connection, origin)
+    row = AuditRow(
+        origin=origin,
+        seq=seq + 1,
+        at=at,
+        actor=actor,
+        action=action,
+        entity=entity,
+        key=canonical_json(key),
+        before=None if before is None else canonical_json(plain(before)),
+        after=None if after is None else canonical_json(plain(after)),
+        reason=reason,
+        prev_hash=prev_hash,
+        hash="",
+    )
+    row = row.with_hash(row_hash(row))
+    connection.execute(insert(audit).values(**vars(row)))
+    return row
+
+
+def row_hash(row: AuditRow) -> str:
+    """Return the hash a row must have."""
+    fields = {name: value for name, value in vars(row).items() if name != "hash"}
+    return hashlib.sha256(canonical_json(plain(fields)).encode()).hexdigest()
+
+
+def rows(connection: Connection, origin: str | None = None, after_seq: int = 0) -> Iterator[AuditRow]:
+    """Give the rows of one chain, or of all chains one after another, oldest first."""
+    query = select(audit).where(audit.c.seq > after_seq).order_by(audit.c.origin, audit.c.seq)
+    if origin is not None:
+        query = query.where(audit.c.origin == origin)
+    for row in connection.execute(query, execution_options={"yield_per": 1000}):
+        yield AuditRow(**row._mapping)
+
+
+def chain_faults(trail: Iterator[AuditRow]) -> Iterator[str]:
+    """Give one line for every row that does not fit its chain."""
+    origin, seq, prev_hash = "", 0, FIRST_HASH
+    for row in trail:
+        if row.origin != origin:
+            origin, seq, prev_hash = row.origin, 0, FIRST_HASH
+        if row.seq != seq + 1:
+            yield f"audit {origin}: rows {seq + 1} to {row.seq - 1} are missing"
+        elif row.prev_hash != prev_hash:
+            yield f"audit {origin} row {row.seq}: does not follow row {seq}"
+        if row.hash != row_hash(row):
+            yield f"audit {origin} row {row.seq}: was changed after it was written"
+        seq, prev_hash = row.seq, row.hash
+
+
+def head(connection: Connection, origin: str) -> tuple[int, str]:
+    """Return number and hash of the newest row of a chain."""
+    query = select(audit.c.seq, audit.c.hash).where(audit.c.origin == origin).order_by(audit.c.seq.desc()).limit(1)
+    newest = connection.execute(query).first()
+    return (0, FIRST_HASH) if newest is None else (newest.seq, newest.hash)
+
+
+def row_key(table: Table, values: Values) -> tuple[str | int, ...]:
+    """Return the primary key of a row as the audit trail writes it."""
+    key = [_plain(values[column.name]) for column in table.primary_key]
+    return tuple(part if isinstance(part, int) else str(part) for part in key)
+
+
+def plain(values: Values) -> dict[str, object]:
+    """Return JSON values: instants as ISO text with six digits, the rest as it is."""
+    return {name: _plain(value) for name, value in values.items()}
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, datetime):
+        return value.isoformat(timespec="microseconds")
+    if isinstance(value, bytes):
+        raise RegistryError("bytes belong into a blob, not into the audit trail")
+    return value

@@ -1,0 +1,172 @@
+"""Lots, their limits and their units."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy import Connection, RowMapping, Select, func, select
+
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+from softcal.db.entries import LimitEntry, UnitEntry
+from softcal.db.registry_base import RegistryBase
+from softcal.db.tables import calibrations, limits, lots, refusals, units
+
+RESULT_FIELDS = (
+    "revision",
+    "family",
+    "map_sha256",
+    "predicted_rmse",
+    "before_rmse",
+    "after_rmse",
+    "own_rmse",
+    "verdict",
+    "reasons",
+    "made_at",
+)
+
+
+class LotTables(RegistryBase):
+    """The part of the registry that knows lots, limits and units."""
+
+    def add_lot(self, lot: Lot, *, actor: str | None = None) -> None:
+        """Register a lot and its source unit; the same lot again changes nothing, another limit adds a version.
+
+        Raises:
+            InputError: a lot of this id with other facts is registered.
+        """
+        facts = {name: value for name, value in lot.settings().items() if name != "limit_rmse"}
+        with self.database.writing() as connection:
+            known = connection.execute(select(lots).where(lots.c.id == lot.id)).mappings().first()
+            if known is None:
+                values = {"id": lot.id, **facts, "added_at": self.settings.clock()}
+                self._store(connection, lots, values, "add", actor)
+            else:
+                _check_same(lot.id, known, facts)
+            self._add_unit(connection, lot.id, lot.source, "source", actor)
+            newest = self.limit(lot.id)
+            if lot.limit_rmse != (newest.rmse if newest else None):
+                self.set_limit(lot.id, lot.limit_rmse, reason="stated with the lot", actor=actor)
+
+    def lots(self) -> list[Lot]:
+        """Return every lot by id, each with its newest limit."""
+        with self.database.reading() as connection:
+            rows = connection.execute(select(lots).order_by(lots.c.id)).mappings().all()
+            return [self._lot(row) for row in rows]
+
+    def lot(self, lot_id: str) -> Lot:
+        """Return one lot, or raise `InputError` naming the known ones."""
+        with self.database.reading() as connection:
+            return self._lot(self._lot_row(connection, lot_id))
+
+    def add_unit(self, lot_id: str, serial: str, *, actor: str | None = None) -> None:
+        """Register a target unit of a lot; again changes nothing."""
+        with self.database.writing() as connection:
+            self._lot_row(connection, lot_id)
+            self._add_unit(connection, lot_id, serial, "target", actor)
+
+    def units(self, lot_id: str | None = None, serial: str | None = None) -> list[UnitEntry]:
+        """Return units with their newest result, by lot and serial: of one lot, of one serial, or all of them.
+
+        Raises:
+            InputError: the lot or the serial is not in the registry.
+        """
+        with self.database.reading() as connection:
+            if lot_id is not None:
+                self._lot_row(connection, lot_id)
+            if serial is not None:
+                self._known_serial(connection, serial)
+            return unit_entries(connection, lot_id, serial)
+
+    def limit(self, lot_id: str) -> LimitEntry | None:
+        """Return the newest version of a lot's limit, or None where none was ever stated."""
+        versions = self.limit_versions(lot_id)
+        return versions[-1] if versions else None
+
+    def limit_versions(self, lot_id: str) -> list[LimitEntry]:
+        """Return every version of a lot's limit, oldest first."""
+        query = select(limits).where(limits.c.lot_id == lot_id).order_by(limits.c.made_at, limits.c.origin)
+        with self.database.reading() as connection:
+            rows = connection.execute(query).mappings()
+            return [LimitEntry(**{f: row[f] for f in LimitEntry.__dataclass_fields__}) for row in rows]
+
+    def set_limit(
+        self,
+        lot_id: str,
+        rmse: float | None,
+        *,
+        reason: str,
+        actor: str | None = None,
+        expected_version: int | None = None,
+    ) -> LimitEntry:
+        """Write the next version of a lot's limit.
+
+        Args:
+            rmse: largest acceptable error in the lot's reference unit; None leaves it to the source's own error.
+            expected_version: the version the change was decided on (0: none yet); None takes whatever is there.
+
+        Raises:
+            InputError: the limit is no positive number, or somebody else changed it since `expected_version`.
+        """
+        if rmse is not None and not 0 < rmse < float("inf"):
+            raise InputError(f"limit {rmse}; a positive number was expected")
+        with self.database.writing() as connection:
+            self._lot_row(connection, lot_id)
+            newest = self.limit(lot_id)
+            version = newest.version if newest else 0
+            if newest is not None and expected_version not in (None, version):
+                raise InputError(
+                    f"the limit of lot {lot_id!r} was changed to {newest.rmse} by {newest.actor} at "
+                    f"{newest.made_at:%Y-%m-%d %H:%M} UTC; look at version {version} and decide again"
+                )
+            made_at = self._after(newest.made_at if newest else None)
+            entry = LimitEntry(lot_id, version + 1, rmse, made_at, self._actor(actor), reason)
+            values = {**vars(entry), "origin": self.origin}
+            before = vars(newest) if newest else None
+            self._store(connection, limits, values, "set_limit", actor, reason, before)
+            return entry
+
+    def _lot(self, row: RowMapping) -> Lot:
+        newest = self.limit(row["id"])
+        facts = {name: value for name, value in row.items() if name not in ("id", "added_at")}
+        return Lot.from_settings(row["id"], facts | {"limit_rmse": newest.rmse if newest else None})
+
+
+def unit_entries(connection: Connection, lot_id: str | None, serial: str | None) -> list[UnitEntry]:
+    """Return units with their newest result."""
+    entries = {}
+    for row in connection.execute(_of(select(units), units, lot_id, serial)).mappings():
+        entries[row["lot_id"], row["serial"]] = {f: row[f] for f in ("lot_id", "serial", "role")}
+    for row in connection.execute(_newest_calibrations(lot_id, serial)).mappings():
+        result = {field: row[field] for field in RESULT_FIELDS} | {"is_conflict": row["copies"] > 1}
+        entries[row["lot_id"], row["serial"]] |= result
+    refused = _of(select(refusals), refusals, lot_id, serial).order_by(refusals.c.made_at)
+    for row in connection.execute(refused).mappings():
+        entry = entries[row["lot_id"], row["serial"]]
+        if "made_at" not in entry or row["made_at"] > entry["made_at"]:
+            entry |= {field: row[field] for field in ("verdict", "reasons", "made_at")}
+    made = (UnitEntry(**entry | {"reasons": tuple(entry.get("reasons", ()))}) for entry in entries.values())
+    return sorted(made, key=lambda unit: (unit.lot_id, unit.serial))
+
+
+def _newest_calibrations(lot_id: str | None, serial: str | None) -> Select[Any]:
+    c = calibrations.c
+    order = (c.made_at.desc(), c.revision.desc(), c.origin.desc())
+    rank = func.row_number().over(partition_by=(c.lot_id, c.serial), order_by=order).label("rank")
+    copies = func.count().over(partition_by=(c.serial, c.revision)).label("copies")
+    columns = [c.lot_id, c.serial, *(c[field] for field in RESULT_FIELDS), rank, copies]
+    ranked = _of(select(*columns), calibrations, lot_id, serial).subquery()
+    return select(ranked).where(ranked.c.rank == 1)
+
+
+def _of(query: Select[Any], table: Any, lot_id: str | None, serial: str | None) -> Select[Any]:
+    query = query if lot_id is None else query.where(table.c.lot_id == lot_id)
+    return query if serial is None else query.where(table.c.serial == serial)
+
+
+def _check_same(lot_id: str, known: RowMapping, facts: Mapping[str, object]) -> None:
+    for name, value in facts.items():
+        if known[name] != value:
+            raise InputError(
+                f"lot {lot_id!r} is registered with {name} = {known[name]!r}, now it is {value!r}; "
+                "correct lot.toml, or give the new lot an id of its own"
+            )

@@ -1,0 +1,80 @@
+"""Create and upgrade the schema, and check that nothing in a registry was damaged or edited."""
+
+import hashlib
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+from sqlalchemy import Connection, Table, insert, select
+
+from softcal.db import history, tables
+from softcal.db.connection import Database, schema_of
+from softcal.db.tables import blobs, canonical_json, metadata
+
+MIGRATIONS = Path(__file__).with_name("migrations")
+AUDITED = ("lots", "limits", "units", "recordings", "networks", "calibrations", "refusals")
+"""Tables whose every row has a row in the audit trail with the same values."""
+
+
+def create_schema(database: Database) -> str:
+    """Bring an empty or older database to the newest schema in one transaction; return its revision."""
+    # Alembic takes half a second to import: only those who migrate pay.
+    from alembic.operations import Operations
+    from alembic.runtime.migration import MigrationContext
+    from alembic.script import ScriptDirectory
+
+    scripts = ScriptDirectory(str(MIGRATIONS), version_locations=[str(MIGRATIONS)])
+    with database.writing() as connection:
+        context = MigrationContext.configure(
+            connection,
+            opts={"fn": lambda revision, _: scripts._upgrade_revs("head", revision), "transactional_ddl": True},
+        )
+        with Operations.context(context):
+            context.run_migrations()
+        info = tables.registry_info
+        if connection.execute(select(info.c.value).where(info.c.key == "origin")).first() is None:
+            connection.execute(insert(info).values(key="origin", value=uuid.uuid4().hex[:12]))
+    return str(schema_of(database))
+
+
+def faults(connection: Connection) -> Iterator[str]:
+    """Give one line for every blob, row or link of the audit chain that is not what was written."""
+    yield from history.chain_faults(history.rows(connection))
+    yield from _row_faults(connection)
+    yield from _blob_faults(connection)
+
+
+def _row_faults(connection: Connection) -> Iterator[str]:
+    told: dict[tuple[str, str], str] = {}
+    for entry in history.rows(connection):
+        if entry.entity in AUDITED and entry.after is not None:
+            told[entry.entity, entry.key] = hashlib.sha256(entry.after.encode()).hexdigest()
+    for name in AUDITED:
+        table = metadata.tables[name]
+        for row in connection.execute(select(table), execution_options={"yield_per": 1000}).mappings():
+            values = dict(row)
+            key = canonical_json(history.row_key(table, values))
+            expected = told.pop((name, key), None)
+            found = hashlib.sha256(canonical_json(history.plain(values)).encode()).hexdigest()
+            if expected is None:
+                yield f"{name} {key}: was put in without an entry in the audit trail"
+            elif expected != found:
+                yield f"{name} {key}: was changed after it was written"
+    for name, key in told:
+        yield f"{name} {key}: is in the audit trail but was removed"
+
+
+def _blob_faults(connection: Connection) -> Iterator[str]:
+    stored = set()
+    for row in connection.execute(select(blobs), execution_options={"yield_per": 50}):
+        stored.add(row.sha256)
+        if hashlib.sha256(row.data).hexdigest() != row.sha256:
+            yield f"blob {row.sha256[:12]}: its bytes were changed"
+    for table in _tables_with_blobs():
+        for values in connection.execute(select(table)).mappings():
+            if values["blob_sha256"] not in stored:
+                yield f"blob {values['blob_sha256'][:12]} of {table.name}: is missing"
+
+
+def _tables_with_blobs() -> list[Table]:
+    return [table for table in metadata.sorted_tables if "blob_sha256" in table.columns]

@@ -1,0 +1,88 @@
+"""The registry in the words of the factory: lots, units, recordings, networks, calibrations and who did what.
+
+Every change is one transaction with its row of the audit trail. What is stored is never changed: a correction is a new
+row. Everything given back is a value of its own, never a row.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+from softcal.core.errors import RegistryError
+from softcal.db import history
+from softcal.db.calibration_tables import CalibrationTables
+from softcal.db.connection import check_schema, open_database, schema_of
+from softcal.db.entries import AuditRow
+from softcal.db.lot_tables import LotTables
+from softcal.db.maintenance import create_schema, faults
+from softcal.db.recording_tables import RecordingTables
+from softcal.db.registry_base import RegistrySettings
+from softcal.db.work_queue import WorkQueue
+
+
+class Registry(LotTables, RecordingTables, CalibrationTables):
+    """An open registry, used as a context manager and made by `open_registry`."""
+
+    def __enter__(self) -> "Registry":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections; what was not committed is gone."""
+        self.database.close()
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Keep everything done in the block, or nothing of it. Calls inside need no change."""
+        with self.database.writing():
+            yield
+
+    @property
+    def work_queue(self) -> WorkQueue:
+        """The durable work items of this registry's lots."""
+        return WorkQueue(self.database, self.settings.clock)
+
+    def add_event(
+        self,
+        action: str,
+        entity: str,
+        key: tuple[str | int, ...],
+        values: Mapping[str, object],
+        *,
+        reason: str = "",
+        actor: str | None = None,
+    ) -> None:
+        """Put what changes no table (an export, an override of the station's gate) into the audit trail."""
+        with self.database.writing() as connection:
+            at, who = self.settings.clock(), self._actor(actor)
+            history.append(connection, self.origin, at, who, action, entity, key, after=values, reason=reason)
+
+    def audit_rows(self, origin: str | None = None) -> list[AuditRow]:
+        """Return the audit trail of one registry, or of all that were synchronised, oldest first per origin."""
+        with self.database.reading() as connection:
+            return list(history.rows(connection, origin))
+
+    def verify(self) -> list[str]:
+        """Check every blob, every row and the audit chain; return one line per fault, none when all is well."""
+        with self.database.reading() as connection:
+            return list(faults(connection))
+
+
+def open_registry(url: str, settings: RegistrySettings | None = None, *, create: bool = True) -> Registry:
+    """Open the registry behind an SQLAlchemy URL.
+
+    An empty database or a new SQLite file gets the tables when `create` is set; an existing registry is never
+    upgraded here.
+
+    Raises:
+        RegistryError: the URL, folder, file, server or schema cannot be used; the line says which and what to do.
+    """
+    database = open_database(url, create=create)
+    schema = schema_of(database)
+    if schema is None and not create:
+        raise RegistryError(f"registry {database.name}: there is no registry yet; `softcal batch` or `demo` makes one")
+    if schema is None:
+        schema = create_schema(database)
+    check_schema(database, schema)
+    return Registry(database, settings or RegistrySettings())

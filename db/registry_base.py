@@ -1,0 +1,99 @@
+"""What every part of the registry stands on: the database, who writes by which clock, and rows that leave a trace."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from typing import Any, Protocol
+
+from sqlalchemy import Connection, RowMapping, Table, insert, select
+
+from softcal.core.errors import InputError
+from softcal.db import history
+from softcal.db.connection import Database
+from softcal.db.tables import lots, registry_info, units
+
+TICK = timedelta(microseconds=1)
+
+
+class Clock(Protocol):
+    """Gives the time in UTC."""
+
+    def __call__(self) -> datetime: ...
+
+
+def utc_now() -> datetime:
+    """Return the machine's time in UTC."""
+    return datetime.now(UTC)
+
+
+@dataclass(frozen=True)
+class RegistrySettings:
+    """Who writes, and by which clock.
+
+    Args:
+        actor: who stands in the audit trail where a call names nobody.
+        clock: the time of every row.
+    """
+
+    actor: str = "softcal"
+    clock: Clock = field(default=utc_now)
+
+
+class RegistryBase:
+    """An open database with its origin: the name under which this registry writes its audit trail."""
+
+    def __init__(self, database: Database, settings: RegistrySettings) -> None:
+        self.database = database
+        self.settings = settings
+        with database.reading() as connection:
+            query = select(registry_info.c.value).where(registry_info.c.key == "origin")
+            self.origin = str(connection.execute(query).scalar_one())
+
+    def _store(
+        self,
+        connection: Connection,
+        table: Table,
+        values: Mapping[str, Any],
+        action: str,
+        actor: str | None,
+        reason: str = "",
+        before: Mapping[str, object] | None = None,
+    ) -> None:
+        """Insert one row together with the row of the audit trail that tells of it."""
+        connection.execute(insert(table).values(**values))
+        key = history.row_key(table, values)
+        at, who = self.settings.clock(), self._actor(actor)
+        history.append(
+            connection, self.origin, at, who, action, table.name, key, after=values, before=before, reason=reason
+        )
+
+    def _actor(self, actor: str | None) -> str:
+        return actor or self.settings.actor
+
+    def _after(self, previous: datetime | None) -> datetime:
+        """Return the time now, but never before what it follows: a clock set back must not reorder the history."""
+        now = self.settings.clock()
+        return now if previous is None else max(now, previous + TICK)
+
+    def _lot_row(self, connection: Connection, lot_id: str) -> RowMapping:
+        row = connection.execute(select(lots).where(lots.c.id == lot_id)).mappings().first()
+        if row is None:
+            known = connection.execute(select(lots.c.id).order_by(lots.c.id).limit(6)).scalars().all()
+            raise InputError(f"lot {lot_id!r} is not in the registry; it holds {_some(known)}")
+        return row
+
+    def _add_unit(self, connection: Connection, lot_id: str, serial: str, role: str, actor: str | None) -> None:
+        where = (units.c.lot_id == lot_id, units.c.serial == serial)
+        if connection.execute(select(units.c.role).where(*where)).first() is None:
+            values = {"lot_id": lot_id, "serial": serial, "role": role, "added_at": self.settings.clock()}
+            self._store(connection, units, values, "add", actor)
+
+    def _known_serial(self, connection: Connection, serial: str) -> None:
+        if connection.execute(select(units.c.serial).where(units.c.serial == serial).limit(1)).first() is None:
+            known = connection.execute(select(units.c.serial).distinct().order_by(units.c.serial).limit(6)).scalars()
+            raise InputError(f"serial {serial!r} is not in the registry; it holds {_some(known.all())}")
+
+
+def _some(names: Any) -> str:
+    listed = ", ".join(names[:5]) or "nothing yet"
+    return f"{listed}, ..." if len(names) > 5 else listed

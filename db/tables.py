@@ -1,0 +1,261 @@
+"""The tables of the registry. Their history is in `migrations/`; `SCHEMA` names the step these definitions equal."""
+
+import json
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import (
+    CheckConstraint,
+    Column,
+    DateTime,
+    Dialect,
+    Double,
+    ForeignKey,
+    ForeignKeyConstraint,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    Text,
+)
+from sqlalchemy.types import TypeDecorator
+
+SCHEMA = "0001"
+"""Revision of the newest migration: what a registry must have to be used by this version."""
+
+metadata = MetaData(
+    naming_convention={
+        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+        "ck": "ck_%(table_name)s_%(constraint_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_N_name)s_%(referred_table_name)s",
+        "pk": "pk_%(table_name)s",
+    }
+)
+
+
+class UtcTime(TypeDecorator[datetime]):
+    """An instant in UTC; a time without zone is refused. SQLite would drop the zone without a word."""
+
+    impl = DateTime(timezone=True)
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        if value is None:
+            return None
+        if value.tzinfo is None:
+            raise ValueError(f"{value} has no time zone; give an instant in UTC")
+        return value.astimezone(UTC)
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        if value is None:
+            return None
+        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+
+
+class CanonicalJson(TypeDecorator[Any]):
+    """JSON as text with sorted keys, so that equal values have equal bytes on every database. NaN is refused."""
+
+    impl = Text
+    cache_ok = True
+
+    def process_bind_param(self, value: Any, dialect: Dialect) -> str | None:
+        return None if value is None else canonical_json(value)
+
+    def process_result_value(self, value: str | None, dialect: Dialect) -> Any:
+        return None if value is None else json.loads(value)
+
+
+def canonical_json(value: object) -> str:
+    """Return JSON text that is the same for equal values."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def sha256_column(name: str, *rest: Any, **options: Any) -> Column[str]:
+    """Return a column for a content hash in hex."""
+    return Column(name, String(64), *rest, **options)
+
+
+registry_info = Table(
+    "registry_info",
+    metadata,
+    Column("key", String(64), primary_key=True),
+    Column("value", Text, nullable=False),
+)
+
+blobs = Table(
+    "blobs",
+    metadata,
+    sha256_column("sha256", primary_key=True),
+    Column("kind", String(16), nullable=False),
+    Column("size", Integer, nullable=False),
+    Column("data", LargeBinary, nullable=False),
+)
+
+lots = Table(
+    "lots",
+    metadata,
+    Column("id", String(64), primary_key=True),
+    Column("source", String(64), nullable=False),
+    Column("sample_rate_Hz", Double, nullable=False),
+    Column("sensor_model", Text, nullable=False),
+    Column("reference_quantity", Text, nullable=False),
+    Column("reference_unit", Text, nullable=False),
+    Column("output_unit", Text, nullable=False),
+    Column("added_at", UtcTime, nullable=False),
+)
+
+limits = Table(
+    "limits",
+    metadata,
+    Column("lot_id", ForeignKey("lots.id"), primary_key=True),
+    Column("version", Integer, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("rmse", Double),
+    Column("made_at", UtcTime, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    CheckConstraint("version >= 1", name="version"),
+)
+
+units = Table(
+    "units",
+    metadata,
+    Column("lot_id", ForeignKey("lots.id"), primary_key=True),
+    Column("serial", String(64), primary_key=True),
+    Column("role", String(8), nullable=False),
+    Column("added_at", UtcTime, nullable=False),
+    CheckConstraint("role IN ('source', 'target')", name="role"),
+    Index("ix_units_serial", "serial"),
+)
+
+recordings = Table(
+    "recordings",
+    metadata,
+    sha256_column("sha256", primary_key=True),
+    Column("lot_id", String(64), primary_key=True),
+    Column("kind", String(8), primary_key=True),
+    Column("serial", String(64), nullable=False),
+    Column("samples", Integer, nullable=False),
+    Column("sample_rate_Hz", Double, nullable=False),
+    Column("output_unit", Text, nullable=False),
+    Column("reference_unit", Text),
+    sha256_column("blob_sha256", ForeignKey("blobs.sha256"), nullable=False),
+    Column("added_at", UtcTime, nullable=False),
+    ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    CheckConstraint("kind IN ('source', 'unit', 'audit')", name="kind"),
+    Index("ix_recordings_lot_id_serial", "lot_id", "serial"),
+)
+
+networks = Table(
+    "networks",
+    metadata,
+    sha256_column("id", primary_key=True),
+    Column("lot_id", ForeignKey("lots.id"), nullable=False),
+    sha256_column("input_sha256", nullable=False, index=True),
+    Column("settings", CanonicalJson, nullable=False),
+    Column("training", CanonicalJson, nullable=False),
+    Column("metrics", CanonicalJson, nullable=False),
+    sha256_column("blob_sha256", ForeignKey("blobs.sha256"), nullable=False),
+    Column("added_at", UtcTime, nullable=False),
+)
+
+calibrations = Table(
+    "calibrations",
+    metadata,
+    Column("serial", String(64), primary_key=True),
+    Column("revision", Integer, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("lot_id", String(64), nullable=False),
+    Column("made_at", UtcTime, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    Column("rolled_back_to", Integer),
+    Column("network_id", ForeignKey("networks.id"), nullable=False),
+    Column("family", Text, nullable=False),
+    sha256_column("map_sha256", nullable=False),
+    sha256_column("blob_sha256", ForeignKey("blobs.sha256"), nullable=False),
+    Column("settings", CanonicalJson, nullable=False),
+    Column("predicted_rmse", Double),
+    Column("before_rmse", Double),
+    Column("after_rmse", Double),
+    Column("own_rmse", Double),
+    Column("fit_s", Double),
+    Column("verdict", String(16), nullable=False),
+    Column("reasons", CanonicalJson, nullable=False),
+    Column("evidence", CanonicalJson, nullable=False),
+    sha256_column("input_sha256", nullable=False),
+    sha256_column("recording_sha256", nullable=False),
+    ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    CheckConstraint("revision >= 1", name="revision"),
+    CheckConstraint("verdict IN ('pass', 'conditional', 'fail', 'retest')", name="verdict"),
+    Index("ix_calibrations_lot_id_serial", "lot_id", "serial", "made_at"),
+    Index("ix_calibrations_serial_input", "serial", "input_sha256"),
+)
+
+refusals = Table(
+    "refusals",
+    metadata,
+    Column("lot_id", String(64), primary_key=True),
+    Column("serial", String(64), primary_key=True),
+    Column("made_at", UtcTime, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("actor", Text, nullable=False),
+    Column("verdict", String(16), nullable=False),
+    Column("reasons", CanonicalJson, nullable=False),
+    ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    CheckConstraint("verdict IN ('fail', 'retest')", name="verdict"),
+)
+
+audit = Table(
+    "audit",
+    metadata,
+    Column("origin", String(32), primary_key=True),
+    Column("seq", Integer, primary_key=True),
+    Column("at", UtcTime, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("action", String(32), nullable=False),
+    Column("entity", String(32), nullable=False),
+    Column("key", Text, nullable=False),
+    Column("before", Text),
+    Column("after", Text),
+    Column("reason", Text, nullable=False),
+    sha256_column("prev_hash", nullable=False),
+    sha256_column("hash", nullable=False),
+    Index("ix_audit_entity_key", "entity", "key"),
+)
+
+work_items = Table(
+    "work_items",
+    metadata,
+    Column("id", Integer, primary_key=True, autoincrement=True),
+    Column("lot_id", String(64), nullable=False),
+    Column("serial", String(64), nullable=False),
+    Column("kind", String(32), nullable=False),
+    Column("input_sha256", String(64), nullable=False),
+    Column("state", String(8), nullable=False),
+    Column("attempts", Integer, nullable=False),
+    Column("owner", Text),
+    Column("lease_until", UtcTime),
+    Column("result", Text),
+    Column("error", Text),
+    Column("changed_at", UtcTime, nullable=False),
+    CheckConstraint("state IN ('queued', 'claimed', 'done', 'failed')", name="state"),
+    Index("uq_work_items_item", "lot_id", "kind", "serial", "input_sha256", unique=True),
+    Index("ix_work_items_lot_id_state", "lot_id", "state", "id"),
+)
+
+APPEND_ONLY = (
+    "blobs",
+    "lots",
+    "limits",
+    "units",
+    "recordings",
+    "networks",
+    "calibrations",
+    "refusals",
+    "audit",
+)
+"""Tables whose rows are never changed or deleted; triggers on both databases see to it."""
