@@ -1,213 +1,26 @@
-"""The database behind a registry URL: checks before opening, settings of SQLite and PostgreSQL, transactions.
-
-Nothing is opened at import. No message of this module contains a password.
-"""
-
-import sqlite3
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-
-from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, make_url, text
-from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
-from sqlalchemy.pool import StaticPool
+"""Open the registry behind a URL."""
 
 from softcal.core.errors import RegistryError
-from softcal.db.file_system import refuse_network_share
-from softcal.db.tables import SCHEMA
-
-SQLITE_WAIT_S = 60
-"""How long a writer waits for its turn before the registry counts as locked."""
-
-STATEMENT_TIMEOUT = "120s"
-WRITER_LOCK = 1_900_178
-"""Key of the PostgreSQL advisory lock that puts writers of the audit chain in a row."""
+from softcal.db.database import check_schema, open_database, schema_of
+from softcal.db.maintenance import create_schema
+from softcal.db.registry import Registry
+from softcal.db.registry_base import RegistrySettings
 
 
-class Database:
-    """An open database: short read transactions, and write transactions that come one after another.
+def open_registry(url: str, settings: RegistrySettings | None = None, *, create: bool = True) -> Registry:
+    """Open the registry behind an SQLAlchemy URL.
 
-    A write transaction of this thread is joined by every read and write inside it, so that several steps are kept
-    or lost together.
-    """
-
-    def __init__(self, engine: Engine) -> None:
-        self.engine = engine
-        self._thread = threading.local()
-
-    @property
-    def is_sqlite(self) -> bool:
-        return self.engine.dialect.name == "sqlite"
-
-    @property
-    def name(self) -> str:
-        """The URL without its password."""
-        return self.engine.url.render_as_string(hide_password=True)
-
-    @contextmanager
-    def reading(self) -> Iterator[Connection]:
-        """Give a connection that sees one consistent state."""
-        joined = self._joined()
-        if joined is not None:
-            yield joined
-            return
-        with self._errors_in_words(), self.engine.connect() as connection, connection.begin():
-            yield connection
-
-    @contextmanager
-    def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
-        """Give a connection whose changes are committed when the block ends well, and are gone when it raises.
-
-        Args:
-            in_turn: one writer at a time, as the audit chain needs it. SQLite allows nothing else; PostgreSQL lets
-                writers with `in_turn=False` (work queue, heartbeats) go side by side.
-        """
-        joined = self._joined()
-        if joined is not None:
-            yield joined
-            return
-        with self._errors_in_words(), self.engine.connect() as connection:
-            connection.execution_options(softcal_writes=True)
-            with connection.begin():
-                if in_turn and not self.is_sqlite:
-                    connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": WRITER_LOCK})
-                self._thread.connection = connection
-                try:
-                    yield connection
-                finally:
-                    self._thread.connection = None
-
-    def close(self) -> None:
-        """Close every connection. A transaction that is open is rolled back."""
-        self.engine.dispose()
-
-    def _joined(self) -> Connection | None:
-        return getattr(self._thread, "connection", None)
-
-    @contextmanager
-    def _errors_in_words(self) -> Iterator[None]:
-        try:
-            yield
-        except (SQLAlchemyError, sqlite3.Error) as error:
-            raise RegistryError(f"registry {self.name}: {_first_line(error)}; nothing was changed") from error
-
-
-def open_database(url: str, *, create: bool = True) -> Database:
-    """Connect to an SQLite file, `sqlite://` (in memory) or PostgreSQL, without looking at what is inside.
-
-    Args:
-        create: an SQLite file that does not exist is made.
+    An empty database or a new SQLite file gets the tables when `create` is set; an existing registry is never
+    upgraded here.
 
     Raises:
-        RegistryError: the URL is wrong, the folder is missing or on a network share, the file is no database, or the
-            server does not answer.
+        RegistryError: the URL, folder, file, server or schema cannot be used; the line says which and what to do.
     """
-    parsed = _parse(url)
-    database = Database(
-        _sqlite_engine(parsed, create) if parsed.get_backend_name() == "sqlite" else _postgresql_engine(parsed)
-    )
-    with database.reading() as connection:
-        connection.execute(text("SELECT 1"))
-    return database
-
-
-def schema_of(database: Database) -> str | None:
-    """Return the schema revision of a registry, or None where the database is empty.
-
-    Raises:
-        RegistryError: the database holds tables of something else.
-    """
-    with database.reading() as connection:
-        tables = inspect(connection).get_table_names()
-        if not tables:
-            return None
-        if "alembic_version" not in tables or "registry_info" not in tables:
-            raise RegistryError(f"registry {database.name}: this is a database of something else; give another URL")
-        return str(connection.execute(text("SELECT version_num FROM alembic_version")).scalar_one())
-
-
-def check_schema(database: Database, schema: str) -> None:
-    """Refuse a registry that this version cannot use as it is."""
-    if schema < SCHEMA:
-        raise RegistryError(
-            f"registry {database.name} has schema {schema}, this version needs {SCHEMA}; "
-            "run `softcal registry upgrade` (it makes a backup first)"
-        )
-    if schema > SCHEMA:
-        raise RegistryError(
-            f"registry {database.name} has schema {schema}, newer than {SCHEMA} of this version; update softcal"
-        )
-
-
-def _parse(url: str) -> URL:
-    try:
-        parsed = make_url(url)
-    except ArgumentError as error:
-        raise RegistryError(
-            "the registry URL cannot be read; expected sqlite:///FILE or postgresql://USER@HOST/DATABASE"
-        ) from error
-    if parsed.drivername == "postgresql":
-        parsed = parsed.set(drivername="postgresql+psycopg")
-    if parsed.drivername not in ("sqlite", "sqlite+pysqlite", "postgresql+psycopg"):
-        raise RegistryError(f"registry URL of kind {parsed.drivername!r}; sqlite and postgresql are supported")
-    return parsed
-
-
-def _sqlite_engine(url: URL, create: bool) -> Engine:
-    if url.database in (None, "", ":memory:"):
-        engine = create_engine(url, poolclass=StaticPool, connect_args={"check_same_thread": False})
-    else:
-        _check_sqlite_path(Path(str(url.database)), create)
-        engine = create_engine(url, connect_args={"timeout": SQLITE_WAIT_S, "check_same_thread": False})
-    event.listen(engine, "connect", _set_up_sqlite)
-    event.listen(engine, "begin", _begin_sqlite)
-    return engine
-
-
-def _check_sqlite_path(path: Path, create: bool) -> None:
-    folder = path.absolute().parent
-    if not folder.is_dir():
-        raise RegistryError(f"registry {path}: the folder {folder} does not exist; make it or give another URL")
-    if path.is_dir():
-        raise RegistryError(f"registry {path} is a folder; a file was expected")
-    if not create and not path.exists():
-        raise RegistryError(f"registry {path}: there is no such file; `softcal batch` or `softcal demo` makes one")
-    refuse_network_share(folder)
-
-
-def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:
-    # Without this Python starts transactions by itself, deferred, and "database is locked" comes at once.
-    connection.isolation_level = None
-    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={SQLITE_WAIT_S * 1000}"):
-        connection.execute(f"PRAGMA {pragma}")
-
-
-def _begin_sqlite(connection: Connection) -> None:
-    writes = connection.get_execution_options().get("softcal_writes", False)
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
-
-
-def _postgresql_engine(url: URL) -> Engine:
-    try:
-        engine = create_engine(
-            url, pool_pre_ping=True, pool_size=5, connect_args={"application_name": "softcal", "connect_timeout": 10}
-        )
-    except ModuleNotFoundError as error:
-        raise RegistryError("PostgreSQL needs psycopg; run: pip install 'softcal[postgresql]'") from error
-    event.listen(engine, "connect", _set_up_postgresql)
-    return engine
-
-
-def _set_up_postgresql(connection: object, record: object) -> None:
-    cursor = connection.cursor()  # type: ignore[attr-defined]
-    cursor.execute(f"SET statement_timeout = '{STATEMENT_TIMEOUT}'")
-    cursor.execute("SET timezone = 'UTC'")
-    cursor.close()
-    connection.commit()  # type: ignore[attr-defined]
-
-
-def _first_line(error: BaseException) -> str:
-    cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
-    lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
-    return lines[0] if lines else type(cause).__name__
+    database = open_database(url, create=create)
+    schema = schema_of(database)
+    if schema is None and not create:
+        raise RegistryError(f"registry {database.name}: there is no registry yet; `softcal batch` or `demo` makes one")
+    if schema is None:
+        schema = create_schema(database)
+    check_schema(database, schema)
+    return Registry(database, settings or RegistrySettings())

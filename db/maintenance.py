@@ -8,7 +8,7 @@ from pathlib import Path
 from sqlalchemy import Connection, Table, insert, select
 
 from softcal.db import history, tables
-from softcal.db.connection import Database, schema_of
+from softcal.db.database import Database, schema_of
 from softcal.db.tables import blobs, canonical_json, metadata
 
 MIGRATIONS = Path(__file__).with_name("migrations")

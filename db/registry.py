@@ -7,15 +7,12 @@ row. Everything given back is a value of its own, never a row.
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
-from softcal.core.errors import RegistryError
 from softcal.db import history
 from softcal.db.calibration_tables import CalibrationTables
-from softcal.db.connection import check_schema, open_database, schema_of
 from softcal.db.entries import AuditRow
 from softcal.db.lot_tables import LotTables
-from softcal.db.maintenance import create_schema, faults
+from softcal.db.maintenance import faults
 from softcal.db.recording_tables import RecordingTables
-from softcal.db.registry_base import RegistrySettings
 from softcal.db.work_queue import WorkQueue
 
 
@@ -67,22 +64,3 @@ class Registry(LotTables, RecordingTables, CalibrationTables):
         """Check every blob, every row and the audit chain; return one line per fault, none when all is well."""
         with self.database.reading() as connection:
             return list(faults(connection))
-
-
-def open_registry(url: str, settings: RegistrySettings | None = None, *, create: bool = True) -> Registry:
-    """Open the registry behind an SQLAlchemy URL.
-
-    An empty database or a new SQLite file gets the tables when `create` is set; an existing registry is never
-    upgraded here.
-
-    Raises:
-        RegistryError: the URL, folder, file, server or schema cannot be used; the line says which and what to do.
-    """
-    database = open_database(url, create=create)
-    schema = schema_of(database)
-    if schema is None and not create:
-        raise RegistryError(f"registry {database.name}: there is no registry yet; `softcal batch` or `demo` makes one")
-    if schema is None:
-        schema = create_schema(database)
-    check_schema(database, schema)
-    return Registry(database, settings or RegistrySettings())

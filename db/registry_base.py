@@ -9,7 +9,7 @@ from sqlalchemy import Connection, RowMapping, Table, insert, select
 
 from softcal.core.errors import InputError
 from softcal.db import history
-from softcal.db.connection import Database
+from softcal.db.database import Database
 from softcal.db.tables import lots, registry_info, units
 
 TICK = timedelta(microseconds=1)

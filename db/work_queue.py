@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 
 from sqlalchemy import and_, func, insert, or_, select, update
 
-from softcal.db.connection import Database
+from softcal.db.database import Database
 from softcal.db.tables import work_items
 
 MOST_ATTEMPTS = 3

@@ -1,0 +1,53 @@
+"""The one place that chooses what is real: which registry, and who stands in its audit trail."""
+
+import getpass
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import platformdirs
+
+from softcal.core.errors import RegistryError
+
+if TYPE_CHECKING:
+    from softcal.db.registry import Registry
+
+REGISTRY_VARIABLE = "SOFTCAL_REGISTRY"
+
+
+def registry_url(option: str | None = None) -> str:
+    """Return the registry's URL: the option, else $SOFTCAL_REGISTRY, else an SQLite file in the user's data folder.
+
+    Raises:
+        RegistryError: the user's data folder cannot be made.
+    """
+    url = option or os.environ.get(REGISTRY_VARIABLE)
+    return url or f"sqlite:///{data_folder() / 'registry.db'}"
+
+
+def data_folder() -> Path:
+    """Return softcal's folder among the user's data, made where it is missing."""
+    folder = Path(platformdirs.user_data_dir("softcal", appauthor=False))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RegistryError(
+            f"the data folder {folder} cannot be made: {error.strerror}; give --registry URL or set {REGISTRY_VARIABLE}"
+        ) from error
+    return folder
+
+
+def current_user() -> str:
+    """Return the name of the person the operating system knows, for the audit trail."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "unknown"
+
+
+def open_chosen_registry(option: str | None, *, create: bool = True) -> "Registry":
+    """Open the registry that option, environment or default name, with the current user as its actor."""
+    from softcal.db.connection import open_registry
+    from softcal.db.registry_base import RegistrySettings
+
+    return open_registry(registry_url(option), RegistrySettings(actor=current_user()), create=create)
