@@ -1,0 +1,225 @@
+"""Any map γ as one of two small forms an end device can hold: sample by sample with few knots, or affine per window.
+
+The form is judged where it matters: by what it changes in the estimate on the unit's own recording.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from scipy.optimize import isotonic_regression
+
+from softcal.core.errors import UnitRefused
+from softcal.core.export.integer_network import CODE_MAX, MAX_KNOTS, Integers
+from softcal.core.maps.interface import UnitMap
+from softcal.core.network import Network
+from softcal.core.recording import Array, OutputRecording
+from softcal.core.windows import TAPS
+
+FINE_KNOTS = 256
+"""Knots of the form for machines with floating point (ONNX)."""
+
+GRID = 1024
+MARGIN = 0.25
+"""A map is compiled this share of the unit's output span beyond it; beyond that it stays constant."""
+
+RIDGE = 1e-6
+"""Keeps the affine fit near γ's mean gain where the recording never moved a tap alone."""
+
+
+@dataclass(frozen=True)
+class InputScale:
+    """How the 16-bit codes of a device stand for the sensor's output: output = zero + lsb * code.
+
+    Args:
+        zero: output at code 0, in the output unit.
+        lsb: output per code, positive.
+    """
+
+    zero: float
+    lsb: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.zero) and math.isfinite(self.lsb) and self.lsb > 0):
+            raise ValueError(f"input scale zero {self.zero}, lsb {self.lsb}; finite numbers, lsb > 0, were expected")
+
+    def codes(self, output: Array) -> Integers:
+        """Return the nearest code of each output, held within 0 ... 65535 as a converter does."""
+        return np.clip(np.rint((output - self.zero) / self.lsb), 0, CODE_MAX).astype(np.int64)
+
+    def outputs(self, codes: Integers) -> Array:
+        """Return the output each code stands for."""
+        return np.asarray(self.zero + self.lsb * codes, dtype=np.float64)
+
+    @classmethod
+    def of_converter(cls, bits: int, full_scale: float) -> "InputScale":
+        """Codes of an ADC, left-aligned to 16 bits: full_scale / (2^bits - 1) per ADC step."""
+        return cls(0.0, full_scale / ((2**bits - 1) * 2 ** (16 - bits)))
+
+    @classmethod
+    def covering(cls, network: Network, output: Array) -> "InputScale":
+        """A round full scale (1, 2 or 5 times a power of ten) that holds what the source and this unit put out."""
+        reach = np.array(
+            [network.output_mean - 6 * network.output_scale, network.output_mean + 6 * network.output_scale]
+        )
+        low, high = min(float(output.min()), float(reach[0])), max(float(output.max()), float(reach[1]))
+        top = _round_up(max(abs(low), abs(high)))
+        return cls(-top if output.min() < 0 else 0.0, (2 if output.min() < 0 else 1) * top / CODE_MAX)
+
+
+def _round_up(value: float) -> float:
+    decade = 10.0 ** math.floor(math.log10(value))
+    return next(step * decade for step in (1, 2, 5, 10) if value <= step * decade * (1 + 1e-12))
+
+
+@dataclass(frozen=True, eq=False)
+class PerSampleForm:
+    """γ sample by sample: monotone and piecewise linear between knots, constant beyond them.
+
+    Args:
+        outputs: (k,) target outputs, strictly increasing.
+        values: (k,) source outputs, monotone.
+    """
+
+    outputs: Array
+    values: Array
+
+    def apply(self, windows: Array) -> Array:
+        """Carry (n, TAPS) windows into the source's window space."""
+        return np.interp(windows, self.outputs, self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class AffineForm:
+    """γ window by window: offset + matrix @ window, the window newest sample last.
+
+    Args:
+        matrix: (TAPS, TAPS)
+        offset: (TAPS,) in the output unit.
+    """
+
+    matrix: Array
+    offset: Array
+
+    def apply(self, windows: Array) -> Array:
+        """Carry (n, TAPS) windows into the source's window space."""
+        return windows @ self.matrix.T + self.offset
+
+
+MapForm: TypeAlias = PerSampleForm | AffineForm
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledMap:
+    """A device form of γ and what it costs.
+
+    Args:
+        form: the form.
+        rms_deviation, max_deviation: of f after the form against f∘γ on the unit's own windows, in reference units.
+    """
+
+    form: MapForm
+    rms_deviation: float
+    max_deviation: float
+
+
+def compile_map(
+    unit_map: UnitMap, network: Network, recording: OutputRecording, limit: float, knots: int = MAX_KNOTS
+) -> CompiledMap:
+    """Compile γ: per sample where that is within the limit, else affine, else refuse.
+
+    Args:
+        unit_map: γ as fitted.
+        network: the shared network f.
+        recording: the unit's own recording; the deviation is measured on its windows.
+        limit: largest rms deviation of the estimate, in the network's reference unit.
+        knots: most knots of a per-sample form.
+
+    Raises:
+        UnitRefused: no form stays within the limit; the message states the best one's deviation.
+    """
+    windows = recording.windows
+    mapped = unit_map.apply(windows)
+    exact = network.evaluate(mapped)
+    tried: dict[str, CompiledMap] = {}
+    for name, form in (
+        ("per sample", _from_constant_windows(unit_map, windows, knots)),
+        ("per sample, regressed", _from_regression(windows, mapped, knots)),
+        ("affine in the window", _affine(windows, mapped)),
+    ):
+        compiled = _judged(form, network, windows, exact)
+        if compiled.rms_deviation <= limit:
+            return compiled
+        tried[name] = compiled
+    best = min(tried, key=lambda name: tried[name].rms_deviation)
+    raise UnitRefused(
+        f"map of family {unit_map.family} of unit {recording.serial} has no device form: the best one ({best}) changes "
+        f"the estimate by {tried[best].rms_deviation:.3g} {network.reference_unit} rms, {limit:.3g} is allowed; "
+        "calibrate with another map family or allow more"
+    )
+
+
+def _judged(form: MapForm, network: Network, windows: Array, exact: Array) -> CompiledMap:
+    error = network.evaluate(form.apply(windows)) - exact
+    return CompiledMap(form, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
+
+
+def _from_constant_windows(unit_map: UnitMap, windows: Array, knots: int) -> PerSampleForm:
+    """Read γ off constant windows: exact for every family that works sample by sample."""
+    grid = _grid(windows)
+    values = unit_map.apply(np.repeat(grid[:, None], TAPS, axis=1))[:, -1]
+    return _with_few_knots(grid, _monotone(values, np.ones(len(grid))), windows, knots)
+
+
+def _from_regression(windows: Array, mapped: Array, knots: int) -> PerSampleForm:
+    """Regress mapped on raw samples: the best per-sample form of a γ that looks at more than one sample."""
+    grid = _grid(windows)
+    cell = np.clip(np.searchsorted(grid, windows.ravel()), 0, len(grid) - 1)
+    count = np.bincount(cell, minlength=len(grid)).astype(float)
+    total = np.bincount(cell, weights=mapped.ravel(), minlength=len(grid))
+    seen = count > 0
+    means = np.interp(grid, grid[seen], _monotone(total[seen] / count[seen], count[seen]))
+    return _with_few_knots(grid, means, windows, knots)
+
+
+def _grid(windows: Array) -> Array:
+    low, high = float(windows.min()), float(windows.max())
+    margin = MARGIN * (high - low) or max(abs(high), 1.0) * 1e-3
+    return np.linspace(low - margin, high + margin, GRID)
+
+
+def _monotone(values: Array, weights: Array) -> Array:
+    """Return the nearest rising or falling sequence (pool adjacent violators)."""
+    fits = [
+        np.asarray(isotonic_regression(values, weights=weights, increasing=rising).x, dtype=np.float64)
+        for rising in (True, False)
+    ]
+    return min(fits, key=lambda fit: float(np.sum(weights * (fit - values) ** 2)))
+
+
+def _with_few_knots(grid: Array, values: Array, windows: Array, knots: int) -> PerSampleForm:
+    """Thin a dense curve: add the knot where the error, weighted by how often it is met, is largest."""
+    density = np.histogram(windows, bins=np.concatenate([grid - (grid[1] - grid[0]) / 2, [np.inf]]))[0]
+    weight = 1.0 + np.minimum(density / max(1.0, float(np.quantile(density, 0.9))), 4.0)
+    chosen = [0, len(grid) - 1]
+    span = float(np.ptp(values))
+    while len(chosen) < knots:
+        error = weight * np.abs(np.interp(grid, grid[chosen], values[chosen]) - values)
+        worst = int(np.argmax(error))
+        if error[worst] <= 1e-7 * span:
+            break
+        chosen = sorted([*chosen, worst])
+    return PerSampleForm(grid[chosen], values[chosen])
+
+
+def _affine(windows: Array, mapped: Array) -> AffineForm:
+    """Least squares over the recording, drawn to the mean gain of all samples along unseen directions."""
+    gain, offset = np.polyfit(windows.ravel(), mapped.ravel(), 1)
+    centre = windows.mean(axis=0)
+    moved = windows - centre
+    residual = mapped - (offset + gain * windows)
+    ridge = RIDGE * float(np.mean(moved**2)) * len(windows) * np.eye(TAPS)
+    correction = np.linalg.solve(moved.T @ moved + ridge, moved.T @ (residual - residual.mean(axis=0))).T
+    matrix = gain * np.eye(TAPS) + correction
+    return AffineForm(matrix, offset + residual.mean(axis=0) - correction @ centre)

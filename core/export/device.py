@@ -1,0 +1,218 @@
+"""A calibrated unit and its shared network as device files, with what the device form costs in accuracy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.errors import UnitRefused
+from softcal.core.export.blob import CONDITIONAL, FAILED, AdaptLimits, Band, NetworkFile, SelfTest, UnitFile
+from softcal.core.export.compile_map import CompiledMap, InputScale, compile_map
+from softcal.core.export.integer_network import (
+    ACTIVATION_MAX,
+    CODE_MAX,
+    DeviceMap,
+    IntegerNetwork,
+    Integers,
+    PiecewiseMap,
+)
+from softcal.core.export.loader import map_codes, open_sensor, run_self_test
+from softcal.core.export.quantise import code_range, evaluate_float64, quantise_map, quantise_network
+from softcal.core.maps.interface import UnitMap
+from softcal.core.network import Network
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.windows import TAPS
+
+BANDS = 4
+VERDICT_FLAGS = {"pass": 0, "conditional": CONDITIONAL, "fail": FAILED, "retest": FAILED}
+ANCHOR_LEVELS = (1 / 32, 31 / 32)
+"""Quantiles of mapped samples the firmware's adaptation holds on to."""
+
+COVERAGE = 0.95
+"""The interval on the device is widened by this quantile of what the device form changes."""
+
+
+@dataclass(frozen=True)
+class DeviceOptions:
+    """Choices of one export.
+
+    Args:
+        scale: meaning of the device's codes; None covers the unit's output with a round full scale.
+        compile_limit: largest rms change of the estimate by the device form, as a share of the predicted error.
+        adapt_gain, adapt_offset: what the firmware may change by itself, as shares of 1 and of the output span.
+    """
+
+    scale: InputScale | None = None
+    compile_limit: float = 0.25
+    adapt_gain: float = 0.0
+    adapt_offset: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class UnitFacts:
+    """What an export knows of one calibrated unit.
+
+    Args:
+        serial, revision, verdict: of the calibration.
+        time_s: when it was made, Unix time in s.
+        unit_map: γ.
+        recording: the unit's own recording.
+        lower, upper: (m,) ends of the 90 % interval of f∘γ at every window of `recording`, in reference units.
+        predicted_rmse: forecast of the error in reference units; None where there is none.
+    """
+
+    serial: str
+    revision: int
+    verdict: str
+    time_s: int
+    unit_map: UnitMap
+    recording: OutputRecording
+    lower: Array
+    upper: Array
+    predicted_rmse: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceUnit:
+    """A unit file and what it costs, all in reference units on the unit's own windows.
+
+    Args:
+        file: the unit file.
+        compiled: the form of γ in floating point and its deviation.
+        rms_error, max_error: of the integers on the device against f∘γ in float64.
+        limit: what `rms_error` was allowed to be.
+    """
+
+    file: UnitFile
+    compiled: CompiledMap
+    rms_error: float
+    max_error: float
+    limit: float
+
+
+def build_network_file(network: Network, source: LabelledRecording) -> NetworkFile:
+    """Make the shared file of a lot from f and the source recording it was trained on; the same input, the same bytes.
+
+    Raises:
+        UnitRefused: f has no integer form without overflow.
+    """
+    return NetworkFile(
+        quantise_network(network, source.windows),
+        network.id,
+        source.serial,
+        source.unlabelled.sample_rate_Hz,
+        network.output_unit,
+        network.reference_unit,
+    )
+
+
+def build_unit_file(
+    facts: UnitFacts,
+    network: Network,
+    network_file: NetworkFile,
+    options: DeviceOptions = DeviceOptions(),  # noqa: B008
+) -> DeviceUnit:
+    """Compile γ, cut it into integers, measure both on the unit's own recording and open the result once.
+
+    Raises:
+        UnitRefused: γ has no device form within the limit, or its integers are further off than allowed.
+    """
+    windows = facts.recording.windows
+    exact = evaluate_float64(network, facts.unit_map.apply(windows))
+    limit = _limit(facts, options, exact)
+    scale = _as_float32(options.scale or InputScale.covering(network, facts.recording.output))
+    _check_scale(scale, facts)
+    compiled = compile_map(facts.unit_map, network, facts.recording, limit)
+    integers = network_file.network
+    device_map = quantise_map(compiled, scale, integers)
+    codes = scale.codes(windows)
+    counts = integers.evaluate(device_map.apply(codes))
+    error = counts * 10.0**integers.output_exponent - exact
+    rms_error, max_error = float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
+    if rms_error > limit:
+        raise UnitRefused(
+            f"unit {facts.serial}: the integers of the device are {rms_error:.3g} {network.reference_unit} rms off, "
+            f"{limit:.3g} is allowed; give the converter's own scale, or calibrate with another map"
+        )
+    code_min, code_max = code_range(scale, facts.recording.output)
+    out_min, out_max = _clamps(counts)
+    file = UnitFile(
+        serial=facts.serial,
+        network_id=network_file.id,
+        revision=facts.revision,
+        time_s=facts.time_s,
+        flags=VERDICT_FLAGS[facts.verdict],
+        device_map=device_map,
+        scale=scale,
+        code_min=code_min,
+        code_max=code_max,
+        out_min=out_min,
+        out_max=out_max,
+        bands=_bands(counts, exact, facts, error, 10.0**integers.output_exponent),
+        self_tests=_self_tests(integers, device_map, code_min, code_max),
+        adapt=_adapt_limits(device_map, codes, options),
+    )
+    open_sensor(network_file.to_bytes(), file.to_bytes(), facts.serial)
+    return DeviceUnit(file, compiled, rms_error, max_error, limit)
+
+
+def _limit(facts: UnitFacts, options: DeviceOptions, exact: Array) -> float:
+    # Without a forecast: 1 % of the span of the estimates.
+    error = facts.predicted_rmse
+    return options.compile_limit * error if error else 0.01 * float(np.ptp(exact))
+
+
+def _as_float32(scale: InputScale) -> InputScale:
+    """Hold what the file can hold, so that a reader of the file computes the same codes."""
+    return InputScale(float(np.float32(scale.zero)), float(np.float32(scale.lsb)))
+
+
+def _check_scale(scale: InputScale, facts: UnitFacts) -> None:
+    low, high = float(facts.recording.output.min()), float(facts.recording.output.max())
+    top = scale.zero + scale.lsb * (CODE_MAX + 0.5)
+    if low < scale.zero - scale.lsb or high > top:
+        raise UnitRefused(
+            f"unit {facts.serial} puts out {low:.6g} ... {high:.6g} {facts.recording.output_unit}, the converter "
+            f"takes {scale.zero:.6g} ... {top:.6g}; correct its full scale"
+        )
+
+
+def _clamps(counts: Integers) -> tuple[int, int]:
+    """Estimates seen on the unit's recording, and a quarter of their span beyond on both sides."""
+    margin = int(np.ptp(counts)) // 4 + 1
+    return (
+        max(-ACTIVATION_MAX, int(counts.min()) - margin),
+        min(ACTIVATION_MAX, int(counts.max()) + margin),
+    )
+
+
+def _bands(counts: Integers, exact: Array, facts: UnitFacts, error: Array, count: float) -> tuple[Band, ...]:
+    """The 90 % interval by level of the estimate: per band its mean reach, and the device's own error on top."""
+    own = float(np.quantile(np.abs(error), COVERAGE))
+    edges = np.linspace(counts.min(), counts.max(), BANDS + 1)[1:-1]
+    band = np.searchsorted(edges, counts, side="left")
+    bands = []
+    for k in range(BANDS):
+        here = band == k if (band == k).any() else np.ones(len(counts), dtype=bool)
+        minus = float(np.mean(exact[here] - facts.lower[here])) + own
+        plus = float(np.mean(facts.upper[here] - exact[here])) + own
+        level = int(edges[k]) if k < BANDS - 1 else ACTIVATION_MAX
+        bands.append(Band(level, *(int(np.clip(np.ceil(side / count), 0, CODE_MAX)) for side in (minus, plus))))
+    return tuple(bands)
+
+
+def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, code_max: int) -> tuple[SelfTest, ...]:
+    """At rest, at the top, rising and falling through the unit's whole range."""
+    step = (code_max - code_min) // (TAPS - 1)
+    windows = ((code_min, 0), (code_max, 0), (code_min, step), (code_min + step * (TAPS - 1), -step))
+    return tuple(
+        SelfTest(start, rise, run_self_test(network, device_map, SelfTest(start, rise, 0))) for start, rise in windows
+    )
+
+
+def _adapt_limits(device_map: DeviceMap, codes: Integers, options: DeviceOptions) -> AdaptLimits:
+    if not isinstance(device_map, PiecewiseMap):
+        return AdaptLimits(0, 0, 0, 0)
+    mapped = map_codes(device_map, codes[:, -1]).astype(np.float64)
+    low, high = (int(v) for v in np.quantile(mapped, ANCHOR_LEVELS))
+    gain = min(2**14, round(options.adapt_gain * 2**15))
+    return AdaptLimits(low, high, gain, min(ACTIVATION_MAX, round(options.adapt_offset * abs(high - low))))

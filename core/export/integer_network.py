@@ -1,0 +1,196 @@
+"""The arithmetic of the end device in NumPy, integer for integer: layers, the map γ, and the proof against overflow.
+
+What `firmware/softsensor/softsensor.h` computes is defined here; both give the same integers for every input.
+"""
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softcal.core.windows import TAPS
+
+Integers: TypeAlias = NDArray[np.int64]
+
+ACTIVATION_MAX = 32_767
+"""Activations and weights stay within ± this: the proof below counts on the symmetric range."""
+
+ACCUMULATOR_MAX = 2**31 - 1
+REDUCED_BITS = 16
+"""After the first shift an accumulator lies within ± 2^16, so that times a 14-bit multiplier it stays below 2^31."""
+
+MULTIPLIER_MIN, MULTIPLIER_MAX = 2**13, 2**14 - 1
+
+
+@dataclass(frozen=True, eq=False)
+class IntegerLayer:
+    """One layer: accumulate in 32 bits, rectify where asked, requantise by multiplier and shifts, saturate.
+
+    q_out = clip(((acc >> shift1) * multiplier + 2^(shift2 - 1)) >> shift2), acc = bias + Σ weight q_in
+
+    Args:
+        weights: (rows, columns) in ± 32767.
+        bias: (rows,) in ± (2^31 - 1).
+        multiplier: (rows,) in 2^13 ... 2^14 - 1.
+        shift1, shift2: (rows,) arithmetic right shifts; shift2 at least 1.
+
+    Raises:
+        ValueError: a value is out of range, or some input could overflow the 32-bit accumulator.
+    """
+
+    weights: Integers
+    bias: Integers
+    multiplier: Integers
+    shift1: Integers
+    shift2: Integers
+
+    def __post_init__(self) -> None:
+        check_no_overflow(self)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)"""
+        rows, columns = self.weights.shape
+        return rows, columns
+
+    def apply(self, inputs: Integers, is_rectified: bool) -> Integers:
+        """Carry (n, columns) activations through the layer: (n, rows)."""
+        accumulator = inputs @ self.weights.T + self.bias
+        if is_rectified:
+            accumulator = np.maximum(accumulator, 0)
+        product = (accumulator >> self.shift1) * self.multiplier
+        rounded = (product + (np.int64(1) << (self.shift2 - 1))) >> self.shift2
+        clipped: Integers = np.clip(rounded, -ACTIVATION_MAX, ACTIVATION_MAX)
+        return clipped
+
+
+def check_no_overflow(layer: IntegerLayer) -> None:
+    """Prove with exact integers that no input within ± 32767 overflows 32 bits anywhere in the layer.
+
+    Raises:
+        ValueError: the row for which the proof fails, with its bound.
+    """
+    if np.abs(layer.weights).max(initial=0) > ACTIVATION_MAX:
+        raise ValueError(f"a weight of {np.abs(layer.weights).max()} is outside ± {ACTIVATION_MAX}")
+    bound = np.abs(layer.weights).sum(axis=1) * ACTIVATION_MAX + np.abs(layer.bias)
+    _require(bound <= ACCUMULATOR_MAX, bound, "can reach {} in its accumulator, 2^31 - 1 is the most")
+    _require((layer.shift1 >= 0) & (layer.shift1 <= 31), layer.shift1, "shifts by {}, 0 ... 31 is allowed")
+    _require((layer.shift2 >= 1) & (layer.shift2 <= 31), layer.shift2, "shifts by {}, 1 ... 31 is allowed")
+    known = (layer.multiplier >= MULTIPLIER_MIN) & (layer.multiplier <= MULTIPLIER_MAX)
+    _require(known, layer.multiplier, "has multiplier {}, 8192 ... 16383 is allowed")
+    reduced = (bound >> layer.shift1) + 1  # + 1: an arithmetic shift rounds a negative number away from zero
+    product = reduced * layer.multiplier + (np.int64(1) << (layer.shift2 - 1))
+    _require(product <= ACCUMULATOR_MAX, product, "can reach {} after its multiplier, 2^31 - 1 is the most")
+
+
+def _require(holds: NDArray[np.bool_], values: Integers, text: str) -> None:
+    bad = np.flatnonzero(~np.broadcast_to(holds, values.shape))
+    if len(bad):
+        raise ValueError(f"row {bad[0]} " + text.format(values[bad[0]]))
+
+
+@dataclass(frozen=True, eq=False)
+class PiecewiseMap:
+    """γ sample by sample: monotone, piecewise linear, constant beyond its end knots.
+
+    Args:
+        codes: (k,) input codes, strictly increasing, 0 ... 65535, 2 <= k <= 32.
+        values: (k,) source-space counts in ± 32767, monotone.
+
+    Raises:
+        ValueError: knots that are not monotone or out of range.
+    """
+
+    codes: Integers
+    values: Integers
+
+    def __post_init__(self) -> None:
+        if not 2 <= len(self.codes) <= MAX_KNOTS or len(self.codes) != len(self.values):
+            raise ValueError(f"{len(self.codes)} knots with {len(self.values)} values; 2 ... {MAX_KNOTS} are allowed")
+        if np.diff(self.codes).min() <= 0 or self.codes[0] < 0 or self.codes[-1] > CODE_MAX:
+            raise ValueError("knot codes must increase strictly within 0 ... 65535")
+        if np.abs(self.values).max() > ACTIVATION_MAX:
+            raise ValueError(f"a knot value of {np.abs(self.values).max()} is outside ± {ACTIVATION_MAX}")
+        steps = np.diff(self.values)
+        if steps.min() < 0 < steps.max():
+            raise ValueError("knot values rise and fall; the map must be monotone")
+
+    def apply(self, codes: Integers) -> Integers:
+        """Carry codes of any shape into source-space counts, rounding halves away from the left knot."""
+        inside = np.clip(codes, self.codes[0], self.codes[-1])
+        left = np.minimum(np.searchsorted(self.codes, inside, side="right") - 1, len(self.codes) - 2)
+        span = self.codes[left + 1] - self.codes[left]
+        rise = self.values[left + 1] - self.values[left]
+        step = (np.abs(rise) * (inside - self.codes[left]) + span // 2) // span
+        mapped: Integers = self.values[left] + np.sign(rise) * step
+        return mapped
+
+
+MAX_KNOTS = 32
+CODE_MAX = 65_535
+CODE_CENTRE = 32_768
+
+
+@dataclass(frozen=True, eq=False)
+class AffineMap:
+    """γ window by window: one integer layer of 15 rows over 15 centred codes.
+
+    Args:
+        layer: (TAPS, TAPS); it is not rectified.
+    """
+
+    layer: IntegerLayer
+
+    def __post_init__(self) -> None:
+        if self.layer.shape != (TAPS, TAPS):
+            raise ValueError(f"the affine map has shape {self.layer.shape}, ({TAPS}, {TAPS}) was expected")
+
+    def apply(self, codes: Integers) -> Integers:
+        """Carry (n, TAPS) windows of codes into source-space counts."""
+        return self.layer.apply(np.maximum(codes - CODE_CENTRE, -ACTIVATION_MAX), is_rectified=False)
+
+
+DeviceMap: TypeAlias = PiecewiseMap | AffineMap
+
+
+@dataclass(frozen=True, eq=False)
+class IntegerNetwork:
+    """The shared network f on source-space counts.
+
+    Args:
+        layers: rectified but for the last, which has one row.
+        input_zero, input_lsb: source output = input_zero + input_lsb * count.
+        output_exponent: an estimate counts 10^output_exponent reference units.
+
+    Raises:
+        ValueError: layers that do not fit each other or the window.
+    """
+
+    layers: tuple[IntegerLayer, ...]
+    input_zero: float
+    input_lsb: float
+    output_exponent: int
+
+    def __post_init__(self) -> None:
+        sizes = self.sizes
+        joined = all(a.shape[0] == b.shape[1] for a, b in zip(self.layers[:-1], self.layers[1:], strict=True))
+        if sizes[0] != TAPS or sizes[-1] != 1 or not joined:
+            raise ValueError(f"sizes {sizes} are no network from {TAPS} samples to one estimate")
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Widths from the window to the estimate, for example (15, 120, 70, 35, 1)."""
+        return (self.layers[0].shape[1], *(layer.shape[0] for layer in self.layers))
+
+    @property
+    def multiplications(self) -> int:
+        """Multiply-accumulate steps for one estimate."""
+        return sum(layer.weights.size for layer in self.layers)
+
+    def evaluate(self, counts: Integers) -> Integers:
+        """Estimate for (n, TAPS) windows of source-space counts: (n,) in 10^output_exponent reference units."""
+        activations = counts
+        for layer in self.layers[:-1]:
+            activations = layer.apply(activations, is_rectified=True)
+        return self.layers[-1].apply(activations, is_rectified=False)[:, 0]

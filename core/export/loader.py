@@ -1,0 +1,169 @@
+"""A calibrated unit from its two files alone, in pure NumPy: what a PC without torch runs, integer for integer.
+
+`DeviceSensor.estimate` works on whole recordings; `DeviceStream` takes one sample at a time as the firmware does.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softcal.core.export.blob import (
+    Cause,
+    FileRefused,
+    NetworkFile,
+    SelfTest,
+    UnitFile,
+    read_network,
+    read_unit,
+    serial_field,
+)
+from softcal.core.export.integer_network import (
+    ACTIVATION_MAX,
+    CODE_CENTRE,
+    DeviceMap,
+    IntegerNetwork,
+    Integers,
+    PiecewiseMap,
+)
+from softcal.core.recording import Array
+from softcal.core.windows import TAPS
+
+WARM_UP, CLOSED, STALE, OUT_OF_RANGE, CLAMPED = 1, 2, 4, 8, 16
+"""Flags of an estimate, as in softsensor.h."""
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceEstimate:
+    """Estimates in counts of 10^output_exponent reference units, with their 90 % interval and flags; each (n,)."""
+
+    value: Integers
+    lower: Integers
+    upper: Integers
+    flags: Integers
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceSensor:
+    """One unit with its shared network, opened and proved by its self-tests."""
+
+    network_file: NetworkFile
+    unit_file: UnitFile
+
+    @property
+    def count(self) -> float:
+        """Reference units per count."""
+        return float(10.0**self.network_file.network.output_exponent)
+
+    def estimate(self, codes: Integers) -> DeviceEstimate:
+        """Estimate for every window.
+
+        Args:
+            codes: (n, TAPS) windows of 16-bit codes, newest last.
+        """
+        return self.estimate_mapped(
+            map_codes(self.unit_file.device_map, codes),
+            (codes < self.unit_file.code_min) | (codes > self.unit_file.code_max),
+        )
+
+    def estimate_mapped(self, ring: Integers, outside: NDArray[np.bool_]) -> DeviceEstimate:
+        """Estimate for (n, TAPS) windows as they stand in the device's ring, and which samples were out of range."""
+        unit = self.unit_file
+        raw = estimate_ring(self.network_file.network, unit.device_map, ring)
+        value = np.clip(raw, unit.out_min, unit.out_max)
+        flags = OUT_OF_RANGE * outside.any(axis=1) + CLAMPED * (raw != value)
+        levels = np.array([band.level for band in unit.bands[:-1]], dtype=np.int64)
+        band = np.searchsorted(levels, value, side="left")
+        minus = np.array([b.minus for b in unit.bands], dtype=np.int64)[band]
+        plus = np.array([b.plus for b in unit.bands], dtype=np.int64)[band]
+        return DeviceEstimate(
+            value,
+            np.maximum(value - minus, -ACTIVATION_MAX),
+            np.minimum(value + plus, ACTIVATION_MAX),
+            flags.astype(np.int64),
+        )
+
+    def estimate_output(self, windows: Array) -> tuple[Array, Array, Array, Integers]:
+        """Estimate for (n, TAPS) windows of sensor output: estimate, lower, upper in reference units, and flags."""
+        found = self.estimate(self.unit_file.scale.codes(windows))
+        value, lower, upper = (
+            counts.astype(np.float64) * self.count for counts in (found.value, found.lower, found.upper)
+        )
+        return value, lower, upper, found.flags
+
+
+def map_codes(device_map: DeviceMap, codes: Integers) -> Integers:
+    """Return what enters the device's ring for each code: a mapped sample, or a centred code for an affine map."""
+    if isinstance(device_map, PiecewiseMap):
+        return device_map.apply(codes)
+    return np.maximum(codes - CODE_CENTRE, -ACTIVATION_MAX)
+
+
+def estimate_ring(network: IntegerNetwork, device_map: DeviceMap, ring: Integers) -> Integers:
+    """Return the estimates of (n, TAPS) windows of the ring, before any clamp."""
+    if not isinstance(device_map, PiecewiseMap):
+        ring = device_map.layer.apply(ring, is_rectified=False)
+    return network.evaluate(ring)
+
+
+def run_self_test(network: IntegerNetwork, device_map: DeviceMap, test: SelfTest) -> int:
+    """Return the estimate of a self-test's window."""
+    codes = test.start + test.step * np.arange(TAPS, dtype=np.int64)
+    return int(estimate_ring(network, device_map, map_codes(device_map, codes[None, :]))[0])
+
+
+def open_sensor(network: bytes, unit: bytes, serial: str | None = None) -> DeviceSensor:
+    """Open two files, checking them in the order the firmware does.
+
+    Args:
+        network, unit: contents of `network-<id>.ssc` and `unit-<serial>.ssc`.
+        serial: of the unit at hand, where it is known.
+
+    Raises:
+        FileRefused: the first check that fails; no number comes from such a file.
+    """
+    network_file, unit_file = read_network(network), read_unit(unit)
+    if unit_file.network_id != network_file.id:
+        raise FileRefused(
+            Cause.NETWORK,
+            f"unit {unit_file.serial} belongs to network {unit_file.network_id.hex()}, this one is "
+            f"{network_file.id.hex()}; use the network file exported with it",
+        )
+    if serial is not None and serial_field(serial) != serial_field(unit_file.serial):
+        raise FileRefused(Cause.SERIAL, f"the file is for unit {unit_file.serial}, this is unit {serial}")
+    for number, test in enumerate(unit_file.self_tests, 1):
+        found = run_self_test(network_file.network, unit_file.device_map, test)
+        if found != test.expected:
+            raise FileRefused(
+                Cause.SELF_TEST,
+                f"self-test {number} of unit {unit_file.serial} gives {found}, {test.expected} was expected",
+            )
+    return DeviceSensor(network_file, unit_file)
+
+
+class DeviceStream:
+    """The firmware's ring buffer in Python: one sample in, the estimate out, gaps and staleness flagged alike."""
+
+    def __init__(self, sensor: DeviceSensor) -> None:
+        self._sensor = sensor
+        self._ring = np.zeros(TAPS, dtype=np.int64)
+        self._outside = np.zeros(TAPS, dtype=np.bool_)
+        self._filled, self._last_ms = 0, 0
+
+    def push(self, code: int, t_ms: int) -> None:
+        """Take one 16-bit code; a step over 1.5 periods empties the window."""
+        unit = self._sensor.unit_file
+        if (t_ms - self._last_ms) % 2**32 > self._sensor.network_file.gap_ms:
+            self._filled = 0
+        self._last_ms = t_ms
+        self._ring = np.append(self._ring[1:], map_codes(unit.device_map, np.array([code]))[0])
+        self._outside = np.append(self._outside[1:], not unit.code_min <= code <= unit.code_max)
+        self._filled = min(self._filled + 1, TAPS)
+
+    def read(self, now_ms: int) -> tuple[int, int, int, int]:
+        """Return value, lower, upper in counts, and flags; all values 0 where there is no number yet."""
+        if self._filled < TAPS:
+            return 0, 0, 0, WARM_UP
+        found = self._sensor.estimate_mapped(self._ring[None, :], self._outside[None, :])
+        stale = STALE if (now_ms - self._last_ms) % 2**32 > self._sensor.network_file.gap_ms else 0
+        return int(found.value[0]), int(found.lower[0]), int(found.upper[0]), int(found.flags[0]) | stale

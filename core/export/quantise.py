@@ -1,0 +1,201 @@
+"""From real numbers to the integers of the end device: the network row by row, the map, the scales."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.errors import UnitRefused
+from softcal.core.export.compile_map import AffineForm, CompiledMap, InputScale, PerSampleForm
+from softcal.core.export.integer_network import (
+    ACCUMULATOR_MAX,
+    ACTIVATION_MAX,
+    CODE_CENTRE,
+    CODE_MAX,
+    MULTIPLIER_MAX,
+    MULTIPLIER_MIN,
+    REDUCED_BITS,
+    AffineMap,
+    DeviceMap,
+    IntegerLayer,
+    IntegerNetwork,
+    PiecewiseMap,
+)
+from softcal.core.network import Network
+from softcal.core.recording import Array
+from softcal.core.windows import TAPS
+
+HEADROOM = 1.5
+"""Activation ranges seen on the source's windows are widened by this before they are cut into counts."""
+
+STRETCH, SHIFT = 1.3, 0.1
+"""Other units' mapped windows may be this much larger than the source's, or moved by this share of its span."""
+
+QUIET = 4
+"""No hidden unit gets less than this fraction of its layer's widest range, however seldom the source moved it."""
+
+OUTPUT_HEADROOM = 1.5
+"""The estimate may leave the range seen on the source's windows by this factor before it saturates."""
+
+
+def quantise_network(network: Network, source_windows: Array) -> IntegerNetwork:
+    """Make the integer form of f; activation ranges come from the source's windows.
+
+    Args:
+        network: f as trained.
+        source_windows: (n, TAPS) windows of the source recording in `network.output_unit`.
+
+    Raises:
+        UnitRefused: a row for which no scale keeps the 32-bit accumulator from overflowing.
+    """
+    reach = HEADROOM * float(np.abs(source_windows - network.output_mean).max())
+    input_lsb = _scale_of(np.array([reach]))[0]
+    exponent = _output_exponent(network, source_windows)
+    ranges = [HEADROOM * a.max(axis=0) for a in activations(network, _relatives(source_windows))[:-1]]
+    # Real value of one count where it enters and leaves each layer; every hidden unit has its own.
+    scales = [np.full(network.sizes[0], input_lsb), *map(_scale_of, ranges), np.array([10.0**exponent])]
+    layers = tuple(
+        quantise_layer(weight.T, bias, scales[i], scales[i + 1]) for i, (weight, bias) in enumerate(_folded(network))
+    )
+    return IntegerNetwork(layers, network.output_mean, float(input_lsb), exponent)
+
+
+def _relatives(windows: Array) -> Array:
+    """Windows as other units may send them: the source's, stretched, shifted, reversed in time, and flattened."""
+    centre, span = float(windows.mean()), float(np.ptp(windows))
+    stretched = centre + STRETCH * (windows - centre)
+    shifted = [windows + SHIFT * span, windows - SHIFT * span]
+    flat = np.repeat(windows[:, -1:], TAPS, axis=1)
+    return np.concatenate([windows, stretched, *shifted, windows[:, ::-1], flat])
+
+
+def activations(network: Network, windows: Array) -> list[Array]:
+    """Return what leaves each layer in float64, the estimate (n, 1) last: the yardstick of every integer form."""
+    hidden, found = windows - network.output_mean, []
+    folded = _folded(network)
+    for weight, bias in folded[:-1]:
+        hidden = np.maximum(hidden @ weight + bias, 0.0)
+        found.append(hidden)
+    weight, bias = folded[-1]
+    return [*found, hidden @ weight + bias]
+
+
+def evaluate_float64(network: Network, windows: Array) -> Array:
+    """Estimate in float64: (n,) in `network.reference_unit`."""
+    return activations(network, windows)[-1][:, 0]
+
+
+def _folded(network: Network) -> list[tuple[Array, Array]]:
+    """Layers with both standardisations folded in; they take output minus `output_mean`."""
+    weights, biases = [w.astype(float) for w in network.weights], [b.astype(float) for b in network.biases]
+    weights[0] = weights[0] / network.output_scale
+    weights[-1] = weights[-1] * network.reference_scale
+    biases[-1] = biases[-1] * network.reference_scale + network.reference_mean
+    return list(zip(weights, biases, strict=True))
+
+
+def _output_exponent(network: Network, source_windows: Array) -> int:
+    top = OUTPUT_HEADROOM * float(np.abs(evaluate_float64(network, source_windows)).max())
+    if not (np.isfinite(top) and top > 0):
+        raise UnitRefused(f"the network answers {top} on every window of the source; there is nothing to export")
+    return max(-30, math.ceil(math.log10(top / ACTIVATION_MAX)))
+
+
+def _scale_of(reach: Array) -> Array:
+    """Real value of one count, so that `reach` is the largest; a hidden unit that hardly fires gets room to."""
+    widest = float(reach.max()) or 1.0
+    return np.maximum(reach, widest / QUIET) / ACTIVATION_MAX
+
+
+def quantise_layer(weights: Array, bias: Array, scale_in: Array, scale_out: Array) -> IntegerLayer:
+    """Cut one layer into integers, each row with the finest weight step the overflow proof allows.
+
+    Args:
+        weights: (rows, columns) real weights.
+        bias: (rows,) real biases.
+        scale_in: (columns,) real value of one count of each input.
+        scale_out: (rows,) real value of one count of each output.
+
+    Raises:
+        UnitRefused: a row for which there is no such step.
+    """
+    per_count = weights * scale_in
+    rows = [_quantise_row(w, float(b), float(s)) for w, b, s in zip(per_count, bias, scale_out, strict=True)]
+    fields = ("weights", "bias", "multiplier", "shift1", "shift2")
+    try:
+        return IntegerLayer(**{name: np.array([getattr(r, name) for r in rows], dtype=np.int64) for name in fields})
+    except ValueError as error:
+        raise UnitRefused(f"no integer form without overflow: {error}; train the network again") from error
+
+
+@dataclass(frozen=True)
+class _Row:
+    weights: list[int]
+    bias: int
+    multiplier: int
+    shift1: int
+    shift2: int
+
+
+def _quantise_row(weights: Array, bias: float, scale_out: float) -> _Row:
+    """Quantise one row; `weights` are in real units per input count."""
+    largest = float(np.abs(weights).max(initial=0.0))
+    # Rounding may add half a step for every weight, and the bias carries the rounding of the first shift.
+    budget = ACCUMULATOR_MAX - len(weights) * ACTIVATION_MAX - 2**16
+    reach = float(np.abs(weights).sum()) * ACTIVATION_MAX + abs(bias)
+    if reach == 0.0:
+        return _Row([0] * len(weights), 0, MULTIPLIER_MIN, 0, 14)
+    step = max(largest / ACTIVATION_MAX, reach / budget)
+    integers = [round(float(w) / step) for w in weights]
+    integer_bias = round(bias / step)
+    bound = sum(map(abs, integers)) * ACTIVATION_MAX + abs(integer_bias) + 2**15
+    shift1 = max(0, bound.bit_length() - REDUCED_BITS)
+    multiplier, shift2 = _as_multiplier(step / scale_out * 2.0**shift1)
+    half = 2 ** (shift1 - 1) if shift1 else 0  # turns the floor of the first shift into rounding
+    return _Row(integers, integer_bias + half, multiplier, shift1, shift2)
+
+
+def _as_multiplier(factor: float) -> tuple[int, int]:
+    """Return (multiplier, shift) with factor = multiplier / 2^shift and a 14-bit multiplier."""
+    mantissa, exponent = math.frexp(factor)  # factor = mantissa * 2^exponent, mantissa in [0.5, 1)
+    multiplier, shift = round(mantissa * 2**14), 14 - exponent
+    if multiplier > MULTIPLIER_MAX:
+        multiplier, shift = MULTIPLIER_MIN, shift - 1
+    if shift > 31:  # a row too weak to move one count: no shift of 32 bits can say so but zero
+        return MULTIPLIER_MIN, 31
+    return multiplier, shift
+
+
+def quantise_map(compiled: CompiledMap, scale: InputScale, network: IntegerNetwork) -> DeviceMap:
+    """Cut a compiled map into integers between the unit's codes and the network's counts.
+
+    Raises:
+        UnitRefused: knots that fall together, or a map that needs more than 16 bits.
+    """
+    form = compiled.form
+    try:
+        if isinstance(form, PerSampleForm):
+            return _quantise_knots(form, scale, network)
+        return AffineMap(_affine_layer(form, scale, network))
+    except ValueError as error:
+        raise UnitRefused(f"the map has no integer form: {error}") from error
+
+
+def _quantise_knots(form: PerSampleForm, scale: InputScale, network: IntegerNetwork) -> PiecewiseMap:
+    codes, first = np.unique(scale.codes(form.outputs), return_index=True)
+    counts = np.rint((form.values[first] - network.input_zero) / network.input_lsb)
+    return PiecewiseMap(codes, np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64))
+
+
+def _affine_layer(form: AffineForm, scale: InputScale, network: IntegerNetwork) -> IntegerLayer:
+    # output = zero + lsb * (centred + CODE_CENTRE); the layer takes the centred codes.
+    centre = scale.zero + scale.lsb * CODE_CENTRE
+    offset = form.offset + form.matrix.sum(axis=1) * centre - network.input_zero
+    return quantise_layer(form.matrix, offset, np.full(TAPS, scale.lsb), np.full(TAPS, network.input_lsb))
+
+
+def code_range(scale: InputScale, output: Array) -> tuple[int, int]:
+    """Return the codes between which a unit was seen, widened by 2 % of their span for noise."""
+    codes = scale.codes(output)
+    margin = math.ceil(0.02 * float(codes.max() - codes.min()))
+    return max(0, int(codes.min()) - margin), min(CODE_MAX, int(codes.max()) + margin)

@@ -1,0 +1,374 @@
+/* softsensor.h - estimates from a soft sensor, calibrated by softcal. C99, header only.
+ *
+ * Reads `network-<id>.ssc` and `unit-<serial>.ssc` in place (docs/format.md): no allocation, no libc, integers only.
+ * The same integers come out on every machine; the files carry test windows that prove it each time they are opened.
+ * Little-endian machines with arithmetic right shift, as all that gcc, clang, armcc and IAR are used for today.
+ *
+ *   static ss_sensor sensor;
+ *   if (ss_open(&sensor, network, network_bytes, unit, unit_bytes, "A1") != SS_OK) ...   no number without a good file
+ *   every sample:  ss_push(&sensor, code, millis());
+ *                  ss_estimate e = ss_read(&sensor, millis());
+ *                  if (!(e.flags & SS_NO_NUMBER)) use(e.value);
+ */
+#ifndef SOFTSENSOR_H
+#define SOFTSENSOR_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifndef SS_WIDTH
+#define SS_WIDTH 120 /* widest hidden layer, rounded up to a multiple of 4; costs 4 bytes of RAM each */
+#endif
+
+#define SS_TAPS 15
+#define SS_MAGIC 0x46435353u /* S S C F */
+#define SS_MAJOR 1
+
+typedef enum {
+  SS_OK = 0,
+  SS_BAD_ALIGNMENT = 1, /* a file does not start at a multiple of 4 */
+  SS_BAD_MAGIC = 2,     /* no calibration file, or a big-endian machine */
+  SS_BAD_VERSION = 3,   /* a format this header does not read */
+  SS_BAD_LENGTH = 4,    /* cut off, or the wrong length was given */
+  SS_BAD_CRC = 5,       /* damaged */
+  SS_BAD_KIND = 6,      /* network and unit file mixed up */
+  SS_BAD_NETWORK = 7,   /* the unit was calibrated with another network */
+  SS_BAD_SERIAL = 8,    /* the file of another unit */
+  SS_BAD_LAYOUT = 9,    /* contradicts itself, or needs a larger SS_WIDTH */
+  SS_BAD_SELF_TEST = 10 /* this machine does not compute what the factory computed */
+} ss_status;
+
+enum {
+  SS_WARM_UP = 1,      /* fewer than 15 samples since the start or a gap: no number */
+  SS_CLOSED = 2,       /* no good file: no number */
+  SS_STALE = 4,        /* the newest sample is older than 1.5 periods */
+  SS_OUT_OF_RANGE = 8, /* a code in the window lies outside what the unit was calibrated with */
+  SS_CLAMPED = 16,     /* the estimate was clamped to the range of the calibration */
+  SS_NO_NUMBER = SS_WARM_UP | SS_CLOSED
+};
+
+/* In counts of 10^exponent reference units (ss_exponent). lower ... upper is the 90 % interval. */
+typedef struct {
+  int16_t value, lower, upper;
+  uint8_t flags;
+} ss_estimate;
+
+typedef struct {
+  const uint8_t *network, *unit; /* 0 while closed */
+  const uint8_t *map;            /* knots or rows in the unit file */
+  uint32_t last_ms;
+  uint16_t gap_ms, range_bits; /* bit k: the k-th newest sample was out of range */
+  uint8_t filled, at;
+  int16_t gain, offset;  /* what ss_adapt has changed: gain in 2^-15, offset in source counts */
+  int16_t ring[SS_TAPS]; /* mapped samples, or centred codes for an affine map */
+  int16_t even[SS_WIDTH], odd[SS_WIDTH];
+} ss_sensor;
+
+/* ---- reading the files ---------------------------------------------------------------------------------------- */
+
+/* Every field lies at a multiple of its size, so plain loads do. The files may be arrays of any type, or flash. */
+#if defined(__GNUC__)
+typedef uint16_t __attribute__((may_alias)) ss_half_word;
+typedef uint32_t __attribute__((may_alias)) ss_full_word;
+#else
+typedef uint16_t ss_half_word;
+typedef uint32_t ss_full_word;
+#endif
+
+static inline uint32_t ss_u16(const void *p) { return *(const ss_half_word *)p; }
+static inline int32_t ss_i16(const void *p) { return (int16_t) * (const ss_half_word *)p; }
+static inline uint32_t ss_u32(const void *p) { return *(const ss_full_word *)p; }
+
+static uint32_t ss_crc32(const uint8_t *p, uint32_t n) {
+  static const uint32_t table[16] = {0x00000000u, 0x1db71064u, 0x3b6e20c8u, 0x26d930acu, 0x76dc4190u, 0x6b6b51f4u,
+                                     0x4db26158u, 0x5005713cu, 0xedb88320u, 0xf00f9344u, 0xd6d6a3e8u, 0xcb61b38cu,
+                                     0x9b64c2b0u, 0x86d3d2d4u, 0xa00ae278u, 0xbdbdf21cu};
+  uint32_t crc = 0xffffffffu;
+  while (n--) {
+    crc ^= *p++;
+    crc = table[crc & 15] ^ crc >> 4;
+    crc = table[crc & 15] ^ crc >> 4;
+  }
+  return ~crc;
+}
+
+static int ss_differ(const uint8_t *a, const uint8_t *b, uint32_t n) {
+  while (n--)
+    if (*a++ != *b++) return 1;
+  return 0;
+}
+
+/* Header and CRC of one file. */
+static ss_status ss_check(const void *file, uint32_t bytes, uint8_t kind) {
+  const uint8_t *p = (const uint8_t *)file;
+  if (!p || (uintptr_t)p & 3) return SS_BAD_ALIGNMENT;
+  if (bytes < 52) return SS_BAD_LENGTH;
+  if (ss_u32(p) != SS_MAGIC) return SS_BAD_MAGIC;
+  if (p[5] != SS_MAJOR) return SS_BAD_VERSION;
+  if (ss_u32(p + 8) != bytes || bytes & 3) return SS_BAD_LENGTH;
+  if (ss_crc32(p, bytes - 4) != ss_u32(p + bytes - 4)) return SS_BAD_CRC;
+  return p[4] == kind ? SS_OK : SS_BAD_KIND;
+}
+
+/* The bytes of one layer in a file, or 0 when it does not fit. */
+static uint32_t ss_layer_bytes(uint32_t left, uint32_t rows, uint32_t columns) {
+  uint32_t bytes = ((rows + 3) & ~3u) * (8 + 2 * columns);
+  return rows - 1 < SS_WIDTH && columns - 1 < SS_WIDTH && bytes <= left ? bytes : 0;
+}
+
+static ss_status ss_check_network(const uint8_t *p, uint32_t bytes) {
+  uint32_t at = 132, i, count;
+  if (bytes < 136) return SS_BAD_LAYOUT;
+  count = p[48];
+  if (count < 1 || count > 7 || p[49] != 1 || p[50] != SS_TAPS) return SS_BAD_LAYOUT;
+  if (ss_u16(p + 52) != SS_TAPS || ss_u16(p + 52 + 2 * count) != 1) return SS_BAD_LAYOUT;
+  for (i = 0; i < count; i++) {
+    uint32_t used = ss_layer_bytes(bytes - 4 - at, ss_u16(p + 54 + 2 * i), ss_u16(p + 52 + 2 * i));
+    if (!used) return SS_BAD_LAYOUT;
+    at += used;
+  }
+  return at == bytes - 4 || p[6] ? SS_OK : SS_BAD_LAYOUT;
+}
+
+static uint32_t ss_tests_at(const uint8_t *unit) { return 76u + 6u * unit[50]; }
+static uint32_t ss_map_at(const uint8_t *unit) { return (ss_tests_at(unit) + 6u * unit[51] + 3u) & ~3u; }
+
+static ss_status ss_check_unit(const uint8_t *p, uint32_t bytes) {
+  uint32_t at, i, knots = p[49], used;
+  if (bytes < 100 || (p[48] != 1 && p[48] != 2)) return SS_BAD_LAYOUT;
+  if (p[50] < 1 || p[50] > 4 || p[51] < 1 || p[51] > 4) return SS_BAD_LAYOUT;
+  if (ss_u16(p + 72) > 16384 || ss_u16(p + 74) > 32767) return SS_BAD_LAYOUT; /* keeps ss_push within 32 bits */
+  at = ss_map_at(p);
+  if (at > bytes - 4) return SS_BAD_LAYOUT;
+  if (p[48] == 1) {
+    used = 4 * knots;
+    if (knots < 2 || knots > 32 || used > bytes - 4 - at) return SS_BAD_LAYOUT;
+    for (i = 1; i < knots; i++)
+      if (ss_u16(p + at + 4 * i) <= ss_u16(p + at + 4 * i - 4)) return SS_BAD_LAYOUT;
+  } else {
+    used = ss_layer_bytes(bytes - 4 - at, SS_TAPS, SS_TAPS);
+    if (!used) return SS_BAD_LAYOUT;
+  }
+  return at + used == bytes - 4 || p[6] ? SS_OK : SS_BAD_LAYOUT;
+}
+
+/* ---- arithmetic: the same integers as softcal.core.export.integer_network --------------------------------------- */
+
+static int32_t ss_clip(int32_t x) { return x > 32767 ? 32767 : x < -32767 ? -32767 : x; }
+
+/* The exporter has proved that no accumulator overflows. Sums and products are unsigned and shifts masked all the same,
+ * so that even a forged file meets no undefined behaviour; its self-tests then fail. */
+static const uint8_t *ss_layer(const uint8_t *p, uint32_t rows, uint32_t columns, const int16_t *in, int16_t *out,
+                               int is_rectified) {
+  const uint8_t *record = p;
+  const ss_full_word *w = (const ss_full_word *)(const void *)(p + 8 * ((rows + 3) & ~3u));
+  uint32_t row, k;
+  for (row = 0; row < rows; row += 4) {
+    const int16_t *x = in, *end = in + columns;
+    uint32_t acc[4], a = 0, b = 0, c = 0, d = 0;
+    do {
+      uint32_t v = (uint32_t)(int32_t)*x++, ab = *w++, cd = *w++;
+      a += v * (uint32_t)(int32_t)(int16_t)ab;
+      b += v * (uint32_t)((int32_t)ab >> 16);
+      c += v * (uint32_t)(int32_t)(int16_t)cd;
+      d += v * (uint32_t)((int32_t)cd >> 16);
+    } while (x != end);
+    acc[0] = a, acc[1] = b, acc[2] = c, acc[3] = d;
+    for (k = 0; k < 4; k++, record += 8) {
+      int32_t sum = (int32_t)(acc[k] + ss_u32(record));
+      uint32_t product;
+      if (is_rectified && sum < 0) sum = 0;
+      product = (uint32_t)(sum >> (record[6] & 31)) * ss_u16(record + 4) + (1u << ((record[7] - 1) & 31));
+      *out++ = (int16_t)ss_clip((int32_t)product >> (record[7] & 31));
+    }
+  }
+  return (const uint8_t *)w;
+}
+
+/* The network over s->even[0 ... 14]. */
+static int32_t ss_network(ss_sensor *s) {
+  const uint8_t *sizes = s->network + 52, *p = s->network + 132;
+  int16_t *in = s->even, *out = s->odd;
+  uint32_t left;
+  for (left = s->network[48]; left; left--, sizes += 2) {
+    int16_t *done = out;
+    p = ss_layer(p, ss_u16(sizes + 2), ss_u16(sizes), in, out, left > 1);
+    out = in, in = done;
+  }
+  return in[0];
+}
+
+/* One code on its way into the ring: mapped sample by sample, or centred for an affine map of the whole window. */
+static int32_t ss_map_code(const ss_sensor *s, uint32_t code) {
+  const uint8_t *knot = s->map, *last = knot + 4u * (s->unit[49] - 1u);
+  uint32_t x0, span, rise;
+  int32_t y0, y1;
+  if (s->unit[48] == 2) return ss_clip((int32_t)code - 32768);
+  if (code <= ss_u16(knot)) return ss_i16(knot + 2);
+  if (code >= ss_u16(last)) return ss_i16(last + 2);
+  while (ss_u16(knot + 4) <= code) knot += 4;
+  x0 = ss_u16(knot), span = ss_u16(knot + 4) - x0, y0 = ss_i16(knot + 2), y1 = ss_i16(knot + 6);
+  rise = (uint32_t)(y1 < y0 ? y0 - y1 : y1 - y0);
+  rise = (rise * (code - x0) + span / 2) / span;
+  return y1 < y0 ? y0 - (int32_t)rise : y0 + (int32_t)rise;
+}
+
+/* The estimate of the window in s->even. */
+static int32_t ss_window(ss_sensor *s) {
+  if (s->unit[48] == 2) {
+    uint32_t i;
+    ss_layer(s->map, SS_TAPS, SS_TAPS, s->even, s->odd, 0);
+    for (i = 0; i < SS_TAPS; i++) s->even[i] = s->odd[i];
+  }
+  return ss_network(s);
+}
+
+/* ---- use ------------------------------------------------------------------------------------------------------ */
+
+/* Open both files in place; they must stay where they are. `serial` (20 bytes, filled up with zeros, as in the file)
+ * may be 0 where the firmware does not know its own. Anything but SS_OK leaves the sensor closed. */
+static ss_status ss_open(ss_sensor *s, const void *network, uint32_t network_bytes, const void *unit,
+                         uint32_t unit_bytes, const char *serial) {
+  const uint8_t *net = (const uint8_t *)network, *own = (const uint8_t *)unit, *test;
+  ss_status status;
+  uint32_t i, left;
+  s->network = s->unit = 0;
+  if ((status = ss_check(net, network_bytes, 1)) != SS_OK) return status;
+  if ((status = ss_check(own, unit_bytes, 2)) != SS_OK) return status;
+  if (ss_differ(net + 12, own + 12, 8)) return SS_BAD_NETWORK;
+  if (serial && ss_differ(own + 28, (const uint8_t *)serial, 20)) return SS_BAD_SERIAL;
+  if ((status = ss_check_network(net, network_bytes)) != SS_OK) return status;
+  if ((status = ss_check_unit(own, unit_bytes)) != SS_OK) return status;
+  s->network = net, s->unit = own, s->map = own + ss_map_at(own);
+  s->gain = s->offset = 0;
+  test = own + ss_tests_at(own);
+  for (left = own[51]; left; left--, test += 6) {
+    uint32_t code = ss_u16(test);
+    for (i = 0; i < SS_TAPS; i++, code += (uint32_t)ss_i16(test + 2)) s->even[i] = (int16_t)ss_map_code(s, code & 65535u);
+    if (ss_window(s) != ss_i16(test + 4)) {
+      s->network = s->unit = 0;
+      return SS_BAD_SELF_TEST;
+    }
+  }
+  s->gap_ms = (uint16_t)ss_u16(net + 68);
+  s->range_bits = 0, s->filled = 0, s->at = 0, s->last_ms = 0;
+  return SS_OK;
+}
+
+/* Take one sample: a 16-bit code, and when it was taken. A step over 1.5 periods empties the window. */
+static void ss_push(ss_sensor *s, uint16_t code, uint32_t t_ms) {
+  const uint8_t *u = s->unit;
+  int32_t y;
+  if (!u) return;
+  if (t_ms - s->last_ms > s->gap_ms) s->filled = 0;
+  s->last_ms = t_ms;
+  y = ss_map_code(s, code);
+  y += s->offset + (s->gain * (y - ss_i16(u + 68)) >> 15);
+  s->ring[s->at] = (int16_t)ss_clip(y);
+  s->at = (uint8_t)(s->at == SS_TAPS - 1 ? 0 : s->at + 1);
+  if (s->filled < SS_TAPS) s->filled++;
+  s->range_bits = (uint16_t)(s->range_bits << 1 | (code < ss_u16(u + 52) || code > ss_u16(u + 54)));
+}
+
+/* The estimate at the newest sample. Where flags & SS_NO_NUMBER there is none: value, lower and upper are 0. */
+static ss_estimate ss_read(ss_sensor *s, uint32_t now_ms) {
+  ss_estimate e = {0, 0, 0, 0};
+  const uint8_t *u = s->unit, *band;
+  int32_t value, low, high;
+  uint32_t i, from = s->at;
+  if (!u) e.flags = SS_CLOSED;
+  else if (s->filled < SS_TAPS) e.flags = SS_WARM_UP;
+  if (e.flags) return e;
+  if (now_ms - s->last_ms > s->gap_ms) e.flags |= SS_STALE;
+  if (s->range_bits & 0x7fffu) e.flags |= SS_OUT_OF_RANGE;
+  for (i = 0; i < SS_TAPS; i++) {
+    s->even[i] = s->ring[from];
+    from = from == SS_TAPS - 1 ? 0 : from + 1;
+  }
+  value = ss_window(s), low = ss_i16(u + 56), high = ss_i16(u + 58);
+  if (value < low || value > high) e.flags |= SS_CLAMPED, value = value < low ? low : high;
+  for (band = u + 76, i = u[50]; i > 1 && value > ss_i16(band); i--) band += 6;
+  e.value = (int16_t)value;
+  e.lower = (int16_t)ss_clip(value - (int32_t)ss_u16(band + 2));
+  e.upper = (int16_t)ss_clip(value + (int32_t)ss_u16(band + 4));
+  return e;
+}
+
+/* Power of ten of one count in reference units, for example -3: an estimate of 1234 means 1.234 N. */
+static inline int ss_exponent(const ss_sensor *s) { return s->network ? (int8_t)s->network[51] : 0; }
+
+/* ---- slots: two that updates may write, and one the factory wrote ---------------------------------------------- */
+
+/* Which of the slots 0, 1 (updates) and 2 (factory) to open, or -1: the highest revision among the good updates, else
+ * the factory's. `serial` as in ss_open. Give each slot's room in `bytes`; a file says itself how long it is. */
+static inline int ss_choose_slot(const void *const slots[3], uint32_t bytes, const void *network, const char *serial) {
+  int chosen = -1, i;
+  for (i = 2; i >= 0; i--) {
+    const uint8_t *p = (const uint8_t *)slots[i];
+    uint32_t length;
+    if (!p || (uintptr_t)p & 3 || bytes < 52 || (length = ss_u32(p + 8)) > bytes) continue;
+    if (ss_check(p, length, 2) != SS_OK || ss_check_unit(p, length) != SS_OK) continue;
+    if (ss_differ((const uint8_t *)network + 12, p + 12, 8)) continue;
+    if (serial && ss_differ(p + 28, (const uint8_t *)serial, 20)) continue;
+    if (chosen == 0 || chosen == 1)
+      if (ss_u32(p + 20) < ss_u32((const uint8_t *)slots[chosen] + 20)) continue;
+    chosen = i;
+  }
+  return chosen;
+}
+
+/* The slot an update may erase and write: never the one in use, never the factory's. Write it whole, then check it with
+ * ss_choose_slot: an update that is cut off has a wrong CRC, and the calibration that was in use stays in use. */
+static inline int ss_slot_to_write(int in_use) { return in_use == 0 ? 1 : 0; }
+
+/* ---- long use: the device follows slow drift of offset and gain within the bounds of its file ------------------- */
+
+typedef struct {
+  int32_t low, high; /* running quantiles 1/32 and 31/32 of the mapped samples, in 1/64 counts */
+  uint32_t seen;
+} ss_adaptation;
+
+typedef enum {
+  SS_WATCHING = 0,        /* not enough samples yet */
+  SS_ADAPTED = 1,         /* gain and offset follow; the next samples use them */
+  SS_AT_BOUND = 2,        /* the drift is larger than the file allows: held at the bound, recalibrate the unit */
+  SS_NOT_ADAPTABLE = 3    /* the file allows no change */
+} ss_adapt_result;
+
+static inline void ss_adapt_start(ss_adaptation *a, const ss_sensor *s) {
+  a->low = ss_i16(s->unit + 68) * 64, a->high = ss_i16(s->unit + 70) * 64, a->seen = 0;
+}
+
+static inline int32_t ss_bounded(int32_t x, int32_t bound, int *is_at_bound) {
+  if (x > bound) return *is_at_bound = 1, bound;
+  if (x < -bound) return *is_at_bound = 1, -bound;
+  return x;
+}
+
+/* Call after every ss_push with the same code; after every `period` samples gain and offset are set anew from the two
+ * running quantiles. Only for use that keeps returning to rest (and, where the file allows a gain, to full presses):
+ * the device cannot tell drift from a change of use. */
+static inline ss_adapt_result ss_adapt(ss_adaptation *a, ss_sensor *s, uint16_t code, uint32_t period) {
+  const uint8_t *u = s->unit;
+  int32_t y, low, high, gain = 0, offset, step;
+  int is_at_bound = 0;
+  if (!u || u[48] != 1 || !(ss_u16(u + 72) | ss_u16(u + 74))) return SS_NOT_ADAPTABLE;
+  low = ss_i16(u + 68), high = ss_i16(u + 70);
+  y = ss_map_code(s, code) * 64;
+  step = (high - low) / 256 + 1; /* in 1/64 counts: 0.2 % of the span per sample towards an extreme, 1/31 of it back */
+  a->low += y < a->low ? -31 * step : step;
+  a->high += y > a->high ? 31 * step : -step;
+  if (++a->seen < period) return SS_WATCHING;
+  a->seen = 0;
+  if (a->high - a->low < 64) return SS_AT_BOUND; /* the output stands still: nothing to follow */
+  if (ss_u16(u + 72)) {
+    int32_t span = (a->high - a->low) / 64, missing = high - low - span;
+    gain = span ? ss_bounded(ss_clip(missing) * 32768 / span, (int32_t)ss_u16(u + 72), &is_at_bound) : 0;
+  }
+  offset = low - a->low / 64;
+  offset = ss_bounded(offset - (gain * (a->low / 64 - low) >> 15), (int32_t)ss_u16(u + 74), &is_at_bound);
+  s->gain = (int16_t)gain, s->offset = (int16_t)offset;
+  return is_at_bound ? SS_AT_BOUND : SS_ADAPTED;
+}
+
+#endif
