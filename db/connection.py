@@ -2,7 +2,7 @@
 
 from softcal.core.errors import RegistryError
 from softcal.db.database import check_schema, open_database, schema_of
-from softcal.db.maintenance import create_schema
+from softcal.db.maintenance import migrate
 from softcal.db.registry import Registry
 from softcal.db.registry_base import RegistrySettings
 
@@ -21,6 +21,6 @@ def open_registry(url: str, settings: RegistrySettings | None = None, *, create:
     if schema is None and not create:
         raise RegistryError(f"registry {database.name}: there is no registry yet; `softcal batch` or `demo` makes one")
     if schema is None:
-        schema = create_schema(database)
+        schema = migrate(database)
     check_schema(database, schema)
     return Registry(database, settings or RegistrySettings())

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import cast
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, make_url, text
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
@@ -20,6 +21,7 @@ from softcal.db.tables import SCHEMA
 SQLITE_WAIT_S = 60
 """How long a writer waits for its turn before the registry counts as locked."""
 
+IN_MEMORY = (None, "", ":memory:")
 STATEMENT_TIMEOUT = "120s"
 WRITER_LOCK = 1_900_178
 """Key of the PostgreSQL advisory lock that puts writers of the audit chain in a row."""
@@ -28,8 +30,8 @@ WRITER_LOCK = 1_900_178
 class Database:
     """An open database: short read transactions, and write transactions that come one after another.
 
-    A write transaction of this thread is joined by every read and write inside it, so that several steps are kept
-    or lost together.
+    A transaction of this thread is joined by every read inside it, a write transaction by every write, too: several
+    steps are seen, kept or lost together.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -45,15 +47,24 @@ class Database:
         """The URL without its password."""
         return self.engine.url.render_as_string(hide_password=True)
 
+    @property
+    def path(self) -> Path | None:
+        """The SQLite file; None in memory and on a server."""
+        database = self.engine.url.database
+        return Path(database) if self.is_sqlite and database not in IN_MEMORY else None
+
     @contextmanager
     def reading(self) -> Iterator[Connection]:
         """Give a connection that sees one consistent state."""
-        joined = self._joined()
+        joined = self._joined("writer") or self._joined("reader")
         if joined is not None:
             yield joined
             return
-        with self._errors_in_words(), self.engine.connect() as connection, connection.begin():
-            yield connection
+        with self._errors_in_words(), self.engine.connect() as connection:
+            if not self.is_sqlite:
+                connection.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
+            with connection.begin(), self._joinable("reader", connection):
+                yield connection
 
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
@@ -63,27 +74,41 @@ class Database:
             in_turn: one writer at a time, as the audit chain needs it. SQLite allows nothing else; PostgreSQL lets
                 writers with `in_turn=False` (work queue, heartbeats) go side by side.
         """
-        joined = self._joined()
+        joined = self._joined("writer")
         if joined is not None:
             yield joined
             return
         with self._errors_in_words(), self.engine.connect() as connection:
             connection.execution_options(softcal_writes=True)
-            with connection.begin():
+            with connection.begin(), self._joinable("writer", connection):
                 if in_turn and not self.is_sqlite:
                     connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": WRITER_LOCK})
-                self._thread.connection = connection
-                try:
-                    yield connection
-                finally:
-                    self._thread.connection = None
+                yield connection
+
+    @contextmanager
+    def outside_transactions(self) -> Iterator[sqlite3.Connection]:
+        """Give the bare SQLite connection, for what SQLite does outside transactions only."""
+        with self._errors_in_words():
+            pooled = self.engine.raw_connection()
+            try:
+                yield cast(sqlite3.Connection, pooled.driver_connection)
+            finally:
+                pooled.close()
 
     def close(self) -> None:
         """Close every connection. A transaction that is open is rolled back."""
         self.engine.dispose()
 
-    def _joined(self) -> Connection | None:
-        return getattr(self._thread, "connection", None)
+    def _joined(self, role: str) -> Connection | None:
+        return getattr(self._thread, role, None)
+
+    @contextmanager
+    def _joinable(self, role: str, connection: Connection) -> Iterator[None]:
+        setattr(self._thread, role, connection)
+        try:
+            yield
+        finally:
+            setattr(self._thread, role, None)
 
     @contextmanager
     def _errors_in_words(self) -> Iterator[None]:
@@ -155,7 +180,7 @@ def _parse(url: str) -> URL:
 
 
 def _sqlite_engine(url: URL, create: bool) -> Engine:
-    if url.database in (None, "", ":memory:"):
+    if url.database in IN_MEMORY:
         engine = create_engine(url, poolclass=StaticPool, connect_args={"check_same_thread": False})
     else:
         _check_sqlite_path(Path(str(url.database)), create)

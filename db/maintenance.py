@@ -16,7 +16,7 @@ AUDITED = ("lots", "limits", "units", "recordings", "networks", "calibrations", 
 """Tables whose every row has a row in the audit trail with the same values."""
 
 
-def create_schema(database: Database) -> str:
+def migrate(database: Database) -> str:
     """Bring an empty or older database to the newest schema in one transaction; return its revision."""
     # Alembic takes half a second to import: only those who migrate pay.
     from alembic.operations import Operations

@@ -1,0 +1,45 @@
+"""Tables for spreadsheets, as CSV or Excel, in which no cell can run as a formula."""
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from softcal.app.files import whole_file, write_text
+from softcal.core.errors import InputError
+
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n")
+"""Text that starts like this is run by a spreadsheet (OWASP, CSV Injection); numbers are written as numbers."""
+
+
+def guarded(cell: object) -> object:
+    """Return a cell that a spreadsheet shows as it is: text that would run gets an apostrophe before it."""
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA_STARTS) else cell
+
+
+def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a table as .csv or .xlsx, whole or not at all.
+
+    Raises:
+        InputError: another suffix, or the file cannot be written.
+    """
+    table = [[guarded(cell) for cell in row] for row in (header, *rows)]
+    if path.suffix.lower() == ".csv":
+        text = io.StringIO()
+        csv.writer(text).writerows(table)
+        write_text(path, text.getvalue())
+    elif path.suffix.lower() == ".xlsx":
+        _write_excel(path, table)
+    else:
+        raise InputError(f"{path}: the suffix {path.suffix!r} is not known; give .csv or .xlsx")
+
+
+def _write_excel(path: Path, table: list[list[object]]) -> None:
+    from openpyxl import Workbook
+
+    workbook = Workbook(write_only=True)
+    sheet = workbook.create_sheet("softcal")
+    for row in table:
+        sheet.append(row)
+    with whole_file(path) as part:
+        workbook.save(part)

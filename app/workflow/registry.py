@@ -1,0 +1,139 @@
+"""What the registry says of itself as rows and JSON, and what keeps it whole: upgrade, check, backup, restore."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from softcal.core.errors import RegistryError
+from softcal.db.backup import back_up, restore
+from softcal.db.database import Database, open_database, schema_of
+from softcal.db.entries import StoredCalibration, UnitEntry
+from softcal.db.history import head
+from softcal.db.maintenance import migrate
+from softcal.db.registry import Registry
+from softcal.db.tables import SCHEMA
+
+UNIT_HEADER = (
+    "lot",
+    "serial",
+    "role",
+    "verdict",
+    "rev",
+    "map",
+    "predicted",
+    "before",
+    "after",
+    "own",
+    "made",
+    "reason",
+)
+HISTORY_HEADER = ("rev", "in use", "made (UTC)", "by", "lot", "verdict", "map", "predicted", "after", "remark")
+
+
+@dataclass(frozen=True)
+class Upgrade:
+    """What `registry upgrade` did: from which schema (None: empty) to which, and where the old one was backed up."""
+
+    before: str | None
+    after: str
+    backup: Path | None
+
+
+def upgrade(url: str) -> Upgrade:
+    """Bring a registry to the schema of this version; an SQLite registry with data is backed up beside itself first.
+
+    Raises:
+        RegistryError: it cannot be opened, was made by a newer version, or the upgrade failed and nothing was changed.
+    """
+    database = open_database(url)
+    try:
+        before = schema_of(database)
+        if before is not None and before > SCHEMA:
+            raise RegistryError(f"registry {database.name} has schema {before}, newer than {SCHEMA}; update softcal")
+        if before == SCHEMA:
+            return Upgrade(before, SCHEMA, None)
+        backup = _backup_before_upgrade(database, before)
+        return Upgrade(before, migrate(database), backup)
+    finally:
+        database.close()
+
+
+def _backup_before_upgrade(database: Database, schema: str | None) -> Path | None:
+    # On PostgreSQL the upgrade is one transaction, and the server has backups of its own.
+    path = database.path
+    if schema is None or path is None:
+        return None
+    backup = path.with_name(f"{path.stem}-schema-{schema}-{datetime.now(UTC):%Y%m%d-%H%M%S}.db")
+    back_up(database, backup)
+    return backup
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What `registry verify` found; the head of the trail can be written down to prove later that nothing was cut."""
+
+    faults: tuple[str, ...]
+    audit_rows: int
+    head_sha256: str
+
+
+def verify(registry: Registry) -> Verification:
+    """Check every blob, row and link of the audit trail."""
+    faults = tuple(registry.verify())
+    with registry.database.reading() as connection:
+        rows, sha256 = head(connection, registry.origin)
+    return Verification(faults, rows, sha256)
+
+
+def back_up_registry(registry: Registry, path: Path) -> None:
+    """Write a backup while the registry is in use."""
+    back_up(registry.database, path)
+
+
+def restore_registry(path: Path, url: str) -> None:
+    """Fill an empty registry from a backup."""
+    restore(path, url)
+
+
+def unit_row(unit: UnitEntry) -> list[object]:
+    """Return one row of the table under `UNIT_HEADER`."""
+    remark = "calibrated by two registries under one revision; see history" if unit.is_conflict else ""
+    reason = "; ".join(filter(None, (remark, *unit.reasons)))[:100]
+    errors = [unit.predicted_rmse, unit.before_rmse, unit.after_rmse, unit.own_rmse]
+    made = unit.made_at and f"{unit.made_at:%Y-%m-%d %H:%M}"
+    return [unit.lot_id, unit.serial, unit.role, unit.verdict, unit.revision, unit.family, *errors, made, reason]
+
+
+def unit_json(unit: UnitEntry) -> dict[str, object]:
+    """Return a unit as JSON values."""
+    return vars(unit) | {"reasons": list(unit.reasons), "made_at": unit.made_at and unit.made_at.isoformat()}
+
+
+def history_row(stored: StoredCalibration) -> list[object]:
+    """Return one row of the table under `HISTORY_HEADER`."""
+    record = stored.record
+    remarks = [
+        f"back to revision {stored.rolled_back_to}" if stored.rolled_back_to else "",
+        f"also written elsewhere, this one by registry {stored.origin}" if stored.is_conflict else "",
+        stored.reason,
+    ]
+    return [
+        stored.revision,
+        "yes" if stored.is_current else "",
+        f"{stored.made_at:%Y-%m-%d %H:%M:%S}",
+        stored.actor,
+        stored.lot_id,
+        record.verdict,
+        record.family,
+        record.predicted_rmse,
+        record.after_rmse,
+        "; ".join(filter(None, remarks)),
+    ]
+
+
+def history_json(stored: StoredCalibration) -> dict[str, object]:
+    """Return a revision as JSON values, without its arrays."""
+    facts = {name: value for name, value in vars(stored).items() if name != "record"}
+    record = {name: value for name, value in vars(stored.record).items() if name not in ("arrays", "settings")}
+    texts = {"reasons": list(stored.record.reasons), "evidence": dict(stored.record.evidence)}
+    return facts | record | texts | {"made_at": stored.made_at.isoformat()}
