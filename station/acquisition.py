@@ -1,0 +1,310 @@
+"""A profile pressed on the bench, with everything that was read on the way. A broken run is never a recording."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, SafetyStop
+from softcal.core.profiles import Profile
+from softcal.station.bench import Bench
+from softcal.station.interfaces import Hold, Move, Sample, StagePosition, Step
+from softcal.station.recording import Raw, StationRecording, assemble
+from softcal.station.safety import ForceWatch, StreamWatch
+from softcal.station.trajectory import DrivenMove, Trapezoid
+
+TICK_S = 0.005
+"""How often the devices are read while something may move; far below every latency that is promised."""
+
+SETTLE_S = 1.0
+RETRACT_MM_S = 5.0
+
+
+@dataclass(frozen=True)
+class RunProgress:
+    """Where a run stands: what happens now, the done share of it, and the newest reading of each channel."""
+
+    phase: str
+    fraction: float
+    remaining_s: float
+    t_s: float = 0.0
+    output: float = 0.0
+    stage_mm: float = 0.0
+    force_N: float | None = None
+
+
+OnProgress = Callable[[RunProgress], None]
+
+
+@dataclass
+class _Readings:
+    """Everything that was read, as it came."""
+
+    output: list[Sample] = field(default_factory=list)
+    force: list[Sample] = field(default_factory=list)
+    polls: list[StagePosition] = field(default_factory=list)
+    moves: list[DrivenMove] = field(default_factory=list)
+
+
+def record(
+    bench: Bench,
+    serial: str,
+    profile: Profile,
+    with_reference: bool,
+    on_progress: OnProgress | None = None,
+) -> StationRecording:
+    """Press one unit with one profile and return what was read.
+
+    Args:
+        bench: open devices.
+        serial: of the unit in the fixture.
+        profile: position 0 is `fixture.clearance_mm` above the contact.
+        with_reference: keep the load cell's reading in the recording (source unit); it guards the run in any case.
+        on_progress: called about every 0.1 s.
+
+    Raises:
+        CommandRefused: the profile leaves the station's bounds; nothing moved.
+        SafetyStop, NoReply, BadReply, DeviceError: the stage was stopped, and retracted where that is safe; nothing
+            was recorded.
+    """
+    check_profile(bench, profile)
+    if with_reference and bench.force is None:
+        raise CommandRefused("a source unit needs the load cell, the station file has none; nothing moved")
+    run = _Run(bench, serial, profile, on_progress)
+    try:
+        return run.perform(with_reference)
+    except DeviceError as error:
+        raise type(error)(f"{error}; {run.make_safe(may_retract=True)}, the run is aborted") from error
+    except BaseException:
+        run.make_safe(may_retract=False)
+        raise
+
+
+def check_profile(bench: Bench, profile: Profile) -> None:
+    """Raise `CommandRefused` when a profile would leave the bounds of stage or station at any contact position."""
+    bounds, fixture = bench.config.safety, bench.config.fixture
+    fastest_mm_s = min(bounds.speed_mm_s, bench.stage.max_speed_mm_s)
+    deepest_mm = min(bounds.deepest_mm, bench.stage.travel_mm)
+    for segment in steps_of(profile):
+        if isinstance(segment, Move) and segment.speed_mm_s > fastest_mm_s * (1 + 1e-9):
+            raise CommandRefused(
+                f"profile {profile.name!r} moves at {segment.speed_mm_s:g} mm/s, the station allows {fastest_mm_s:g} "
+                "mm/s; nothing moved"
+            )
+        if isinstance(segment, Move) and not -fixture.clearance_mm <= segment.to_mm <= deepest_mm - fixture.approach_mm:
+            raise CommandRefused(
+                f"profile {profile.name!r} goes to {segment.to_mm:g} mm, the station allows "
+                f"{deepest_mm - fixture.approach_mm:g} mm below its approach; nothing moved"
+            )
+
+
+def steps_of(profile: Profile) -> list[Step]:
+    """Return a profile as moves from rest to rest and holds."""
+    steps: list[Step] = []
+    at_mm = 0.0
+    for segment in profile.segments:
+        if segment.target_mm == at_mm:
+            steps.append(Hold(segment.duration_s))
+        else:
+            steps.append(Move(segment.target_mm, abs(segment.target_mm - at_mm) / segment.duration_s))
+        at_mm = segment.target_mm
+    return steps
+
+
+class _Run:
+    def __init__(self, bench: Bench, serial: str, profile: Profile, on_progress: OnProgress | None) -> None:
+        self._bench, self._serial, self._profile = bench, serial, profile
+        self._clock, self._stage = bench.clock, bench.stage
+        self._on_progress = on_progress
+        self._readings = _Readings()
+        self._contact_mm: float | None = None
+        self._phase, self._began_s, self._shown_s = "starting", 0.0, -1.0
+        self._total_s = profile.duration_s + 15.0
+        self._force_watch = ForceWatch(bench.config.safety)
+        self._watches: dict[str, StreamWatch] = {}
+
+    def perform(self, with_reference: bool) -> StationRecording:
+        bench, fixture = self._bench, self._bench.config.fixture
+        self._start()
+        self._phase = "homing"
+        if not self._stage.is_position_known:
+            self._stage.home()
+            self._start()  # Nobody read while the stage was homing.
+        self._phase = "reading the unloaded channels"
+        self._go(fixture.approach_mm, min(bench.config.safety.speed_mm_s, self._stage.max_speed_mm_s))
+        zero_N = self._take_zero()
+        contact_mm = self._find_contact()
+        self._contact_mm = contact_mm
+        # The search ended in a stop: the path that can be reconstructed begins here.
+        self._readings.moves.clear()
+        self._readings.polls.clear()
+        zero_mm = contact_mm - fixture.clearance_mm
+        self._go(zero_mm, fixture.search_mm_s)
+        self._wait(SETTLE_S)
+        self._phase, profile_began_s = "pressing", self._clock.now_s()
+        for step in steps_of(self._profile):
+            self._do(step, zero_mm)
+        profile_ended_s = self._clock.now_s()
+        self._phase = "reading the zero return"
+        self._go(fixture.approach_mm, RETRACT_MM_S)
+        self._wait(SETTLE_S)
+        raw = Raw(
+            self._readings.output,
+            self._readings.force,
+            self._readings.polls,
+            self._readings.moves,
+            (profile_began_s, profile_ended_s),
+            zero_mm,
+            contact_mm,
+            zero_N,
+            self._zero_return_N(zero_N),
+        )
+        self._tell(1.0, 0.0)
+        return assemble(raw, self._serial, self._profile.name, self._bench.readout, with_reference)
+
+    def make_safe(self, may_retract: bool) -> str:
+        """Stop the stage, lift it where its position is still known, and say what was done."""
+        try:
+            self._stage.stop()
+        except DeviceError:
+            return "the stage was told to stop but does not answer: switch it off"
+        if not may_retract or not self._stage.is_position_known:
+            return "the stage is stopped and must be homed"
+        try:
+            self._stage.begin(Move(min(self._bench.config.fixture.approach_mm, self._stage.travel_mm), RETRACT_MM_S))
+            while self._stage.is_moving:
+                self._clock.sleep_s(TICK_S)
+                self._stage.poll()
+        except DeviceError:
+            return "the stage is stopped but could not be lifted: lift it by hand and home it"
+        return "the stage is stopped and lifted"
+
+    def _start(self) -> None:
+        bench, now_s = self._bench, self._clock.now_s()
+        self._began_s = self._began_s or now_s
+        bench.readout.start()
+        self._watches["readout"] = StreamWatch(bench.readout, bench.config.safety, now_s, bench.readout.range)
+        if bench.force is not None:
+            bench.force.start()
+            self._watches["force"] = StreamWatch(bench.force, bench.config.safety, now_s)
+
+    def _tick(self) -> None:
+        """Let a little time pass, read every device, and check everything that was read."""
+        self._clock.sleep_s(TICK_S)
+        self._readings.polls += self._stage.poll()
+        pressed_mm = self._pressed_mm()
+        if self._bench.force is not None:
+            for sample in self._bench.force.poll():
+                self._force_watch.check(sample)
+                self._watches["force"].check(sample, pressed_mm)
+                self._readings.force.append(sample)
+        for sample in self._bench.readout.poll():
+            self._watches["readout"].check(sample, pressed_mm)
+            self._readings.output.append(sample)
+        now_s = self._clock.now_s()
+        for watch in self._watches.values():
+            watch.check_silence(now_s)
+        self._check_depth()
+        if now_s - self._shown_s >= 0.1:
+            self._shown_s = now_s
+            gone_s = now_s - self._began_s
+            self._tell(min(0.99, gone_s / self._total_s), max(0.0, self._total_s - gone_s))
+
+    def _pressed_mm(self) -> float:
+        if self._contact_mm is None or not self._readings.polls:
+            return 0.0
+        return max(0.0, self._readings.polls[-1].position_mm - self._contact_mm)
+
+    def _check_depth(self) -> None:
+        deepest_mm = self._bench.config.safety.deepest_mm
+        if self._readings.polls and self._readings.polls[-1].position_mm > deepest_mm + 0.01:
+            at_mm = self._readings.polls[-1].position_mm
+            raise SafetyStop(f"stage at {at_mm:.2f} mm, the limit is {deepest_mm:g} mm; check the fixture")
+
+    def _go(self, to_mm: float, speed_mm_s: float) -> None:
+        if to_mm > self._bench.config.safety.deepest_mm:
+            raise SafetyStop(
+                f"the profile would reach {to_mm:.2f} mm, the limit is {self._bench.config.safety.deepest_mm:g} mm; "
+                "check the fixture"
+            )
+        start_mm, began_s = self._stage.position_mm, self._clock.now_s()
+        self._stage.begin(Move(to_mm, speed_mm_s))
+        while self._stage.is_moving:
+            self._tick()
+        path = Trapezoid(start_mm, to_mm, speed_mm_s, self._stage.acceleration_mm_s2)
+        self._readings.moves.append(DrivenMove(path, began_s, self._clock.now_s()))
+
+    def _wait(self, seconds: float) -> None:
+        end_s = self._clock.now_s() + seconds
+        while self._clock.now_s() < end_s:
+            self._tick()
+
+    def _do(self, step: Step, zero_mm: float) -> None:
+        if isinstance(step, Move):
+            self._go(zero_mm + step.to_mm, step.speed_mm_s)
+        else:
+            self._wait(step.seconds)
+
+    def _take_zero(self) -> float:
+        self._wait(0.3)
+        if self._bench.force is None:
+            self._wait(SETTLE_S)
+            return 0.0
+        count = len(self._readings.force)
+        self._wait(SETTLE_S)
+        zero_N = float(np.mean([sample.values[0] for sample in self._readings.force[count:]]))
+        allowed_N = self._bench.config.safety.zero_N
+        if abs(zero_N) > allowed_N:
+            raise BadReply(f"load cell: reads {zero_N:.3g} N unloaded, at most {allowed_N:g} N is allowed; zero it")
+        self._force_watch.zero_N = zero_N
+        return zero_N
+
+    def _zero_return_N(self, zero_N: float) -> float:
+        if self._bench.force is None:
+            return 0.0
+        recent = [s.values[0] for s in self._readings.force if s.host_s > self._clock.now_s() - 0.7 * SETTLE_S]
+        change_N = float(np.mean(recent)) - zero_N
+        allowed_N = self._bench.config.safety.zero_return_N
+        if abs(change_N) > allowed_N:
+            raise BadReply(
+                f"load cell: its zero moved by {change_N:.3g} N over the run, {allowed_N:g} N is allowed; let it warm "
+                "up, check its mounting"
+            )
+        return change_N
+
+    def _find_contact(self) -> float:
+        """Lower slowly until force (or output, without a load cell) changes; return the position of the contact."""
+        self._phase = "searching for contact"
+        fixture = self._bench.config.fixture
+        samples = self._readings.output if self._bench.force is None else self._readings.force
+        threshold = fixture.contact_output if self._bench.force is None else fixture.contact_N
+        unloaded = float(np.mean([sample.values[0] for sample in samples[-25:]]))
+        seen = len(samples)
+        self._stage.begin(Move(self._bench.config.safety.deepest_mm, fixture.search_mm_s))
+        began_s, start_mm = self._clock.now_s(), self._stage.position_mm
+        while self._stage.is_moving:
+            self._tick()
+            while seen < len(samples):
+                if abs(samples[seen].values[0] - unloaded) > threshold:
+                    self._stage.stop()
+                    return start_mm + fixture.search_mm_s * (samples[seen].host_s - began_s)
+                seen += 1
+        raise SafetyStop(
+            f"no contact down to {self._bench.config.safety.deepest_mm:g} mm; is a unit in the fixture and connected?"
+        )
+
+    def _tell(self, fraction: float, remaining_s: float) -> None:
+        if self._on_progress is None:
+            return
+        output, force, polls = self._readings.output, self._readings.force, self._readings.polls
+        self._on_progress(
+            RunProgress(
+                self._phase,
+                fraction,
+                remaining_s,
+                self._clock.now_s() - self._began_s,
+                output[-1].values[0] if output else 0.0,
+                polls[-1].position_mm if polls else 0.0,
+                force[-1].values[0] if force else None,
+            )
+        )

@@ -1,0 +1,128 @@
+"""The devices of one station, opened together: real ones, or simulated ones behind the same drivers."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from softcal.core.errors import DeviceError, NoReply
+from softcal.core.twin.simulate import Twin
+from softcal.station.clock import HostClock
+from softcal.station.config import (
+    FixtureConfig,
+    ForceConfig,
+    ReadoutConfig,
+    SafetyConfig,
+    StageConfig,
+    StationConfig,
+)
+from softcal.station.drivers.arduino import ArduinoReadout
+from softcal.station.drivers.grbl import GrblStage
+from softcal.station.drivers.hx711 import Hx711Cell
+from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
+from softcal.station.link import Link
+from softcal.station.simulated.station import SimulatedStation
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Open devices and the clock they live in."""
+
+    config: StationConfig
+    clock: Clock
+    stage: Stage
+    readout: Readout
+    force: ForceReader | None
+
+
+class _Device(Protocol):
+    def close(self) -> None: ...
+
+
+_D = TypeVar("_D", bound=_Device)
+
+
+@contextmanager
+def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Bench]:
+    """Open every device of a station and give all ports back at the end.
+
+    Raises:
+        DeviceError: names all devices that are missing, not only the first.
+    """
+    clock = clock or HostClock()
+    with ExitStack() as stack:
+        missing: list[str] = []
+
+        def opened(make: Callable[[], _D]) -> _D | None:
+            try:
+                device = make()
+            except DeviceError as error:
+                missing.append(str(error))
+                return None
+            stack.callback(device.close)
+            return device
+
+        stage = opened(lambda: _open_stage(config.stage, clock))
+        readout = opened(lambda: _open_readout(config.readout, clock))
+        force_config = config.force
+        force = opened(lambda: _open_force(force_config, clock)) if force_config else None
+        if missing or stage is None or readout is None:
+            raise NoReply("; ".join(missing))
+        yield Bench(config, clock, stage, readout, force)
+
+
+@contextmanager
+def open_simulated_bench(
+    unit: Twin | None = None, seed: int = 0, time_factor: float | None = None
+) -> Iterator[tuple[Bench, SimulatedStation]]:
+    """Open the same drivers on simulated far ends, each behind its own serial line.
+
+    Args:
+        unit: the unit under the stage; None for a nominal one. `SimulatedStation.mount` changes it.
+        seed: of noise, delays and mounting.
+        time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
+
+    Returns:
+        The bench, and the simulated station with its fault switches.
+    """
+    station = SimulatedStation(unit or Twin(), np.random.default_rng(seed), time_factor)
+    try:
+        with open_bench(simulated_config(station), station.world) as bench:
+            yield bench, station
+    finally:
+        station.close()
+
+
+def simulated_config(station: SimulatedStation) -> StationConfig:
+    """Return the station file that belongs to a simulated station."""
+    electronics = station.metadata
+    return StationConfig(
+        StageConfig(station.stage_wire.port),
+        ReadoutConfig(
+            station.readout_wire.port,
+            vref_V=electronics.vref_V,
+            adc_bits=electronics.adc_bits,
+            r_series_ohm=electronics.r_series_ohm,
+            rate_Hz=electronics.sample_rate_Hz,
+        ),
+        ForceConfig(station.force_wire.port, counts_per_N=station.counts_per_N, zero_counts=station.zero_counts),
+        SafetyConfig(),
+        replace(FixtureConfig(), approach_mm=station.free_mm),
+        name="simulated",
+    )
+
+
+def _open_stage(config: StageConfig, clock: Clock) -> Stage:
+    return GrblStage(Link(config.port, clock, config.baud_rate), config.axis, config.is_reversed)
+
+
+def _open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
+    link = Link(config.port, clock, config.baud_rate)
+    return ArduinoReadout(link, config.vref_V, config.adc_bits, config.rate_Hz, config.channels)
+
+
+def _open_force(config: ForceConfig, clock: Clock) -> ForceReader:
+    link = Link(config.port, clock, config.baud_rate)
+    return Hx711Cell(link, config.counts_per_N, config.zero_counts, config.capacity_N, config.rate_Hz)

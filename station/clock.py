@@ -1,0 +1,134 @@
+"""The host's clock, and device time to host time: offset and drift from pairs of (device, arrival)."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.recording import Array
+
+WRAP_MS = 2**32
+"""`millis()` of an Arduino starts again at 0 after 49.7 days."""
+
+
+class HostClock:
+    """The real clock."""
+
+    def now_s(self) -> float:
+        """Return seconds since an arbitrary start; never goes backward."""
+        return time.monotonic()
+
+    def sleep_s(self, seconds: float) -> None:
+        """Let time pass."""
+        time.sleep(max(0.0, seconds))
+
+
+@dataclass(frozen=True)
+class ClockFit:
+    """host_s = offset_s + rate * device_s, and how late lines came on top of it.
+
+    Args:
+        offset_s: host time at device time 0.
+        rate: host seconds per device second; 1 + drift.
+        late_s: median delay of a line behind the earliest possible arrival.
+        latest_s: the largest such delay.
+    """
+
+    offset_s: float
+    rate: float
+    late_s: float
+    latest_s: float
+
+    def to_host(self, device_s: Array) -> Array:
+        """Carry device time stamps to the host's clock."""
+        return self.offset_s + self.rate * device_s
+
+    def to_device(self, host_s: Array) -> Array:
+        """Carry host time stamps to the device's clock."""
+        return (host_s - self.offset_s) / self.rate
+
+
+def fit_clock(device_s: Array, host_s: Array) -> ClockFit:
+    """Fit offset and drift of a device clock from arrival times that are late by a random amount, never early.
+
+    The line lies under all points and as close to them as it can (least sum of delays): it is the edge of the lower
+    convex hull above the mean device time (Moon, Skelly, Towsley, INFOCOM 1999). Bursts and stalls leave it alone.
+
+    Args:
+        device_s: (n,) device time stamps, unwrapped, strictly increasing, n >= 2.
+        host_s: (n,) host time at which each line was read.
+
+    Raises:
+        ValueError: fewer than two pairs.
+    """
+    if len(device_s) < 2:
+        raise ValueError(f"{len(device_s)} pairs of device and host time; at least 2 are needed")
+    hull = _lower_hull(device_s, host_s)
+    middle = float(np.mean(device_s))
+    right = int(np.clip(np.searchsorted(device_s[hull], middle), 1, len(hull) - 1))
+    a, b = hull[right - 1], hull[right]
+    rate = float((host_s[b] - host_s[a]) / (device_s[b] - device_s[a]))
+    offset_s = float(host_s[a] - rate * device_s[a])
+    late = host_s - (offset_s + rate * device_s)
+    return ClockFit(offset_s, rate, float(np.median(late)), float(np.max(late)))
+
+
+def _lower_hull(x: Array, y: Array) -> list[int]:
+    hull: list[int] = []
+    for k in range(len(x)):
+        while len(hull) > 1 and _turns_down(x, y, hull[-2], hull[-1], k):
+            hull.pop()
+        hull.append(k)
+    return hull
+
+
+def _turns_down(x: Array, y: Array, a: int, b: int, c: int) -> bool:
+    return bool((y[b] - y[a]) * (x[c] - x[a]) >= (y[c] - y[a]) * (x[b] - x[a]))
+
+
+def unwrap_ms(previous_ms: int, reported_ms: int) -> int:
+    """Return the reported 32-bit millisecond counter as a number that goes on past its wrap.
+
+    Args:
+        previous_ms: the last unwrapped value.
+        reported_ms: 0 ... 2**32 - 1 as the device prints it.
+    """
+    step = (reported_ms - previous_ms) % WRAP_MS
+    return previous_ms + (step if step < WRAP_MS // 2 else step - WRAP_MS)
+
+
+def residual_offset_s(leading: Array, following: Array, rate_Hz: float, reach_s: float = 0.5) -> float:
+    """Estimate how much later `following` shows the same event as `leading`, from their rates of change.
+
+    Both are differentiated, so that offset and slow drift do not count; the peak of the cross-correlation is refined by
+    a parabola. Lag and creep of the sensor are in the estimate too: it is stored beside a recording, never applied.
+
+    Args:
+        leading: (n,) signal on a uniform grid.
+        following: (n,) signal on the same grid.
+        rate_Hz: of the grid.
+        reach_s: largest offset that is looked for.
+
+    Returns:
+        Offset in s, positive when `following` is late; NaN where one of them never changes.
+    """
+    a, b = np.diff(leading), np.diff(following)
+    a, b = a - a.mean(), b - b.mean()
+    scale = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
+    if scale == 0.0:
+        return float("nan")
+    reach = min(int(reach_s * rate_Hz), len(a) - 1)
+    lags = range(-reach, reach + 1)
+    correlation = np.array([abs(_overlap(a, b, lag)) for lag in lags]) / scale
+    k = int(np.argmax(correlation))
+    shift = 0.0
+    if 0 < k < len(lags) - 1:
+        left, peak, right = correlation[k - 1 : k + 2]
+        bend = left - 2 * peak + right
+        shift = 0.5 * float((left - right) / bend) if bend else 0.0
+    return float((lags[k] + shift) / rate_Hz)
+
+
+def _overlap(a: Array, b: Array, lag: int) -> float:
+    """Return the sum of a[k]·b[k + lag] over all k where both exist."""
+    return float(np.dot(a[max(0, -lag) : len(a) - max(0, lag)], b[max(0, lag) : len(b) - max(0, -lag)]))

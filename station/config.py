@@ -1,0 +1,211 @@
+"""What belongs to one station and to no run: ports, dialects, capacities, safety bounds, from one TOML file."""
+
+import math
+import tomllib
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+from softcal.core.errors import InputError
+
+STAGE_KINDS = ("grbl",)
+FORCE_KINDS = ("hx711",)
+READOUT_KINDS = ("arduino",)
+
+
+@dataclass(frozen=True)
+class StageConfig:
+    """The stage: `axis` letter, `is_reversed` when pressing is the negative machine direction."""
+
+    port: str
+    kind: str = "grbl"
+    baud_rate: int = 115200
+    axis: str = "Z"
+    is_reversed: bool = True
+
+
+@dataclass(frozen=True)
+class ForceConfig:
+    """The load cell: `counts_per_N` and `zero_counts` come from `softcal station calibrate-cell`."""
+
+    port: str
+    kind: str = "hx711"
+    baud_rate: int = 115200
+    counts_per_N: float = 10000.0
+    zero_counts: float = 0.0
+    capacity_N: float = 20.0
+    rate_Hz: float = 80.0
+
+
+@dataclass(frozen=True)
+class ReadoutConfig:
+    """The sensor's electronics: full scale and resolution of the converter, series resistor of the divider."""
+
+    port: str
+    kind: str = "arduino"
+    baud_rate: int = 115200
+    vref_V: float = 5.0
+    adc_bits: int = 10
+    r_series_ohm: float = 10.0
+    rate_Hz: float = 50.0
+    channels: int = 1
+
+
+@dataclass(frozen=True)
+class SafetyConfig:
+    """What stops the rig.
+
+    Args:
+        force_N: more than this stops the stage.
+        deepest_mm: stage position that is never exceeded, from the homing switch.
+        speed_mm_s: fastest move that is allowed.
+        silence_s: a device that says nothing for so long stops the run.
+        zero_N: largest reading of the unloaded load cell before a run.
+        zero_return_N: largest change of that reading over a run.
+    """
+
+    force_N: float = 12.0
+    deepest_mm: float = 12.0
+    speed_mm_s: float = 10.0
+    silence_s: float = 0.25
+    zero_N: float = 1.0
+    zero_return_N: float = 0.2
+
+
+@dataclass(frozen=True)
+class FixtureConfig:
+    """Where a unit lies and how its surface is found.
+
+    Args:
+        approach_mm: stage position that is free of any unit; reached at full speed.
+        search_mm_s: speed of the search for contact below it.
+        contact_N: change of force that is contact.
+        contact_output: change of output that is contact, where no load cell reads.
+        clearance_mm: a profile starts this far above the contact; it is position 0 of every recording.
+    """
+
+    approach_mm: float = 4.0
+    search_mm_s: float = 0.5
+    contact_N: float = 0.08
+    contact_output: float = 0.03
+    clearance_mm: float = 0.3
+
+
+@dataclass(frozen=True)
+class StationConfig:
+    """One station as its TOML file describes it.
+
+    Raises:
+        InputError: an unknown dialect, or a number outside its physical range.
+    """
+
+    stage: StageConfig
+    readout: ReadoutConfig
+    force: ForceConfig | None = None
+    safety: SafetyConfig = field(default_factory=SafetyConfig)
+    fixture: FixtureConfig = field(default_factory=FixtureConfig)
+    name: str = "station"
+
+    def __post_init__(self) -> None:
+        _known("stage.kind", self.stage.kind, STAGE_KINDS)
+        _known("stage.axis", self.stage.axis, ("X", "Y", "Z"))
+        _known("readout.kind", self.readout.kind, READOUT_KINDS)
+        if self.force is not None:
+            _known("force.kind", self.force.kind, FORCE_KINDS)
+            if self.force.counts_per_N == 0:
+                raise InputError("station file: force.counts_per_N is 0; run `softcal station calibrate-cell`")
+            _within("safety.force_N", self.safety.force_N, 0.0, self.force.capacity_N)
+        _within("safety.silence_s", self.safety.silence_s, 0.15, 1.0)
+        _within("fixture.approach_mm", self.fixture.approach_mm, 0.0, self.safety.deepest_mm)
+        _within("fixture.search_mm_s", self.fixture.search_mm_s, 0.01, self.safety.speed_mm_s)
+
+
+_T = TypeVar("_T")
+_SECTIONS: dict[str, type[Any]] = {
+    "stage": StageConfig,
+    "force": ForceConfig,
+    "readout": ReadoutConfig,
+    "safety": SafetyConfig,
+    "fixture": FixtureConfig,
+}
+
+
+def read_station_file(path: Path) -> StationConfig:
+    """Return the station a TOML file describes.
+
+    Raises:
+        InputError: the file cannot be read, a key is unknown or missing, a value has the wrong type.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; write one with `softcal station check --write {path}`") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: is no TOML file: {error}") from error
+    try:
+        return station_from_table(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def station_from_table(content: dict[str, Any]) -> StationConfig:
+    """Return the station that nested tables describe; unknown keys are errors that list the known ones."""
+    unknown = set(content) - set(_SECTIONS) - {"name"}
+    if unknown:
+        raise InputError(f"unknown key {min(unknown)!r}; known are name, {', '.join(_SECTIONS)}")
+    for needed in ("stage", "readout"):
+        if needed not in content:
+            raise InputError(f"section [{needed}] is missing")
+    sections = {name: _section(name, _SECTIONS[name], content[name]) for name in _SECTIONS if name in content}
+    return StationConfig(name=str(content.get("name", "station")), **sections)
+
+
+def station_toml(config: StationConfig) -> str:
+    """Return the station file of a configuration, every key in it, so that it can be read and edited."""
+    lines = [f"name = {_toml(config.name)}"]
+    for name in _SECTIONS:
+        section = getattr(config, name)
+        if section is not None:
+            lines += ["", f"[{name}]"] + [f"{f.name} = {_toml(getattr(section, f.name))}" for f in fields(section)]
+    return "\n".join(lines) + "\n"
+
+
+def _section(name: str, kind: type[_T], table: object) -> _T:
+    if not isinstance(table, dict):
+        raise InputError(f"{name} must be a section: write [{name}] and its keys below")
+    known = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
+    values = {}
+    for key, value in table.items():
+        if key not in known:
+            raise InputError(f"[{name}] unknown key {key!r}; known are {', '.join(known)}")
+        values[key] = _typed(f"{name}.{key}", value, known[key].type)
+    if "port" in known and "port" not in values:
+        raise InputError(f"[{name}] port is missing")
+    return kind(**values)
+
+
+def _typed(name: str, value: object, kind: object) -> object:
+    if kind is float and isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value):
+        return float(value)
+    if kind is not float and type(value) is kind:
+        return value
+    expected = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}.get(kind, str(kind))  # type: ignore[call-overload]
+    raise InputError(f"{name} is {value!r}; {expected} was expected")
+
+
+def _known(name: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise InputError(f"{name} is {value!r}; known are {', '.join(known)}")
+
+
+def _within(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise InputError(f"{name} is {value:g}; a value in [{low:g}, {high:g}] was expected")
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return repr(value)

@@ -1,0 +1,292 @@
+"""Driver of a GRBL 1.1 or grblHAL stage with one axis (gnea/grbl wiki, "Grbl v1.1 Interface")."""
+
+from collections import deque
+
+import numpy as np
+
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
+from softcal.station.frames import grbl
+from softcal.station.interfaces import Move, StagePosition
+from softcal.station.link import POLL_S, Line, Link
+from softcal.station.trajectory import Trapezoid
+
+STATUS_S = 0.1
+"""Status polls: ten a second is the controller's limit."""
+
+SILENCE_S = 0.25
+"""A controller that leaves a status poll unanswered for so long is gone."""
+
+PIECE_S, AHEAD_S = 0.1, 0.3
+"""A move is fed in pieces of PIECE_S, at most AHEAD_S ahead: when the host dies, the stage soon stops by itself."""
+
+ANSWER_S = 2.0
+HOMING_S = 60.0
+
+
+class GrblStage:
+    """One axis of a GRBL controller, positive when it compresses, 0 at the homing switch.
+
+    Args:
+        link: its port.
+        axis: letter of the axis.
+        is_reversed: whether pressing is the negative machine direction, as for a Z axis that homes at the top.
+
+    Raises:
+        NoReply: no GRBL answers on this port.
+        CommandRefused: homing is disabled, or positions are reported in inches.
+    """
+
+    name = "stage"
+
+    def __init__(self, link: Link, axis: str = "Z", is_reversed: bool = True) -> None:
+        self._link, self._axis, self._index = link, axis, "XYZ".index(axis)
+        self._sign = -1.0 if is_reversed else 1.0
+        self._offset_mm: tuple[float, ...] | None = None
+        self._is_homed = False
+        self._in_flight: deque[int] = deque()
+        self._pieces: deque[tuple[float, bytes]] = deque()
+        self._began_s = 0.0
+        self._asked_s: float | None = None
+        self._next_status_s = 0.0
+        self.position_mm = self._target_mm = 0.0
+        self.version = self._wake()
+        self.settings = self._read_settings()
+        self.travel_mm = self.settings[130 + self._index]
+        self.max_speed_mm_s = self.settings[110 + self._index] / 60.0
+        self.acceleration_mm_s2 = self.settings[120 + self._index]
+
+    @property
+    def is_position_known(self) -> bool:
+        """Whether the axis was homed and nothing happened since that could have lost the position."""
+        return self._is_homed
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the last move has not yet been confirmed as finished."""
+        return bool(self._pieces or self._in_flight)
+
+    def home(self) -> None:
+        """Find the homing switch and wait until it is done.
+
+        Raises:
+            DeviceError: the switch is missing or stuck; the position stays unknown.
+        """
+        self._is_homed = False
+        self._forget_motion()
+        self._link.discard()
+        self._unlock_after_alarm()
+        self._link.write(grbl.HOME)
+        self._wait_for_ok(HOMING_S, "homing")
+        self._is_homed = True
+        self._await_status()
+
+    def begin(self, move: Move) -> None:
+        """Start a move and return at once; `poll` feeds it.
+
+        Raises:
+            CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
+        """
+        if not self._is_homed:
+            raise CommandRefused("stage: not homed; nothing was sent, home it first")
+        if self.is_moving:
+            raise CommandRefused("stage: the move before is not finished; nothing was sent")
+        if not 0.0 <= move.to_mm <= self.travel_mm:
+            raise CommandRefused(f"stage: {move.to_mm:g} mm is outside [0, {self.travel_mm:g}] mm; nothing was sent")
+        if not 0.0 < move.speed_mm_s <= self.max_speed_mm_s:
+            raise CommandRefused(
+                f"stage: {move.speed_mm_s:g} mm/s is outside (0, {self.max_speed_mm_s:g}] mm/s; nothing was sent"
+            )
+        path = Trapezoid(self.position_mm, move.to_mm, move.speed_mm_s, self.acceleration_mm_s2)
+        self._target_mm = move.to_mm
+        self._pieces = deque(self._cut(path))
+        self._began_s = self._link.clock.now_s()
+        self._feed()
+
+    def poll(self) -> list[StagePosition]:
+        """Read what the controller said, feed the move in progress, ask for the position when it is time.
+
+        Raises:
+            NoReply: the port is gone, or a status poll was not answered.
+            DeviceError: alarm, door, or the controller started again: the position may be lost.
+        """
+        positions = [p for line in self._link.read_lines() if (p := self._take(line)) is not None]
+        now_s = self._link.clock.now_s()
+        if self._asked_s is not None and now_s - self._asked_s > SILENCE_S:
+            raise NoReply(f"stage: no status for {SILENCE_S:g} s; check power and cable of the controller, then home")
+        self._feed()
+        if self._asked_s is None and now_s >= self._next_status_s:
+            self._ask_status(now_s)
+        return positions
+
+    def stop(self) -> None:
+        """Brake with feed hold, then reset: both are real-time bytes that wait behind nothing.
+
+        A reset after a complete hold keeps the position; one in motion would lose it.
+
+        Raises:
+            NoReply: the controller does not answer; it was told to stop all the same.
+        """
+        self._forget_motion()
+        self._link.write(grbl.HOLD)
+        has_stopped = self._has_stopped()
+        self._link.write(grbl.RESET)
+        self._is_homed = self._is_homed and has_stopped
+        self._wait_for_greeting(ANSWER_S)
+        if self._is_homed:
+            self._await_status()
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._link.close()
+
+    def _wake(self) -> str:
+        """Reset the controller and return its greeting; the boot loader of an Arduino swallows the first tries."""
+        for _ in range(4):
+            self._link.discard()
+            self._link.write(grbl.RESET)
+            try:
+                return self._wait_for_greeting(1.2)
+            except NoReply:
+                continue
+        raise NoReply(f"{self._link.port}: no GRBL controller answers; check power, cable and baud rate (115200)")
+
+    def _read_settings(self) -> dict[int, float]:
+        # A controller that greets in several lines may still be talking.
+        self._link.clock.sleep_s(0.05)
+        self._link.discard()
+        self._link.write(grbl.SETTINGS)
+        settings: dict[int, float] = {}
+        reply: grbl.Reply = grbl.Note("")
+        while not isinstance(reply, grbl.Ok):
+            reply = grbl.parse(self._link.next_line(ANSWER_S).text)
+            if isinstance(reply, grbl.Setting):
+                settings[reply.number] = reply.value
+        needed = (110 + self._index, 120 + self._index, 130 + self._index)
+        if missing := [f"${number}" for number in needed if number not in settings]:
+            raise BadReply(f"stage: the settings dump lacks {', '.join(missing)}; is this GRBL 1.1?")
+        if not settings.get(22):
+            raise CommandRefused("stage: homing is disabled; send $22=1 once, wire the switch, then try again")
+        if settings.get(13):
+            raise CommandRefused("stage: positions are reported in inches; send $13=0 once, then try again")
+        return settings
+
+    def _cut(self, path: Trapezoid) -> list[tuple[float, bytes]]:
+        """Return (when it begins, line) of each piece of a move, and the line that proves its end."""
+        count = max(1, int(path.duration_s / PIECE_S))
+        edges_s = np.linspace(0.0, path.duration_s, count + 1)
+        ends_mm = [*path.position_mm(edges_s[1:-1]), path.end_mm]
+        pieces = [
+            (float(starts_s), grbl.move_line(self._axis, self._sign * float(mm), path.speed_mm_s))
+            for starts_s, mm in zip(edges_s, ends_mm, strict=False)
+        ]
+        return [*pieces, (pieces[-1][0], grbl.SYNCHRONISE)]
+
+    def _feed(self) -> None:
+        now_s = self._link.clock.now_s()
+        while self._pieces:
+            starts_s, line = self._pieces[0]
+            late_s = now_s - self._began_s - starts_s
+            if late_s < -AHEAD_S or sum(self._in_flight) + len(line) > grbl.LINE_LENGTH:
+                return
+            # After a stall of the host the stage has paused; what follows must not run ahead of it.
+            self._began_s += max(0.0, late_s)
+            self._pieces.popleft()
+            self._in_flight.append(len(line))
+            self._link.write(line)
+
+    def _take(self, line: Line) -> StagePosition | None:
+        reply = grbl.parse(line.text)
+        if isinstance(reply, grbl.Ok) and self._in_flight:
+            self._in_flight.popleft()
+            if not self.is_moving:
+                self.position_mm = self._target_mm  # Newer than the last status poll.
+        elif isinstance(reply, grbl.Refusal):
+            raise CommandRefused(f"stage: the controller answered {reply}; check the settings of the controller")
+        elif isinstance(reply, grbl.Alarm):
+            self._is_homed = self._is_homed and not reply.loses_position
+            raise DeviceError(f"stage: {reply}; look at the rig, then home it")
+        elif isinstance(reply, grbl.Greeting):
+            self._is_homed = False
+            raise DeviceError(
+                "stage: the controller started again by itself, its position is lost; check its supply, then home"
+            )
+        elif isinstance(reply, grbl.Status):
+            return self._position(reply, line.host_s)
+        return None
+
+    def _position(self, status: grbl.Status, host_s: float) -> StagePosition:
+        if status.state == "Door":
+            raise DeviceError("stage: the safety door is open; close it, then start again")
+        if status.state in ("Alarm", "Sleep"):
+            self._is_homed = False
+            raise DeviceError(f"stage: the controller is in {status.state}; look at the rig, then home it")
+        self._offset_mm = status.offset_mm or self._offset_mm
+        asked_s = host_s if self._asked_s is None else self._asked_s
+        self._asked_s = None
+        self.position_mm = self._sign * self._machine_mm(status)
+        return StagePosition((asked_s + host_s) / 2, self.position_mm)
+
+    def _machine_mm(self, status: grbl.Status) -> float:
+        if status.machine_mm is not None:
+            return status.machine_mm[self._index]
+        if status.work_mm is None or self._offset_mm is None:
+            raise BadReply("stage: a status report has no position; set $10=1 so that machine positions are reported")
+        return status.work_mm[self._index] + self._offset_mm[self._index]
+
+    def _ask_status(self, now_s: float) -> None:
+        self._link.write(grbl.STATUS)
+        self._asked_s = now_s
+        self._next_status_s = now_s + STATUS_S
+
+    def _await_status(self) -> None:
+        self._ask_status(self._link.clock.now_s())
+        while not self.poll():
+            self._link.clock.sleep_s(POLL_S)
+
+    def _forget_motion(self) -> None:
+        self._pieces.clear()
+        self._in_flight.clear()
+        self._asked_s = None
+
+    def _has_stopped(self) -> bool:
+        """Poll until the controller says that it stands still; False when it does not say so in time."""
+        end_s = self._link.clock.now_s() + 2 * SILENCE_S
+        while self._link.clock.now_s() < end_s:
+            self._link.write(grbl.STATUS)
+            try:
+                reply = grbl.parse(self._link.next_line(SILENCE_S).text)
+            except (BadReply, NoReply):
+                continue
+            if isinstance(reply, grbl.Status) and (reply.state, reply.substate) in (("Hold", 0), ("Idle", 0)):
+                return True
+            self._link.clock.sleep_s(0.02)
+        return False
+
+    def _unlock_after_alarm(self) -> None:
+        """A hard-limit alarm ignores even homing until a reset."""
+        self._link.write(grbl.RESET)
+        self._wait_for_greeting(ANSWER_S)
+        self._link.clock.sleep_s(0.05)
+        self._link.discard()
+
+    def _wait_for_greeting(self, within_s: float) -> str:
+        end_s = self._link.clock.now_s() + within_s
+        while True:
+            line = self._link.next_line(max(0.0, end_s - self._link.clock.now_s()))
+            try:
+                reply = grbl.parse(line.text)
+            except BadReply:
+                continue  # Replies that were on the way are cut by the reset.
+            if isinstance(reply, grbl.Greeting):
+                return reply.text
+
+    def _wait_for_ok(self, within_s: float, what: str) -> None:
+        end_s = self._link.clock.now_s() + within_s
+        while True:
+            reply = grbl.parse(self._link.next_line(max(0.0, end_s - self._link.clock.now_s())).text)
+            if isinstance(reply, grbl.Ok):
+                return
+            if isinstance(reply, grbl.Refusal):
+                raise CommandRefused(f"stage: {what} was refused: {reply}; check the settings of the controller")
+            if isinstance(reply, (grbl.Alarm, grbl.Greeting)):
+                raise DeviceError(f"stage: {what} failed: {reply}; check the homing switch and its cable")

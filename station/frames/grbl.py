@@ -1,0 +1,196 @@
+"""GRBL 1.1 and grblHAL: bytes to values and back (gnea/grbl wiki, "Grbl v1.1 Interface"). No I/O here."""
+
+import re
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from softcal.core.errors import BadReply
+
+STATUS, HOLD, RESUME, RESET, DOOR, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x84", b"\x85"
+"""Real-time bytes: picked out of the stream at once, never queued, no line end."""
+
+LINE_LENGTH = 127
+"""Usable bytes of the receive buffer."""
+
+ERRORS = {
+    1: "expected a command letter",
+    2: "bad number format",
+    3: "unknown $ command",
+    5: "homing is not enabled ($22=0)",
+    7: "settings could not be read and were set to their defaults",
+    8: "only possible when idle",
+    9: "locked: home first or unlock",
+    10: "soft limits need homing",
+    15: "target beyond the travel",
+    20: "unsupported command",
+    22: "no feed rate was given",
+}
+
+ALARMS = {
+    1: "hard limit switch hit",
+    2: "target beyond the travel (soft limit)",
+    3: "reset while moving, position lost",
+    4: "probe already closed",
+    5: "probe did not close",
+    6: "homing was reset",
+    7: "safety door opened while homing",
+    8: "homing switch did not open again; it is stuck",
+    9: "homing switch was not found",
+}
+
+
+@dataclass(frozen=True)
+class Ok:
+    """The line before was taken."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """The line before was not taken."""
+
+    code: int
+
+    def __str__(self) -> str:
+        return f"error:{self.code} ({ERRORS.get(self.code, 'see the GRBL manual')})"
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """Motion was stopped by the controller; what came before may be lost."""
+
+    code: int
+
+    @property
+    def loses_position(self) -> bool:
+        """Whether steps may have been lost."""
+        return self.code not in (2, 4, 5)
+
+    def __str__(self) -> str:
+        return f"ALARM:{self.code} ({ALARMS.get(self.code, 'see the GRBL manual')})"
+
+
+@dataclass(frozen=True)
+class Status:
+    """One status report.
+
+    Args:
+        state: Idle, Run, Hold, Jog, Alarm, Door, Check, Home or Sleep.
+        substate: the number after the colon (Hold:0 complete, Hold:1 still stopping), else 0.
+        machine_mm: axis positions in machine coordinates, where the report has them.
+        work_mm: axis positions in work coordinates, where the report has them.
+        offset_mm: work offset, sent now and then: machine = work + offset.
+        pins: letters of the inputs that are active (X Y Z limits, P probe, D door, R reset, H hold, S start).
+    """
+
+    state: str
+    substate: int = 0
+    machine_mm: tuple[float, ...] | None = None
+    work_mm: tuple[float, ...] | None = None
+    offset_mm: tuple[float, ...] | None = None
+    pins: str = ""
+
+
+@dataclass(frozen=True)
+class Greeting:
+    """What a controller says after power-up or reset; in mid-run it means that everything queued is gone."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Where the probe touched, machine coordinates."""
+
+    machine_mm: tuple[float, ...]
+    has_touched: bool
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One line of the settings dump."""
+
+    number: int
+    value: float
+
+
+@dataclass(frozen=True)
+class Note:
+    """A message that asks for nothing."""
+
+    text: str
+
+
+Reply: TypeAlias = Ok | Refusal | Alarm | Status | Greeting | Probe | Setting | Note
+
+_STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool")
+_SETTING = re.compile(r"\$(\d+)=(-?[\d.]+)")
+_GREETING = re.compile(r"grbl(hal)? \d", re.IGNORECASE)
+
+
+def parse(line: bytes) -> Reply:
+    """Return what one line of the controller means.
+
+    Args:
+        line: without line end; an empty line is a Note.
+
+    Raises:
+        BadReply: noise, or a line that GRBL does not say.
+    """
+    try:
+        text = line.decode("ascii")
+        return _parse(text)
+    except (UnicodeDecodeError, ValueError) as error:
+        raise BadReply(f"GRBL answered {line[:60]!r}, which is no GRBL reply") from error
+
+
+def _parse(text: str) -> Reply:
+    if text == "ok":
+        return Ok()
+    if text.startswith("error:"):
+        return Refusal(int(text[6:]))
+    if text.startswith("ALARM:"):
+        return Alarm(int(text[6:]))
+    if text.startswith("<") and text.endswith(">"):
+        return _status(text[1:-1])
+    if text.startswith("[PRB:") and text.endswith("]"):
+        position, touched = text[5:-1].rsplit(":", 1)
+        return Probe(_numbers(position), touched == "1")
+    if _GREETING.match(text):
+        return Greeting(text)
+    setting = _SETTING.match(text)
+    if setting:
+        return Setting(int(setting[1]), float(setting[2]))
+    if text == "" or text.startswith(("[", ">", "$N")):
+        return Note(text)
+    raise ValueError(text)
+
+
+def _status(text: str) -> Status:
+    head, *fields = text.split("|")
+    state, _, substate = head.partition(":")
+    if state not in _STATES:
+        raise ValueError(text)
+    named = dict(field.split(":", 1) for field in fields if ":" in field)
+    return Status(
+        state,
+        int(substate or 0),
+        _numbers(named["MPos"]) if "MPos" in named else None,
+        _numbers(named["WPos"]) if "WPos" in named else None,
+        _numbers(named["WCO"]) if "WCO" in named else None,
+        named.get("Pn", ""),
+    )
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(float(number) for number in text.split(","))
+
+
+def move_line(axis: str, machine_mm: float, speed_mm_s: float) -> bytes:
+    """Return a straight move in machine coordinates, feed in mm/min."""
+    return f"G90 G21 G53 G1 {axis}{machine_mm:.4f} F{speed_mm_s * 60:.3f}\n".encode()
+
+
+SYNCHRONISE = b"G4 P0.01\n"
+"""Answered with ok only when everything queued before it has been done: the one proof that a move is finished."""
+
+HOME, UNLOCK, SETTINGS = b"$H\n", b"$X\n", b"$$\n"

@@ -1,0 +1,48 @@
+"""Text lines of a readout or a load-cell amplifier: `ms,value[,value ...][*checksum]`. No I/O here.
+
+The checksum is optional and follows NMEA 0183: the exclusive-or of all bytes before the star, as two hex digits.
+Without it a lost byte can turn 1012 into 112 and nobody can tell; the readout sketch of this project sends it.
+"""
+
+from dataclasses import dataclass
+from functools import reduce
+from operator import xor
+
+from softcal.core.errors import BadReply
+
+
+@dataclass(frozen=True)
+class StreamLine:
+    """One line: the device's own milliseconds (0 ... 2**32 - 1) and one whole number per channel."""
+
+    device_ms: int
+    counts: tuple[int, ...]
+
+
+def parse(line: bytes) -> StreamLine:
+    """Return what one line says.
+
+    Raises:
+        BadReply: a cut line, a banner, noise, or a checksum that does not match.
+    """
+    content, star, checksum = line.partition(b"*")
+    if star and checksum.upper() != _checksum(content):
+        raise BadReply(f"a stream line reads {line[:40]!r}; its checksum should be {_checksum(content).decode()}")
+    fields = content.split(b",")
+    # int() alone would take "1_0", " 7" and "+7"
+    if len(fields) < 2 or not fields[0].isdigit() or not all(f.removeprefix(b"-").isdigit() for f in fields[1:]):
+        raise BadReply(f"a stream line reads {line[:40]!r}; `ms,value` in whole numbers was expected")
+    device_ms = int(fields[0])
+    if device_ms >= 2**32:
+        raise BadReply(f"a stream line has the time {device_ms} ms; a 32-bit counter was expected")
+    return StreamLine(device_ms, tuple(int(field) for field in fields[1:]))
+
+
+def format_line(line: StreamLine, has_checksum: bool = True) -> bytes:
+    """Return the line as the device sends it."""
+    content = ",".join(map(str, (line.device_ms, *line.counts))).encode()
+    return content + (b"*" + _checksum(content) if has_checksum else b"") + b"\r\n"
+
+
+def _checksum(content: bytes) -> bytes:
+    return f"{reduce(xor, content, 0):02X}".encode()

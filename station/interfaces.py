@@ -1,0 +1,133 @@
+"""What the acquisition needs of a clock, a stage, a load cell and a sensor readout, whatever their dialect."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+
+@dataclass(frozen=True)
+class Move:
+    """Go to a stage position at a constant speed, starting and ending at rest."""
+
+    to_mm: float
+    speed_mm_s: float
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Stay where the stage is."""
+
+    seconds: float
+
+
+Step: TypeAlias = Move | Hold
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One line of a stream.
+
+    Args:
+        host_s: when its last byte was read, host clock. Never a time axis: lines arrive late and in bursts.
+        device_s: the device's own clock, unwrapped; None where the device has none.
+        values: one number per channel, in the unit the reader declares.
+    """
+
+    host_s: float
+    device_s: float | None
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class StagePosition:
+    """Where the stage was when it answered a status poll (middle of question and answer, host clock)."""
+
+    host_s: float
+    position_mm: float
+
+
+class Clock(Protocol):
+    """The host's clock. On a simulated rig waiting is what lets time pass."""
+
+    def now_s(self) -> float:
+        """Return seconds since an arbitrary start; never goes backward."""
+        ...
+
+    def sleep_s(self, seconds: float) -> None:
+        """Let time pass."""
+        ...
+
+
+class Stage(Protocol):
+    """Motion hardware with one axis, positive when it compresses, 0 at the homing switch."""
+
+    name: str
+    travel_mm: float
+    max_speed_mm_s: float
+    acceleration_mm_s2: float
+    position_mm: float
+    """Where the stage was last known to be; exact when it rests after a move."""
+
+    @property
+    def is_position_known(self) -> bool:
+        """Whether the axis was homed and nothing happened since that could have lost the position."""
+        ...
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the last move that was begun has not yet been confirmed as finished."""
+        ...
+
+    def home(self) -> None:
+        """Find the homing switch and wait until it is done."""
+        ...
+
+    def begin(self, move: Move) -> None:
+        """Start a move and return at once; `poll` feeds it."""
+        ...
+
+    def poll(self) -> Sequence[StagePosition]:
+        """Read what the controller said, feed the move in progress, ask for the position when it is time."""
+        ...
+
+    def stop(self) -> None:
+        """Stop at once by a path that waits behind nothing; the position stays known where the device allows it."""
+        ...
+
+    def close(self) -> None:
+        """Give the port back."""
+        ...
+
+
+class Reader(Protocol):
+    """A device that delivers samples by itself or when asked."""
+
+    name: str
+    unit: str
+    rate_Hz: float
+
+    def start(self) -> None:
+        """Throw away what lies in the buffers and begin to count."""
+        ...
+
+    def poll(self) -> Sequence[Sample]:
+        """Return the samples that arrived since the last call, oldest first."""
+        ...
+
+    def close(self) -> None:
+        """Give the port back."""
+        ...
+
+
+class ForceReader(Reader, Protocol):
+    """A load cell; its samples hold one value in N, positive when it is compressed."""
+
+    capacity_N: float
+
+
+class Readout(Reader, Protocol):
+    """The electronics of the sensor; its samples hold one value per channel in `unit`."""
+
+    channels: int
+    range: tuple[float, float]
+    """Lowest and highest value the converter can give; a reading there is saturated."""

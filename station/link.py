@@ -1,0 +1,144 @@
+"""A serial line: open it exclusively, write, read whole lines and when they came. The only `import serial`."""
+
+import os
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import serial
+from serial.tools import list_ports
+
+from softcal.core.errors import NoReply
+from softcal.station.interfaces import Clock
+
+POLL_S = 0.002
+"""How long one wait for bytes lasts; bounds how late an answer is seen."""
+
+LONGEST_LINE = 4096
+"""More bytes than this without a line end is not a text device."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line without its end, and the host time at which its last byte was read."""
+
+    text: bytes
+    host_s: float
+
+
+class Link:
+    """One open serial port.
+
+    Args:
+        port: device name, for example /dev/ttyACM0 or COM5.
+        clock: the clock that stamps lines and lets time pass while waiting.
+        baud_rate: symbols per second, 8N1.
+
+    Raises:
+        NoReply: the port does not exist, may not be opened, or belongs to another process.
+    """
+
+    def __init__(self, port: str, clock: Clock, baud_rate: int = 115200) -> None:
+        self.port, self.clock = port, clock
+        self._rest = b""
+        self._lines: deque[Line] = deque()
+        try:
+            self._serial = serial.Serial(port, baud_rate, timeout=0, write_timeout=1.0, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise NoReply(_why_closed(port, error)) from error
+
+    def write(self, content: bytes) -> None:
+        """Write bytes; real-time bytes go out before this returns.
+
+        Raises:
+            NoReply: the port is gone.
+        """
+        try:
+            self._serial.write(content)
+        except (serial.SerialException, OSError) as error:
+            raise self._gone() from error
+
+    def read_lines(self) -> list[Line]:
+        """Return the whole lines that have arrived; the beginning of an unfinished one is kept.
+
+        Raises:
+            NoReply: the port is gone, or what comes has no line ends.
+        """
+        self._receive()
+        lines = list(self._lines)
+        self._lines.clear()
+        return lines
+
+    def next_line(self, within_s: float) -> Line:
+        """Wait for the next line.
+
+        Raises:
+            NoReply: the port is gone, or nothing came in time.
+        """
+        end_s = self.clock.now_s() + within_s
+        while True:
+            self._receive()
+            if self._lines:
+                return self._lines.popleft()
+            if self.clock.now_s() >= end_s:
+                raise NoReply(f"{self.port}: no answer within {within_s:g} s; check cable, power and baud rate")
+            self.clock.sleep_s(POLL_S)
+
+    def discard(self) -> None:
+        """Throw away everything that has arrived, an unfinished line included."""
+        self._receive()
+        self._lines.clear()
+        self._rest = b""
+
+    def close(self) -> None:
+        """Give the port back; closing twice, or after the device is gone, is fine."""
+        try:
+            self._serial.close()
+        except (serial.SerialException, OSError):
+            pass
+
+    def _receive(self) -> None:
+        try:
+            content = self._serial.read(65536)
+        except (serial.SerialException, OSError) as error:
+            raise self._gone() from error
+        if not content:
+            return
+        *whole, self._rest = (self._rest + content).split(b"\n")
+        now_s = self.clock.now_s()
+        self._lines.extend(Line(text.strip(b"\r"), now_s) for text in whole)
+        if len(self._rest) > LONGEST_LINE:
+            self._rest = b""
+            raise NoReply(f"{self.port}: {LONGEST_LINE} bytes without a line end; check device and baud rate")
+
+    def _gone(self) -> NoReply:
+        # On Windows a port whose device was pulled stays dead until it is closed.
+        self.close()
+        return NoReply(f"{self.port}: the device is gone (unplugged, switched off, or another program took the port)")
+
+
+def available_ports() -> list[str]:
+    """Return the serial ports of this machine that belong to a USB device, in the system's order."""
+    return [port.device for port in list_ports.comports() if port.vid is not None]
+
+
+def _why_closed(port: str, error: Exception) -> str:
+    if not Path(port).exists() and os.name == "posix":
+        return f"{port}: no such port; check the cable, then run `softcal station check` to see the ports there are"
+    owner = _owner(port)
+    if owner:
+        return f"{port}: in use by {owner}; end that program, one process owns a port"
+    return f"{port}: cannot be opened: {error}"
+
+
+def _owner(port: str) -> str:
+    """Name another process that has the port open, where the system lets us see it."""
+    target = os.path.realpath(port)
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        try:
+            if os.readlink(link) == target and int(link.parts[2]) != os.getpid():
+                name = Path("/proc", link.parts[2], "comm").read_text().strip()
+                return f"{name} (process {link.parts[2]})"
+        except (OSError, ValueError):
+            continue
+    return ""

@@ -1,0 +1,201 @@
+"""What one finished run gives: channels on the sensor's own clock, and the facts about how they were aligned."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.errors import BadReply
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.station.clock import ClockFit, fit_clock, residual_offset_s
+from softcal.station.interfaces import Readout, Sample, StagePosition
+from softcal.station.trajectory import DrivenMove, StageTrack, reconstruct
+
+LARGEST_LOSS = 0.02
+"""A recording that lost more of its samples than this is not one."""
+
+LARGEST_DRIFT = 0.02
+"""A device clock further off than this is broken, or its rate is declared wrong."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How the channels came onto one time axis.
+
+    Args:
+        sensor_drift, force_drift: rate of the device clocks against the host's, minus 1.
+        sensor_late_s, force_late_s: median delay of a line behind its earliest possible arrival.
+        force_offset_s, stage_offset_s: how much later the output shows what force and stage show, from their rates of
+            change; not applied, since the sensor's own lag is in it. NaN where there is no such channel.
+        stage_residual_mm: root mean square of status polls against the reconstructed path.
+    """
+
+    sensor_drift: float
+    force_drift: float
+    sensor_late_s: float
+    force_late_s: float
+    force_offset_s: float
+    stage_offset_s: float
+    stage_residual_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class StationRecording:
+    """One finished run of one unit.
+
+    Args:
+        serial: of the unit; with several channels each has a serial of its own, `serial` names the substrate.
+        profile: name of the profile.
+        t_s: (n,) the sensor's own clock, s since the first sample of the profile.
+        output: (n, channels) in `output_unit`.
+        stage_mm: (n,) position, 0 at the start of the profile, positive when it compresses.
+        force_N: (n,) force beside it, zero subtracted; None for a unit without reference.
+        contact_mm: where contact was found, from the homing switch.
+        zero_N, zero_return_N: the unloaded load cell before the run, and its change over the run.
+        lost: samples missing in `t_s`.
+        alignment: how the channels were brought together.
+    """
+
+    serial: str
+    profile: str
+    t_s: Array
+    output: Array
+    stage_mm: Array
+    force_N: Array | None
+    sample_rate_Hz: float
+    output_unit: str
+    contact_mm: float
+    zero_N: float
+    zero_return_N: float
+    lost: int
+    alignment: Alignment
+
+    def output_recording(self, channel: int = 0, serial: str | None = None) -> OutputRecording:
+        """Return one channel without any reference."""
+        return OutputRecording(
+            serial or self.serial,
+            self.t_s,
+            self.output[:, channel],
+            self.sample_rate_Hz,
+            self.output_unit,
+            self.stage_mm,
+        )
+
+    def labelled_recording(self, channel: int = 0, serial: str | None = None) -> LabelledRecording:
+        """Return one channel with the force beside it.
+
+        Raises:
+            ValueError: the run kept no reference.
+        """
+        if self.force_N is None:
+            raise ValueError(f"{self.serial}: recorded without a reference")
+        return LabelledRecording(self.output_recording(channel, serial), self.force_N, "N")
+
+
+@dataclass(frozen=True)
+class Raw:
+    """Everything a run read, as it came.
+
+    Args:
+        output, force: samples of the readout and of the load cell (empty without one).
+        polls, moves: status polls of the stage, and what it was told.
+        span_s: host time at which the profile began and ended.
+        zero_mm: stage position that is 0 in the recording.
+        contact_mm, zero_N, zero_return_N: as in `StationRecording`.
+    """
+
+    output: Sequence[Sample]
+    force: Sequence[Sample]
+    polls: Sequence[StagePosition]
+    moves: Sequence[DrivenMove]
+    span_s: tuple[float, float]
+    zero_mm: float
+    contact_mm: float
+    zero_N: float
+    zero_return_N: float
+
+
+def assemble(raw: Raw, serial: str, profile: str, readout: Readout, with_reference: bool) -> StationRecording:
+    """Bring all channels onto the sensor's clock and cut the profile out of the run.
+
+    Raises:
+        BadReply: too many samples were lost, or a device clock is far off.
+    """
+    sensor_s, output = _columns(raw.output)
+    sensor = _fitted(sensor_s, raw.output, readout.name)
+    chosen = (sensor.to_host(sensor_s) >= raw.span_s[0]) & (sensor.to_host(sensor_s) <= raw.span_s[1])
+    sensor_s, output = sensor_s[chosen], output[chosen]
+    lost = _count_lost(sensor_s, readout)
+    host_s = sensor.to_host(sensor_s)
+    track = reconstruct(raw.polls, raw.moves)
+    stage_mm = track.at(host_s) - raw.zero_mm
+    force_N, force = _force_at(host_s, raw)
+    return StationRecording(
+        serial,
+        profile,
+        sensor_s - sensor_s[0],
+        output,
+        stage_mm,
+        force_N if with_reference else None,
+        readout.rate_Hz,
+        readout.unit,
+        raw.contact_mm,
+        raw.zero_N,
+        raw.zero_return_N,
+        lost,
+        _alignment(sensor, force, track, output[:, 0], stage_mm, force_N, readout.rate_Hz),
+    )
+
+
+def _columns(samples: Sequence[Sample]) -> tuple[Array, Array]:
+    """Return (n,) device times, the host's where the device has no clock, and (n, channels) values."""
+    times = np.array([s.host_s if s.device_s is None else s.device_s for s in samples])
+    return times, np.array([s.values for s in samples])
+
+
+def _fitted(device_s: Array, samples: Sequence[Sample], name: str) -> ClockFit:
+    if samples[0].device_s is None:
+        return ClockFit(0.0, 1.0, 0.0, 0.0)
+    fit = fit_clock(device_s, np.array([sample.host_s for sample in samples]))
+    if abs(fit.rate - 1) > LARGEST_DRIFT:
+        raise BadReply(f"{name}: its clock is off by {100 * (fit.rate - 1):+.1f} %; check its firmware")
+    return fit
+
+
+def _count_lost(sensor_s: Array, readout: Readout) -> int:
+    expected = round((sensor_s[-1] - sensor_s[0]) * readout.rate_Hz) + 1
+    lost = max(0, int(expected) - len(sensor_s))
+    if lost > LARGEST_LOSS * expected:
+        raise BadReply(f"{readout.name}: {lost} of {expected} samples were lost; check its cable, then record again")
+    return lost
+
+
+def _force_at(host_s: Array, raw: Raw) -> tuple[Array | None, ClockFit | None]:
+    if not raw.force:
+        return None, None
+    force_s, force_N = _columns(raw.force)
+    fit = _fitted(force_s, raw.force, "load cell")
+    longest_s = float(np.max(np.diff(force_s), initial=0.0))
+    if longest_s > 0.2:
+        raise BadReply(f"load cell: a gap of {longest_s:.2f} s in its samples; check its cable, then record again")
+    return np.interp(host_s, fit.to_host(force_s), force_N[:, 0]) - raw.zero_N, fit
+
+
+def _alignment(
+    sensor: ClockFit,
+    force: ClockFit | None,
+    track: StageTrack,
+    output: Array,
+    stage_mm: Array,
+    force_N: Array | None,
+    rate_Hz: float,
+) -> Alignment:
+    return Alignment(
+        sensor.rate - 1,
+        float("nan") if force is None else force.rate - 1,
+        sensor.late_s,
+        float("nan") if force is None else force.late_s,
+        float("nan") if force_N is None else residual_offset_s(force_N, output, rate_Hz),
+        residual_offset_s(np.maximum(stage_mm, 0.0), output, rate_Hz),
+        track.residual_mm,
+    )

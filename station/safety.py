@@ -1,0 +1,127 @@
+"""Safety bounds, checked on every sample while the stage moves. What is not right raises; nothing here moves."""
+
+from collections import deque
+
+from softcal.core.errors import BadReply, NoReply, SafetyStop
+from softcal.station.config import SafetyConfig
+from softcal.station.interfaces import ForceReader, Readout, Sample
+
+REACTION_S = 0.03
+"""From a sample being read to the stage braking: the force is judged as it will be then."""
+
+FROZEN_MM = 0.6
+"""A channel whose value does not change while the stage presses this much deeper is frozen."""
+
+SLOPE_SAMPLES = 5
+RATE_SAMPLES = 40
+RAIL_S = 0.3
+
+
+class ForceWatch:
+    """Force limit of one load cell.
+
+    Args:
+        bounds: the station's safety bounds.
+        zero_N: reading of the unloaded cell, subtracted from every sample.
+    """
+
+    def __init__(self, bounds: SafetyConfig, zero_N: float = 0.0) -> None:
+        self._bounds, self.zero_N = bounds, zero_N
+        self._recent: deque[tuple[float, float]] = deque(maxlen=SLOPE_SAMPLES)
+
+    def check(self, sample: Sample) -> None:
+        """Raise `SafetyStop` when the force is, or by the time the stage can brake will be, above the limit."""
+        force_N = sample.values[0] - self.zero_N
+        time_s = sample.host_s if sample.device_s is None else sample.device_s
+        self._recent.append((time_s, force_N))
+        coming_N = force_N + max(0.0, self._slope_N_s()) * REACTION_S
+        if max(coming_N, -force_N) > self._bounds.force_N:
+            raise SafetyStop(
+                f"force {force_N:.2f} N, {coming_N:.2f} N by the time the stage can brake: the limit is "
+                f"{self._bounds.force_N:g} N; check unit, fixture and profile"
+            )
+
+    def _slope_N_s(self) -> float:
+        if len(self._recent) < SLOPE_SAMPLES:
+            return 0.0
+        (first_s, first_N), (last_s, last_N) = self._recent[0], self._recent[-1]
+        return (last_N - first_N) / (last_s - first_s) if last_s > first_s else 0.0
+
+
+class StreamWatch:
+    """Whether a stream still comes, at its rate, and still follows the stage.
+
+    Args:
+        reader: the device that is watched.
+        bounds: the station's safety bounds.
+        now_s: host time at which watching begins.
+        rails: lowest and highest possible value of a readout, where staying there means a broken wire.
+    """
+
+    def __init__(
+        self,
+        reader: ForceReader | Readout,
+        bounds: SafetyConfig,
+        now_s: float,
+        rails: tuple[float, float] | None = None,
+    ) -> None:
+        self._reader, self._bounds, self._rails = reader, bounds, rails
+        self._seen_s = now_s
+        self._times: deque[float] = deque(maxlen=RATE_SAMPLES)
+        self._value: tuple[float, ...] | None = None
+        self._changed_at_mm = 0.0
+        self._on_rail_since_s: float | None = None
+
+    def check(self, sample: Sample, pressed_mm: float) -> None:
+        """Take one sample; `pressed_mm` is how far the stage is below the contact, 0 above it.
+
+        Raises:
+            BadReply: the channel is frozen, at its rail, or comes at another rate than declared.
+        """
+        self._seen_s = sample.host_s
+        self._check_frozen(sample, pressed_mm)
+        if self._rails:
+            self._check_rails(sample, self._rails)
+        if sample.device_s is not None:
+            self._check_rate(sample.device_s)
+
+    def check_silence(self, now_s: float) -> None:
+        """Raise `NoReply` when no sample came for too long."""
+        if now_s - self._seen_s > self._bounds.silence_s:
+            raise NoReply(
+                f"{self._reader.name}: nothing for {now_s - self._seen_s:.2f} s; check its cable and supply, then "
+                "start the run again"
+            )
+
+    def _check_frozen(self, sample: Sample, pressed_mm: float) -> None:
+        if sample.values != self._value or pressed_mm <= 0.0:
+            self._value, self._changed_at_mm = sample.values, pressed_mm
+        elif abs(pressed_mm - self._changed_at_mm) > FROZEN_MM:
+            raise BadReply(
+                f"{self._reader.name}: {sample.values[0]:.4g} {self._reader.unit} does not change while the stage "
+                f"moves {FROZEN_MM:g} mm; it is frozen or not connected to the unit"
+            )
+
+    def _check_rails(self, sample: Sample, rails: tuple[float, float]) -> None:
+        low, high = rails
+        if not any(value <= low or value >= high for value in sample.values):
+            self._on_rail_since_s = None
+        elif self._on_rail_since_s is None:
+            self._on_rail_since_s = sample.host_s
+        elif sample.host_s - self._on_rail_since_s > RAIL_S:
+            raise BadReply(
+                f"{self._reader.name}: at the end of its range for {RAIL_S:g} s; check the unit's connector (open or "
+                "short circuit)"
+            )
+
+    def _check_rate(self, device_s: float) -> None:
+        self._times.append(device_s)
+        if len(self._times) < RATE_SAMPLES:
+            return
+        steps = sorted(b - a for a, b in zip(self._times, list(self._times)[1:], strict=False))
+        seen_Hz = 1.0 / steps[len(steps) // 2]
+        if not 0.9 < seen_Hz / self._reader.rate_Hz < 1.1:
+            raise BadReply(
+                f"{self._reader.name}: sends {seen_Hz:.3g} samples a second, {self._reader.rate_Hz:g} were expected; "
+                "check its firmware and the station file"
+            )

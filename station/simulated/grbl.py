@@ -1,0 +1,288 @@
+"""A GRBL 1.1 controller with one axis at the far end of a serial line (gnea/grbl wiki, "Grbl v1.1 Interface")."""
+
+import math
+import re
+from collections import deque
+from collections.abc import Callable
+
+from softcal.station.frames import grbl
+from softcal.station.simulated.motion import Axis, Block
+from softcal.station.simulated.wire import Wire
+
+PLANNER_BLOCKS = 15
+RECEIVE_BYTES = 128
+SEEK_MM_S, FEED_MM_S = 25.0, 2.0
+"""Homing speeds: $25 and $24 in mm/s."""
+
+_WORD = re.compile(rb"([A-Z])(-?[\d.]+)")
+_REAL_TIME = b"?!~\x18\x84\x85"
+
+
+class SimulatedGrbl:
+    """A controller whose Z axis presses downward: machine Z runs from 0 at the homing switch to −travel.
+
+    Faults are switches: `switch` ("good", "missing", "stuck"), `delay_reply_s`, `hit_limit()`, `dip_power()`,
+    `open_door()`, `press_emergency_stop()`, and everything the wire can do.
+
+    Args:
+        wire: the serial line.
+        axis: the drive; its position counts downward from the switch, mm.
+        travel_mm: length of the axis ($132).
+    """
+
+    def __init__(self, wire: Wire, axis: Axis, travel_mm: float = 40.0) -> None:
+        self.wire, self.axis, self.travel_mm = wire, axis, travel_mm
+        self.settings = {10: 1.0, 13: 0.0, 20: 1.0, 21: 1.0, 22: 1.0, 27: 1.0, 112: 1500.0}
+        self.settings |= {122: axis.acceleration_mm_s2, 132: travel_mm}
+        self.switch = "good"
+        self.delay_reply_s = 0.0
+        self.is_locked_until_reset = False
+        self.state = "Alarm"
+        self._offset_mm = -axis.position_mm  # what the controller believes after power-up: Z = 0 where it stands
+        self._now_s = 0.0
+        self._received = bytearray()
+        self._lines: deque[bytes] = deque()
+        self._waiting: Callable[[], bool] | None = None
+        self._dwell_until_s = math.inf
+        self._is_relative = False
+        self._feed_mm_s = 0.0
+        self._greet()
+
+    def receive(self, now_s: float) -> None:
+        """Take what the host has written: real-time bytes at once, lines into the buffer."""
+        self._now_s = now_s
+        for code in self.wire.receive():
+            byte = bytes([code])
+            if byte in _REAL_TIME:
+                self._real_time(byte)
+            elif byte in b"\r\n":
+                self._lines.append(bytes(self._received))
+                self._received.clear()
+            elif sum(map(len, self._lines)) + len(self._received) < RECEIVE_BYTES - 1:
+                self._received += byte
+        self._work()
+
+    def next_event_s(self) -> float:
+        """Return the time of the next thing that happens by itself."""
+        return min(self.axis.next_event_s(), self.wire.next_arrival_s(), self._dwell_until_s)
+
+    def advance(self, now_s: float) -> None:
+        """Move, answer what is finished, let bytes reach the host."""
+        self._now_s = now_s
+        self.axis.advance(now_s)
+        if self.state in ("Run", "Jog") and not self.axis.is_moving:
+            self.state = "Idle"
+        self._work()
+        self.wire.deliver(now_s)
+
+    def hit_limit(self) -> None:
+        """A hard limit switch closes."""
+        self.axis.flush()
+        self._lines.clear()
+        self._waiting = None
+        self._alarm(1)
+        self._say("[MSG:Reset to continue]")
+        self.is_locked_until_reset = True
+
+    def dip_power(self) -> None:
+        """The supply drops for a moment: the controller starts again and knows nothing of its position."""
+        self.axis.flush()
+        self._start_again()
+        self._offset_mm = -self.axis.position_mm
+        self.state = "Alarm"
+        self._greet()
+
+    def press_emergency_stop(self) -> None:
+        """The reset input is pulled: motion is cut, the position is lost."""
+        self._reset()
+
+    def open_door(self) -> None:
+        """The safety door opens: the controller brakes and waits."""
+        self.axis.hold()
+        self.state = "Door"
+
+    def _greet(self) -> None:
+        self._say("")
+        self._say("Grbl 1.1h ['$' for help]")
+        if self.state == "Alarm":
+            self._say("[MSG:'$H'|'$X' to unlock]")
+
+    def _real_time(self, byte: bytes) -> None:
+        if byte == grbl.STATUS and self.state != "Home":
+            self._report()
+        elif byte == grbl.HOLD and self.state in ("Run", "Jog"):
+            self.axis.hold()
+            self.state = "Hold"
+        elif byte == grbl.RESUME and self.state in ("Hold", "Door"):
+            self.axis.resume()
+            self.state = "Run" if self.axis.is_moving else "Idle"
+        elif byte == grbl.RESET:
+            self._reset()
+        elif byte == grbl.DOOR:
+            self.open_door()
+        elif byte == grbl.JOG_CANCEL and self.state == "Jog":
+            self.axis.hold()
+            self.axis.queue.clear()
+
+    def _reset(self) -> None:
+        was_moving = self.axis.is_moving or self.state == "Home"
+        was_locked = self.state == "Alarm"
+        self.axis.flush()
+        self._start_again()
+        self.state = "Alarm" if was_moving or was_locked else "Idle"
+        if was_moving:
+            self._offset_mm += 0.4  # steps are lost when the motors are cut in motion
+            self._say("ALARM:3")
+        self._greet()
+
+    def _start_again(self) -> None:
+        self._lines.clear()
+        self._received.clear()
+        self._waiting = None
+        self._dwell_until_s = math.inf
+        self.is_locked_until_reset = False
+        self._is_relative = False
+
+    def _report(self) -> None:
+        state = self.state
+        if state == "Hold":
+            state = "Hold:1" if self.axis.is_moving else "Hold:0"
+        elif state == "Door":
+            state = "Door:3" if self.axis.is_moving else "Door:1"
+        speed = abs(self.axis.velocity_mm_s) * 60
+        free = PLANNER_BLOCKS - len(self.axis.queue)
+        pins = "|Pn:Z" if self.switch == "stuck" else ""
+        self._say(f"<{state}|MPos:0.000,0.000,{self._machine_mm():.3f}|Bf:{free},128|FS:{speed:.0f},0{pins}>")
+
+    def _machine_mm(self) -> float:
+        return -(self.axis.position_mm + self._offset_mm)
+
+    def _say(self, text: str) -> None:
+        self.wire.send(text.encode() + b"\r\n", self._now_s + self.delay_reply_s)
+
+    def _alarm(self, code: int) -> None:
+        self.state = "Alarm"
+        self._say(f"ALARM:{code}")
+
+    def _work(self) -> None:
+        while True:
+            if self._waiting is not None:
+                if not self._waiting():
+                    return
+                self._waiting = None
+            if not self._lines:
+                return
+            line = self._lines.popleft().upper().replace(b" ", b"")
+            reply = self._dollar(line) if line.startswith(b"$") else self._code(line)
+            if reply:
+                self._say(reply)
+
+    def _dollar(self, line: bytes) -> str:
+        if line == b"$$":
+            for number, value in sorted(self.settings.items()):
+                self._say(f"${number}={value:g}" if value == int(value) else f"${number}={value:.3f}")
+            return "ok"
+        if line == b"$X":
+            if self.is_locked_until_reset:
+                return ""
+            self.state = "Idle" if self.state == "Alarm" else self.state
+            return "ok"
+        if line == b"$H":
+            return self._start_homing()
+        if line == b"$I":
+            self._say("[VER:1.1h.20190825:]")
+            self._say("[OPT:V,15,128]")
+            return "ok"
+        setting = re.fullmatch(rb"\$(\d+)=(-?[\d.]+)", line)
+        if not setting or int(setting[1]) not in self.settings:
+            return "error:3"
+        self.settings[int(setting[1])] = float(setting[2])
+        return "ok"
+
+    def _start_homing(self) -> str:
+        if not self.settings[22]:
+            return "error:5"
+        if self.is_locked_until_reset:
+            return ""
+        pull_off = self.settings[27]
+        self.state = "Home"
+        self.axis.flush()
+        reach = 0.0 if self.switch != "missing" else self.axis.position_mm - 1.5 * self.travel_mm
+        for target, speed in ((reach, SEEK_MM_S), (pull_off, SEEK_MM_S), (0.0, FEED_MM_S), (pull_off, FEED_MM_S)):
+            self.axis.add(Block(target, speed))
+        if self.switch == "missing":
+            while len(self.axis.queue) > 1:
+                self.axis.queue.pop()
+        self._waiting = self._is_homed
+        return ""
+
+    def _is_homed(self) -> bool:
+        if self.switch == "stuck" and self.axis.queue and self.axis.queue[0].target_mm > 0:
+            self.axis.flush()
+            self._alarm(8)
+            return True
+        if self.axis.is_moving:
+            return False
+        if self.switch == "missing":
+            self._alarm(9)
+            return True
+        self._offset_mm = 0.0
+        self.state = "Idle"
+        self._say("ok")
+        return True
+
+    def _code(self, line: bytes) -> str:
+        if not line:
+            return "ok"
+        if self.state == "Alarm" or self.is_locked_until_reset:
+            return "error:9"
+        words = _WORD.findall(line)
+        codes = {float(value) for letter, value in words if letter == b"G"}
+        values = {letter: float(value) for letter, value in words if letter != b"G"}
+        if b"".join(letter + value for letter, value in words) != line or not codes <= {0, 1, 4, 21, 53, 90, 91}:
+            return "error:20"
+        if 4 in codes:
+            return self._dwell(values.get(b"P", 0.0))
+        self._is_relative = (self._is_relative or 91 in codes) and 90 not in codes
+        self._feed_mm_s = values.get(b"F", self._feed_mm_s * 60) / 60
+        if b"Z" not in values:
+            return "ok"
+        return self._move(values[b"Z"], is_rapid=0 in codes)
+
+    def _move(self, z_mm: float, is_rapid: bool) -> str:
+        if not is_rapid and not self._feed_mm_s:
+            return "error:22"
+        start_mm = self.axis.queue[-1].target_mm if self.axis.queue else self.axis.position_mm
+        target_mm = start_mm - z_mm if self._is_relative else -z_mm - self._offset_mm
+        if self.settings[20] and not -1e-9 <= target_mm + self._offset_mm <= self.travel_mm:
+            self.axis.flush()
+            self._alarm(2)
+            return ""
+        fastest = self.settings[112] / 60
+        block = Block(target_mm, fastest if is_rapid else min(self._feed_mm_s, fastest))
+
+        def put() -> bool:
+            if len(self.axis.queue) >= PLANNER_BLOCKS or self.axis.is_held:
+                return False
+            self.axis.add(block)
+            self.state = "Run" if self.axis.is_moving else self.state
+            self._say("ok")
+            return True
+
+        self._waiting = put
+        return ""
+
+    def _dwell(self, seconds: float) -> str:
+        def pause() -> bool:
+            if self.axis.is_moving or self.axis.is_held:
+                return False
+            if self._dwell_until_s == math.inf:
+                self._dwell_until_s = self._now_s + seconds
+            if self._now_s < self._dwell_until_s:
+                return False
+            self._dwell_until_s = math.inf
+            self._say("ok")
+            return True
+
+        self._waiting = pause
+        return ""

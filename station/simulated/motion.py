@@ -1,0 +1,146 @@
+"""One axis in time: a queue of straight moves, constant acceleration, look-ahead, feed hold. No wire here."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+
+@dataclass
+class Block:
+    """One queued move to `target_mm` at `speed_mm_s`."""
+
+    target_mm: float
+    speed_mm_s: float
+
+
+@dataclass(frozen=True)
+class _Phase:
+    seconds: float
+    acceleration: float
+
+
+class Axis:
+    """A carriage driven by a planner.
+
+    Blocks in one direction are joined without a stop as far as the queue reaches; a reversal goes through rest.
+
+    Args:
+        acceleration_mm_s2: of the drive.
+    """
+
+    def __init__(self, acceleration_mm_s2: float) -> None:
+        self.acceleration_mm_s2 = acceleration_mm_s2
+        self.position_mm = 0.0
+        self.velocity_mm_s = 0.0
+        self.time_s = 0.0
+        self.queue: deque[Block] = deque()
+        self.is_held = False
+        self.stopped_at_s = 0.0
+        self._phases: deque[_Phase] = deque()
+
+    @property
+    def is_moving(self) -> bool:
+        return bool(self._phases)
+
+    def add(self, block: Block) -> None:
+        """Queue a move behind the others."""
+        self.queue.append(block)
+        if not self.is_held:
+            self._plan()
+
+    def hold(self) -> None:
+        """Brake at the drive's acceleration and stay; the queue is kept."""
+        self.is_held = True
+        braking_s = abs(self.velocity_mm_s) / self.acceleration_mm_s2
+        self._phases = deque()
+        if braking_s > 0:
+            self._phases.append(_Phase(braking_s, -math.copysign(self.acceleration_mm_s2, self.velocity_mm_s)))
+
+    def resume(self) -> None:
+        """Go on with the queue after a hold."""
+        self.is_held = False
+        self._plan()
+
+    def flush(self) -> None:
+        """Forget the queue and stand still at once, as a reset of the controller does."""
+        self.queue.clear()
+        self._phases.clear()
+        if self.velocity_mm_s:
+            self.stopped_at_s = self.time_s
+        self.velocity_mm_s = 0.0
+        self.is_held = False
+
+    def next_event_s(self) -> float:
+        """Return when the phase in progress ends; infinity at rest."""
+        return self.time_s + self._phases[0].seconds if self._phases else math.inf
+
+    def advance(self, now_s: float) -> None:
+        """Move until `now_s`."""
+        while self._phases and self.next_event_s() <= now_s + 1e-12:
+            phase = self._phases.popleft()
+            self._integrate(phase.seconds, phase.acceleration)
+            if not self._phases:
+                self._arrive()
+        rest_s = max(0.0, now_s - self.time_s)
+        if self._phases and rest_s:
+            phase = self._phases[0]
+            self._integrate(rest_s, phase.acceleration)
+            self._phases[0] = _Phase(phase.seconds - rest_s, phase.acceleration)
+        self.time_s = max(self.time_s, now_s)
+
+    def _integrate(self, seconds: float, acceleration: float) -> None:
+        self.position_mm += self.velocity_mm_s * seconds + 0.5 * acceleration * seconds**2
+        self.velocity_mm_s += acceleration * seconds
+        self.time_s += seconds
+
+    def _arrive(self) -> None:
+        if self.is_held:
+            self.velocity_mm_s = 0.0
+            self.stopped_at_s = self.time_s
+            return
+        block = self.queue.popleft()
+        self.position_mm = block.target_mm
+        if not self.queue or abs(self.velocity_mm_s) < 1e-9:
+            self.velocity_mm_s = 0.0
+            self.stopped_at_s = self.time_s
+        self._plan()
+
+    def _plan(self) -> None:
+        self._phases = deque()
+        while self.queue and abs(self.queue[0].target_mm - self.position_mm) < 1e-9:
+            self.queue.popleft()
+        if not self.queue:
+            return
+        block = self.queue[0]
+        direction = math.copysign(1.0, block.target_mm - self.position_mm)
+        distance = abs(block.target_mm - self.position_mm)
+        entry = max(0.0, self.velocity_mm_s * direction)
+        leave = self._exit_speed(direction, distance, entry)
+        self._phases.extend(_trapezoid(distance, entry, block.speed_mm_s, leave, self.acceleration_mm_s2, direction))
+
+    def _exit_speed(self, direction: float, distance: float, entry: float) -> float:
+        """The fastest speed at the end of this block from which the rest of the queue can still be stopped in."""
+        room, speed, previous = 0.0, math.inf, self.queue[0].target_mm
+        for block in list(self.queue)[1:]:
+            step = (block.target_mm - previous) * direction
+            if step <= 0:
+                break
+            room, previous = room + step, block.target_mm
+            speed = min(speed, block.speed_mm_s)
+        a = self.acceleration_mm_s2
+        limits = (speed, self.queue[0].speed_mm_s, math.sqrt(2 * a * room), math.sqrt(entry**2 + 2 * a * distance))
+        return min(limits)
+
+
+def _trapezoid(distance: float, entry: float, cruise: float, leave: float, a: float, direction: float) -> list[_Phase]:
+    if entry**2 - leave**2 > 2 * a * distance:  # cannot brake in time at `a`: brake as hard as it takes
+        return [_Phase(2 * distance / (entry + leave), direction * (leave**2 - entry**2) / (2 * distance))]
+    peak = min(max(cruise, leave), math.sqrt(a * distance + (entry**2 + leave**2) / 2))
+    ends = (entry**2 - peak**2) / (2 * a) if entry > peak else (peak**2 - entry**2) / (2 * a)
+    cruise_mm = distance - ends - (peak**2 - leave**2) / (2 * a)
+    phases = [
+        _Phase(abs(peak - entry) / a, direction * math.copysign(a, peak - entry)),
+        _Phase(max(0.0, cruise_mm) / peak, 0.0),
+        _Phase((peak - leave) / a, -direction * a),
+    ]
+    return [phase for phase in phases if phase.seconds > 1e-12]

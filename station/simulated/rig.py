@@ -1,0 +1,69 @@
+"""The one physical rig behind all simulated devices: where the stage is decides what force and output are."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from softcal.core.recording import Array
+from softcal.station.simulated.motion import Axis
+
+
+class Physics(Protocol):
+    """A unit under the stage that remembers its past; `softcal.core.twin.simulate.TwinStream` is one."""
+
+    def advance(self, t_s: Array, stage_mm: Array) -> tuple[Array, Array]:
+        """Go on in time and return (force_N, output_V) as load cell and converter read them."""
+        ...
+
+
+class Rig:
+    """Stage, unit and load cell in one frame.
+
+    `keeps_truth` keeps the true position at every sample, for tests that compare. Faults are switches: `force_fault`
+    and `output_fault` replace what a device would see: (time, true value) -> value.
+
+    Args:
+        axis: the drive; its position counts downward from the homing switch, mm.
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        self.axis = axis
+        self.force_fault: Callable[[float, float], float] | None = None
+        self.output_fault: Callable[[float, float], float] | None = None
+        self.keeps_truth = False
+        self.true_t_s: list[float] = []
+        self.true_stage_mm: list[float] = []
+        self.largest_force_N = 0.0
+
+    def mount(self, unit: Physics, clearance_mm: float, now_s: float) -> None:
+        """Put a unit under the stage.
+
+        Args:
+            clearance_mm: stage position that is the unit's u = 0.
+            now_s: the unit's own time 0.
+        """
+        self._unit, self.clearance_mm, self._mounted_s = unit, clearance_mm, now_s
+        self._read_s, self._last = -1.0, (0.0, 0.0)
+
+    def read(self, now_s: float) -> tuple[float, float]:
+        """Return force in N and output in V at this instant."""
+        self.axis.advance(now_s)
+        if now_s > self._read_s:
+            self._press(now_s)
+        force_N, output_V = self._last
+        if self.force_fault:
+            force_N = self.force_fault(now_s, force_N)
+        if self.output_fault:
+            output_V = self.output_fault(now_s, output_V)
+        return force_N, output_V
+
+    def _press(self, now_s: float) -> None:
+        self._read_s = now_s
+        if self.keeps_truth:
+            self.true_t_s.append(now_s)
+            self.true_stage_mm.append(self.axis.position_mm)
+        u_mm = self.axis.position_mm - self.clearance_mm
+        force, output = self._unit.advance(np.array([now_s - self._mounted_s]), np.array([u_mm]))
+        self._last = float(force[0]), float(output[0])
+        self.largest_force_N = max(self.largest_force_N, self._last[0])

@@ -1,0 +1,66 @@
+"""A whole simulated station: one rig, three devices on three serial lines, one world in which time passes."""
+
+import numpy as np
+
+from softcal.core.twin.simulate import Twin, TwinStream
+from softcal.station.simulated.grbl import SimulatedGrbl
+from softcal.station.simulated.motion import Axis
+from softcal.station.simulated.rig import Rig
+from softcal.station.simulated.text_stream import SimulatedTextStream
+from softcal.station.simulated.wire import Wire
+from softcal.station.simulated.world import World
+
+ACCELERATION_MM_S2 = 200.0
+FREE_MM = 4.0
+"""Stage position above any unit."""
+
+
+class SimulatedStation:
+    """Stage, load cell and readout around one unit; every part is public so that tests can break it.
+
+    Args:
+        unit: the unit under the stage.
+        rng: draws noise, delays, clock errors and how units come to lie.
+        time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
+    """
+
+    counts_per_N = 9870.0
+    zero_counts = 84_210.0
+
+    def __init__(self, unit: Twin, rng: np.random.Generator, time_factor: float | None = None) -> None:
+        self.world = World(time_factor)
+        self.metadata = unit.metadata
+        self._rng = rng
+        self.free_mm = FREE_MM
+        self.axis = Axis(ACCELERATION_MM_S2)
+        self.axis.position_mm = 7.3  # Where somebody left it: nothing is known before homing.
+        self.rig = Rig(self.axis)
+        self.mount(unit)
+        self.stage_wire, self.force_wire, self.readout_wire = (Wire(child) for child in rng.spawn(3))
+        self.stage = SimulatedGrbl(self.stage_wire, self.axis)
+        self.force = SimulatedTextStream(
+            self.force_wire, self._force_counts, 80.0, float(rng.normal(0, 1e-3)), banner=b"softcal load cell 1\r\n"
+        )
+        self.readout = SimulatedTextStream(
+            self.readout_wire, self._output_counts, unit.metadata.sample_rate_Hz, float(rng.normal(0, 1e-3))
+        )
+        for far_end in (self.stage, self.force, self.readout):
+            self.world.add(far_end)
+
+    def mount(self, unit: Twin) -> None:
+        """Put a unit under the stage, a little higher or lower than the one before."""
+        clearance_mm = self.free_mm + 1.0 + float(self._rng.uniform(-0.2, 0.2))
+        self.rig.mount(TwinStream(unit, self._rng.spawn(1)[0]), clearance_mm, self.world.now_s())
+
+    def close(self) -> None:
+        """Pull all cables."""
+        for wire in (self.stage_wire, self.force_wire, self.readout_wire):
+            wire.close()
+
+    def _force_counts(self, now_s: float) -> tuple[int, ...]:
+        force_N = self.rig.read(now_s)[0]
+        counts = self.zero_counts + self.counts_per_N * force_N
+        return (int(np.clip(round(counts), -(2**23), 2**23 - 1)),)
+
+    def _output_counts(self, now_s: float) -> tuple[int, ...]:
+        return (round(self.rig.read(now_s)[1] / self.metadata.step_V),)

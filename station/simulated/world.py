@@ -1,0 +1,104 @@
+"""Simulated time: it passes only while the host waits, so a run is as fast as the computer and always the same.
+
+Every far end is stepped from one event to the next inside `sleep_s`. Bytes still cross a real pty: the kernel hands
+them over before a read returns, so no wall clock decides what the host sees.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from heapq import heappop, heappush
+from itertools import count
+from typing import Protocol
+
+
+class FarEnd(Protocol):
+    """Something that lives in simulated time."""
+
+    def receive(self, now_s: float) -> None:
+        """Take the bytes the host has written and act on them."""
+        ...
+
+    def next_event_s(self) -> float:
+        """Return the time of the next thing that happens by itself."""
+        ...
+
+    def advance(self, now_s: float) -> None:
+        """Do everything that is due until now, bytes that have reached the host included."""
+        ...
+
+
+class World:
+    """The clock of a simulated rig and all that lives in it; a `station.interfaces.Clock`.
+
+    Args:
+        time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
+    """
+
+    def __init__(self, time_factor: float | None = None) -> None:
+        self._now_s = 0.0
+        self._time_factor = time_factor
+        self._started_s = time.monotonic()
+        self._far_ends: list[FarEnd] = []
+        self._planned: list[tuple[float, int, Callable[[], None]]] = []
+        self._order = count()
+        self._lock = threading.RLock()
+
+    def add(self, far_end: FarEnd) -> None:
+        """Let a far end live in this world."""
+        self._far_ends.append(far_end)
+
+    def at(self, time_s: float, happening: Callable[[], None]) -> None:
+        """Let something happen at a simulated time, for example a fault."""
+        heappush(self._planned, (time_s, next(self._order), happening))
+
+    def now_s(self) -> float:
+        """Return the simulated time in s."""
+        return self._now_s
+
+    def sleep_s(self, seconds: float) -> None:
+        """Let simulated time pass."""
+        with self._lock:
+            self._pass(self._now_s + max(0.0, seconds))
+        if self._time_factor is not None:
+            ahead_s = self._now_s / self._time_factor - (time.monotonic() - self._started_s)
+            if ahead_s > 0:
+                time.sleep(ahead_s)
+
+    @contextmanager
+    def in_background(self, step_s: float = 0.002) -> Iterator[None]:
+        """Let time pass by itself, at the real rate: for far ends that a program outside softcal talks to."""
+        stop = threading.Event()
+
+        def run() -> None:
+            before_s = time.monotonic()
+            while not stop.wait(step_s):
+                now_s = time.monotonic()
+                with self._lock:
+                    self._pass(self._now_s + now_s - before_s)
+                before_s = now_s
+
+        thread = threading.Thread(target=run, name="simulated world", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            thread.join()
+
+    def _pass(self, until_s: float) -> None:
+        for far_end in self._far_ends:
+            far_end.receive(self._now_s)
+        while True:
+            due_s = min((far_end.next_event_s() for far_end in self._far_ends), default=until_s)
+            if self._planned:
+                due_s = min(due_s, self._planned[0][0])
+            if due_s > until_s:
+                break
+            self._now_s = max(self._now_s, due_s)
+            while self._planned and self._planned[0][0] <= self._now_s:
+                heappop(self._planned)[2]()
+            for far_end in self._far_ends:
+                far_end.advance(self._now_s)
+        self._now_s = until_s

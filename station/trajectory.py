@@ -1,0 +1,132 @@
+"""The trapezoid a motion controller drives, and the stage's position in time from it and the status polls. No I/O."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from softcal.core.recording import Array
+from softcal.station.interfaces import StagePosition
+
+
+@dataclass(frozen=True)
+class Trapezoid:
+    """A straight move from rest to rest: accelerate, cruise, brake.
+
+    Args:
+        start_mm, end_mm: positions.
+        speed_mm_s: cruise speed; short moves do not reach it.
+        acceleration_mm_s2: of the drive.
+    """
+
+    start_mm: float
+    end_mm: float
+    speed_mm_s: float
+    acceleration_mm_s2: float
+
+    @cached_property
+    def peak_mm_s(self) -> float:
+        """The highest speed that is reached."""
+        return float(min(self.speed_mm_s, np.sqrt(self.acceleration_mm_s2 * abs(self.end_mm - self.start_mm))))
+
+    @cached_property
+    def duration_s(self) -> float:
+        """From rest to rest."""
+        if self.peak_mm_s == 0.0:
+            return 0.0
+        return float(abs(self.end_mm - self.start_mm) / self.peak_mm_s + self.peak_mm_s / self.acceleration_mm_s2)
+
+    def position_mm(self, t_s: Array) -> Array:
+        """Return positions at times since the start; before and after it the ends."""
+        ramp_s = self.peak_mm_s / self.acceleration_mm_s2
+        t = np.clip(t_s, 0.0, self.duration_s)
+        left = self.duration_s - t
+        braking = np.abs(self.end_mm - self.start_mm) - 0.5 * self.acceleration_mm_s2 * left**2
+        gone = np.where(
+            t < ramp_s,
+            0.5 * self.acceleration_mm_s2 * t**2,
+            np.where(left < ramp_s, braking, self.peak_mm_s * (t - 0.5 * ramp_s)),
+        )
+        return np.asarray(self.start_mm + np.sign(self.end_mm - self.start_mm) * gone)
+
+
+@dataclass(frozen=True)
+class DrivenMove:
+    """A move of a run: what was commanded, and between which host times it happened."""
+
+    path: Trapezoid
+    begun_s: float
+    confirmed_s: float
+
+
+@dataclass(frozen=True)
+class StageTrack:
+    """Stage position against host time.
+
+    Args:
+        t_s: (m,) nodes, host clock.
+        position_mm: (m,) position at the nodes; between them it is straight.
+        residual_mm: root mean square of polls against the track.
+        largest_residual_mm: the largest of them.
+    """
+
+    t_s: Array
+    position_mm: Array
+    residual_mm: float
+    largest_residual_mm: float
+
+    def at(self, host_s: Array) -> Array:
+        """Return positions in mm at host times."""
+        return np.interp(host_s, self.t_s, self.position_mm)
+
+
+NODE_S = 0.002
+"""Distance of the nodes inside a move; the straight line between them is off by less than a·NODE_S²/8."""
+
+
+def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> StageTrack:
+    """Return where the stage was at any time of a run.
+
+    A controller answers ten polls a second at most, too few to draw a corner. So every move is the trapezoid it was
+    commanded as, shifted in time to where its polls say it was; one with too few polls moves with its neighbours.
+
+    Args:
+        polls: status polls of the run, in time order.
+        moves: the moves of the run, in time order.
+
+    Raises:
+        ValueError: no polls.
+    """
+    if not polls:
+        raise ValueError("no status polls; the stage's position is not known")
+    poll_s = np.array([poll.host_s for poll in polls])
+    poll_mm = np.array([poll.position_mm for poll in polls])
+    delays = [_delay_s(move, poll_s, poll_mm) for move in moves]
+    known = [delay for delay in delays if delay is not None]
+    usual_s = float(np.median(known)) if known else 0.0
+    # The clock of a track starts before its first poll and ends after its last one, at rest.
+    t_s, position_mm = [poll_s[:1] - 1.0], [poll_mm[:1] if not moves else np.array([moves[0].path.start_mm])]
+    for move, delay in zip(moves, delays, strict=True):
+        start_s = max(move.begun_s + (usual_s if delay is None else delay), float(t_s[-1][-1]) + 1e-6)
+        since_s = np.arange(0.0, move.path.duration_s + NODE_S, NODE_S)
+        t_s.append(start_s + since_s)
+        position_mm.append(move.path.position_mm(since_s))
+    nodes_s, nodes_mm = np.concatenate(t_s), np.concatenate(position_mm)
+    residual = poll_mm - np.interp(poll_s, nodes_s, nodes_mm)
+    return StageTrack(nodes_s, nodes_mm, float(np.sqrt(np.mean(residual**2))), float(np.max(np.abs(residual))))
+
+
+def _delay_s(move: DrivenMove, poll_s: Array, poll_mm: Array) -> float | None:
+    """How long after it was sent the move began, from the polls on its flanks."""
+    path = move.path
+    inside = (poll_s > move.begun_s) & (poll_s < move.confirmed_s)
+    gone = np.abs(poll_mm - path.start_mm)
+    length = abs(path.end_mm - path.start_mm)
+    ramp_mm = 0.5 * path.peak_mm_s**2 / path.acceleration_mm_s2
+    cruising = inside & (gone > ramp_mm) & (gone < length - ramp_mm)
+    if not cruising.any():
+        return None
+    ramp_s = path.peak_mm_s / path.acceleration_mm_s2
+    planned_s = gone[cruising] / path.peak_mm_s + 0.5 * ramp_s
+    return float(np.median(poll_s[cruising] - planned_s)) - move.begun_s

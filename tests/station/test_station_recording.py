@@ -1,0 +1,62 @@
+"""A whole run on the simulated rig: what is recorded is what happened."""
+
+import numpy as np
+import pytest
+
+from softcal.core.profiles import ramps, unit_profile
+from softcal.core.twin.simulate import Twin, simulate
+from softcal.station.acquisition import record
+from softcal.station.bench import open_simulated_bench
+
+
+@pytest.fixture(scope="module")
+def source_run():
+    with open_simulated_bench(seed=3) as (bench, station):
+        station.rig.keeps_truth = True
+        recording = record(bench, "A0", unit_profile(np.random.default_rng(1), 40.0), with_reference=True)
+        yield recording, station
+
+
+def test_time_axis_is_the_sensor_clock(source_run):
+    recording, _ = source_run
+    np.testing.assert_allclose(np.diff(recording.t_s), 0.02, atol=1e-9)
+    assert recording.lost == 0
+
+
+def test_the_source_recording_is_accepted_by_core(source_run):
+    labelled = source_run[0].labelled_recording()
+    assert labelled.unlabelled.sample_rate_Hz == 50.0
+    assert labelled.unlabelled.stage_mm is not None
+
+
+def test_force_and_output_are_those_of_the_twin_at_the_recorded_stage_position(source_run):
+    recording, station = source_run
+    surface_mm = recording.contact_mm - 0.3 - station.rig.clearance_mm
+    force_N, output_V = simulate(Twin(), recording.t_s, recording.stage_mm + surface_mm)
+    # 20 N/s at most, so 2 ms of delay and 5 µm of stage are 0.06 N at the worst instant.
+    assert np.sqrt(np.mean((recording.force_N - force_N) ** 2)) < 0.04
+    assert np.sqrt(np.mean((recording.output[:, 0] - output_V) ** 2)) < 0.008
+
+
+def test_the_profile_reaches_its_depth_and_returns(source_run):
+    recording, _ = source_run
+    assert recording.stage_mm.max() == pytest.approx(3.5, abs=0.01)
+    assert recording.stage_mm[-1] == pytest.approx(0.0, abs=0.01)
+
+
+def test_the_same_seed_gives_the_same_recording():
+    def once():
+        with open_simulated_bench(seed=11) as (bench, _):
+            return record(bench, "A0", ramps([2.0], 4.0, rest_s=0.5), with_reference=True)
+
+    first, second = once(), once()
+    np.testing.assert_array_equal(first.output, second.output)
+    np.testing.assert_array_equal(first.force_N, second.force_N)
+
+
+def test_a_target_unit_keeps_no_reference():
+    with open_simulated_bench(seed=12) as (bench, _):
+        recording = record(bench, "A1", ramps([2.0], 4.0, rest_s=0.5), with_reference=False)
+    assert recording.force_N is None
+    with pytest.raises(ValueError, match="without a reference"):
+        recording.labelled_recording()
