@@ -1,0 +1,121 @@
+"""Memory operators on a fine, even time grid: low-passes, play, rate-independent loops. Independent of the twin's."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from softcal.core.recording import Array
+
+
+@njit(cache=True)
+def _low_pass(signal: Array, decay: float, gain: float, start: float) -> Array:  # pragma: no cover - compiled
+    out = np.empty_like(signal)
+    state = start
+    out[0] = state
+    for k in range(1, len(signal)):
+        step = signal[k] - signal[k - 1]
+        state = decay * (state - signal[k - 1]) + signal[k - 1] + gain * step
+        out[k] = state
+    return out
+
+
+def low_pass(signal: Array, step_s: float, tau_s: float, start: float = 0.0) -> Array:
+    """Solve τ·dy/dt = x − y exactly for an input that is a straight line between grid points.
+
+    Args:
+        signal: (n,) x on the grid.
+        step_s: grid step in s.
+        tau_s: τ in s.
+        start: y at the first point.
+    """
+    ratio = step_s / tau_s
+    decay = float(np.exp(-ratio))
+    return np.asarray(_low_pass(np.ascontiguousarray(signal), decay, 1.0 - (1.0 - decay) / ratio, start))
+
+
+def low_passes(signal: Array, step_s: float, weights: Sequence[float], taus_s: Sequence[float]) -> Array:
+    """Add several low-passes of one input, each with its weight."""
+    parts = [w * low_pass(signal, step_s, tau_s) for w, tau_s in zip(weights, taus_s, strict=True)]
+    return np.asarray(np.sum(parts, axis=0))
+
+
+def power_law(signal: Array, step_s: float, slope: float, fastest_s: float, slowest_s: float) -> Array:
+    """Approximate a memory that grows with log t: branches two per octave from the fastest to the slowest time."""
+    taus_s = np.geomspace(fastest_s, slowest_s, 2 * max(1, round(np.log2(slowest_s / fastest_s))) + 1)
+    weights = np.full(len(taus_s), slope / len(taus_s))
+    return low_passes(signal, step_s, weights.tolist(), taus_s.tolist())
+
+
+@njit(cache=True)
+def _play(signal: Array, width: float) -> Array:  # pragma: no cover - compiled
+    out = np.empty_like(signal)
+    state = signal[0]
+    for k in range(len(signal)):
+        if signal[k] - width > state:
+            state = signal[k] - width
+        elif signal[k] < state:
+            state = signal[k]
+        out[k] = state
+    return out
+
+
+def play(signal: Array, width: float) -> Array:
+    """Follow the input through a clearance of `width`: the output lags when rising and meets it when falling."""
+    return np.asarray(_play(np.ascontiguousarray(signal), width))
+
+
+@njit(cache=True)
+def _loop(signal: Array, scale: float) -> Array:  # pragma: no cover - compiled
+    out = np.empty_like(signal)
+    state = 0.0
+    out[0] = state
+    for k in range(1, len(signal)):
+        step = signal[k] - signal[k - 1]
+        target = 1.0 if step > 0.0 else -1.0
+        if step != 0.0:
+            state = target + (state - target) * np.exp(-abs(step) / scale)
+        out[k] = state
+    return out
+
+
+def loop(signal: Array, scale: float) -> Array:
+    """Solve dz/dt = (dx/dt)/scale · (1 − z·sign(dx/dt)) exactly on every monotone piece, z = 0 at the start."""
+    return np.asarray(_loop(np.ascontiguousarray(signal), scale))
+
+
+@njit(cache=True)
+def _stop(signal: Array, limit: float) -> Array:  # pragma: no cover - compiled
+    out = np.empty_like(signal)
+    state = 0.0
+    out[0] = state
+    for k in range(1, len(signal)):
+        state = min(limit, max(-limit, state + signal[k] - signal[k - 1]))
+        out[k] = state
+    return out
+
+
+def prandtl_ishlinskii(signal: Array, scale: float) -> Array:
+    """Mean of five stop operators with limits around `scale`, each divided by its limit: between −1 and 1."""
+    limits = (scale * np.array([0.25, 0.5, 1.0, 2.0, 3.5])).tolist()
+    return np.asarray(np.mean([_stop(np.ascontiguousarray(signal), limit) / limit for limit in limits], axis=0))
+
+
+@njit(cache=True)
+def _bouc_wen(signal: Array, scale: float, sharpness: float) -> Array:  # pragma: no cover - compiled
+    out = np.empty_like(signal)
+    state = 0.0
+    out[0] = state
+    for k in range(1, len(signal)):
+        step = signal[k] - signal[k - 1]
+        pieces = 1 + int(abs(step) / (0.02 * scale))
+        for _ in range(pieces):
+            part = step / pieces / scale
+            state += part - abs(state) ** sharpness * (0.7 * abs(part) * np.sign(state) + 0.3 * part)
+        out[k] = state
+    return out
+
+
+def bouc_wen(signal: Array, scale: float, sharpness: float = 1.6) -> Array:
+    """Solve the Bouc–Wen law dz = dx/scale − |z|ⁿ·(β·|dx|·sign z + γ·dx)/scale with β = 0.7, γ = 0.3."""
+    return np.asarray(_bouc_wen(np.ascontiguousarray(signal), scale, sharpness))

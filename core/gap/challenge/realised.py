@@ -1,0 +1,109 @@
+"""The shrink of the gap that a report's twin reaches on the run that was kept back, computed with this generator.
+
+The twin's numbers come from the report; the equations, the recording and the refit of the bare base are this package's
+own, so a mistake of the diagnosis cannot hide here.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from softcal.core.gap.challenge.cases import SealedCase
+from softcal.core.gap.challenge.catalogue_equations import CATALOGUE_FORM
+from softcal.core.gap.challenge.rig import Cause, Measured, Rig
+from softcal.core.recording import Array
+
+PER_RUN = ("intermittent_contact", "dropped_samples", "mains_hum")
+"""Effects whose places or phases belong to one recording: nothing about another one follows from them."""
+
+BASE = ("u0_mm", "k1_N_per_mm", "k3_N_per_mm3", "r0_ohm", "kappa")
+
+PARAMETERS: Mapping[str, tuple[tuple[str, str], ...]] = {
+    "backlash": (("b", "width_mm"),),
+    "contact_shift": (("s", "shift_mm"), ("tau", "tau_s")),
+    "frame_compliance": (("c_f", "compliance_mm_per_N"),),
+    "misaligned_contact": (("l", "length_mm"),),
+    "stress_relaxation": (("g", "share"), ("tau", "tau_s")),
+    "mechanical_hysteresis": (("a", "size"), ("d0", "scale_mm")),
+    "mullins_softening": (("m", "size"), ("N0", "cycles")),
+    "channel_creep": (("c", "share"), ("tau", "tau_s")),
+    "channel_hysteresis": (("a", "size"), ("f0", "scale_N")),
+    "channel_collapse": (("beta", "size_per_N2"), ("Fc", "onset_N")),
+    "thermal_drift": (("alpha", "coefficient_per_K"),),
+    "ageing_drift": (("gamma", "size"), ("tau", "tau_s")),
+    "readout_lag": (("tau", "tau_s"),),
+    "wiring_resistance": (("Rw", "wire_ohm"),),
+    "reference_drift": (("rho", "rate_per_s"),),
+    "adc_saturation": (("V_max", "high_V"),),
+    "loadcell_saturation": (("F_sat", "saturation_N"),),
+    "loadcell_nonlinearity": (("lambda", "size"), ("F_max", "capacity_N")),
+    "loadcell_creep": (("k", "share"), ("tau", "tau_s")),
+    "loadcell_drift": (("r", "rate_N_per_s"),),
+    "clock_offset": (("Delta", "delay_s"),),
+    "clock_skew": (("epsilon", "skew"),),
+}
+"""Per effect, the report's parameter and the name of the same quantity here."""
+
+
+def realised_shrink(case: SealedCase, twin: Mapping[str, Any]) -> float:
+    """Return 1 − (after − 1)/(before − 1), both RMS over all channels of the kept-back run in units of the noise.
+
+    Args:
+        case: the opened case.
+        twin: `base` and `effects` of the report: parameter values by name.
+
+    Returns:
+        NaN where a cause belongs to one recording only, or where the bare base leaves no gap on that run.
+    """
+    if any(effect in PER_RUN for effect in twin["effects"]):
+        return float("nan")
+    measured = case.measure(case.kept_back)
+    before = _misfit(case, measured, refitted_base(case), ())
+    after = _misfit(case, measured, *_explained(case.rig, twin))
+    return float("nan") if before < 1.05 else 1.0 - (after - 1.0) / (before - 1.0)
+
+
+def _explained(rig: Rig, twin: Mapping[str, Any]) -> tuple[Rig, tuple[Cause, ...]]:
+    causes = []
+    for effect, values in twin["effects"].items():
+        own = {ours: float(values[theirs]) for theirs, ours in PARAMETERS[effect]}
+        causes.append(Cause(effect, CATALOGUE_FORM, {"low_V": 0.0, **own} if effect == "adc_saturation" else own))
+    return with_base(rig, twin["base"]), tuple(causes)
+
+
+def with_base(rig: Rig, base: Mapping[str, float]) -> Rig:
+    """Return the rig with other base parameters, by the names of `BASE`."""
+    u0_mm, k1_N_per_mm, k3_N_per_mm3, r0_ohm, kappa = (float(base[name]) for name in BASE)
+    return replace(rig, u0_mm=u0_mm, k1_N_per_mm=k1_N_per_mm, k3_N_per_mm3=k3_N_per_mm3, r0_ohm=r0_ohm, kappa=kappa)
+
+
+def _misfit(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> float:
+    """RMS of measured − predicted over the noise of each channel."""
+    model = replace(case, rig=replace(rig, noise_V=0.0, noise_N=0.0), causes=causes)
+    predicted = model.measure(case.kept_back).columns
+    return float(np.sqrt(np.mean(np.concatenate(_residuals(case.rig, measured.columns, predicted)) ** 2)))
+
+
+def _residuals(rig: Rig, measured: Mapping[str, Array], predicted: Mapping[str, Array]) -> list[Array]:
+    noise = {"output_V": rig.floor_V, "force_N": rig.noise_N}
+    return [(measured[name] - predicted[name]) / noise[name] for name in noise if name in measured]
+
+
+def refitted_base(case: SealedCase) -> Rig:
+    """Fit the bare base model to the runs that were handed over, by SciPy's trust-region least squares."""
+    recordings = [(plan, case.measure(plan).columns) for plan in case.plans]
+    start = np.array([getattr(case.rig, name) for name in BASE])
+
+    def moved(factors: Array) -> Rig:
+        return with_base(case.rig, dict(zip(BASE, (start * factors).tolist(), strict=True)))
+
+    def residuals(factors: Array) -> Array:
+        model = replace(case, rig=replace(moved(factors), noise_V=0.0, noise_N=0.0), causes=())
+        parts = [_residuals(case.rig, columns, model.measure(plan).columns) for plan, columns in recordings]
+        return np.concatenate([part for run in parts for part in run])
+
+    bounds = (np.array([0.05, 0.2, 0.0, 0.3, 0.3]), np.array([4.0, 3.0, 5.0, 2.0, 1.5]))
+    return moved(least_squares(residuals, np.ones(len(BASE)), bounds=bounds, diff_step=1e-4, max_nfev=12).x)
