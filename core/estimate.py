@@ -78,7 +78,7 @@ def estimate(network: Network, calibration: Calibration, recording: OutputRecord
         rows = slice(segment.start + TAPS - 1, segment.stop)
         mapped = calibration.unit_map.apply_signal(output)
         newest = slice(TAPS - 1, None)
-        value[rows], lower[rows], upper[rows], flag[rows] = _judge(
+        value[rows], lower[rows], upper[rows], flag[rows] = judge(
             network, calibration, mapped, output[newest], run_lengths(output)[newest]
         )
     return Estimate(recording.t_s, value, lower, upper, flag, network.reference_unit)
@@ -95,10 +95,16 @@ def check_fits(network: Network, calibration: Calibration, output_unit: str) -> 
         raise InputError(f"output is in {output_unit}, the calibration expects {network.output_unit}")
 
 
-def _judge(
+def judge(
     network: Network, calibration: Calibration, mapped: Array, newest: Array, run: Indices
 ) -> tuple[Array, Array, Array, Flags]:
-    """Return estimate, lower, upper and flag for (n, TAPS) mapped windows."""
+    """Return estimate, lower, upper and flag of (n, TAPS) mapped windows.
+
+    Args:
+        mapped: windows in the space of the source, newest sample last.
+        newest: (n,) raw output of the newest sample of each.
+        run: (n,) how many samples, it included, have had exactly this value.
+    """
     interval, limits = calibration.interval, calibration.output_limits
     value = network.evaluate(mapped)
     shape = interval.support.shape(mapped)
@@ -150,7 +156,7 @@ class StreamingEstimator:
         self._push(t_s, output)
         if self._filled < TAPS:
             return EstimateRow(t_s, np.nan, np.nan, np.nan, self._waiting_for)
-        value, lower, upper, flag = _judge(
+        value, lower, upper, flag = judge(
             self._network,
             self._calibration,
             self._calibration.unit_map.apply(self._window[None, :]),
