@@ -6,13 +6,13 @@ or put in between is found (after Schneier and Kelsey 1999, Secure audit logs, s
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from datetime import datetime
+from datetime import date, datetime
 
 from sqlalchemy import Connection, Table, insert, select
 
 from softcal.core.errors import RegistryError
 from softcal.db.entries import AuditRow
-from softcal.db.tables import audit, canonical_json
+from softcal.db.tables import TOLD_BY_HASH, audit, canonical_json
 
 FIRST_HASH = "0" * 64
 Values = Mapping[str, object]
@@ -95,14 +95,25 @@ def row_key(table: Table, values: Values) -> tuple[str | int, ...]:
     return tuple(part if isinstance(part, int) else str(part) for part in key)
 
 
+def told(table: Table, values: Values) -> dict[str, object]:
+    """Return a row as the audit trail tells it."""
+    hashed = TOLD_BY_HASH.get(table.name, ())
+    return {
+        name: hashlib.sha256(canonical_json(value).encode()).hexdigest() if name in hashed else value
+        for name, value in plain(values).items()
+    }
+
+
 def plain(values: Values) -> dict[str, object]:
-    """Return JSON values: instants as ISO text with six digits, the rest as it is."""
+    """Return JSON values: instants and days as ISO text, the rest as it is."""
     return {name: _plain(value) for name, value in values.items()}
 
 
 def _plain(value: object) -> object:
     if isinstance(value, datetime):
         return value.isoformat(timespec="microseconds")
+    if isinstance(value, date):
+        return value.isoformat()
     if isinstance(value, bytes):
         raise RegistryError("bytes belong into a blob, not into the audit trail")
     return value

@@ -9,11 +9,9 @@ from sqlalchemy import Connection, Table, insert, select
 
 from softcal.db import history, tables
 from softcal.db.database import Database, schema_of
-from softcal.db.tables import blobs, canonical_json, metadata
+from softcal.db.tables import AUDITED, blobs, canonical_json, metadata
 
 MIGRATIONS = Path(__file__).with_name("migrations")
-AUDITED = ("lots", "limits", "units", "recordings", "networks", "calibrations", "refusals")
-"""Tables whose every row has a row in the audit trail with the same values."""
 
 
 def migrate(database: Database) -> str:
@@ -55,7 +53,7 @@ def _row_faults(connection: Connection) -> Iterator[str]:
             values = dict(row)
             key = canonical_json(history.row_key(table, values))
             expected = told.pop((name, key), None)
-            found = hashlib.sha256(canonical_json(history.plain(values)).encode()).hexdigest()
+            found = hashlib.sha256(canonical_json(history.told(table, values)).encode()).hexdigest()
             if expected is None:
                 yield f"{name} {key}: was put in without an entry in the audit trail"
             elif expected != found:

@@ -8,15 +8,17 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 from softcal.db import history
+from softcal.db.adaptation_tables import AdaptationTables
 from softcal.db.calibration_tables import CalibrationTables
 from softcal.db.entries import AuditRow
 from softcal.db.lot_tables import LotTables
 from softcal.db.maintenance import faults
+from softcal.db.order_queue import OrderQueue
 from softcal.db.recording_tables import RecordingTables
 from softcal.db.work_queue import WorkQueue
 
 
-class Registry(LotTables, RecordingTables, CalibrationTables):
+class Registry(LotTables, RecordingTables, CalibrationTables, AdaptationTables):
     """An open registry, used as a context manager and made by `open_registry`."""
 
     def __enter__(self) -> "Registry":
@@ -39,6 +41,11 @@ class Registry(LotTables, RecordingTables, CalibrationTables):
     def work_queue(self) -> WorkQueue:
         """The durable work items of this registry's lots."""
         return WorkQueue(self.database, self.settings.clock)
+
+    @property
+    def order_queue(self) -> OrderQueue:
+        """The orders to this registry's stations, their runs and heartbeats."""
+        return OrderQueue(self.database, self.settings.clock)
 
     def add_event(
         self,

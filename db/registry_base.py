@@ -62,9 +62,9 @@ class RegistryBase:
         """Insert one row together with the row of the audit trail that tells of it."""
         connection.execute(insert(table).values(**values))
         key = history.row_key(table, values)
-        at, who = self.settings.clock(), self._actor(actor)
+        at, who, after = self.settings.clock(), self._actor(actor), history.told(table, values)
         history.append(
-            connection, self.origin, at, who, action, table.name, key, after=values, before=before, reason=reason
+            connection, self.origin, at, who, action, table.name, key, after=after, before=before, reason=reason
         )
 
     def _actor(self, actor: str | None) -> str:

@@ -5,8 +5,10 @@ from datetime import UTC, datetime
 from typing import Any
 
 from sqlalchemy import (
+    Boolean,
     CheckConstraint,
     Column,
+    Date,
     DateTime,
     Dialect,
     Double,
@@ -19,10 +21,11 @@ from sqlalchemy import (
     String,
     Table,
     Text,
+    and_,
 )
 from sqlalchemy.types import TypeDecorator
 
-SCHEMA = "0001"
+SCHEMA = "0002"
 """Revision of the newest migration: what a registry must have to be used by this version."""
 
 metadata = MetaData(
@@ -247,8 +250,118 @@ work_items = Table(
     Index("ix_work_items_lot_id_state", "lot_id", "state", "id"),
 )
 
-APPEND_ONLY = (
-    "blobs",
+adaptations = Table(
+    "adaptations",
+    metadata,
+    Column("serial", String(64), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("revision", Integer, nullable=False),
+    Column("stream", Text, nullable=False),
+    Column("sample", Integer, nullable=False),
+    Column("made_at", UtcTime, nullable=False),
+    Column("entry", CanonicalJson, nullable=False),
+    CheckConstraint("number >= 1", name="number"),
+)
+
+certificates = Table(
+    "certificates",
+    metadata,
+    Column("cell_serial", String(64), primary_key=True),
+    Column("issued_on", Date, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("due_on", Date, nullable=False),
+    Column("number", Text, nullable=False),
+    Column("laboratory", Text, nullable=False),
+    Column("capacity_N", Double, nullable=False),
+    Column("uncertainty_N", Double, nullable=False),
+    sha256_column("blob_sha256", ForeignKey("blobs.sha256")),
+    Column("added_at", UtcTime, nullable=False),
+    CheckConstraint("due_on > issued_on", name="due_on"),
+)
+
+golden_runs = Table(
+    "golden_runs",
+    metadata,
+    Column("station", String(64), primary_key=True),
+    Column("serial", String(64), primary_key=True),
+    Column("made_at", UtcTime, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("value", Double, nullable=False),
+    Column("unit", Text, nullable=False),
+    Column("passed", Boolean, nullable=False),
+    Column("reasons", CanonicalJson, nullable=False),
+    Column("actor", Text, nullable=False),
+    sha256_column("recording_sha256"),
+)
+
+users = Table(
+    "users",
+    metadata,
+    Column("name", String(64), primary_key=True),
+    Column("role", String(16), nullable=False),
+    Column("pin_hash", Text, nullable=False),
+    Column("is_active", Boolean, nullable=False),
+    Column("failures", Integer, nullable=False),
+    Column("locked_until", UtcTime),
+    Column("version", Integer, nullable=False),
+    Column("changed_at", UtcTime, nullable=False),
+    CheckConstraint("role IN ('operator', 'engineer', 'quality')", name="role"),
+)
+
+orders = Table(
+    "orders",
+    metadata,
+    Column("order_id", String(64), primary_key=True),
+    Column("station", String(64), nullable=False),
+    Column("kind", String(16), nullable=False),
+    Column("serial", String(64), nullable=False),
+    Column("lot_id", String(64), nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    Column("created", UtcTime, nullable=False),
+    Column("state", String(16), nullable=False),
+    Column("phase", Text, nullable=False),
+    Column("fraction", Double, nullable=False),
+    Column("remaining_s", Double, nullable=False),
+    Column("code", Text, nullable=False),
+    Column("message", Text, nullable=False),
+    Column("recording_sha256", Text, nullable=False),
+    Column("changed_at", UtcTime, nullable=False),
+    CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
+    Index("ix_orders_station", "station", "created"),
+)
+ACTIVE_RUN = (
+    orders.c.state.in_(["queued", "running"]),
+    orders.c.kind.in_(["source", "unit", "golden", "check"]),
+)
+Index(
+    "uq_orders_active",
+    orders.c.station,
+    unique=True,
+    sqlite_where=and_(*ACTIVE_RUN),
+    postgresql_where=and_(*ACTIVE_RUN),
+)
+
+run_signals = Table(
+    "run_signals",
+    metadata,
+    Column("order_id", ForeignKey("orders.order_id"), primary_key=True),
+    Column("signal", CanonicalJson, nullable=False),
+)
+
+heartbeats = Table(
+    "heartbeats",
+    metadata,
+    Column("station", String(64), primary_key=True),
+    Column("state", String(16), nullable=False),
+    Column("at", UtcTime, nullable=False),
+    Column("reasons", CanonicalJson, nullable=False),
+    Column("process", Text, nullable=False),
+    Column("order_id", String(64), nullable=False),
+)
+
+AUDITED = (
     "lots",
     "limits",
     "units",
@@ -256,6 +369,14 @@ APPEND_ONLY = (
     "networks",
     "calibrations",
     "refusals",
-    "audit",
+    "adaptations",
+    "certificates",
+    "golden_runs",
 )
+"""Tables whose every row has a row in the audit trail with the same values, in the order their rows may be copied."""
+
+APPEND_ONLY = ("blobs", "audit", *AUDITED)
 """Tables whose rows are never changed or deleted; triggers on both databases see to it."""
+
+TOLD_BY_HASH = {"adaptations": ("entry",)}
+"""Columns that the audit trail holds as a SHA-256 only: thousands of rows a day would be kept twice."""

@@ -1,0 +1,71 @@
+"""The course of long-term adaptation: every map a unit in use got, from which stream, with its evidence."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from sqlalchemy import Select, func, select
+
+from softcal.core.errors import InputError
+from softcal.db.registry_base import RegistryBase
+from softcal.db.tables import adaptations, calibrations
+
+Entry = Mapping[str, Any]
+NEEDED = ("stream", "sample")
+
+
+class AdaptationTables(RegistryBase):
+    """The part of the registry that knows adaptations."""
+
+    def add_adaptation(self, serial: str, revision: int, entry: Entry, actor: str | None = None) -> int:
+        """Store one step of an adaptation and return its number (1, 2, ... per serial)."""
+        return self.add_adaptations(serial, revision, [entry], actor)
+
+    def add_adaptations(self, serial: str, revision: int, entries: Sequence[Entry], actor: str | None = None) -> int:
+        """Store several steps, all or none of them, and return the number of the last one.
+
+        Args:
+            revision: the calibration the adaptation started from.
+            entries: JSON values with at least `stream` (its name) and `sample` (the row the step belongs to).
+
+        Raises:
+            InputError: the serial has no such revision.
+        """
+        with self.database.writing() as connection:
+            c = calibrations.c
+            known = select(c.serial).where(c.serial == serial, c.revision == revision).limit(1)
+            if connection.execute(known).first() is None:
+                raise InputError(f"serial {serial!r} has no revision {revision} to adapt")
+            query = select(func.max(adaptations.c.number)).where(
+                adaptations.c.serial == serial, adaptations.c.origin == self.origin
+            )
+            number = int(connection.execute(query).scalar_one() or 0)
+            for entry in entries:
+                number += 1
+                values = {
+                    "serial": serial,
+                    "number": number,
+                    "origin": self.origin,
+                    "revision": revision,
+                    **{name: entry[name] for name in NEEDED},
+                    "made_at": self.settings.clock(),
+                    "entry": dict(entry),
+                }
+                self._store(connection, adaptations, values, "adapt", actor)
+            return number
+
+    def last_adaptation(self, serial: str, revision: int, stream: str) -> Entry | None:
+        """Return the newest step of a stream, to go on after a stop; None where it has not begun."""
+        c = adaptations.c
+        query = select(c.entry).where(c.serial == serial, c.revision == revision, c.stream == stream)
+        newest = query.order_by(c.sample.desc(), c.made_at.desc(), c.number.desc()).limit(1)
+        with self.database.reading() as connection:
+            entry: Entry | None = connection.execute(newest).scalar_one_or_none()
+            return entry
+
+    def adaptations(self, serial: str, stream: str | None = None) -> list[Entry]:
+        """Return the steps of a serial, of one stream or of all, in the order they were made."""
+        c = adaptations.c
+        query: Select[Any] = select(c.entry).where(c.serial == serial).order_by(c.made_at, c.origin, c.number)
+        query = query if stream is None else query.where(c.stream == stream)
+        with self.database.reading() as connection:
+            return list(connection.execute(query).scalars())

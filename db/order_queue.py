@@ -1,0 +1,189 @@
+"""Orders to stations, the progress of their runs and the stations' heartbeats, as rows that page and station share.
+
+A page writes an order and reads progress; the station takes orders and writes progress. Neither needs the other to be
+there. One run at a time per station is a unique index of the database, not a rule of a program.
+"""
+
+from collections.abc import Callable, Mapping
+from datetime import datetime, timedelta
+from typing import Any
+
+from sqlalchemy import Connection, RowMapping, Select, delete, insert, select, update
+from sqlalchemy.exc import IntegrityError
+
+from softcal.core.errors import InputError
+from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
+from softcal.db.database import Database
+from softcal.db.tables import heartbeats, orders, run_signals
+
+SILENT_AFTER = timedelta(seconds=3)
+"""A station whose last heartbeat is older is not there."""
+
+ORDER_FIELDS = ("order_id", "station", "kind", "serial", "lot_id", "actor", "reason", "created")
+PROGRESS_FIELDS = ("order_id", "state", "phase", "fraction", "remaining_s", "code", "message", "recording_sha256")
+SIGNAL_FIELDS = ("t_s", "output", "stage_mm", "force_N")
+AT_ONCE = (OrderKind.STOP, OrderKind.ACKNOWLEDGE)
+"""Kinds that wait behind nothing and occupy no station."""
+
+
+class OrderQueue:
+    """Orders, runs and heartbeats of the stations of a registry. Every call is one short transaction."""
+
+    def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
+        self._database, self._clock = database, clock
+
+    def place(self, order: Order) -> None:
+        """Ask a station for something; the same order id again changes nothing.
+
+        Raises:
+            InputError: the station has a run that is not over.
+        """
+        values = {name: getattr(order, name) for name in ORDER_FIELDS} | {"created": order.created or self._clock()}
+        progress = _progress_values(Progress(order.order_id, RunState.QUEUED))
+        with self._database.writing(in_turn=False) as connection:
+            known = select(orders.c.order_id).where(orders.c.order_id == order.order_id)
+            if connection.execute(known).first() is not None:
+                return
+            try:
+                with connection.begin_nested():
+                    connection.execute(insert(orders).values(**values | progress, changed_at=self._clock()))
+            except IntegrityError as error:
+                raise InputError(self._busy(connection, order.station)) from error
+
+    def take(self, station: str) -> Order | None:
+        """Return the station's next order and mark it running; STOP and ACKNOWLEDGE come before everything else."""
+        query = select(orders).where(orders.c.station == station, orders.c.state == RunState.QUEUED)
+        with self._database.writing(in_turn=False) as connection:
+            found = connection.execute(query.order_by(orders.c.created, orders.c.order_id)).mappings().all()
+            if not found:
+                return None
+            row = min(found, key=lambda row: row["kind"] not in AT_ONCE)
+            running = {"state": RunState.RUNNING, "changed_at": self._clock()}
+            connection.execute(update(orders).where(orders.c.order_id == row["order_id"]).values(**running))
+            return _order(row)
+
+    def report(self, progress: Progress) -> None:
+        """Write how far an order is. An order that is over stays as it ended."""
+        with self._database.writing(in_turn=False) as connection:
+            values = _progress_values(progress) | {"changed_at": self._clock()}
+            open_order = update(orders).where(
+                orders.c.order_id == progress.order_id, orders.c.state.in_([RunState.QUEUED, RunState.RUNNING])
+            )
+            if connection.execute(open_order.values(**values)).rowcount and progress.signal.t_s:
+                connection.execute(delete(run_signals).where(run_signals.c.order_id == progress.order_id))
+                signal = vars(progress.signal)
+                connection.execute(insert(run_signals).values(order_id=progress.order_id, signal=signal))
+
+    def progress(self, order_id: str) -> Progress:
+        """Return how far an order is, with its live signal.
+
+        Raises:
+            InputError: there is no such order.
+        """
+        with self._database.reading() as connection:
+            row = connection.execute(select(orders).where(orders.c.order_id == order_id)).mappings().first()
+            if row is None:
+                raise InputError(f"order {order_id!r} is not in the registry")
+            return _progress(row, _signal(connection, order_id))
+
+    def runs(self, station: str | None = None, count: int = 50) -> list[tuple[Order, Progress]]:
+        """Return the newest orders with their progress, newest first, without the live signal."""
+        query = select(orders).order_by(orders.c.created.desc(), orders.c.order_id).limit(count)
+        query = query if station is None else query.where(orders.c.station == station)
+        with self._database.reading() as connection:
+            rows = connection.execute(query).mappings()
+            return [(_order(row), _progress(row, Signal())) for row in rows]
+
+    def active(self, station: str) -> tuple[Order, Progress] | None:
+        """Return the run that occupies a station, or None."""
+        with self._database.reading() as connection:
+            row = connection.execute(_open_runs(station)).mappings().first()
+            return None if row is None else (_order(row), _progress(row, _signal(connection, row["order_id"])))
+
+    def interrupt(self, station: str, message: str) -> list[str]:
+        """Mark what a station left running when it died as an error; return the order ids.
+
+        Called by a station that starts. What was queued is cancelled: nothing moves because of an old order.
+        """
+        ended = {RunState.RUNNING: RunState.ERROR, RunState.QUEUED: RunState.CANCELLED}
+        left = select(orders.c.order_id, orders.c.state).where(
+            orders.c.station == station, orders.c.state.in_(list(ended))
+        )
+        with self._database.writing(in_turn=False) as connection:
+            rows = connection.execute(left.order_by(orders.c.created)).all()
+            for order_id, state in rows:
+                values = {"state": ended[RunState(state)], "code": "E-INTERRUPTED", "message": message}
+                mine = update(orders).where(orders.c.order_id == order_id)
+                connection.execute(mine.values(**values, changed_at=self._clock()))
+        return [order_id for order_id, _ in rows]
+
+    def beat(self, heartbeat: Heartbeat) -> None:
+        """Write that a station lives and what it does.
+
+        Raises:
+            InputError: another process serves this station; ports have one owner.
+        """
+        values = vars(heartbeat) | {"reasons": list(heartbeat.reasons)}
+        where = heartbeats.c.station == heartbeat.station
+        with self._database.writing(in_turn=False) as connection:
+            known = connection.execute(select(heartbeats).where(where).with_for_update()).mappings().first()
+            if known is None:
+                connection.execute(insert(heartbeats).values(**values))
+                return
+            is_alive = heartbeat.at - known["at"] <= SILENT_AFTER
+            if is_alive and known["process"] != heartbeat.process and known["state"] != StationState.CLOSED:
+                raise InputError(f"station {heartbeat.station!r} is served by {known['process']}; stop that one first")
+            connection.execute(update(heartbeats).where(where).values(**values))
+
+    def heartbeat(self, station: str) -> Heartbeat | None:
+        """Return the last sign of life of a station, or None where there never was one."""
+        with self._database.reading() as connection:
+            row = connection.execute(select(heartbeats).where(heartbeats.c.station == station)).mappings().first()
+            return None if row is None else _heartbeat(row)
+
+    def stations(self) -> list[Heartbeat]:
+        """Return the last sign of life of every station, by name."""
+        with self._database.reading() as connection:
+            rows = connection.execute(select(heartbeats).order_by(heartbeats.c.station)).mappings()
+            return [_heartbeat(row) for row in rows]
+
+    def is_answering(self, station: str) -> bool:
+        """Whether a station gave a sign of life in the last seconds."""
+        last = self.heartbeat(station)
+        return last is not None and self._clock() - last.at <= SILENT_AFTER
+
+    def _busy(self, connection: Connection, station: str) -> str:
+        row = connection.execute(_open_runs(station)).mappings().one()
+        what = f"{row['kind']} {row['serial']}".strip()
+        return f"station {station!r} has a run that is not over ({what}, {row['state']}); wait for it or stop it"
+
+
+def _open_runs(station: str) -> Select[Any]:
+    open_states = orders.c.state.in_([RunState.QUEUED, RunState.RUNNING])
+    return select(orders).where(orders.c.station == station, open_states, orders.c.kind.not_in(AT_ONCE))
+
+
+def _progress_values(progress: Progress) -> dict[str, object]:
+    return {name: getattr(progress, name) for name in PROGRESS_FIELDS}
+
+
+def _order(row: RowMapping) -> Order:
+    return Order(**{name: row[name] for name in ORDER_FIELDS} | {"kind": OrderKind(row["kind"])})
+
+
+def _progress(row: RowMapping, signal: Signal) -> Progress:
+    facts = {name: row[name] for name in PROGRESS_FIELDS}
+    return Progress(**facts | {"state": RunState(row["state"])}, signal=signal)
+
+
+def _signal(connection: Connection, order_id: str) -> Signal:
+    query = select(run_signals.c.signal).where(run_signals.c.order_id == order_id)
+    stored: Mapping[str, Any] | None = connection.execute(query).scalar_one_or_none()
+    if stored is None:
+        return Signal()
+    return Signal(**{name: tuple(stored[name]) for name in SIGNAL_FIELDS}, output_unit=stored["output_unit"])
+
+
+def _heartbeat(row: RowMapping) -> Heartbeat:
+    facts = dict(row) | {"state": StationState(row["state"]), "reasons": tuple(row["reasons"])}
+    return Heartbeat(**facts)
