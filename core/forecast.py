@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.core.health import OutputLimits, rail_share
+from softcal.core.health import OutputLimits, clipped_share
 from softcal.core.maps.interface import UnitMap
 from softcal.core.recording import Array, Indices, OutputRecording
 from softcal.core.source_model import SourceModel
@@ -174,5 +174,5 @@ def _resolution(model: SourceModel, target: OutputRecording, mapped: Array, raw:
 
 def _clipping(model: SourceModel, target: OutputRecording, limits: OutputLimits) -> float:
     """Return the error of a clipped stretch: the load there is anywhere in the upper third of the range."""
-    shares = [rail_share(target.output, rail) for rail in (limits.rail_low, limits.rail_high) if np.isfinite(rail)]
-    return float(np.sqrt(sum(shares) / 12)) * (model.interval.high - model.interval.low) / 3
+    share = clipped_share(target.output, limits)
+    return float(np.sqrt(share / 12)) * (model.interval.high - model.interval.low) / 3

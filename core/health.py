@@ -11,8 +11,11 @@ from softcal.core.verdict import Finding
 RAIL_RUN = 5
 """Equal samples in a row at the very end of the range that count as clipped."""
 
-RAIL_SHARE = 0.01
-"""Clipped share, beyond what the source shows at the same end, that is worth a word."""
+PILE = 3.0
+"""Samples at a rail over samples one level inside it; noise alone leaves fewer at the very end."""
+
+VISITS = 0.2
+"""Share of presses that end at a rail, beyond what the source shows at the same end, that is clipping."""
 
 STUCK_S = 2.0
 """A reading that does not move for less than this is never called stuck."""
@@ -44,12 +47,48 @@ def run_lengths(output: Array) -> Indices:
     return index - np.maximum.accumulate(np.where(changes, index, 0)) + 1
 
 
-def rail_share(output: Array, rail: float) -> float:
-    """Return the share of samples in runs of at least `RAIL_RUN` equal samples at a rail."""
-    at_rail = (output == rail).astype(np.int64)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], at_rail, [0]])))
-    lengths = edges[1::2] - edges[::2]
-    return float(lengths[lengths >= RAIL_RUN].sum() / len(output))
+@dataclass(frozen=True)
+class Rail:
+    """How the samples pile up at one end of the range.
+
+    Args:
+        level: the end of the range, in the output unit.
+        share: share of all samples at it.
+        visits: share of the presses that end at it, flat for at least `RAIL_RUN` samples.
+        count: number of such presses.
+        pile: samples at it over samples at the next level inside.
+    """
+
+    level: float
+    share: float
+    visits: float
+    count: int
+    pile: float
+
+    def is_clipped(self, source: "Rail") -> bool:
+        """Tell whether the readout clips here: presses of different depth all end flat at one level.
+
+        A hold at the deepest load ends flat too, and a unit at rest does at the other end: both do so in the source.
+        """
+        return self.count >= 3 and self.pile >= PILE and self.visits > source.visits + VISITS
+
+
+def rail(output: Array, is_upper: bool) -> Rail:
+    """Describe the upper or lower end of an output's range."""
+    rising = output if is_upper else -output
+    levels, counts = np.unique(rising, return_counts=True)
+    top, span = levels[-1], levels[-1] - levels[0]
+    flat = (rising == top) & (run_lengths(rising) == RAIL_RUN)
+    state = np.where(flat, 1, np.where(rising < top - 0.1 * span, -1, 0))
+    state = state[state != 0]
+    count = int(np.count_nonzero((state[1:] == 1) & (state[:-1] == -1)))
+    return Rail(
+        level=float(top if is_upper else -top),
+        share=float(counts[-1] / len(output)),
+        visits=count / max(count_presses(output), 1),
+        count=count,
+        pile=float(counts[-1] / counts[-2]),
+    )
 
 
 def check_alive(target: OutputRecording, source: OutputRecording) -> None:
@@ -76,37 +115,37 @@ def check_alive(target: OutputRecording, source: OutputRecording) -> None:
 
 def output_limits(target: OutputRecording, source: OutputRecording) -> OutputLimits:
     """Find the rails of the unit's readout and the longest stillness it shows in good order."""
-    output = target.output
-    shares = [rail_share(output, end) - _source_share(source, k) for k, end in enumerate((output.min(), output.max()))]
-    longest = int(max(run_lengths(output).max(), run_lengths(source.output).max()))
+    lower, upper = (rail(target.output, is_upper) for is_upper in (False, True))
+    longest = int(max(run_lengths(target.output).max(), run_lengths(source.output).max()))
     return OutputLimits(
-        rail_low=float(output.min()) if shares[0] > RAIL_SHARE else -np.inf,
-        rail_high=float(output.max()) if shares[1] > RAIL_SHARE else np.inf,
+        rail_low=lower.level if lower.is_clipped(rail(source.output, is_upper=False)) else -np.inf,
+        rail_high=upper.level if upper.is_clipped(rail(source.output, is_upper=True)) else np.inf,
         stuck_samples=max(2 * longest, round(STUCK_S * target.sample_rate_Hz)),
     )
 
 
-def _source_share(source: OutputRecording, end: int) -> float:
-    return rail_share(source.output, float(source.output.max() if end else source.output.min()))
+def clipped_share(output: Array, limits: OutputLimits) -> float:
+    """Return the share of samples at a rail."""
+    return float(np.mean((output <= limits.rail_low) | (output >= limits.rail_high)))
 
 
 def health_findings(target: OutputRecording, source: OutputRecording, limits: OutputLimits) -> tuple[Finding, ...]:
     """Say in words what is wrong with the raw output, if anything."""
-    found = [*_clipped(target, limits), *_frozen(target, source), *_short(target)]
-    return tuple(found)
+    return (*_clipped(target, limits), *_frozen(target, source), *_short(target))
 
 
 def _clipped(target: OutputRecording, limits: OutputLimits) -> list[Finding]:
-    found = []
-    for name, rail in (("highest", limits.rail_high), ("lowest", limits.rail_low)):
-        if np.isfinite(rail):
-            share = rail_share(target.output, rail)
-            text = (
-                f"clipped range: output stays at its {name} value {rail:.6g} {target.output_unit} in {share:.1%} of "
-                "the samples; check gain and supply of the readout"
-            )
-            found.append(Finding("saturated", text, "fail" if share > 0.05 else "conditional"))
-    return found
+    share = clipped_share(target.output, limits)
+    if share == 0:
+        return []
+    levels = [
+        f"{level:.6g} {target.output_unit}" for level in (limits.rail_low, limits.rail_high) if np.isfinite(level)
+    ]
+    text = (
+        f"clipped range: presses end flat at {' and '.join(levels)}, {share:.1%} of the samples; "
+        "check gain and supply of the readout"
+    )
+    return [Finding("saturated", text, "fail" if share > 0.05 else "conditional")]
 
 
 def _frozen(target: OutputRecording, source: OutputRecording) -> list[Finding]:
