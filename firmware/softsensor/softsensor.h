@@ -156,24 +156,76 @@ static ss_status ss_check_unit(const uint8_t *p, uint32_t bytes) {
 
 static int32_t ss_clip(int32_t x) { return x > 32767 ? 32767 : x < -32767 ? -32767 : x; }
 
+/* Four rows at once: each activation is loaded once, two words bring four weights; `end` is one past the last
+ * activation. Returns the weights that follow. */
+#if defined(__GNUC__) && defined(__ARM_ARCH_6M__) && !defined(SS_PORTABLE)
+/* The Cortex-M0 has eight easy registers, too few for a compiler to keep this loop out of memory, most of all at -Os. */
+__attribute__((naked, noinline, unused)) static const ss_full_word *ss_dot(
+    const ss_full_word *w __attribute__((unused)), const int16_t *end __attribute__((unused)),
+    uint32_t columns __attribute__((unused)), uint32_t *acc __attribute__((unused))) {
+  __asm__ volatile(
+      ".syntax unified\n\t"
+      "push {r3, r4, r5, r6, r7, lr}\n\t"
+      "mov r4, r8\n\t"
+      "push {r4}\n\t"
+      "lsls r2, r2, #1\n\t"
+      "rsbs r2, r2, #0\n\t" /* r2: from -2 columns up to 0 */
+      "movs r7, #0\n\t"     /* sums in r12, lr, r8, r7 */
+      "mov r12, r7\n\t"
+      "mov lr, r7\n\t"
+      "mov r8, r7\n"
+      "1:\n\t"
+      "ldrsh r4, [r1, r2]\n\t"
+      "ldmia r0!, {r5, r6}\n\t"
+      "sxth r3, r5\n\t"
+      "asrs r5, r5, #16\n\t"
+      "muls r3, r4, r3\n\t"
+      "muls r5, r4, r5\n\t"
+      "add r12, r3\n\t"
+      "add lr, r5\n\t"
+      "sxth r3, r6\n\t"
+      "asrs r6, r6, #16\n\t"
+      "muls r3, r4, r3\n\t"
+      "muls r6, r4, r6\n\t"
+      "add r8, r3\n\t"
+      "adds r7, r7, r6\n\t"
+      "adds r2, r2, #2\n\t"
+      "bne 1b\n\t"
+      "pop {r1}\n\t"
+      "pop {r3}\n\t"
+      "mov r4, r12\n\t"
+      "mov r5, lr\n\t"
+      "mov r6, r8\n\t"
+      "stmia r3!, {r4, r5, r6, r7}\n\t"
+      "mov r8, r1\n\t"
+      "pop {r4, r5, r6, r7, pc}");
+}
+#else
+static const ss_full_word *ss_dot(const ss_full_word *w, const int16_t *end, uint32_t columns, uint32_t *acc) {
+  const int16_t *x = end - columns;
+  uint32_t a = 0, b = 0, c = 0, d = 0;
+  do {
+    uint32_t v = (uint32_t)(int32_t)*x++, ab = *w++, cd = *w++;
+    a += v * (uint32_t)(int32_t)(int16_t)ab;
+    b += v * (uint32_t)((int32_t)ab >> 16);
+    c += v * (uint32_t)(int32_t)(int16_t)cd;
+    d += v * (uint32_t)((int32_t)cd >> 16);
+  } while (x != end);
+  acc[0] = a, acc[1] = b, acc[2] = c, acc[3] = d;
+  return w;
+}
+#endif
+
 /* The exporter has proved that no accumulator overflows. Sums and products are unsigned and shifts masked all the same,
  * so that even a forged file meets no undefined behaviour; its self-tests then fail. */
-static const uint8_t *ss_layer(const uint8_t *p, uint32_t rows, uint32_t columns, const int16_t *in, int16_t *out,
+static const uint8_t *ss_layer(const uint8_t *record, uint32_t rows, uint32_t columns, const int16_t *in, int16_t *out,
                                int is_rectified) {
-  const uint8_t *record = p;
-  const ss_full_word *w = (const ss_full_word *)(const void *)(p + 8 * ((rows + 3) & ~3u));
-  uint32_t row, k;
+  const ss_full_word *w;
+  uint32_t acc[4], row, k;
+  rows = (rows + 3) & ~3u;
+  w = (const ss_full_word *)(const void *)(record + 8 * rows);
   for (row = 0; row < rows; row += 4) {
-    const int16_t *x = in, *end = in + columns;
-    uint32_t acc[4], a = 0, b = 0, c = 0, d = 0;
-    do {
-      uint32_t v = (uint32_t)(int32_t)*x++, ab = *w++, cd = *w++;
-      a += v * (uint32_t)(int32_t)(int16_t)ab;
-      b += v * (uint32_t)((int32_t)ab >> 16);
-      c += v * (uint32_t)(int32_t)(int16_t)cd;
-      d += v * (uint32_t)((int32_t)cd >> 16);
-    } while (x != end);
-    acc[0] = a, acc[1] = b, acc[2] = c, acc[3] = d;
+    w = ss_dot(w, in + columns, columns, acc);
     for (k = 0; k < 4; k++, record += 8) {
       int32_t sum = (int32_t)(acc[k] + ss_u32(record));
       uint32_t product;

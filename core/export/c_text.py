@@ -1,0 +1,59 @@
+"""Calibration files as C headers: word arrays a firmware image can include, aligned as the runtime wants them."""
+
+import re
+import struct
+
+from softcal.core.export.blob import NetworkFile, UnitFile, serial_field
+
+WORDS_PER_LINE = 8
+
+
+def network_header(file: NetworkFile) -> str:
+    """Return `network_<id>.h`: the network file as an array, with macros for the usual case of one network."""
+    name = f"ss_network_{file.id.hex()}"
+    sizes = "-".join(map(str, file.network.sizes))
+    widest = max(size + -size % 4 for size in file.network.sizes[1:])
+    about = f"Shared network {file.id.hex()} ({sizes}), trained on unit {file.source_serial}."
+    return _header(
+        name,
+        about,
+        file.to_bytes(),
+        f"""
+#ifndef SS_WIDTH
+#define SS_WIDTH {max(16, widest)} /* the widest layer of this network */
+#endif
+#define SS_NETWORK {name}
+#define SS_NETWORK_BYTES sizeof({name})
+""",
+    )
+
+
+def unit_header(file: UnitFile) -> str:
+    """Return `unit_<serial>.h`: the unit file as an array, its serial as the runtime compares it, and macros."""
+    name = "ss_unit_" + re.sub(r"[^A-Za-z0-9]", "_", file.serial)
+    key = serial_field(file.serial).rstrip(b"\0").decode()
+    about = f"Calibration of unit {file.serial}, revision {file.revision}, for network {file.network_id.hex()}."
+    return _header(
+        name,
+        about,
+        file.to_bytes(),
+        f"""
+static const char {name}_serial[20] = "{key}";
+#ifndef SS_UNIT
+#define SS_UNIT {name}
+#define SS_UNIT_BYTES sizeof({name})
+#define SS_UNIT_SERIAL {name}_serial
+#endif
+""",
+    )
+
+
+def _header(name: str, about: str, content: bytes, rest: str) -> str:
+    words = [f"0x{word:08x}u" for (word,) in struct.iter_unpack("<I", content)]
+    lines = [", ".join(words[i : i + WORDS_PER_LINE]) for i in range(0, len(words), WORDS_PER_LINE)]
+    body = ",\n  ".join(lines)
+    guard = f"{name.upper()}_H"
+    return (
+        f"/* {about} Written by softcal export: do not edit. */\n#ifndef {guard}\n#define {guard}\n\n"
+        f"#include <stdint.h>\n\nstatic const uint32_t {name}[{len(words)}] = {{\n  {body}}};\n{rest}\n#endif\n"
+    )
