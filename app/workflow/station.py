@@ -1,15 +1,198 @@
-"""The rig as a use case: press a unit, write its recording, or press a whole simulated lot for the demo."""
+"""The rig as a use case: find it, test it, press a unit and write its recording, or press a whole simulated lot."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 
-from softcal.core.profiles import source_profile, unit_profile
-from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.app.recording_file import write_columns
+from softcal.core.errors import InputError, NoReply
+from softcal.core.lot import check_serial
+from softcal.core.profiles import Profile, source_profile, unit_profile
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.twin.simulate import Twin
-from softcal.station.acquisition import record
-from softcal.station.bench import open_simulated_bench
+from softcal.core.twin.spread import draw_lot
+from softcal.station.acquisition import OnProgress, record
+from softcal.station.bench import Bench, open_bench, open_simulated_bench
+from softcal.station.clock import HostClock
+from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
+from softcal.station.identify import Identity, identify
+from softcal.station.link import available_ports
+from softcal.station.recording import StationRecording
+from softcal.station.self_test import Finding, self_test
+
+LOOKED_FOR = "a GRBL stage, a load-cell stream and a sensor readout"
+
+
+@contextmanager
+def chosen_bench(station_file: Path | None, simulated_seed: int | None) -> Iterator[Bench]:
+    """Open the simulated bench where a seed is given, else the one the station file describes.
+
+    Raises:
+        InputError: neither is given, or the file cannot be read.
+        DeviceError: devices are missing; all of them are named.
+    """
+    if simulated_seed is not None:
+        twin = draw_lot(np.random.default_rng(simulated_seed), 1)[0]
+        with open_simulated_bench(twin, simulated_seed) as (bench, _):
+            yield bench
+    elif station_file is None:
+        raise InputError(
+            "which station? give --station FILE (made by `softcal station check --write FILE`) or --simulated"
+        )
+    else:
+        with open_bench(read_station_file(station_file)) as bench:
+            yield bench
+
+
+def find_devices(ports: Sequence[str]) -> list[Identity]:
+    """Return what answers at these ports, or at all USB serial ports of this machine where none is given.
+
+    Raises:
+        NoReply: there is no port, or some cannot be opened; all of them are named.
+    """
+    candidates = list(ports) or available_ports()
+    if not candidates:
+        raise NoReply(f"no USB serial port on this machine; looked for {LOOKED_FOR}; plug them in, or use --simulated")
+    found, faults = [], []
+    for port in candidates:
+        try:
+            found.append(identify(port, HostClock()))
+        except NoReply as error:
+            faults.append(str(error))
+    if faults and ports:
+        raise NoReply("; ".join(faults))
+    return found
+
+
+def station_of(devices: Sequence[Identity]) -> StationConfig:
+    """Return the station that these devices make up.
+
+    Raises:
+        NoReply: stage or readout is missing; all that is missing is named.
+    """
+    by_role = {device.role: device for device in devices}
+    missing = [name for role, name in (("stage", "a stage"), ("readout", "a sensor readout")) if role not in by_role]
+    if missing:
+        raise NoReply(f"not found: {' and '.join(missing)}; looked at {', '.join(d.port for d in devices)}")
+    readout, force = by_role["readout"], by_role.get("force")
+    return StationConfig(
+        StageConfig(by_role["stage"].port),
+        ReadoutConfig(readout.port, rate_Hz=round(readout.rate_Hz, 1), channels=readout.channels),
+        ForceConfig(force.port, rate_Hz=round(force.rate_Hz, 1)) if force else None,
+    )
+
+
+@dataclass(frozen=True)
+class StationCheck:
+    """What `softcal station check` found."""
+
+    config: StationConfig
+    devices: tuple[Identity, ...]
+    findings: tuple[Finding, ...]
+
+    def as_json(self) -> dict[str, object]:
+        """Return the report as JSON values."""
+        return {
+            "schema": "softcal.station-check/1",
+            "station": self.config.name,
+            "devices": [asdict(device) for device in self.devices],
+            "findings": [asdict(finding) | {"is_good": finding.is_good} for finding in self.findings],
+            "is_good": all(finding.is_good for finding in self.findings),
+        }
+
+
+def check_station(
+    ports: Sequence[str], station_file: Path | None, simulated_seed: int | None, may_move: bool
+) -> StationCheck:
+    """Find the devices (unless a station is given), open them all and run the self-test.
+
+    Raises:
+        DeviceError: a port or a device is missing; all of them are named.
+    """
+    devices: list[Identity] = []
+    if ports or (station_file is None and simulated_seed is None):
+        devices = find_devices(ports)
+    if station_file is None and simulated_seed is None:
+        with open_bench(station_of(devices)) as bench:
+            return StationCheck(bench.config, tuple(devices), tuple(self_test(bench, may_move)))
+    with chosen_bench(station_file, simulated_seed) as bench:
+        return StationCheck(bench.config, tuple(devices), tuple(self_test(bench, may_move)))
+
+
+@dataclass(frozen=True)
+class WrittenRun:
+    """What one run left behind: the recording and the files or registry entries that hold it."""
+
+    recording: StationRecording
+    files: tuple[Path, ...]
+    seconds: float
+
+
+def record_to_files(
+    bench: Bench,
+    serials: Sequence[str],
+    out: Path,
+    profile: Profile,
+    with_reference: bool,
+    on_progress: OnProgress | None = None,
+) -> WrittenRun:
+    """Press once and write one file per channel, whole or not at all.
+
+    Args:
+        serials: one per channel of the readout.
+        out: the file; with several channels the folder.
+
+    Raises:
+        InputError: a serial that cannot be one, or not one per channel.
+        DeviceError: the run was aborted; nothing was written.
+    """
+    for serial in serials:
+        check_serial(serial)
+    if len(serials) != bench.readout.channels or len(set(serials)) != len(serials):
+        raise InputError(f"{len(set(serials))} serials for {bench.readout.channels} channels; give one per channel")
+    began_s = bench.clock.now_s()
+    recording = record(bench, serials[0], profile, with_reference, on_progress)
+    paths = [out] if len(serials) == 1 else [out / f"{serial}.csv" for serial in serials]
+    for channel, path in enumerate(paths):
+        write_columns(path, columns(recording, channel))
+    return WrittenRun(recording, tuple(paths), bench.clock.now_s() - began_s)
+
+
+def run_json(run: WrittenRun) -> dict[str, object]:
+    """Return what is known of a run as JSON values; NaN becomes null."""
+    recording = run.recording
+    alignment = {key: value if np.isfinite(value) else None for key, value in asdict(recording.alignment).items()}
+    return {
+        "schema": "softcal.station-run/1",
+        "files": [str(path) for path in run.files],
+        "profile": recording.profile,
+        "samples": len(recording.t_s),
+        "lost": recording.lost,
+        "station_s": run.seconds,
+        "contact_mm": recording.contact_mm,
+        "zero_N": recording.zero_N,
+        "zero_return_N": recording.zero_return_N,
+        "alignment": alignment,
+    }
+
+
+def columns(recording: StationRecording, channel: int = 0) -> list[tuple[str, Array]]:
+    """Return the columns of a lot folder's file, rounded far below what the devices resolve."""
+    named = [("t_s", np.round(recording.t_s, 6)), ("output", np.round(recording.output[:, channel], 7))]
+    if recording.force_N is not None:
+        named.append(("reference", np.round(recording.force_N, 6)))
+    return [*named, ("stage_mm", np.round(recording.stage_mm, 5))]
+
+
+def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float) -> Profile:
+    """Return the source or the short unit profile."""
+    rng = np.random.default_rng(seed)
+    if kind == "source":
+        return source_profile(rng, seconds or 170.0, depth_mm)
+    return unit_profile(rng, seconds or 25.0, depth_mm)
 
 
 @dataclass(frozen=True)
@@ -42,7 +225,7 @@ def press_simulated_lot(
     Args:
         twins, serials: (number of units,) the units, the source first.
         seed: of mounting, noise and profiles.
-        times: how long each run presses; audits take as long as a unit's run and are only there to score.
+        times: how long each run presses; an audit is only there to score.
         on_run: called with a sentence before each run.
 
     Raises:

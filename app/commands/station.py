@@ -1,0 +1,144 @@
+"""`softcal station`: find and test the rig, press the source unit or a target unit and record it."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from softcal.app.commands.options import add_json
+from softcal.app.output import print_table, say, write_json
+
+if TYPE_CHECKING:
+    from softcal.station.acquisition import OnProgress
+    from softcal.station.self_test import Finding
+
+EXAMPLES = """examples:
+  softcal station check                                       look at every USB serial port
+  softcal station check --port /dev/ttyACM0 --port /dev/ttyACM1 --write station.toml
+  softcal station check --station station.toml                test all devices, home, move 2 mm
+  softcal station source --station station.toml --serial A0 --out lot-1/source/A0.csv
+  softcal station unit --station station.toml --serial A1 --out lot-1/units/A1.csv
+  softcal station unit --simulated --serial A1 --out A1.csv   the same on the simulated rig
+
+Exit code 3: a device is missing or failed; the stage was stopped and no file was written.
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal station` and its actions."""
+    parser = commands.add_parser(
+        "station",
+        help="the rig: find devices, self-test, press and record a unit",
+        description="The rig: find its devices, test it, press a unit with a profile and record it.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    _add_check(actions)
+    for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
+        _add_press(actions, kind, what)
+
+
+def _add_check(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    check = actions.add_parser(
+        "check",
+        help="find ports, identify devices, test them, and say everything that is missing",
+        description="Find the devices, read every channel, home the stage and move it by 2 mm. All faults at once.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    check.add_argument("--port", action="append", default=[], metavar="PORT", help="look at this port only; repeatable")
+    _add_station(check)
+    check.add_argument("--write", type=Path, metavar="FILE", help="write a station file from what was found")
+    check.add_argument("--no-motion", action="store_true", help="do not home or move the stage")
+    add_json(check)
+    check.set_defaults(run=run_check)
+
+
+def _add_press(actions: "argparse._SubParsersAction[argparse.ArgumentParser]", kind: str, what: str) -> None:
+    press = actions.add_parser(
+        kind,
+        help=f"press a {kind} unit and record it {what}",
+        description=f"Home, find contact, press with the {kind} profile and record {what}. Whole or not at all.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    press.add_argument("--serial", nargs="+", required=True, metavar="S", help="serial; one per channel of the readout")
+    press.add_argument("--out", type=Path, required=True, metavar="FILE", help="CSV or Parquet; a folder for channels")
+    press.add_argument("--seconds", type=_positive, metavar="S", help="how long to press")
+    press.add_argument("--depth", type=_positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
+    press.add_argument("--profile-seed", type=int, default=0, help="draws the random presses (default 0)")
+    _add_station(press)
+    add_json(press)
+    press.set_defaults(run=run_press, kind=kind)
+
+
+def _add_station(parser: argparse.ArgumentParser) -> None:
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--station", type=Path, metavar="FILE", help="station file (TOML)")
+    where.add_argument(
+        "--simulated", nargs="?", type=int, const=0, metavar="SEED", help="the simulated rig, faster than real time"
+    )
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e5:
+        raise argparse.ArgumentTypeError(f"{text}: a number above 0 was expected")
+    return value
+
+
+def run_check(options: argparse.Namespace) -> int:
+    """Identify, test, report."""
+    from softcal.app.workflow.station import check_station
+
+    check = check_station(options.port, options.station, options.simulated, may_move=not options.no_motion)
+    if check.devices:
+        print_table(("port", "is", "dialect", "says"), [(d.port, d.role, d.kind, d.description) for d in check.devices])
+    if check.findings:
+        print_table(("device", "what", "value", "to do"), [_row(finding) for finding in check.findings])
+    if options.write:
+        from softcal.app.files import write_text
+        from softcal.station.config import station_toml
+
+        write_text(options.write, station_toml(check.config))
+        say(f"{options.write}: station file written; set the safety bounds and the load cell's calibration in it")
+    if options.json:
+        write_json(options.json, check.as_json())
+    faults = [finding for finding in check.findings if not finding.is_good]
+    for finding in faults:
+        say(f"{finding.device}, {finding.what}: {finding.cure}")
+    say(f"station {check.config.name}: " + (f"{len(faults)} fault(s)" if faults else "good"))
+    return 3 if faults else 0
+
+
+def run_press(options: argparse.Namespace) -> int:
+    """Press one unit and write its recording."""
+    from softcal.app.workflow.station import chosen_bench, profile_for, record_to_files, run_json
+
+    profile = profile_for(options.kind, options.profile_seed, options.seconds, options.depth)
+    with chosen_bench(options.station, options.simulated) as bench:
+        run = record_to_files(bench, options.serial, options.out, profile, options.kind == "source", _progress())
+    for path in run.files:
+        say(f"{path}: {len(run.recording.t_s)} samples in {run.seconds:.0f} s of station time")
+    if options.json:
+        write_json(options.json, run_json(run))
+    return 0
+
+
+def _row(finding: "Finding") -> tuple[str, str, str, str]:
+    return finding.device, finding.what, finding.value, finding.cure or "good"
+
+
+def _progress() -> "OnProgress":
+    from softcal.station.acquisition import RunProgress
+
+    shown_phase, shown_percent = "", -10
+
+    def tell(progress: RunProgress) -> None:
+        nonlocal shown_phase, shown_percent
+        percent = int(100 * progress.fraction)
+        if progress.phase != shown_phase or percent >= shown_percent + 10:
+            shown_phase, shown_percent = progress.phase, percent
+            say(f"{percent:3d} % {progress.phase}, about {progress.remaining_s:.0f} s left")
+
+    return tell

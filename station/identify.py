@@ -1,0 +1,87 @@
+"""What is on the other end of a serial port: listen first, ask only then, and never move anything."""
+
+from dataclasses import dataclass
+
+from softcal.core.errors import BadReply, NoReply
+from softcal.station.frames import grbl
+from softcal.station.frames.text_stream import parse as parse_stream
+from softcal.station.interfaces import Clock
+from softcal.station.link import Link
+
+LISTEN_S = 1.0
+ANSWER_S = 2.5
+"""An Arduino that was reset by opening its port is in its boot loader for about 1.5 s."""
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What answers at a port.
+
+    Args:
+        port: device name.
+        role: stage, force, readout; "" when it is nothing softcal knows.
+        kind: the dialect, as in the station file.
+        description: what it said of itself, or why it is not known.
+        rate_Hz: of a stream, by its own clock.
+        channels: of a stream.
+    """
+
+    port: str
+    role: str
+    kind: str
+    description: str
+    rate_Hz: float = 0.0
+    channels: int = 0
+
+
+def identify(port: str, clock: Clock) -> Identity:
+    """Return what answers at a port.
+
+    Raises:
+        NoReply: the port does not exist or belongs to another process.
+    """
+    link = Link(port, clock)
+    try:
+        return _stream(link) or _grbl(link) or Identity(port, "", "", "answers in no dialect that softcal knows")
+    finally:
+        link.close()
+
+
+def _stream(link: Link) -> Identity | None:
+    banner, lines = "", []
+    link.clock.sleep_s(LISTEN_S)
+    for line in link.read_lines():
+        if line.text.startswith(b"softcal "):
+            banner = line.text.decode("ascii", "replace")
+        try:
+            lines.append(parse_stream(line.text))
+        except BadReply:
+            continue
+    if len(lines) < 5:
+        return None
+    steps = sorted(b.device_ms - a.device_ms for a, b in zip(lines, lines[1:], strict=False))
+    rate_Hz = 1000.0 / max(1, steps[len(steps) // 2])
+    largest = max(abs(count) for line in lines for count in line.counts)
+    # Without a banner the width of the numbers tells a 24-bit bridge amplifier from a 10- to 16-bit converter.
+    is_cell = "load cell" in banner or (not banner and largest >= 2**16)
+    role, kind = ("force", "hx711") if is_cell else ("readout", "arduino")
+    what = banner or f"text stream of {'24-bit' if is_cell else 'converter'} counts"
+    return Identity(link.port, role, kind, what, rate_Hz, len(lines[0].counts))
+
+
+def _grbl(link: Link) -> Identity | None:
+    link.discard()
+    link.write(b"\r\n" + grbl.STATUS)
+    end_s = link.clock.now_s() + ANSWER_S
+    while link.clock.now_s() < end_s:
+        try:
+            reply = grbl.parse(link.next_line(end_s - link.clock.now_s()).text)
+        except BadReply:
+            continue
+        except NoReply:
+            return None
+        if isinstance(reply, grbl.Greeting):
+            return Identity(link.port, "stage", "grbl", reply.text)
+        if isinstance(reply, grbl.Status):
+            return Identity(link.port, "stage", "grbl", f"GRBL controller, {reply.state}")
+    return None

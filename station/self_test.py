@@ -1,0 +1,129 @@
+"""Is this station fit to press: every device at its rate, the load cell at zero, the stage homed and where it says."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.errors import DeviceError
+from softcal.station.bench import Bench
+from softcal.station.clock import fit_clock
+from softcal.station.interfaces import ForceReader, Move, Readout, Sample
+from softcal.station.recording import LARGEST_DRIFT
+
+LISTEN_S = 3.0
+STEP_MM = 2.0
+POSITION_MM = 0.02
+RATE_SHARE = 0.05
+TICK_S = 0.005
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing the self-test looked at.
+
+    Args:
+        device: stage, load cell, sensor readout.
+        what: the quantity.
+        value: what was found, with its unit.
+        cure: what to do; "" when it is good.
+    """
+
+    device: str
+    what: str
+    value: str
+    cure: str = ""
+
+    @property
+    def is_good(self) -> bool:
+        return not self.cure
+
+
+def self_test(bench: Bench, may_move: bool = True) -> list[Finding]:
+    """Home the stage and move it a little, so that nothing is pressed, then read every channel for some seconds.
+
+    A device that fails is a finding, so that all faults are seen at once.
+
+    Args:
+        bench: open devices.
+        may_move: home the stage and move it by 2 mm.
+    """
+    findings = _stage_findings(bench) if may_move else []
+    readers: list[ForceReader | Readout] = [bench.readout, *([bench.force] if bench.force else [])]
+    samples: dict[str, list[Sample]] = {reader.name: [] for reader in readers}
+    try:
+        for reader in readers:
+            reader.start()
+        end_s = bench.clock.now_s() + LISTEN_S
+        while bench.clock.now_s() < end_s:
+            bench.clock.sleep_s(TICK_S)
+            for reader in readers:
+                samples[reader.name] += reader.poll()
+    except DeviceError as error:
+        findings.append(Finding("readers", "stream", "failed", str(error)))
+    for reader in readers:
+        findings += _stream_findings(reader, samples[reader.name])
+    if bench.force is not None:
+        findings += _zero_findings(bench, samples[bench.force.name])
+    return findings
+
+
+def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -> list[Finding]:
+    if len(samples) < 10:
+        return [Finding(reader.name, "stream", f"{len(samples)} samples", "no stream; check cable, supply, firmware")]
+    values = np.array([sample.values for sample in samples])
+    noise = float(np.max(np.std(np.diff(values, axis=0), axis=0))) / np.sqrt(2)
+    findings = [
+        Finding(reader.name, "reading", f"{', '.join(f'{v:.4g}' for v in values.mean(axis=0))} {reader.unit}"),
+        Finding(reader.name, "noise", f"{noise:.2g} {reader.unit}"),
+    ]
+    if samples[0].device_s is None:
+        return findings
+    device_s = np.array([sample.device_s for sample in samples], dtype=np.float64)
+    fit = fit_clock(device_s, np.array([sample.host_s for sample in samples]))
+    rate_Hz = 1.0 / float(np.median(np.diff(device_s)))
+    is_right = abs(rate_Hz / reader.rate_Hz - 1) < RATE_SHARE
+    slow = f"{reader.rate_Hz:g} Hz were expected; correct rate_Hz in the station file or the firmware"
+    drift = "clock far off; check the firmware" if abs(fit.rate - 1) > LARGEST_DRIFT else ""
+    return [
+        *findings,
+        Finding(reader.name, "rate", f"{rate_Hz:.4g} Hz", "" if is_right else slow),
+        Finding(reader.name, "clock drift", f"{1e6 * (fit.rate - 1):+.0f} ppm", drift),
+        Finding(reader.name, "latency", f"median {1e3 * fit.late_s:.1f} ms, largest {1e3 * fit.latest_s:.1f} ms"),
+    ]
+
+
+def _zero_findings(bench: Bench, samples: Sequence[Sample]) -> list[Finding]:
+    if not samples:
+        return []
+    zero_N, allowed_N = float(np.mean([sample.values[0] for sample in samples])), bench.config.safety.zero_N
+    cure = "" if abs(zero_N) <= allowed_N else f"at most {allowed_N:g} N; unload the cell, then zero it"
+    return [Finding("load cell", "zero", f"{zero_N:+.3f} N", cure)]
+
+
+def _stage_findings(bench: Bench) -> list[Finding]:
+    stage = bench.stage
+    try:
+        stage.home()
+        began_mm, began_s = stage.position_mm, bench.clock.now_s()
+        for to_mm in (began_mm + STEP_MM, began_mm):
+            stage.begin(Move(to_mm, min(5.0, stage.max_speed_mm_s)))
+            while stage.is_moving:
+                bench.clock.sleep_s(TICK_S)
+                stage.poll()
+        took_s = bench.clock.now_s() - began_s
+        bench.clock.sleep_s(0.2)
+        polls = [*stage.poll()]
+        while not polls:
+            bench.clock.sleep_s(TICK_S)
+            polls += stage.poll()
+    except DeviceError as error:
+        stage.stop()
+        return [Finding("stage", "homing and moving", "failed", str(error))]
+    error_mm = polls[-1].position_mm - began_mm
+    cure = "" if abs(error_mm) < POSITION_MM else "it does not come back; check screws, belt and steps per mm"
+    return [
+        Finding("stage", "homing", "found its switch"),
+        Finding("stage", "travel", f"{stage.travel_mm:g} mm, {stage.max_speed_mm_s:g} mm/s"),
+        Finding("stage", "out and back", f"{2 * STEP_MM:g} mm in {took_s:.2f} s, off by {error_mm:+.3f} mm", cure),
+    ]

@@ -1,0 +1,73 @@
+"""`softcal station` as a person uses it: files, exit codes, one clear line."""
+
+import json
+
+import pytest
+
+from softcal.app.commands import station as command
+from softcal.app.lot_folder import read_labelled
+from softcal.app.recording_file import read_recording
+from softcal.core.errors import DeviceError, InputError, NoReply
+
+
+@pytest.fixture
+def softcal():
+    """Run `softcal station ...` as the command line does, and give its exit code."""
+    import argparse
+
+    parser = argparse.ArgumentParser()
+    command.add_parser(parser.add_subparsers())
+
+    def call(*words: object) -> int:
+        options = parser.parse_args(["station", *map(str, words)])
+        return int(options.run(options))
+
+    return call
+
+
+def test_check_of_the_simulated_station_is_good(softcal, tmp_path):
+    report = tmp_path / "check.json"
+    assert softcal("check", "--simulated", "--json", report) == 0
+    content = json.loads(report.read_text())
+    assert content["is_good"]
+    assert {finding["device"] for finding in content["findings"]} == {"stage", "load cell", "sensor readout"}
+
+
+def test_check_names_every_port_that_is_missing(softcal):
+    with pytest.raises(NoReply, match=r"nowhere-1.*nowhere-2") as caught:
+        softcal("check", "--port", "/dev/nowhere-1", "--port", "/dev/nowhere-2")
+    assert isinstance(caught.value, DeviceError)
+    assert "\n" not in str(caught.value)
+
+
+def test_source_writes_the_columns_of_a_lot_folder(softcal, tmp_path):
+    path = tmp_path / "source" / "A0.csv"
+    assert softcal("source", "--simulated", 4, "--serial", "A0", "--out", path, "--seconds", 20) == 0
+    labelled = read_labelled(path, "A0", 50.0)
+    assert labelled.reference.max() > 3.0
+    assert labelled.unlabelled.stage_mm is not None
+
+
+def test_unit_writes_no_reference(softcal, tmp_path):
+    path = tmp_path / "A1.csv"
+    assert softcal("unit", "--simulated", "--serial", "A1", "--out", path, "--seconds", 6) == 0
+    assert path.read_text().splitlines()[0] == "t_s,output,stage_mm"
+    assert len(read_recording(path, "A1", 50.0)) > 250
+
+
+def test_a_serial_that_cannot_be_a_file_name_moves_nothing(softcal, tmp_path):
+    with pytest.raises(InputError, match="serial"):
+        softcal("unit", "--simulated", "--serial", "../A1", "--out", tmp_path / "A1.csv")
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_station_is_a_clear_line(softcal, tmp_path):
+    with pytest.raises(InputError, match="--station FILE"):
+        softcal("unit", "--serial", "A1", "--out", tmp_path / "A1.csv")
+
+
+def test_a_station_file_with_an_unknown_key_lists_the_known_ones(softcal, tmp_path):
+    path = tmp_path / "station.toml"
+    path.write_text('[stage]\nport = "/dev/x"\nspeed = 3\n[readout]\nport = "/dev/y"\n')
+    with pytest.raises(InputError, match=r"unknown key 'speed'; known are port, kind"):
+        softcal("check", "--station", path)
