@@ -72,7 +72,7 @@ class SealedCase:
     @property
     def depth_mm(self) -> float:
         """Stage position at which the base model reaches the peak force."""
-        low_mm, high_mm = 0.0, self.peak_N / self.rig.k1_N_per_mm
+        low_mm, high_mm = 0.0, self.peak_N / self.rig.k1_N_mm
         for _ in range(60):
             middle_mm = 0.5 * (low_mm + high_mm)
             too_deep = float(self.rig.pad_force_N(np.array(middle_mm))) > self.peak_N
@@ -153,7 +153,7 @@ def _temperature(rng: np.random.Generator, protocol: str, duration_s: float) -> 
     return lambda t_s: np.asarray(start_C + 0.5 * swing_K * np.sin(2.0 * np.pi * turns * t_s / duration_s))
 
 
-_STEPS = {"u0_mm": 1e-3, "k1_N_per_mm": 1e-3, "k3_N_per_mm3": 1e-3, "r0_ohm": 1e-4, "kappa": 1e-4}
+_STEPS = {"u0_mm": 1e-3, "k1_N_mm": 1e-3, "k3_N_mm3": 1e-3, "r0_ohm": 1e-4, "kappa_per_N": 1e-4}
 
 
 def distance_sigma(case: SealedCase) -> float:
@@ -192,18 +192,18 @@ def _distance_without_stage(case: SealedCase) -> float:
     for plan in case.plans:
         columns = silent.measure(plan).columns
         force_N = np.maximum(0.0, columns["force_N"])
-        volts = {moved: _divider(case.rig, force_N, moved) for moved in ("", "r0_ohm", "kappa")}
+        volts = {moved: _divider(case.rig, force_N, moved) for moved in ("", "r0_ohm", "kappa_per_N")}
         slope = np.gradient(volts[""]) / np.where(np.abs(np.gradient(force_N)) > 1e-9, np.gradient(force_N), np.inf)
         noise_V = np.hypot(case.rig.floor_V, slope * case.rig.noise_N)
         gaps.append((columns["output_V"] - volts[""]) / noise_V)
-        slopes.append(np.column_stack([(volts[name] - volts[""]) / noise_V for name in ("r0_ohm", "kappa")]))
+        slopes.append(np.column_stack([(volts[name] - volts[""]) / noise_V for name in ("r0_ohm", "kappa_per_N")]))
     return _left(np.concatenate(gaps), np.concatenate(slopes))
 
 
 def _divider(rig: Rig, force_N: Array, moved: str) -> Array:
     if moved:
         rig = replace(rig, **{moved: getattr(rig, moved) * 1.001})
-    ohm = rig.r0_ohm / (1.0 - rig.kappa * force_N)
+    ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * force_N)
     return np.asarray(rig.vref_V * ohm / (ohm + rig.r_series_ohm))
 
 

@@ -216,7 +216,7 @@ def _resistance(rack: Rack, moment: Moment) -> Array:
     load = moment.compression_mm if rig.sensor_type == "strain" else moment.force_N
     load = rack.pass_through("channel", load, moment)
     rest_ohm = rack.pass_through("rest_resistance", np.full_like(load, rig.r0_ohm), moment)
-    width = 1.0 - rig.kappa * load
+    width = 1.0 - rig.kappa_per_N * load
     if float(width.min()) < NARROWEST:
         raise ValueError(f"the channel is pressed shut: 1 - kappa*F = {float(width.min()):.3f}")
     narrowed = rest_ohm / width

@@ -24,10 +24,10 @@ def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
     r0_ohm = float(rng.uniform(2.5, 8.0))
     rig = Rig(
         u0_mm=float(rng.uniform(0.15, 0.5)),
-        k1_N_per_mm=float(rng.uniform(1.0, 2.5)),
-        k3_N_per_mm3=float(rng.uniform(0.05, 0.25)),
+        k1_N_mm=float(rng.uniform(1.0, 2.5)),
+        k3_N_mm3=float(rng.uniform(0.05, 0.25)),
         r0_ohm=r0_ohm,
-        kappa=float(rng.uniform(0.35, 0.6) / peak_N),
+        kappa_per_N=float(rng.uniform(0.35, 0.6) / peak_N),
         noise_V=float(rng.uniform(0.8e-3, 1.8e-3)),
         noise_N=float(rng.uniform(8e-3, 2e-2)),
         vref_V=vref_V,
@@ -39,7 +39,7 @@ def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
 
 
 def _scope(rig: Rig, peak_N: float) -> Scope:
-    peak_ohm = rig.r0_ohm / (1.0 - rig.kappa * peak_N)
+    peak_ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * peak_N)
     rest_V = rig.vref_V * rig.r0_ohm / (rig.r0_ohm + rig.r_series_ohm)
     return Scope(rig, peak_N, rest_V, rig.vref_V * peak_ohm / (peak_ohm + rig.r_series_ohm))
 

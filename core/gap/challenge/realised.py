@@ -19,7 +19,7 @@ from softcal.core.recording import Array
 PER_RUN = ("intermittent_contact", "dropped_samples", "mains_hum")
 """Effects whose places or phases belong to one recording: nothing about another one follows from them."""
 
-BASE = ("u0_mm", "k1_N_per_mm", "k3_N_per_mm3", "r0_ohm", "kappa")
+BASE = ("u0_mm", "k1_N_mm", "k3_N_mm3", "r0_ohm", "kappa_per_N")
 
 PARAMETERS: Mapping[str, tuple[tuple[str, str], ...]] = {
     "backlash": (("b", "width_mm"),),
@@ -39,13 +39,19 @@ PARAMETERS: Mapping[str, tuple[tuple[str, str], ...]] = {
     "reference_drift": (("rho", "rate_per_s"),),
     "adc_saturation": (("V_max", "high_V"),),
     "loadcell_saturation": (("F_sat", "saturation_N"),),
-    "loadcell_nonlinearity": (("lambda", "size"), ("F_max", "capacity_N")),
+    "loadcell_nonlinearity": (("lambda", "size"),),
     "loadcell_creep": (("k", "share"), ("tau", "tau_s")),
     "loadcell_drift": (("r", "rate_N_per_s"),),
-    "clock_offset": (("Delta", "delay_s"),),
+    "clock_offset": (("delta", "delay_s"),),
     "clock_skew": (("epsilon", "skew"),),
 }
 """Per effect, the report's parameter and the name of the same quantity here."""
+
+UNFITTED: Mapping[str, Mapping[str, float]] = {
+    "adc_saturation": {"low_V": 0.0},
+    "loadcell_nonlinearity": {"capacity_N": 10.0},
+}
+"""Parameters that a report does not fit; another capacity of the cell is a change of λ and of the gain."""
 
 
 def realised_shrink(case: SealedCase, twin: Mapping[str, Any]) -> float:
@@ -70,14 +76,14 @@ def _explained(rig: Rig, twin: Mapping[str, Any]) -> tuple[Rig, tuple[Cause, ...
     causes = []
     for effect, values in twin["effects"].items():
         own = {ours: float(values[theirs]) for theirs, ours in PARAMETERS[effect]}
-        causes.append(Cause(effect, CATALOGUE_FORM, {"low_V": 0.0, **own} if effect == "adc_saturation" else own))
+        causes.append(Cause(effect, CATALOGUE_FORM, {**UNFITTED.get(effect, {}), **own}))
     return with_base(rig, twin["base"]), tuple(causes)
 
 
 def with_base(rig: Rig, base: Mapping[str, float]) -> Rig:
     """Return the rig with other base parameters, by the names of `BASE`."""
-    u0_mm, k1_N_per_mm, k3_N_per_mm3, r0_ohm, kappa = (float(base[name]) for name in BASE)
-    return replace(rig, u0_mm=u0_mm, k1_N_per_mm=k1_N_per_mm, k3_N_per_mm3=k3_N_per_mm3, r0_ohm=r0_ohm, kappa=kappa)
+    u0_mm, k1_N_mm, k3_N_mm3, r0_ohm, kappa_per_N = (float(base[name]) for name in BASE)
+    return replace(rig, u0_mm=u0_mm, k1_N_mm=k1_N_mm, k3_N_mm3=k3_N_mm3, r0_ohm=r0_ohm, kappa_per_N=kappa_per_N)
 
 
 def _misfit(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> float:

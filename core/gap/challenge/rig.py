@@ -22,14 +22,14 @@ PRESS, RIGID_BLOCK, DUMMY_RESISTOR, DEAD_WEIGHTS, REST = (
 class Rig:
     """Base parameters and metadata of one unit on one rig (TWIN.md, base model).
 
-    `kappa` is in 1/N, or in 1/mm where `sensor_type` is `strain`.
+    `kappa_per_N` is in 1/N, or in 1/mm where `sensor_type` is `strain`.
     """
 
     u0_mm: float
-    k1_N_per_mm: float
-    k3_N_per_mm3: float
+    k1_N_mm: float
+    k3_N_mm3: float
     r0_ohm: float
-    kappa: float
+    kappa_per_N: float
     noise_V: float
     noise_N: float
     vref_V: float
@@ -50,7 +50,7 @@ class Rig:
 
     def pad_force_N(self, compression_mm: Array) -> Array:
         """F = k1·δ + k3·δ³."""
-        return self.k1_N_per_mm * compression_mm + self.k3_N_per_mm3 * compression_mm**3
+        return self.k1_N_mm * compression_mm + self.k3_N_mm3 * compression_mm**3
 
 
 @dataclass(frozen=True)
