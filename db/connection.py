@@ -1,7 +1,7 @@
 """Open the registry behind a URL."""
 
 from softcal.core.errors import RegistryError
-from softcal.db.database import check_schema, open_database, schema_of
+from softcal.db.database import Database, check_schema, open_database, schema_of
 from softcal.db.maintenance import migrate
 from softcal.db.registry import Registry
 from softcal.db.registry_base import RegistrySettings
@@ -17,10 +17,18 @@ def open_registry(url: str, settings: RegistrySettings | None = None, *, create:
         RegistryError: the URL, folder, file, server or schema cannot be used; the line says which and what to do.
     """
     database = open_database(url, create=create)
+    try:
+        check_schema(database, _schema(database, create))
+        return Registry(database, settings or RegistrySettings())
+    except BaseException:
+        database.close()
+        raise
+
+
+def _schema(database: Database, create: bool) -> str:
     schema = schema_of(database)
-    if schema is None and not create:
+    if schema is not None:
+        return schema
+    if not create:
         raise RegistryError(f"registry {database.name}: there is no registry yet; `softcal batch` or `demo` makes one")
-    if schema is None:
-        schema = migrate(database)
-    check_schema(database, schema)
-    return Registry(database, settings or RegistrySettings())
+    return migrate(database)

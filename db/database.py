@@ -132,8 +132,12 @@ def open_database(url: str, *, create: bool = True) -> Database:
     database = Database(
         _sqlite_engine(parsed, create) if parsed.get_backend_name() == "sqlite" else _postgresql_engine(parsed)
     )
-    with database.reading() as connection:
-        connection.execute(text("SELECT 1"))
+    try:
+        with database.reading() as connection:
+            connection.execute(text("SELECT 1"))
+    except RegistryError:
+        database.close()
+        raise
     return database
 
 

@@ -1,0 +1,149 @@
+"""A registry on SQLite and on PostgreSQL: every test that asks for `registry` or `registry_url` runs on both."""
+
+import os
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sqlalchemy import create_engine, text
+from sqlalchemy.exc import OperationalError
+
+from softcal.core.calibration import CalibrationRecord
+from softcal.core.identity import content_sha256
+from softcal.core.lot import Lot
+from softcal.core.network import Network
+from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.db.connection import open_registry
+from softcal.db.registry import Registry
+
+ADMIN_URL = os.environ.get("SOFTCAL_TEST_POSTGRESQL", "postgresql+psycopg://postgres@127.0.0.1:5432/postgres")
+
+
+@pytest.fixture(scope="session")
+def postgresql_admin():
+    """A connection that makes and drops databases; None where no server answers."""
+    engine = create_engine(ADMIN_URL, isolation_level="AUTOCOMMIT")
+    try:
+        with engine.connect() as connection:
+            yield connection
+    except OperationalError:
+        yield None
+    engine.dispose()
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def new_url(request, tmp_path, require) -> Iterator[Callable[[], str]]:
+    """`new_url()` gives the URL of a database that is empty, of the kind the test runs on."""
+    made: list[str] = []
+
+    def on_sqlite() -> str:
+        return f"sqlite:///{tmp_path / uuid.uuid4().hex}.db"
+
+    def on_postgresql() -> str:
+        admin = request.getfixturevalue("postgresql_admin")
+        require(admin is not None, f"no PostgreSQL at {ADMIN_URL}; set SOFTCAL_TEST_POSTGRESQL")
+        made.append(f"softcal_test_{uuid.uuid4().hex[:12]}")
+        admin.execute(text(f"CREATE DATABASE {made[-1]}"))
+        return admin.engine.url.set(database=made[-1]).render_as_string(hide_password=False)
+
+    yield on_sqlite if request.param == "sqlite" else on_postgresql
+    for name in made:
+        request.getfixturevalue("postgresql_admin").execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
+
+
+@pytest.fixture
+def registry_url(new_url) -> str:
+    return new_url()
+
+
+@pytest.fixture
+def registry(registry_url) -> Iterator[Registry]:
+    with open_registry(registry_url) as opened:
+        yield opened
+
+
+@pytest.fixture
+def file_registry(tmp_path: Path) -> Iterator[Registry]:
+    """A registry in an SQLite file, for what concerns files."""
+    with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as opened:
+        yield opened
+
+
+@pytest.fixture(scope="session")
+def network() -> Network:
+    rng = np.random.default_rng(1)
+    weights = (rng.normal(size=(15, 4)), rng.normal(size=(4, 1)))
+    return Network(weights, (np.zeros(4), np.zeros(1)), 0.5, 0.1, 1.0, 2.0)
+
+
+@pytest.fixture(scope="session")
+def recording_of() -> Callable[..., OutputRecording]:
+    """`recording_of(serial, seed=0)` gives a short output recording."""
+    return output_recording
+
+
+@pytest.fixture(scope="session")
+def labelled_of() -> Callable[..., LabelledRecording]:
+    """`labelled_of(serial, seed=0)` gives a short labelled recording."""
+    return labelled_recording
+
+
+def output_recording(serial: str, seed: int = 0, samples: int = 60) -> OutputRecording:
+    output = np.random.default_rng([seed, *serial.encode()]).normal(size=samples)
+    return OutputRecording(serial, np.arange(samples) / 50.0, output, 50.0)
+
+
+def labelled_recording(serial: str, seed: int = 0) -> LabelledRecording:
+    unlabelled = output_recording(serial, seed)
+    return LabelledRecording(unlabelled, 3.0 * unlabelled.output)
+
+
+@dataclass(frozen=True)
+class Factory:
+    """A lot with its network in a registry, and calibrations that differ by their number."""
+
+    registry: Registry
+    lot_id: str
+    network_id: str
+
+    def record(self, serial: str, number: int = 1, verdict: str = "pass") -> CalibrationRecord:
+        arrays = {"map.gain": np.array([1.0 + number]), "map.knots": np.linspace(0.0, 1.0, 5)}
+        return CalibrationRecord(
+            serial=serial,
+            network_id=self.network_id,
+            family="affine",
+            map_sha256=content_sha256(arrays, {}),
+            arrays=arrays,
+            settings={"map": {"order": 1}},
+            predicted_rmse=0.1 * number,
+            verdict=verdict,
+            reasons=("as expected",),
+            input_sha256=content_sha256({}, {"serial": serial, "number": number}),
+            recording_sha256=output_recording(serial).sha256,
+            fit_s=0.25,
+            evidence={"shift": 0.5, "none": None},
+        )
+
+    def calibrate(self, serial: str, number: int = 1) -> int:
+        return self.registry.add_calibration(self.lot_id, self.record(serial, number), actor="tester")
+
+
+@pytest.fixture
+def make_factory(network) -> Callable[..., Factory]:
+    """`make_factory(registry, lot_id="L1")` registers a lot with source S0 and a network."""
+
+    def make(registry: Registry, lot_id: str = "L1") -> Factory:
+        registry.add_lot(Lot(lot_id, "S0", 50.0, limit_rmse=0.2))
+        registry.add_recording(lot_id, labelled_recording("S0"), "source")
+        network_id = registry.add_network(lot_id, network, {"rmse": 0.05}, {"seed": 0}, "a" * 64)
+        return Factory(registry, lot_id, network_id)
+
+    return make
+
+
+@pytest.fixture
+def factory(registry, make_factory) -> Factory:
+    return make_factory(registry)
