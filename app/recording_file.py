@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
@@ -70,6 +70,20 @@ def _check_unpacked_size(path: Path) -> None:
         )
 
 
+def named_column(table: "pd.DataFrame", name: str, path: Path) -> "pd.Series[Any]":
+    """Return one column as it stands in the file.
+
+    Raises:
+        InputError: the column is missing or stands there twice.
+    """
+    names = [str(c) for c in table.columns]
+    if names.count(name) != 1:
+        seen = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+        problem = "there is no column" if name not in names else "more than one column is named"
+        raise InputError(f"{path}: {problem} {name!r}; the file has: {seen}")
+    return table.iloc[:, names.index(name)]
+
+
 def column(table: "pd.DataFrame", name: str, path: Path) -> Array:
     """Return one column as finite numbers.
 
@@ -78,25 +92,21 @@ def column(table: "pd.DataFrame", name: str, path: Path) -> Array:
     """
     import pandas as pd
 
-    names = [str(c) for c in table.columns]
-    if names.count(name) != 1:
-        seen = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
-        problem = "there is no column" if name not in names else "more than one column is named"
-        raise InputError(f"{path}: {problem} {name!r}; the file has: {seen}")
-    raw = table.iloc[:, names.index(name)]
+    raw = named_column(table, name, path)
     values: Array = pd.to_numeric(raw, errors="coerce").to_numpy(dtype=np.float64, copy=True)
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
         row = int(bad[0])
         more = f" ({len(bad)} such rows)" if len(bad) > 1 else ""
         raise InputError(
-            f"{path}: line {row + 2}, column {name!r}: {_shown(raw.iloc[row])} is not a finite number{more}; "
+            f"{path}: line {row + 2}, column {name!r}: {shown(raw.iloc[row])} is not a finite number{more}; "
             "correct or remove the row and measure again if it was lost"
         )
     return values
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """Return a cell of a table as an error message shows it."""
     text = str(value)
     return "nothing" if text in ("nan", "None", "<NA>") else repr(text[:40])
 
