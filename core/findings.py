@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softcal.core.forecast import MapEvidence, map_variance, rest_rows
+from softcal.core.forecast import REACH, MapEvidence, map_variance, rest_rows
 from softcal.core.maps.interface import UnitMap
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.source_model import SourceModel
@@ -40,7 +40,7 @@ def _unfamiliar(model: SourceModel, evidence: MapEvidence) -> Finding | None:
 def _uncovered(model: SourceModel, evidence: MapEvidence) -> Finding | None:
     """Return a finding where the unit's loads reach over too little of the source's range."""
     low, high = model.interval.low, model.interval.high
-    reach = np.quantile(evidence.estimate, (0.005, 0.995))
+    reach = np.quantile(evidence.estimate, REACH)
     share = float((min(reach[1], high) - max(reach[0], low)) / (high - low))
     if share >= COVERED_SHARE:
         return None

@@ -16,6 +16,9 @@ from softcal.core.uncertainty import DIRECTIONS, LEVELS, ErrorForecast
 ROWS = 8_000
 """Windows looked at per unit, evenly spaced: enough for every number below, whatever the recording's length."""
 
+REACH = (0.005, 0.995)
+"""Quantiles between which a unit's recording is said to reach."""
+
 QUANTILES = np.linspace(0.005, 0.995, 100)
 
 SENSITIVITY = {
@@ -26,6 +29,8 @@ SENSITIVITY = {
     "rest": 1.0,
     "resolution": 1.0,
     "clipping": 1.0,
+    "extrapolation": 0.2,
+    "stage": 1.0,
 }
 """Sensitivity coefficients c_i of the budget."""
 
@@ -98,6 +103,8 @@ def gather_evidence(
         "rest": _rest_spread(model, estimate, shape),
         "resolution": _resolution(model, target, mapped, raw),
         "clipping": _clipping(model, target, limits),
+        "extrapolation": _extrapolation(model, estimate),
+        "stage": _stage(model, target, rows, estimate, shape),
     }
     return MapEvidence(rows, estimate, shape, distance, disagreement, network.evaluate(raw), budget)
 
@@ -176,3 +183,18 @@ def _clipping(model: SourceModel, target: OutputRecording, limits: OutputLimits)
     """Return the error of a clipped stretch: the load there is anywhere in the upper third of the range."""
     share = clipped_share(target.output, limits)
     return float(np.sqrt(share / 12)) * (model.interval.high - model.interval.low) / 3
+
+
+def _stage(model: SourceModel, target: OutputRecording, rows: Indices, estimate: Array, shape: WindowShape) -> float:
+    """Return how far the unit's load over stage position is from the source's, beyond the source's own scatter."""
+    if model.stage_curve is None or target.stage_mm is None:
+        return 0.0
+    stage_mm = target.stage_mm[target.window_rows[rows]]
+    difference = estimate - model.stage_curve.at(stage_mm, model.interval.direction(shape))
+    return float(np.sqrt(max(np.mean(difference**2) - model.stage_curve.scatter_rms**2, 0.0)))
+
+
+def _extrapolation(model: SourceModel, estimate: Array) -> float:
+    """Return the RMS distance of the source's loads from the range of loads this unit has shown."""
+    low, high = np.quantile(estimate, REACH)
+    return _rms(np.maximum(np.maximum(low - model.estimate, model.estimate - high), 0))

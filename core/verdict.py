@@ -2,8 +2,11 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from softcal.core.errors import InputError
 from softcal.core.uncertainty import ErrorForecast
+from softcal.core.windows import TAPS
 
 VERDICTS = ("pass", "conditional", "fail", "retest")
 """From best to worst; a retest outranks a fail because nothing can be said about the unit yet."""
@@ -88,13 +91,15 @@ def four_word(forecast: ErrorForecast, limit: Limit) -> str:
     return "conditional fail" if forecast.lower <= limit.maximum_rmse else "fail"
 
 
-def decide(forecast: ErrorForecast, limit: Limit, findings: tuple[Finding, ...] = ()) -> Verdict:
-    """Combine the forecast error with what was found; the worse of the two words stands."""
+def decide(
+    forecast: ErrorForecast, limit: Limit, findings: tuple[Finding, ...] = (), source: str = "predicted"
+) -> Verdict:
+    """Combine an error, forecast or measured, with what was found; the worse of the two words stands."""
     statement = four_word(forecast, limit)
     words = [CONTRACT_WORD[statement], *(f.worst_word for f in findings)]
     word = max(words, key=VERDICTS.index)
     ordered = sorted(findings, key=lambda f: -VERDICTS.index(f.worst_word))
-    return Verdict(word, statement, (*(f.text for f in ordered), _statement_text(forecast, limit, statement)))
+    return Verdict(word, statement, (*(f.text for f in ordered), _statement_text(forecast, limit, statement, source)))
 
 
 def refuse(finding: Finding) -> Verdict:
@@ -102,7 +107,25 @@ def refuse(finding: Finding) -> Verdict:
     return Verdict(finding.worst_word, "", (finding.text,))
 
 
-def _statement_text(forecast: ErrorForecast, limit: Limit, statement: str) -> str:
+def decide_audited(before: float, after: float, windows: int, limit: Limit) -> Verdict:
+    """Decide on a unit whose error was measured against the reference.
+
+    Args:
+        before, after: RMSE of f on raw and on mapped windows of the audit, in the limit's unit.
+        windows: number of windows behind them.
+        limit: tolerance limit.
+
+    The standard deviation of an RMSE from n independent errors is RMSE / sqrt(2 n); errors of neighbouring windows are
+    alike, so n is the number of windows that do not overlap.
+    """
+    uncertainty = after / np.sqrt(2 * max(windows / TAPS, 1.0))
+    measured = ErrorForecast(after, after - 2 * uncertainty, after + 2 * uncertainty)
+    harm = f"worse than doing nothing: RMSE {after:.3g} {limit.unit} with the map, {before:.3g} without it"
+    findings = (Finding("harmful", harm, "fail"),) if after > before else ()
+    return decide(measured, limit, findings, source="measured")
+
+
+def _statement_text(forecast: ErrorForecast, limit: Limit, statement: str, source: str) -> str:
     relation = {
         "pass": "within",
         "conditional pass": "within, but closer than its uncertainty to",
@@ -110,6 +133,6 @@ def _statement_text(forecast: ErrorForecast, limit: Limit, statement: str) -> st
         "fail": "above",
     }[statement]
     return (
-        f"predicted RMSE {forecast.rmse:.3g} {limit.unit} (95 %: {forecast.lower:.3g} to {forecast.upper:.3g}) is "
+        f"{source} RMSE {forecast.rmse:.3g} {limit.unit} (95 %: {forecast.lower:.3g} to {forecast.upper:.3g}) is "
         f"{relation} the limit {limit.maximum_rmse:.3g} {limit.unit} ({limit.origin})"
     )
