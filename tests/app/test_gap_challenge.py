@@ -1,0 +1,131 @@
+"""`softcal gap challenge`, `ask` and `score` on disk."""
+
+import argparse
+import json
+from pathlib import Path
+
+import pytest
+
+from softcal.app.commands.gap_challenge import add_parsers
+from softcal.app.workflow.challenge import ask_rig, make_challenge, open_challenge, score_challenge
+from softcal.core.errors import InputError
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> tuple[Path, Path]:
+    make_challenge(tmp_path / "sealed", tmp_path / "labels.json", count=3, seed=2)
+    return tmp_path / "sealed", tmp_path / "labels.json"
+
+
+def run(*words: object) -> int:
+    parser = argparse.ArgumentParser()
+    add_parsers(parser.add_subparsers())
+    options = parser.parse_args([str(word) for word in words])
+    return int(options.run(options))
+
+
+def write_reports(folder: Path, names: list[str], verdict: str = "no_gap") -> Path:
+    folder.mkdir()
+    report = {
+        "verdict": verdict,
+        "causes": [],
+        "ambiguous_with": [],
+        "where": [],
+        "shrink": {"predicted": 0.0, "low": 0.0, "high": 0.0},
+    }
+    for name in names:
+        (folder / f"{name}.json").write_text(json.dumps(report))
+    return folder
+
+
+def test_cases_have_the_written_form_and_no_label(made: tuple[Path, Path]) -> None:
+    folder, _ = made
+    header = (folder / "case-001/runs/1/recording.csv").read_text().splitlines()[0]
+    metadata = json.loads((folder / "case-001/runs/1/recording.json").read_text())
+    assert header.startswith("t_s,")
+    assert {"vref_V", "adc_bits", "r_series_ohm", "sample_rate_Hz", "serial", "profile"} <= set(metadata)
+    published = (folder / "challenge.json").read_text()
+    assert "cause" not in published and "line" not in published
+
+
+def test_the_commitment_is_printed_before_anything_is_diagnosed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("challenge", "--cases", 1, "--out", tmp_path / "sealed") == 0
+    commitment = json.loads((tmp_path / "sealed/challenge.json").read_text())["commitment"]
+    assert commitment in capsys.readouterr().out
+    assert (tmp_path / "sealed.seal.json").exists()
+
+
+def test_two_secret_draws_differ(tmp_path: Path) -> None:
+    first, second = (make_challenge(tmp_path / name, tmp_path / f"{name}.json", 1) for name in "ab")
+    assert first.commitment != second.commitment
+
+
+def test_a_changed_label_breaks_the_seal(made: tuple[Path, Path]) -> None:
+    folder, seal = made
+    seal.write_text(seal.read_text().replace("case-001", "case-009"))
+    with pytest.raises(InputError, match="seal is broken"):
+        open_challenge(folder, seal)
+
+
+def test_a_changed_recording_is_noticed(made: tuple[Path, Path]) -> None:
+    folder, seal = made
+    recording = folder / "case-002/runs/1/recording.csv"
+    recording.write_text(recording.read_text() + "99,0,0,0\n")
+    with pytest.raises(InputError, match="case-002.*not the case that was sealed"):
+        open_challenge(folder, seal)
+
+
+def test_an_experiment_is_added_and_the_case_stays_sealed(made: tuple[Path, Path]) -> None:
+    folder, seal = made
+    asked = ask_rig(folder, seal, "case-001", "rate_sweep")
+    again = ask_rig(folder, seal, "case-001", "dummy_resistor")
+    assert asked.name == "asked-1" and again.name == "asked-2"
+    assert json.loads((again / "recording.json").read_text())["dummy_ohm"] > 0
+    assert len(open_challenge(folder, seal)) == 3
+
+
+def test_scores_are_printed_and_written(made: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    folder, seal = made
+    reports = write_reports(folder.parent / "reports", ["case-001", "case-002", "case-003"])
+    scores = folder.parent / "score.json"
+    assert run("score", folder, "--reports", reports, "--seal", seal, "--json", scores) == 0
+    assert len(json.loads(scores.read_text())["cases"]) == 3
+    assert "95 % interval" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("count", [0, -3])
+def test_no_case_is_refused(tmp_path: Path, count: int) -> None:
+    with pytest.raises(InputError, match="at least one"):
+        make_challenge(tmp_path / "sealed", tmp_path / "seal.json", count)
+    assert not (tmp_path / "sealed").exists()
+
+
+def test_a_seal_beside_the_cases_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="must not lie in the folder"):
+        make_challenge(tmp_path / "sealed", tmp_path / "sealed/seal.json", 1)
+
+
+def test_a_used_folder_and_a_used_seal_are_refused(made: tuple[Path, Path], tmp_path: Path) -> None:
+    folder, seal = made
+    with pytest.raises(InputError, match="not an empty folder"):
+        make_challenge(folder, tmp_path / "other.json", 1)
+    with pytest.raises(InputError, match="never overwritten"):
+        make_challenge(tmp_path / "new", seal, 1)
+
+
+def test_reports_that_are_not_there_are_named(made: tuple[Path, Path]) -> None:
+    folder, seal = made
+    with pytest.raises(InputError, match="case-001.json"):
+        score_challenge(folder, folder.parent / "nowhere", seal)
+
+
+def test_unknown_names_are_answered_with_the_known_ones(made: tuple[Path, Path], tmp_path: Path) -> None:
+    folder, seal = made
+    with pytest.raises(InputError, match="known are .*rate_sweep"):
+        ask_rig(folder, seal, "case-001", "dance")
+    with pytest.raises(InputError, match="known are .*case-003"):
+        ask_rig(folder, seal, "case-9", "rest")
+    with pytest.raises(InputError, match="known are .*usual"):
+        make_challenge(tmp_path / "x", tmp_path / "x.json", 1, line="odd")

@@ -1,0 +1,87 @@
+"""Drawing, sealing and opening cases."""
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.gap.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
+from softcal.core.gap.challenge.catalogue_equations import CATALOGUE
+from softcal.core.gap.challenge.draw import LINES, draw_case, draw_challenge
+from softcal.core.gap.challenge.outside_equations import OUTSIDE
+from softcal.core.gap.challenge.realised import BASE, refitted_base
+from softcal.core.gap.challenge.seal import open_seal, seal_labels
+from softcal.core.gap.challenge.sizes import CATALOGUE_SIZES, OUTSIDE_SIZES
+
+
+def test_the_same_seed_gives_the_same_case() -> None:
+    first, again, other = (draw_case(seed, "case", "pair") for seed in (5, 5, 6))
+    assert first.to_record() == again.to_record() != other.to_record()
+    for plan in first.plans:
+        got, same = first.measure(plan).columns, again.measure(plan).columns
+        assert all(np.array_equal(got[name], same[name]) for name in got)
+
+
+def test_every_effect_has_a_size() -> None:
+    assert set(CATALOGUE_SIZES) == set(CATALOGUE) and set(OUTSIDE_SIZES) == set(OUTSIDE)
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_every_line_can_be_recorded(line: str) -> None:
+    for seed in range(6):
+        case = draw_case(seed, "case", line)
+        for plan in (*case.plans, case.kept_back):
+            columns = case.measure(plan).columns
+            assert all(np.all(np.isfinite(values)) for values in columns.values())
+            assert not set(case.withheld) & set(columns)
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_every_experiment_can_be_asked_for(experiment: str) -> None:
+    measured = draw_case(3, "case", "usual").measure(RunPlan(experiment, 11))
+    assert len(measured.columns["t_s"]) > 100
+    assert all(np.all(np.isfinite(values)) for values in measured.columns.values())
+
+
+def test_the_force_stays_near_the_peak_that_was_drawn() -> None:
+    for seed in range(20):
+        case = draw_case(seed, "case", "none")
+        forces = [case.measure(plan).columns["force_N"].max() for plan in case.plans]
+        assert 0.4 * case.peak_N < max(forces) < 1.02 * case.peak_N + 0.1
+
+
+def test_a_challenge_mixes_all_lines_and_names_tell_nothing() -> None:
+    cases = draw_challenge(seed=9, count=120)
+    assert {case.line for case in cases} == set(LINES)
+    assert [case.name for case in cases] == [f"case-{k:03d}" for k in range(1, 121)]
+    assert len(draw_challenge(seed=9, count=7)) == 7
+
+
+def test_a_case_survives_its_record() -> None:
+    case = draw_case(2, "case", "form")
+    assert SealedCase.from_record(case.to_record()).to_record() == case.to_record()
+
+
+def test_distance_is_zero_without_a_cause_and_grows_with_its_size() -> None:
+    assert distance_sigma(draw_case(1, "case", "none")) == 0.0
+    usual, tenth = (
+        np.median([distance_sigma(draw_case(s, "case", line)) for s in range(5)]) for line in ("usual", "tenth")
+    )
+    assert usual > 3.0 * tenth > 0.0
+
+
+def test_the_refit_finds_the_base_of_a_case_without_causes() -> None:
+    case = draw_case(4, "case", "none")
+    found = refitted_base(case)
+    for name in BASE:
+        assert getattr(found, name) == pytest.approx(getattr(case.rig, name), rel=0.02)
+
+
+def test_a_seal_opens_with_its_commitment_only() -> None:
+    cases = draw_challenge(seed=1, count=2)
+    contents = {case.name: "00" for case in cases}
+    seal = seal_labels(cases, contents, seed=1, nonce="a")
+    opened = open_seal(seal.text, seal.commitment)
+    assert [label.case.to_record() for label in opened] == [case.to_record() for case in cases]
+    assert seal_labels(cases, contents, seed=1, nonce="b").commitment != seal.commitment
+    with pytest.raises(InputError, match="seal is broken"):
+        open_seal(seal.text.replace('"seed":1', '"seed":2'), seal.commitment)

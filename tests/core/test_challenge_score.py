@@ -1,0 +1,112 @@
+"""Scoring of reports against opened labels."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from softcal.core.errors import InputError
+from softcal.core.gap.challenge.cases import SealedCase
+from softcal.core.gap.challenge.draw import draw_case
+from softcal.core.gap.challenge.judge import Judged, read_answer
+from softcal.core.gap.challenge.rig import Cause
+from softcal.core.gap.challenge.seal import Label
+from softcal.core.gap.score import calibration_error, score_reports, wilson
+
+
+def report(
+    verdict: str, causes: dict[str, float], groups: tuple[tuple[str, ...], ...] = (), **extra: Any
+) -> dict[str, Any]:
+    return {
+        "verdict": verdict,
+        "causes": [{"effect": effect, "probability": p} for effect, p in causes.items()],
+        "ambiguous_with": [list(group) for group in groups],
+        "where": [{"stage": "transduction", "share": 0.7}, {"stage": "load_cell", "share": 0.1}],
+        "shrink": {"predicted": 0.97, "low": 0.9, "high": 1.0},
+        **extra,
+    }
+
+
+def label(*effects: str, line: str = "usual", sigma: float = 100.0, name: str = "case-1") -> Label:
+    drawn = draw_case(1, name, "none")
+    causes = tuple(Cause(effect, "outside" if effect == "slip" else "catalogue", {}) for effect in effects)
+    case = SealedCase(name, line, drawn.rig, drawn.peak_N, causes, drawn.plans, drawn.kept_back)
+    return Label(case, "00", sigma)
+
+
+def outcome(truth: Label, said: dict[str, Any]) -> str:
+    return Judged(truth, read_answer("case-1", said)).outcome
+
+
+@pytest.mark.parametrize(
+    ("truth", "said", "expected"),
+    [
+        (label("channel_creep"), report("explained", {"channel_creep": 0.98}), "right"),
+        (label("channel_creep"), report("explained", {"readout_lag": 0.98}), "wrong"),
+        (label("channel_creep"), report("explained", {"channel_creep": 0.9, "backlash": 0.8}), "wrong"),
+        (
+            label("channel_creep"),
+            report("ambiguous", {"readout_lag": 0.5, "channel_creep": 0.4}, (("channel_creep", "readout_lag"),)),
+            "set",
+        ),
+        (label("channel_creep"), report("no_gap", {"channel_creep": 0.1}), "missed"),
+        (label("channel_creep", sigma=2.0), report("no_gap", {}), "below noise"),
+        (label("channel_creep"), report("unknown", {"channel_creep": 0.3}), "abstained"),
+        (label("channel_creep", "backlash"), report("explained", {"channel_creep": 0.9, "backlash": 0.9}), "right"),
+        (label("channel_creep", "backlash"), report("explained", {"channel_creep": 0.9}), "wrong"),
+        (
+            label("channel_creep", "backlash"),
+            report("ambiguous", {"readout_lag": 0.6, "backlash": 0.9}, (("channel_creep", "readout_lag"),)),
+            "set",
+        ),
+        (label(), report("no_gap", {}), "right"),
+        (label(), report("explained", {"backlash": 0.9}), "alarm"),
+        (label("slip"), report("unknown", {"backlash": 0.9}), "right"),
+        (label("slip"), report("explained", {"backlash": 0.9}), "wrong"),
+    ],
+)
+def test_an_answer_gets_one_word(truth: Label, said: dict[str, Any], expected: str) -> None:
+    assert outcome(truth, said) == expected
+
+
+def test_a_case_without_a_report_counts_as_wrong() -> None:
+    sheet = score_reports([label("channel_creep")], {})
+    assert sheet.rows[0].hits == 0 and sheet.rows[0].count == 1
+    assert sheet.judged[0].outcome == "no report"
+
+
+def test_shrink_is_scored_on_the_run_kept_back() -> None:
+    labels = [label("channel_creep", name=f"case-{k}") for k in range(4)]
+    reports = {entry.case.name: report("explained", {"channel_creep": 0.9}) for entry in labels}
+    realised = iter((0.98, 0.93, 0.80, float("nan")))
+    sheet = score_reports(labels, reports, lambda label, report: next(realised))
+    assert sheet.shrink.count == 3
+    assert [row.hits for row in sheet.shrink.rows] == [1, 2, 2]
+    assert sheet.shrink.median_realised == pytest.approx(0.93)
+
+
+def test_the_record_of_a_score_is_plain_json() -> None:
+    import json
+
+    sheet = score_reports([label("channel_creep")], {"case-1": report("explained", {"channel_creep": 0.9})})
+    record = json.loads(json.dumps(sheet.to_record(), allow_nan=False))
+    assert record["cases"][0]["outcome"] == "right"
+    assert record["shrink"]["median_realised"] is None
+
+
+def test_wilson_agrees_with_scipy() -> None:
+    for hits, count in ((0, 30), (29, 30), (140, 200)):
+        theirs = binomtest(hits, count).proportion_ci(method="wilson")
+        assert wilson(hits, count) == pytest.approx((theirs.low, theirs.high), abs=1e-6)
+
+
+def test_honest_probabilities_have_no_calibration_error(rng: np.random.Generator) -> None:
+    stated = rng.random(200_000)
+    assert calibration_error(stated, (rng.random(200_000) < stated).astype(float)) < 0.01
+    assert calibration_error(np.full(100, 0.95), np.zeros(100)) == pytest.approx(0.95)
+
+
+def test_a_report_of_another_shape_is_refused_in_one_line() -> None:
+    with pytest.raises(InputError, match="case-1.*softcal.gap/1"):
+        read_answer("case-1", {"verdict": "explained"})
