@@ -42,6 +42,7 @@ def read_table(path: Path, sheet: str | None = None) -> "pd.DataFrame":
             _check_unpacked_size(path)
             table = pd.read_excel(path, sheet_name=sheet if sheet is not None else 0)
         else:
+            _check_text(path)
             table = pd.read_csv(path, sep="\t" if suffix == ".tsv" else ",", low_memory=False)
     except InputError:
         raise
@@ -56,6 +57,12 @@ def read_table(path: Path, sheet: str | None = None) -> "pd.DataFrame":
     if table.empty:
         raise InputError(f"{path}: there is no row of data below the header")
     return table
+
+
+def _check_text(path: Path) -> None:
+    with path.open("rb") as file:
+        if b"\0" in file.read(4096):
+            raise InputError(f"{path}: not a text file; export it as CSV again")
 
 
 def _check_unpacked_size(path: Path) -> None:
@@ -99,8 +106,8 @@ def column(table: "pd.DataFrame", name: str, path: Path) -> Array:
         row = int(bad[0])
         more = f" ({len(bad)} such rows)" if len(bad) > 1 else ""
         raise InputError(
-            f"{path}: line {row + 2}, column {name!r}: {shown(raw.iloc[row])} is not a finite number{more}; "
-            "correct or remove the row and measure again if it was lost"
+            f"{path}: line {row + 2}, column {name!r}: {shown(raw.iloc[row])} where a finite number was expected{more}; "
+            "measure again, or remove the row if it was never a sample"
         )
     return values
 
@@ -108,7 +115,7 @@ def column(table: "pd.DataFrame", name: str, path: Path) -> Array:
 def shown(value: object) -> str:
     """Return a cell of a table as an error message shows it."""
     text = str(value)
-    return "nothing" if text in ("nan", "None", "<NA>") else repr(text[:40])
+    return "nothing or nan" if text in ("nan", "None", "<NA>") else repr(text[:40])
 
 
 def read_recording(path: Path, serial: str, sample_rate_Hz: float | None, output_unit: str = "V") -> OutputRecording:

@@ -1,10 +1,16 @@
 """Shared fixtures: a seeded generator, the measured data sets, and parts that may be missing outside CI."""
 
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.signal import lfilter
+
+SMALL_NETWORK = ("--hidden", "16,8")
+"""Options of a network that trains in seconds."""
 
 
 @pytest.fixture
@@ -38,3 +44,52 @@ def measured_data() -> Path:
     if not folder.is_dir():
         missing(f"no measured data in {folder}; set SOFTCAL_DATA")
     return folder
+
+
+def press_recording(samples: int, gain: float, offset_V: float, seed: int, rate_Hz: float = 50.0) -> pd.DataFrame:
+    """A synthetic unit pressed at random: `t_s, output, reference`, lagging and bending like a soft sensor."""
+    rng = np.random.default_rng(seed)
+    force_N = np.zeros(samples)
+    target, speed = 0.0, 0.1
+    for k in range(1, samples):
+        if abs(force_N[k - 1] - target) <= speed:
+            target, speed = (0.0 if target else rng.uniform(0.5, 3.0)), rng.uniform(0.02, 0.2)
+        force_N[k] = force_N[k - 1] + np.clip(target - force_N[k - 1], -speed, speed)
+    lagged_N = lfilter([0.3], [1, -0.7], force_N)
+    output_V = offset_V + gain * (0.1 * lagged_N + 0.02 * lagged_N**2) + rng.normal(0, 0.0008, samples)
+    return pd.DataFrame({"t_s": np.arange(samples) / rate_Hz, "output": output_V, "reference": force_N})
+
+
+@pytest.fixture(scope="session")
+def trained_lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a small lot (`lot/`) and a registry (`registry.db`) in which its network is trained already."""
+    from softcal.app.cli import main
+
+    root = tmp_path_factory.mktemp("small")
+    folder = root / "lot"
+    for name in ("source", "units", "audit"):
+        (folder / name).mkdir(parents=True)
+    (folder / "lot.toml").write_text(
+        'sample_rate_Hz = 50.0\nsource = "A0"\n[lot]\nid = "small"\n[reference]\nunit = "N"\n[output]\nunit = "V"\n'
+    )
+    press_recording(1500, 1.0, 0.5, 1).to_csv(folder / "source/A0.csv", index=False)
+    for k in (1, 2, 3):
+        gain, offset_V = 1 + 0.15 * k, 0.5 + 0.04 * k
+        unit = press_recording(1500, gain, offset_V, 10 + k)
+        unit[["t_s", "output"]].to_csv(folder / f"units/A{k}.csv", index=False)
+        press_recording(600, gain, offset_V, 50 + k).to_csv(folder / f"audit/A{k}.csv", index=False)
+    assert main(["train", str(folder), "--registry", f"sqlite:///{root / 'registry.db'}", *SMALL_NETWORK]) == 0
+    return root
+
+
+@pytest.fixture
+def lot_folder(trained_lot: Path, tmp_path: Path) -> Path:
+    """A copy of the small lot of one source and three good units, audits for each."""
+    return Path(shutil.copytree(trained_lot / "lot", tmp_path / "lot"))
+
+
+@pytest.fixture
+def registry_url(trained_lot: Path, tmp_path: Path) -> str:
+    """An SQLite registry of its own in which the small lot's network is trained already."""
+    shutil.copy(trained_lot / "registry.db", tmp_path / "registry.db")
+    return f"sqlite:///{tmp_path / 'registry.db'}"

@@ -66,6 +66,9 @@ def run(options: argparse.Namespace) -> int:
             export_units(registry, passed, ("json",), options.out)
             say(f"{options.out}: calibration files of {len(passed)} units")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
+    for unit in report.units:
+        if unit.verdict != "pass":
+            print(f"{unit.serial} {unit.verdict}: {'; '.join(unit.reasons)}")
     print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
     if options.json:
         write_json(options.json, report_json(report))
@@ -85,4 +88,4 @@ def _watch(unit: str) -> "Watch":
 
 def _summary(counts: dict[str, int], unit: str, wall_s: float) -> str:
     words = ", ".join(f"{count} {word}" for word, count in counts.items())
-    return f"\n{sum(counts.values())} units in {wall_s:.1f} s: {words}; errors are RMSE in {unit}"
+    return f"{sum(counts.values())} units in {wall_s:.1f} s: {words}; errors are RMSE in {unit}"

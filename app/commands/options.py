@@ -53,10 +53,9 @@ def network_config(options: argparse.Namespace) -> "NetworkConfig":
 @contextmanager
 def registry_of(options: argparse.Namespace) -> "Iterator[Registry]":
     """Open the registry the options name, and close it after the block."""
-    from softcal.app.bootstrap import registry_url
-    from softcal.db.connection import open_registry
+    from softcal.app.bootstrap import open_chosen_registry
 
-    with open_registry(registry_url(options.registry)) as registry:
+    with open_chosen_registry(options.registry) as registry:
         yield registry
 
 

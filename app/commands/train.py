@@ -44,8 +44,7 @@ def run(options: argparse.Namespace) -> int:
             source,
             registry,
             network_config(options),
-            "softcal train",
-            lambda report: say(epoch_line(report, lot.reference_unit)) if report.epoch % 20 == 0 else None,
+            on_epoch=lambda report: say(epoch_line(report, lot.reference_unit)) if report.epoch % 20 == 0 else None,
         )
     network = trained.network
     print_table(

@@ -32,7 +32,7 @@ class BatchConfig:
         chunk: units per work item; fits take milliseconds, so a chunk amortises sending them to a worker.
         score_own: whether own calibrations are trained on audit recordings, for comparison.
         refit: whether units are fitted again although the registry has their result.
-        actor: who asks, for the audit trail.
+        actor: who asks, for the audit trail; None is the user the registry was opened by.
     """
 
     network: NetworkConfig = NetworkConfig()
@@ -41,7 +41,7 @@ class BatchConfig:
     chunk: int = 8
     score_own: bool = True
     refit: bool = False
-    actor: str = "softcal batch"
+    actor: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,14 +266,14 @@ def _unit_json(unit: UnitResult) -> dict[str, object]:
     }
 
 
-TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", "after/own", "fit_s", "map", "reason")
+TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", "after/own", "fit_s", "map")
 
 
 def table_row(unit: UnitResult) -> list[object]:
     """Return one row of the table a person reads, under `TABLE_HEADER`."""
-    record, reason = unit.record, "; ".join(unit.reasons)[:100]
+    record = unit.record
     if record is None:
-        return [unit.serial, unit.verdict, *[None] * 7, reason]
+        return [unit.serial, unit.verdict, *[None] * 7]
     ratio = record.after_rmse / record.own_rmse if record.after_rmse and record.own_rmse else None
     errors = [record.predicted_rmse, record.before_rmse, record.after_rmse, record.own_rmse, ratio, record.fit_s]
-    return [unit.serial, unit.verdict, *errors, record.family, reason]
+    return [unit.serial, unit.verdict, *errors, record.family]

@@ -32,7 +32,7 @@ def train_or_find(
     source: LabelledRecording,
     registry: Registry,
     config: NetworkConfig,
-    actor: str,
+    actor: str | None = None,
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> TrainedOrFound:
     """Return the registered network of this source and configuration; train and register it where there is none."""

@@ -77,11 +77,11 @@ def _empty(folder: Path) -> Path:
     ("make", "says"),
     [
         (_broken_excel, "not an Excel file"),
-        (_with_text, "line 42, column 'volts': 'abc' is not a finite number"),
+        (_with_text, "line 42, column 'volts': 'abc' where a finite number was expected"),
         (_empty, "the file is empty"),
         (lambda folder: folder / "S1.csv", "there is no such file"),
         (lambda folder: _table(folder, rows=10), "at least 15"),
-        (lambda folder: _table(folder, volts=[np.nan] * 60), "is not a finite number (60 such rows)"),
+        (lambda folder: _table(folder, volts=[np.nan] * 60), "where a finite number was expected (60 such rows)"),
         (lambda folder: _table(folder, t=np.zeros(60)), "never advances"),
     ],
 )

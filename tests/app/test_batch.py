@@ -1,0 +1,170 @@
+"""`softcal batch`, `train` and `estimate` on a small lot: verdicts, resumption, isolation of bad units, exit codes."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.cli import main
+
+SMALL = ("--hidden", "16,8")
+
+
+@pytest.fixture
+def url(registry_url: str) -> str:
+    return registry_url
+
+
+@pytest.fixture
+def other_url(trained_lot: Path, tmp_path: Path) -> str:
+    shutil.copy(trained_lot / "registry.db", tmp_path / "other.db")
+    return f"sqlite:///{tmp_path / 'other.db'}"
+
+
+def _batch(folder: Path, url: str, *extra: str) -> tuple[int, dict]:
+    report = folder.parent / "report.json"
+    report.unlink(missing_ok=True)
+    code = main(["batch", str(folder), "--registry", url, "--json", str(report), *SMALL, *extra])
+    return code, json.loads(report.read_text()) if report.exists() else {}
+
+
+def test_every_unit_gets_a_verdict_and_the_audit_confirms_the_map(lot_folder: Path, url: str) -> None:
+    code, report = _batch(lot_folder, url)
+    assert code in (0, 1)
+    assert [unit["serial"] for unit in report["units"]] == ["A1", "A2", "A3"]
+    for unit in report["units"]:
+        assert unit["after_rmse"] < 0.5 * unit["before_rmse"]
+        assert unit["map"]["revision"] == 1
+
+
+def test_a_second_run_fits_nothing_again(lot_folder: Path, url: str) -> None:
+    first_code, first = _batch(lot_folder, url, "--no-own")
+    second_code, second = _batch(lot_folder, url, "--no-own")
+    assert second_code == first_code
+    assert not second["network_is_new"]
+    assert [unit["is_new"] for unit in second["units"]] == [False] * 3
+    assert [unit["map"] for unit in second["units"]] == [unit["map"] for unit in first["units"]]
+
+
+def test_a_reference_column_in_units_changes_nothing(lot_folder: Path, url: str, other_url: str) -> None:
+    _, report = _batch(lot_folder, url, "--no-own")
+    for path in (lot_folder / "units").iterdir():
+        pd.read_csv(path).assign(reference=9.99).to_csv(path, index=False)
+    _, again = _batch(lot_folder, other_url, "--no-own")
+    assert [u["map"]["sha256"] for u in again["units"]] == [u["map"]["sha256"] for u in report["units"]]
+
+
+def test_two_processes_give_the_same_maps_as_one(lot_folder: Path, url: str, other_url: str) -> None:
+    _, one = _batch(lot_folder, url, "--no-own")
+    _, two = _batch(lot_folder, other_url, "--no-own", "--jobs", "2")
+    assert [u["map"]["sha256"] for u in two["units"]] == [u["map"]["sha256"] for u in one["units"]]
+
+
+def test_bad_units_get_their_reason_and_the_rest_is_done(lot_folder: Path, url: str) -> None:
+    t_s = np.arange(1500) / 50
+    (lot_folder / "units/A2.csv").write_text("t_s,output\n0,nan\n")
+    pd.DataFrame({"t_s": t_s, "output": np.full(1500, 0.5)}).to_csv(lot_folder / "units/A3.csv", index=False)
+    pd.DataFrame({"t_s": t_s[::-1], "output": t_s}).to_csv(lot_folder / "units/A4.csv", index=False)
+    (lot_folder / "units/A5.csv").write_bytes(bytes(range(256)) * 9)
+    code, report = _batch(lot_folder, url, "--no-own")
+    units = {unit["serial"]: unit for unit in report["units"]}
+    assert code == 1
+    assert units["A1"]["after_rmse"] is not None
+    for serial, says in (("A2", "line 2"), ("A3", "output"), ("A4", "backward"), ("A5", "not a text file")):
+        assert units[serial]["verdict"] in ("fail", "retest")
+        assert says in units[serial]["reasons"][0]
+
+
+def test_a_lot_stopped_in_the_middle_goes_on_where_it_was(
+    lot_folder: Path, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from softcal.app.workflow import batch
+
+    fit, fitted = batch._fit_unit, []
+
+    def interrupted(shared, task):
+        fitted.append(task.recording.serial)
+        if len(fitted) == 2:
+            raise KeyboardInterrupt
+        return fit(shared, task)
+
+    monkeypatch.setattr(batch, "_fit_unit", interrupted)
+    monkeypatch.setattr(batch.BatchConfig, "__init__", _with_chunks_of_one(batch.BatchConfig.__init__))
+    assert _batch(lot_folder, url, "--no-own")[0] == 2
+    assert _batch(lot_folder, url, "--no-own")[0] in (0, 1)
+    assert fitted == ["A1", "A2", "A2", "A3"]
+
+
+def _with_chunks_of_one(init):
+    return lambda self, **given: init(self, **(given | {"chunk": 1}))
+
+
+def test_a_lot_without_its_source_is_refused(lot_folder: Path, url: str, capsys: pytest.CaptureFixture[str]) -> None:
+    (lot_folder / "source/A0.csv").unlink()
+    assert _batch(lot_folder, url)[0] == 2
+    assert "no recording of the source unit 'A0'" in capsys.readouterr().err
+
+
+def test_train_finds_the_network_it_trained_before(lot_folder: Path, tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path / 'new.db'}"
+    out = [lot_folder.parent / f"{k}.json" for k in range(2)]
+    for path in out:
+        assert main(["train", str(lot_folder), "--registry", url, "--json", str(path), *SMALL]) == 0
+    first, second = (json.loads(path.read_text()) for path in out)
+    assert first["network"] == second["network"]
+    assert (first["is_new"], second["is_new"]) == (True, False)
+
+
+def test_estimates_have_a_row_per_sample_inside_their_interval(lot_folder: Path, url: str, tmp_path: Path) -> None:
+    _batch(lot_folder, url, "--no-own")
+    recording, out = lot_folder / "audit/A1.csv", tmp_path / "estimate.csv"
+    command = ["estimate", "--registry", url, "--serial", "A1", str(recording), "--out", str(out)]
+    assert main(command) == 0
+    truth, rows = pd.read_csv(recording), pd.read_csv(out)
+    assert list(rows.columns) == ["t_s", "estimate", "lower", "upper", "flag"]
+    assert len(rows) == len(truth)
+    known = rows["estimate"].notna()
+    assert (rows.lower <= rows.estimate)[known].all() and (rows.estimate <= rows.upper)[known].all()
+    assert rows.flag[~known].eq("warm-up").all()
+    assert np.sqrt(np.mean((rows.estimate - truth.reference)[known] ** 2)) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("", "empty"),
+        ("t_s,output\n", "no row"),
+        ("a,b\n0,1\n", "no column 't_s'"),
+        ("t_s,output\n" + "".join(f"{k / 50},0.5\n" for k in range(10)), "at least 15"),
+        ("t_s,output\n" + "".join(f"{k / 50},{'abc' if k == 40 else 0.5}\n" for k in range(99)), "line 42"),
+        ("t_s,output\n" + "".join(f"{k % 50 / 50},0.5\n" for k in range(99)), "backward"),
+        ("t_s,output\n" + "".join(f"{k / 10},0.5\n" for k in range(99)), "the time stamps show 10 Hz"),
+    ],
+)
+def test_a_recording_that_cannot_be_used_leaves_no_estimate(
+    lot_folder: Path, url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, says: str
+) -> None:
+    _batch(lot_folder, url, "--no-own")
+    capsys.readouterr()
+    (tmp_path / "in.csv").write_text(content)
+    command = [
+        "estimate",
+        "--registry",
+        url,
+        "--serial",
+        "A1",
+        str(tmp_path / "in.csv"),
+        "--out",
+        str(tmp_path / "o.csv"),
+    ]
+    assert main(command) == 2
+    said = capsys.readouterr().err.strip()
+    assert says in said and len(said.splitlines()) == 1
+    assert not (tmp_path / "o.csv").exists()
+
+
+def test_a_registry_that_cannot_be_opened_ends_with_its_own_code(lot_folder: Path) -> None:
+    assert main(["batch", str(lot_folder), "--registry", "sqlite:////nonexistent-folder/x.db"]) == 4
