@@ -19,6 +19,7 @@ COMMANDS = (
     "adapt",
     "station",
     "export",
+    "inspect_",
     "registry",
     "gap",
     "ui",

@@ -116,21 +116,21 @@ class NetworkFile:
         network: f in integers.
         network_sha256: the registry's id of f (hex).
         source_serial: the unit f was trained on.
-        sample_rate_Hz: rate the windows were recorded at.
+        period_us: time between two samples of a window in µs.
         output_unit, reference_unit: physical units, at most 8 bytes each.
     """
 
     network: IntegerNetwork
     network_sha256: str
     source_serial: str
-    sample_rate_Hz: float
+    period_us: int
     output_unit: str
     reference_unit: str
 
     @property
     def gap_ms(self) -> int:
         """Longest time between two samples of one window: 1.5 periods, rounded up to the next ms."""
-        return int(np.ceil(1500.0 / self.sample_rate_Hz))
+        return -(-3 * self.period_us // 2000)
 
     @property
     def id(self) -> bytes:
@@ -203,7 +203,7 @@ def _network_body(file: NetworkFile) -> bytes:
     net, sizes = file.network, file.network.sizes
     fixed = NETWORK_FIXED.pack(
         len(net.layers), WEIGHTS_INT16, TAPS, net.output_exponent, *sizes, *[0] * (8 - len(sizes)), file.gap_ms, 0,
-        round(1e6 / file.sample_rate_Hz), net.input_zero, net.input_lsb,
+        file.period_us, net.input_zero, net.input_lsb,
         _unit_text(file.output_unit), _unit_text(file.reference_unit), bytes.fromhex(file.network_sha256),
     )  # fmt: skip
     return fixed + b"".join(_layer_bytes(layer) for layer in net.layers)
@@ -314,7 +314,7 @@ def _parse_network(opened: _Opened) -> tuple[NetworkFile, int]:
         layers.append(layer)
     network = IntegerNetwork(tuple(layers), zero, lsb, exponent)
     units = _text(output_unit), _text(reference_unit)
-    return NetworkFile(network, sha256.hex(), opened.serial, 1e6 / period_us, *units), at
+    return NetworkFile(network, sha256.hex(), opened.serial, period_us, *units), at
 
 
 def _parse_layer(body: bytes, at: int, rows: int, columns: int) -> tuple[IntegerLayer, int]:

@@ -1,6 +1,6 @@
 """A calibrated unit and its shared network as device files, with what the device form costs in accuracy."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -95,11 +95,13 @@ def build_network_file(network: Network, source: LabelledRecording) -> NetworkFi
     Raises:
         UnitRefused: f has no integer form without overflow.
     """
+    integers = quantise_network(network, source.windows)
+    held = replace(integers, input_zero=_float32(integers.input_zero), input_lsb=_float32(integers.input_lsb))
     return NetworkFile(
-        quantise_network(network, source.windows),
+        held,
         network.id,
         source.serial,
-        source.unlabelled.sample_rate_Hz,
+        round(1e6 / source.unlabelled.sample_rate_Hz),
         network.output_unit,
         network.reference_unit,
     )
@@ -118,7 +120,7 @@ def build_unit_file(
     """
     windows = facts.recording.windows
     exact = evaluate_float64(network, facts.unit_map.apply(windows))
-    limit = _limit(facts, options, exact)
+    limit = device_limit(facts, network, options)
     scale = _as_float32(options.scale or InputScale.covering(network, facts.recording.output))
     _check_scale(scale, facts)
     compiled = compile_map(facts.unit_map, network, facts.recording, limit)
@@ -155,15 +157,24 @@ def build_unit_file(
     return DeviceUnit(file, compiled, rms_error, max_error, limit)
 
 
-def _limit(facts: UnitFacts, options: DeviceOptions, exact: Array) -> float:
-    # Without a forecast: 1 % of the span of the estimates.
-    error = facts.predicted_rmse
-    return options.compile_limit * error if error else 0.01 * float(np.ptp(exact))
+def device_limit(facts: UnitFacts, network: Network, options: DeviceOptions) -> float:
+    """Return the largest rms change of the estimate a compiled form may make, in reference units.
+
+    A quarter of the predicted error raises the error by 3 % at most, as both add in quadrature. Without a forecast it
+    is 1 % of the span of the estimates.
+    """
+    if facts.predicted_rmse:
+        return options.compile_limit * facts.predicted_rmse
+    return 0.01 * float(np.ptp(network.evaluate(facts.unit_map.apply(facts.recording.windows))))
 
 
 def _as_float32(scale: InputScale) -> InputScale:
     """Hold what the file can hold, so that a reader of the file computes the same codes."""
-    return InputScale(float(np.float32(scale.zero)), float(np.float32(scale.lsb)))
+    return InputScale(_float32(scale.zero), _float32(scale.lsb))
+
+
+def _float32(value: float) -> float:
+    return float(np.float32(value))
 
 
 def _check_scale(scale: InputScale, facts: UnitFacts) -> None:

@@ -55,7 +55,8 @@ def quantise_network(network: Network, source_windows: Array) -> IntegerNetwork:
     # Real value of one count where it enters and leaves each layer; every hidden unit has its own.
     scales = [np.full(network.sizes[0], input_lsb), *map(_scale_of, ranges), np.array([10.0**exponent])]
     layers = tuple(
-        quantise_layer(weight.T, bias, scales[i], scales[i + 1]) for i, (weight, bias) in enumerate(_folded(network))
+        quantise_layer(weight.T, bias, scales[i], scales[i + 1])
+        for i, (weight, bias) in enumerate(folded_layers(network))
     )
     return IntegerNetwork(layers, network.output_mean, float(input_lsb), exponent)
 
@@ -72,7 +73,7 @@ def _relatives(windows: Array) -> Array:
 def activations(network: Network, windows: Array) -> list[Array]:
     """Return what leaves each layer in float64, the estimate (n, 1) last: the yardstick of every integer form."""
     hidden, found = windows - network.output_mean, []
-    folded = _folded(network)
+    folded = folded_layers(network)
     for weight, bias in folded[:-1]:
         hidden = np.maximum(hidden @ weight + bias, 0.0)
         found.append(hidden)
@@ -85,8 +86,8 @@ def evaluate_float64(network: Network, windows: Array) -> Array:
     return activations(network, windows)[-1][:, 0]
 
 
-def _folded(network: Network) -> list[tuple[Array, Array]]:
-    """Layers with both standardisations folded in; they take output minus `output_mean`."""
+def folded_layers(network: Network) -> list[tuple[Array, Array]]:
+    """Return (inputs, outputs) weights and biases; both standardisations are folded in but for `output_mean`."""
     weights, biases = [w.astype(float) for w in network.weights], [b.astype(float) for b in network.biases]
     weights[0] = weights[0] / network.output_scale
     weights[-1] = weights[-1] * network.reference_scale

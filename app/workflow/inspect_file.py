@@ -1,0 +1,111 @@
+"""What a calibration file holds, in words and numbers, without running anything it could get wrong."""
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+
+from softcal.core.errors import InputError
+from softcal.core.export.blob import (
+    CONDITIONAL,
+    FAILED,
+    MAGIC,
+    NetworkFile,
+    UnitFile,
+    read_network,
+    read_unit,
+)
+from softcal.core.export.integer_network import PiecewiseMap
+from softcal.core.export.json_text import network_from_values, network_values, unit_from_values, unit_values
+from softcal.core.export.loader import open_sensor
+
+DeviceFile = NetworkFile | UnitFile
+
+
+def read_device_file(path: Path) -> DeviceFile:
+    """Read a network or unit file: .ssc or its JSON twin.
+
+    Raises:
+        InputError: it cannot be read, is damaged, or is none of these.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    try:
+        if content[:4] == MAGIC.to_bytes(4, "little"):
+            return read_network(content) if content[4:5] == b"\x01" else read_unit(content)
+        return _from_json(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _from_json(content: bytes) -> DeviceFile:
+    try:
+        values = json.loads(content)
+    except ValueError as error:
+        raise InputError("neither a calibration file (.ssc) nor its JSON twin") from error
+    if not isinstance(values, Mapping):
+        raise InputError("JSON, but no calibration file")
+    if values.get("schema") == "softcal.calibration/1":
+        if values.get("device") is None:
+            raise InputError(f"has no device file: {values.get('device_refused', 'none was exported')}")
+        return unit_from_values(values["device"])
+    return unit_from_values(values) if "serial" in values else network_from_values(values)
+
+
+def file_values(file: DeviceFile) -> dict[str, object]:
+    """Return everything in a file as JSON values."""
+    return network_values(file) if isinstance(file, NetworkFile) else unit_values(file)
+
+
+def file_rows(file: DeviceFile, network: NetworkFile | None = None) -> list[tuple[str, str]]:
+    """Return what a person wants to know of a file; with its network, a unit file is opened and self-tested."""
+    if isinstance(file, NetworkFile):
+        return _network_rows(file)
+    rows = _unit_rows(file)
+    if network is not None:
+        open_sensor(network.to_bytes(), file.to_bytes())
+        rows.append(("self-tests", f"{len(file.self_tests)} of {len(file.self_tests)} give what they must"))
+    return rows
+
+
+def _network_rows(file: NetworkFile) -> list[tuple[str, str]]:
+    net = file.network
+    return [
+        ("kind", "shared network, format 1.0"),
+        ("id", file.id.hex()),
+        ("registry id", file.network_sha256),
+        ("source unit", file.source_serial),
+        ("sizes", "-".join(map(str, net.sizes))),
+        ("multiplications per estimate", f"{net.multiplications}"),
+        ("bytes", f"{len(file.to_bytes())}"),
+        ("sample period", f"{file.period_us / 1000:g} ms; a gap is more than {file.gap_ms} ms"),
+        ("one count of the estimate", f"{10.0**net.output_exponent:g} {file.reference_unit}"),
+        (
+            "source window",
+            f"{net.input_zero:.6g} {file.output_unit} + {net.input_lsb:.6g} {file.output_unit} per count",
+        ),
+    ]
+
+
+def _unit_rows(file: UnitFile) -> list[tuple[str, str]]:
+    form = file.device_map
+    words = {0: "passed", CONDITIONAL: "passed conditionally", FAILED: "DID NOT PASS, exported on demand"}
+    made = datetime.fromtimestamp(file.time_s, UTC).isoformat() if file.time_s else "unknown"
+    shape = f"per sample, {len(form.codes)} knots" if isinstance(form, PiecewiseMap) else "affine in the window"
+    bands = ", ".join(f"up to {b.level}: -{b.minus} +{b.plus}" for b in file.bands)
+    return [
+        ("kind", "unit, format 1.0"),
+        ("serial", file.serial),
+        ("network", file.network_id.hex()),
+        ("revision", f"{file.revision}, calibrated {made}"),
+        ("verdict", words.get(file.flags, f"unknown flags {file.flags}")),
+        ("bytes", f"{len(file.to_bytes())}"),
+        ("map", shape),
+        ("code", f"output = {file.scale.zero:.6g} + {file.scale.lsb:.6g} × code"),
+        ("codes of the calibration", f"{file.code_min} ... {file.code_max}"),
+        ("estimates are clamped to", f"{file.out_min} ... {file.out_max} counts"),
+        ("90 % interval, counts", bands),
+        ("firmware may follow", f"offset ± {file.adapt.offset} counts, gain ± {file.adapt.gain / 2**15:.3g}"),
+    ]

@@ -1,0 +1,145 @@
+"""The lossless JSON twin of the device files: for people, production databases, and back into the same bytes."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.export.blob import AdaptLimits, Band, NetworkFile, SelfTest, UnitFile
+from softcal.core.export.compile_map import InputScale
+from softcal.core.export.integer_network import AffineMap, DeviceMap, IntegerLayer, IntegerNetwork, PiecewiseMap
+
+NETWORK_SCHEMA, UNIT_SCHEMA = "softcal.network-file/1", "softcal.unit-file/1"
+LAYER_FIELDS = ("weights", "bias", "multiplier", "shift1", "shift2")
+
+
+def network_values(file: NetworkFile) -> dict[str, object]:
+    """Return a network file as JSON values."""
+    net = file.network
+    return {
+        "schema": NETWORK_SCHEMA,
+        "id": file.id.hex(),
+        "network_sha256": file.network_sha256,
+        "source_serial": file.source_serial,
+        "period_us": file.period_us,
+        "output_unit": file.output_unit,
+        "reference_unit": file.reference_unit,
+        "output_exponent": net.output_exponent,
+        "input_zero": net.input_zero,
+        "input_lsb": net.input_lsb,
+        "sizes": list(net.sizes),
+        "layers": [_layer_values(layer) for layer in net.layers],
+    }
+
+
+def network_from_values(values: Mapping[str, Any]) -> NetworkFile:
+    """Rebuild a network file; `InputError` where a value is missing or impossible."""
+    _check_schema(values, NETWORK_SCHEMA)
+    try:
+        network = IntegerNetwork(
+            tuple(_layer_from(layer) for layer in values["layers"]),
+            float(values["input_zero"]),
+            float(values["input_lsb"]),
+            int(values["output_exponent"]),
+        )
+        return NetworkFile(
+            network,
+            network_sha256=str(values["network_sha256"]),
+            source_serial=str(values["source_serial"]),
+            period_us=int(values["period_us"]),
+            output_unit=str(values["output_unit"]),
+            reference_unit=str(values["reference_unit"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise _refusal(error) from error
+
+
+def unit_values(file: UnitFile) -> dict[str, object]:
+    """Return a unit file as JSON values."""
+    return {
+        "schema": UNIT_SCHEMA,
+        "serial": file.serial,
+        "network_id": file.network_id.hex(),
+        "revision": file.revision,
+        "time_s": file.time_s,
+        "flags": file.flags,
+        "code": {"zero": file.scale.zero, "lsb": file.scale.lsb, "min": file.code_min, "max": file.code_max},
+        "estimate": {"min": file.out_min, "max": file.out_max},
+        "map": _map_values(file.device_map),
+        "bands": [vars(band) for band in file.bands],
+        "self_tests": [vars(test) for test in file.self_tests],
+        "adapt": vars(file.adapt),
+    }
+
+
+def unit_from_values(values: Mapping[str, Any]) -> UnitFile:
+    """Rebuild a unit file; `InputError` where a value is missing or impossible."""
+    _check_schema(values, UNIT_SCHEMA)
+    try:
+        code, estimate = values["code"], values["estimate"]
+        return UnitFile(
+            serial=str(values["serial"]),
+            network_id=bytes.fromhex(values["network_id"]),
+            revision=int(values["revision"]),
+            time_s=int(values["time_s"]),
+            flags=int(values["flags"]),
+            device_map=_map_from(values["map"]),
+            scale=InputScale(float(code["zero"]), float(code["lsb"])),
+            code_min=int(code["min"]),
+            code_max=int(code["max"]),
+            out_min=int(estimate["min"]),
+            out_max=int(estimate["max"]),
+            bands=tuple(Band(**band) for band in values["bands"]),
+            self_tests=tuple(SelfTest(**test) for test in values["self_tests"]),
+            adapt=AdaptLimits(**values["adapt"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise _refusal(error) from error
+
+
+def _check_schema(values: Mapping[str, Any], schema: str) -> None:
+    if values.get("schema") != schema:
+        raise InputError(f"schema {values.get('schema')!r}; {schema!r} was expected")
+
+
+def _refusal(error: Exception) -> InputError:
+    missing = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+    return InputError(f"the JSON holds no calibration file: {missing}; export it again")
+
+
+def _layer_values(layer: IntegerLayer) -> dict[str, object]:
+    return {name: getattr(layer, name).tolist() for name in LAYER_FIELDS}
+
+
+def _layer_from(values: Mapping[str, Any]) -> IntegerLayer:
+    return IntegerLayer(**{name: np.array(values[name], dtype=np.int64) for name in LAYER_FIELDS})
+
+
+def _map_values(device_map: DeviceMap) -> dict[str, object]:
+    if isinstance(device_map, PiecewiseMap):
+        knots = [[int(c), int(v)] for c, v in zip(device_map.codes, device_map.values, strict=True)]
+        return {"form": "per sample", "knots": knots}
+    return {"form": "affine in the window", **_layer_values(device_map.layer)}
+
+
+def _map_from(values: Mapping[str, Any]) -> DeviceMap:
+    if values["form"] == "per sample":
+        return PiecewiseMap(*np.array(values["knots"], dtype=np.int64).reshape(-1, 2).T)
+    return AffineMap(_layer_from(values))
+
+
+def json_text(value: object) -> str:
+    """Return JSON with one line for each row of numbers; the same value always gives the same text."""
+    return _text(value, "") + "\n"
+
+
+def _text(value: object, indent: str) -> str:
+    deeper = indent + "  "
+    if isinstance(value, Mapping) and value:
+        rows = [f"{deeper}{json.dumps(str(key))}: {_text(item, deeper)}" for key, item in value.items()]
+        return "{\n" + ",\n".join(rows) + f"\n{indent}}}"
+    if isinstance(value, list | tuple) and any(isinstance(item, Mapping | list | tuple) for item in value):
+        return "[\n" + ",\n".join(deeper + _text(item, deeper) for item in value) + f"\n{indent}]"
+    return json.dumps(value, allow_nan=False, ensure_ascii=False)
