@@ -1,6 +1,6 @@
 """What an effect of the twin is: where it stands in the chain, its equation, its parameters, its step."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Literal, TypeAlias
@@ -51,7 +51,11 @@ class Parameter:
     scale: Scale = "linear"
 
 
-@dataclass(eq=False)
+def _not_yet() -> Array:
+    return np.empty(0)
+
+
+@dataclass(eq=False, slots=True)
 class Flow:
     """The signals of one stretch of a run while they pass through the chain; every stage writes its own.
 
@@ -59,9 +63,10 @@ class Flow:
         t_s: (n,) time since the start of the run.
         step_s: (n,) time since the sample before, 0 at the start of a run.
         stage_mm: (n,) recorded stage position.
-        temperature_C: (n,) temperature above that of the run's first sample in K, None where it is not recorded.
+        temperature_rise_K: (n,) temperature above that of the run's first sample, None where it is not recorded.
         vref_V: nominal reference.
         episodes: per effect id (m, 2), the rows of an episodic effect in this run.
+        run: position of this run in its case, for effects with values of their own in every run.
     """
 
     t_s: Array
@@ -69,20 +74,21 @@ class Flow:
     stage_mm: Array
     temperature_rise_K: Array | None
     vref_V: float
-    episodes: dict[str, Array] = field(default_factory=dict)
-    pad_mm: Array = field(default_factory=lambda: np.empty(0))
+    episodes: Mapping[str, Array] = field(default_factory=dict)
+    run: int = 0
+    pad_mm: Array = field(default_factory=_not_yet)
     contact_mm: Array | float = 0.0
     toe_mm: float = 0.0
     compliance_mm_N: float = 0.0
-    deformation_mm: Array = field(default_factory=lambda: np.empty(0))
-    force_N: Array = field(default_factory=lambda: np.empty(0))
-    drive: Array = field(default_factory=lambda: np.empty(0))
+    deformation_mm: Array = field(default_factory=_not_yet)
+    force_N: Array = field(default_factory=_not_yet)
+    drive: Array = field(default_factory=_not_yet)
     """What the channel feels: the force in N, or the deformation in mm of a strain sensor."""
-    resistance_ohm: Array = field(default_factory=lambda: np.empty(0))
+    resistance_ohm: Array = field(default_factory=_not_yet)
     wiring_ohm: float = 0.0
     reference_V: Array | float = 0.0
-    output_V: Array = field(default_factory=lambda: np.empty(0))
-    reading_N: Array = field(default_factory=lambda: np.empty(0))
+    output_V: Array = field(default_factory=_not_yet)
+    reading_N: Array = field(default_factory=_not_yet)
 
 
 Step: TypeAlias = Callable[[Flow, Sequence[float], Memory], None]

@@ -56,7 +56,7 @@ EFFECTS = (
     Effect(
         id="wiring_resistance",
         stage="electronics",
-        hook=Hook.RESISTANCE,
+        hook=Hook.REFERENCE,
         equation="V = Vref·(R + Rw)/(R + Rw + Rs)",
         source="leads and contacts in series with the channel, Ohm; 0.05–1 Ω",
         parameters=(Parameter("Rw", "ohm", 0.0, 50.0, 0.5, neutral=0.0),),

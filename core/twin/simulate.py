@@ -1,7 +1,8 @@
 """The chain from stage position to recording: in one call, or as a stream that carries its state."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from softcal.core.twin.load_cell import read_force
 from softcal.core.twin.mechanics import press
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.transduction import conduct
+
+Values: TypeAlias = Sequence[Sequence[float]]
+"""Parameter values of the effects of a chain, one row per effect."""
 
 ORDER = {name: position for position, name in enumerate(EFFECTS)}
 
@@ -69,51 +73,67 @@ class Twin:
         return Twin(self.parameters, (), self.metadata)
 
 
-def run_chain(
-    flow: Flow,
-    base: BaseParameters,
-    readout: ReadoutMetadata,
-    effects: Sequence[Effect],
-    values: Sequence[Sequence[float]],
-    memories: Sequence[Memory],
-) -> None:
-    """Pass one stretch of a run through the whole chain, without noise and ADC; the flow holds every signal then.
+class Chain:
+    """The stages in the order of the signal, with the effects that are switched on.
 
     Args:
-        flow: time, stage position and temperature; the rest is written.
         effects: in any order; each acts at its hook, at one hook in the order of the catalogue.
-        values: (number of effects, its parameters).
-        memories: one per effect, empty at the start of a run.
     """
-    steps = sorted(range(len(effects)), key=lambda k: (effects[k].hook, ORDER.get(effects[k].id, len(ORDER))))
 
-    def apply(hook: Hook) -> None:
-        for k in steps:
-            if effects[k].hook == hook:
-                effects[k].step(flow, values[k], memories[k])
+    def __init__(self, effects: Sequence[Effect]) -> None:
+        self.effects = tuple(effects)
+        order = sorted(range(len(effects)), key=lambda k: ORDER.get(effects[k].id, len(ORDER)))
+        self._at = {hook: [k for k in order if effects[k].hook == hook] for hook in Hook}
 
-    flow.pad_mm, flow.contact_mm = flow.stage_mm, base.u0_mm
-    flow.toe_mm = flow.compliance_mm_N = 0.0
-    apply(Hook.MOTION)
-    apply(Hook.CONTACT)
-    press(flow, base)
-    apply(Hook.FORCE)
-    sense(flow, base, readout, apply)
-    read_force(flow)
-    apply(Hook.READING)
+    def apply(self, hook: Hook, flow: Flow, values: Values, memories: Sequence[Memory]) -> None:
+        """Let every effect of this hook change the flow; values and memories one row per effect."""
+        for k in self._at[hook]:
+            self.effects[k].step(flow, values[k], memories[k])
 
+    def press(self, flow: Flow, base: BaseParameters, values: Values, memories: Sequence[Memory]) -> None:
+        """Carry the stage position to deformation and force."""
+        flow.pad_mm, flow.contact_mm = flow.stage_mm, base.u0_mm
+        self.apply(Hook.MOTION, flow, values, memories)
+        self.apply(Hook.CONTACT, flow, values, memories)
+        press(flow, base)
+        self.apply(Hook.FORCE, flow, values, memories)
 
-def sense(flow: Flow, base: BaseParameters, readout: ReadoutMetadata, apply: Callable[[Hook], None]) -> None:
-    """Pass force (or deformation, for a strain sensor) through channel, electronics and the output's clock."""
-    flow.drive = flow.deformation_mm if readout.sensor_type == "strain" else flow.force_N
-    flow.wiring_ohm, flow.reference_V = 0.0, flow.vref_V
-    apply(Hook.CHANNEL)
-    conduct(flow, base)
-    apply(Hook.RESISTANCE)
-    apply(Hook.REFERENCE)
-    divide(flow, readout)
-    apply(Hook.OUTPUT)
-    apply(Hook.CLOCK)
+    def sense(
+        self, flow: Flow, base: BaseParameters, readout: ReadoutMetadata, values: Values, memories: Sequence[Memory]
+    ) -> None:
+        """Carry what the channel feels (deformation, for a strain sensor) to its resistance and on to the output."""
+        flow.drive = flow.deformation_mm if readout.sensor_type == "strain" else flow.force_N
+        self.apply(Hook.CHANNEL, flow, values, memories)
+        conduct(flow, base)
+        self.apply(Hook.RESISTANCE, flow, values, memories)
+        self.read_out(flow, readout, values, memories)
+
+    def read_out(self, flow: Flow, readout: ReadoutMetadata, values: Values, memories: Sequence[Memory]) -> None:
+        """Carry the resistance through divider and electronics to the output's clock."""
+        flow.wiring_ohm, flow.reference_V = 0.0, flow.vref_V
+        self.apply(Hook.REFERENCE, flow, values, memories)
+        divide(flow, readout)
+        self.apply(Hook.OUTPUT, flow, values, memories)
+        self.apply(Hook.CLOCK, flow, values, memories)
+
+    def weigh(self, flow: Flow, values: Values, memories: Sequence[Memory]) -> None:
+        """Carry the force to the reading of the load cell."""
+        read_force(flow)
+        self.apply(Hook.READING, flow, values, memories)
+
+    def run(
+        self, flow: Flow, base: BaseParameters, readout: ReadoutMetadata, values: Values, memories: Sequence[Memory]
+    ) -> None:
+        """Pass one stretch of a run through the whole chain, without noise and ADC; the flow holds every signal then.
+
+        Args:
+            flow: time, stage position and temperature; the rest is written.
+            values: parameter values, one row per effect.
+            memories: one per effect, empty at the start of a run.
+        """
+        self.press(flow, base, values, memories)
+        self.sense(flow, base, readout, values, memories)
+        self.weigh(flow, values, memories)
 
 
 class TwinStream:
@@ -129,13 +149,13 @@ class TwinStream:
     def __init__(self, twin: Twin, rng: np.random.Generator | None) -> None:
         self._twin = twin
         self._rng = rng.spawn(2) if rng is not None else None
-        self._effects = [effect(setting.effect_id) for setting in twin.effects]
+        self._chain = Chain([effect(setting.effect_id) for setting in twin.effects])
         self._values = [setting.ordered_values for setting in twin.effects]
         self.restart()
 
     def restart(self) -> None:
         """Begin a new run from rest; the noise goes on."""
-        self._memories: list[Memory] = [{} for _ in self._effects]
+        self._memories: list[Memory] = [{} for _ in self._chain.effects]
         self._last_t_s: float | None = None
         self._first_temperature_C = 0.0
 
@@ -157,7 +177,7 @@ class TwinStream:
         if not len(t_s):
             return np.empty(0), np.empty(0)
         flow = self._flow(t_s, stage_mm, temperature_C)
-        run_chain(flow, self._twin.parameters, self._twin.metadata, self._effects, self._values, self._memories)
+        self._chain.run(flow, self._twin.parameters, self._twin.metadata, self._values, self._memories)
         noise_N, noise_V = self._noise(len(t_s))
         return flow.reading_N + noise_N, digitise(flow.output_V, noise_V, self._twin.metadata)
 

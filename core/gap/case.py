@@ -1,0 +1,174 @@
+"""A case for diagnosis: several runs of one unit on one rig, checked once when made."""
+
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.recording import Array
+from softcal.core.twin.parameters import ReadoutMetadata
+
+RunKind = Literal["press", "rigid_block", "dummy_resistor", "dead_weights", "rest"]
+KINDS: tuple[RunKind, ...] = ("press", "rigid_block", "dummy_resistor", "dead_weights", "rest")
+CHANNELS = ("stage_mm", "force_N", "output_V", "temperature_C")
+NEEDED: dict[RunKind, tuple[str, ...]] = {
+    "press": (),
+    "rigid_block": ("stage_mm", "force_N"),
+    "dummy_resistor": ("output_V",),
+    "dead_weights": ("force_N", "known_force_N"),
+    "rest": (),
+}
+SHORTEST = 30
+"""Fewest samples of a run; five base parameters and a noise level are estimated from them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run of a case; a channel that was not recorded is None.
+
+    Args:
+        name: how the caller knows it, for messages.
+        t_s: (n,) time stamps, strictly increasing; the run starts from rest at the first.
+        readout: what the metadata declare of the electronics.
+        stage_mm, force_N, output_V, temperature_C: (n,) recorded channels.
+        known_force_N: (n,) weights laid on, of a run with dead weights.
+        dummy_ohm: the resistor in place of the sensor, of a run with a dummy resistor.
+        kind: `press`, or one of the special runs.
+        profile: what was pressed, in words.
+
+    Raises:
+        InputError: a channel has another length, is not finite, is constant where it carries the diagnosis, time
+            goes back, or the kind lacks a channel it lives by.
+    """
+
+    name: str
+    t_s: Array
+    readout: ReadoutMetadata
+    stage_mm: Array | None = None
+    force_N: Array | None = None
+    output_V: Array | None = None
+    temperature_C: Array | None = None
+    known_force_N: Array | None = None
+    dummy_ohm: float | None = None
+    kind: RunKind = "press"
+    profile: str = ""
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError(f"{self.name}: kind {self.kind!r} is not known; known are {', '.join(KINDS)}")
+        self._check_time()
+        for channel in (*CHANNELS, "known_force_N"):
+            self._check_channel(channel)
+        self._check_kind()
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def _check_time(self) -> None:
+        if len(self.t_s) < SHORTEST:
+            raise InputError(f"{self.name}: {len(self.t_s)} samples; at least {SHORTEST} are needed for a diagnosis")
+        if not np.all(np.isfinite(self.t_s)):
+            raise InputError(f"{self.name}: t_s is not finite everywhere")
+        steps_s = np.diff(self.t_s)
+        if np.any(steps_s <= 0):
+            at = int(np.argmax(steps_s <= 0)) + 1
+            raise InputError(f"{self.name}: t_s repeats or goes backward at sample {at} ({self.t_s[at]:.6g} s)")
+        seen_Hz = 1.0 / float(np.median(steps_s))
+        if abs(seen_Hz / self.readout.sample_rate_Hz - 1) > 0.02:
+            raise InputError(
+                f"{self.name}: the time stamps show {seen_Hz:.4g} Hz, sample_rate_Hz says "
+                f"{self.readout.sample_rate_Hz:.4g} Hz; correct the one that is wrong"
+            )
+
+    def _check_channel(self, channel: str) -> None:
+        values = getattr(self, channel)
+        if values is None:
+            return
+        if len(values) != len(self.t_s):
+            raise InputError(f"{self.name}: {channel} has {len(values)} samples, t_s has {len(self.t_s)}")
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise InputError(f"{self.name}: {channel} is {values[bad[0]]} at sample {bad[0]}; {len(bad)} not finite")
+
+    def _check_kind(self) -> None:
+        for channel in NEEDED[self.kind]:
+            if getattr(self, channel) is None:
+                raise InputError(f"{self.name}: a {self.kind} run needs {channel}, which is not recorded")
+        if self.kind == "dummy_resistor" and not (self.dummy_ohm is not None and self.dummy_ohm > 0):
+            raise InputError(f"{self.name}: a dummy_resistor run needs dummy_ohm above 0 in its metadata")
+        if self.kind == "press":
+            if sum(getattr(self, channel) is not None for channel in ("stage_mm", "force_N", "output_V")) < 2:
+                raise InputError(f"{self.name}: two of stage_mm, force_N, output_V are needed to see any gap")
+            for channel in ("stage_mm", "force_N", "output_V"):
+                values = getattr(self, channel)
+                if values is not None and np.ptp(values) == 0:
+                    raise InputError(f"{self.name}: {channel} is {values[0]:.6g} throughout; nothing was pressed")
+
+    @cached_property
+    def elapsed_s(self) -> Array:
+        """(n,) time since the first sample."""
+        return np.asarray(self.t_s - self.t_s[0])
+
+    @cached_property
+    def step_s(self) -> Array:
+        """(n,) time since the sample before; 0 at the first."""
+        return np.diff(self.t_s, prepend=self.t_s[0])
+
+    @cached_property
+    def temperature_rise_K(self) -> Array | None:
+        """(n,) temperature above that of the first sample."""
+        return None if self.temperature_C is None else self.temperature_C - self.temperature_C[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Runs of one unit on one rig.
+
+    Raises:
+        InputError: no run in which the sensor is pressed, or runs whose units, rates or electronics differ.
+    """
+
+    serial: str
+    runs: tuple[Run, ...]
+
+    def __post_init__(self) -> None:
+        if not self.presses:
+            raise InputError(f"case {self.serial}: no run in which the sensor is pressed; a diagnosis needs one")
+        first = self.runs[0]
+        for run in self.runs[1:]:
+            for entry in fields(ReadoutMetadata):
+                mine, other = getattr(first.readout, entry.name), getattr(run.readout, entry.name)
+                if mine != other:
+                    raise InputError(
+                        f"{run.name}: {entry.name} is {other}, but {mine} in {first.name}; "
+                        "all runs of a case come from one unit on one rig"
+                    )
+        for channel in ("stage_mm", "force_N", "output_V"):
+            has = [getattr(run, channel) is not None for run in self.presses]
+            if any(has) and not all(has):
+                without = self.presses[has.index(False)].name
+                raise InputError(f"{without}: {channel} is missing, other runs have it; add it or leave that run out")
+
+    @cached_property
+    def presses(self) -> tuple[Run, ...]:
+        """The runs in which the sensor is pressed."""
+        return tuple(run for run in self.runs if run.kind == "press")
+
+    @property
+    def readout(self) -> ReadoutMetadata:
+        return self.runs[0].readout
+
+    def has(self, channel: str) -> bool:
+        """Whether the runs in which the sensor is pressed recorded this channel."""
+        return all(getattr(run, channel) is not None for run in self.presses)
+
+    @property
+    def missing_channels(self) -> tuple[str, ...]:
+        """Channels that no pressed run recorded."""
+        return tuple(channel for channel in CHANNELS if not self.has(channel))
+
+    def only(self, *runs: Run) -> "Case":
+        """Return a case of these runs alone."""
+        return replace(self, runs=runs)

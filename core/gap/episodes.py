@@ -1,0 +1,265 @@
+"""Effects that a search must first place: lost samples and bad contacts in time, hum in frequency, a clipped output."""
+
+import numpy as np
+
+from softcal.core.gap.candidates import Extent
+from softcal.core.gap.fit import Block, Episodes, Fit, Hypothesis, fit, start_coordinates
+from softcal.core.recording import Array
+from softcal.core.twin.catalogue import EFFECTS
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
+from softcal.core.twin.signals import compiled
+
+LONGEST_LOSS = 60
+"""Most samples one run may lose in all; more is another recording."""
+
+PLACEMENTS = 4
+"""How often episodes are placed again after the parameters have moved; they hardly move after the third time."""
+
+MAINS_Hz = (50.0, 60.0)
+MAINS_TOLERANCE_Hz = 0.5
+LINE_GAIN = 30.0
+"""χ² that the strongest line of a spectrum must take away; white noise reaches 20 in a thousand lines."""
+
+SLOWEST_HUM_Hz = 0.3
+"""An alias below this is a drift to the eye and to every fit."""
+
+
+def with_lost_samples(found: Fit) -> Fit | None:
+    """Add `dropped_samples` where it explains anything: place the losses, fit, place again."""
+    return _placed(found, "dropped_samples", _lost_samples)
+
+
+def with_bad_contacts(found: Fit) -> Fit | None:
+    """Add `intermittent_contact` where it explains anything: place the intervals, fit, place again."""
+    return _placed(found, "intermittent_contact", _bad_contacts)
+
+
+def _placed(found: Fit, effect_id: str, place) -> Fit | None:  # type: ignore[no-untyped-def]
+    effect = EFFECTS[effect_id]
+    best: Fit | None = None
+    current = found
+    for _ in range(PLACEMENTS):
+        rows, size = place(current, effect_id)
+        if not any(len(r) for r in rows):
+            break
+        episodes = _merged(found, effect_id, rows)
+        hypothesis = found.hypothesis.adding(effect, episodes)
+        kept = current.coordinates[: len(found.coordinates)]
+        grown = fit(found.problem, hypothesis, np.concatenate([kept, start_coordinates([effect], [[size]])]))
+        is_same = best is not None and grown.chi2 > best.chi2 - 1.0
+        if best is None or grown.chi2 < best.chi2:
+            best = grown
+        if is_same:
+            break
+        current = grown
+    return best
+
+
+def _merged(found: Fit, effect_id: str, rows: list[Array]) -> Episodes:
+    return tuple({**found.hypothesis.episodes_of(k), effect_id: rows[k]} for k in range(len(rows)))
+
+
+def _output_blocks(found: Fit) -> list[Block]:
+    return [b for b in found.problem.blocks if b.channel == "output_V"]
+
+
+def _robust_noise(found: Fit, blocks: list[Block]) -> float:
+    """Return the level of the residual of the output in units of its white noise, at least 1."""
+    parts = np.concatenate([np.abs(found.residual[b.place]) for b in blocks])
+    return max(1.0, 1.48 * float(np.median(parts)))
+
+
+def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
+    case = found.problem.case
+    rows: list[Array] = [np.empty((0, 2)) for _ in case.runs]
+    plain = Hypothesis(
+        found.hypothesis.effects,
+        tuple({**found.hypothesis.episodes_of(k), effect_id: np.empty((0, 2))} for k in range(len(case.runs))),
+    )
+    closed = found.problem.predict(plain, found.coordinates)
+    blocks = [b for b in _output_blocks(found) if case.runs[b.run].kind == "press"]
+    level = _robust_noise(found, blocks)
+    for block in blocks:
+        measured = found.problem.measured[block.place]
+        noise = found.problem.noise[block.place] * level
+        shifts = lag_path(measured, closed[block.place], noise, LONGEST_LOSS, 4.0 * np.log(len(measured)))
+        at = np.flatnonzero(np.diff(shifts) > 0) + 1
+        t_s = case.runs[block.run].elapsed_s
+        rows[block.run] = np.array([(t_s[k], shifts[k] - shifts[k - 1]) for k in at]).reshape(-1, 2)
+    return rows, float(max((r[:, 1].max() for r in rows if len(r)), default=0.0))
+
+
+@compiled
+def lag_path(measured: Array, predicted: Array, noise: Array, longest: int, penalty: float) -> Array:
+    """Return how many samples were lost before each sample: the cheapest path that starts at 0 and never falls.
+
+    Viterbi over the loss so far; each further loss costs `penalty`, a sample at most 25 (it may be an outlier).
+    """
+    n = len(measured)
+    back = np.zeros((n, longest + 1), dtype=np.int16)
+    cost = np.full(longest + 1, 1e18)
+    cost[0] = 0.0
+    for k in range(n):
+        cheapest, source = 1e18, 0
+        moved = np.empty(longest + 1)
+        for s in range(longest + 1):
+            stay = cost[s]
+            if k > 0 and cheapest + penalty < stay:
+                moved[s], back[k, s] = cheapest + penalty, source
+            else:
+                moved[s], back[k, s] = stay, s
+            if stay < cheapest:
+                cheapest, source = stay, s
+        for s in range(longest + 1):
+            at = min(k + s, n - 1)
+            z = (measured[k] - predicted[at]) / noise[k]
+            cost[s] = moved[s] + min(z * z, 25.0)
+    out = np.empty(n)
+    s = int(np.argmin(cost))
+    for k in range(n - 1, -1, -1):
+        out[k] = s
+        s = back[k, s]
+    return out
+
+
+def _bad_contacts(found: Fit, effect_id: str) -> tuple[list[Array], float]:
+    case, readout = found.problem.case, found.problem.case.readout
+    rows: list[Array] = [np.empty((0, 2)) for _ in case.runs]
+    good = found.coordinates
+    if effect_id in found.hypothesis.ids:
+        good = found.coordinates.copy()
+        good[-1] = 0.0
+    clean = found.problem.predict(found.hypothesis, good)
+    blocks = [b for b in _output_blocks(found) if case.runs[b.run].kind != "dummy_resistor"]
+    level = _robust_noise(found, blocks)
+    errors, sigmas = [], []
+    for block in blocks:
+        left_V = np.maximum(readout.vref_V - clean[block.place], readout.step_V)
+        slope = left_V**2 / (readout.vref_V * readout.r_series_ohm)
+        errors.append((found.problem.measured - clean)[block.place] / slope)
+        sigmas.append(found.problem.noise[block.place] * level / slope)
+    every, spread = np.concatenate(errors), float(np.median(np.concatenate(sigmas)))
+    largest = float(np.max(np.abs(every)))
+    if largest < 2 * spread:
+        return rows, 0.0
+    sizes = np.geomspace(2 * spread, largest, 16)
+    penalty = 2.0 * np.log(len(every))
+    best_gain, best_size, best_paths = 0.0, 0.0, []
+    for size in np.concatenate([sizes, -sizes]):
+        paths = [step_path(e, s, float(size), penalty) for e, s in zip(errors, sigmas, strict=True)]
+        gain = sum(
+            float(np.sum((e[p] / s[p]) ** 2 - ((e[p] - size) / s[p]) ** 2))
+            for e, s, p in zip(errors, sigmas, paths, strict=True)
+        )
+        if gain > best_gain:
+            best_gain, best_size, best_paths = gain, float(size), paths
+    for block, path in zip(blocks, best_paths, strict=False):
+        rows[block.run] = _intervals(case.runs[block.run].elapsed_s, path)
+    return rows, best_size
+
+
+@compiled
+def step_path(error: Array, sigma: Array, size: float, penalty: float) -> Array:
+    """Return where the error stands at `size` instead of 0: two-state Viterbi, `penalty` for every change of state."""
+    n = len(error)
+    back = np.zeros((n, 2), dtype=np.int8)
+    low, high = 0.0, penalty
+    for k in range(n):
+        go_low, go_high = low, high
+        if high + penalty < low:
+            go_low, back[k, 0] = high + penalty, 1
+        if low + penalty < high:
+            go_high, back[k, 1] = low + penalty, 0
+        else:
+            back[k, 1] = 1
+        low = go_low + min((error[k] / sigma[k]) ** 2, 100.0)
+        high = go_high + min(((error[k] - size) / sigma[k]) ** 2, 100.0)
+    out = np.zeros(n, dtype=np.bool_)
+    state = 1 if high < low else 0
+    for k in range(n - 1, -1, -1):
+        out[k] = state == 1
+        state = back[k, state]
+    return out
+
+
+def _intervals(t_s: Array, path: Array) -> Array:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], path, [False]]).astype(int)))
+    end_s = np.append(t_s, 2 * t_s[-1] - t_s[-2])
+    return np.column_stack([end_s[edges[0::2]], end_s[edges[1::2]]]).reshape(-1, 2)
+
+
+def with_hum(found: Fit) -> Fit | None:
+    """Add `mains_hum`: the strongest line near an alias of 50 or 60 Hz, its phase free in every run."""
+    case, problem = found.problem.case, found.problem
+    blocks = _output_blocks(found)
+    longest_s = max(float(case.runs[b.run].elapsed_s[-1]) for b in blocks)
+    grid = _alias_grid(case.readout.sample_rate_Hz, longest_s)
+    if not len(grid):
+        return None
+    power = np.zeros(len(grid))
+    sums: dict[int, Array] = {}
+    for block in blocks:
+        wave = np.exp(-2j * np.pi * np.outer(grid, case.runs[block.run].elapsed_s))
+        sums[block.run] = wave @ (problem.measured - found.predicted)[block.place]
+        power += np.abs(sums[block.run]) ** 2 / (block.place.stop - block.place.start)
+    at = int(np.argmax(power))
+    if 2 * power[at] < LINE_GAIN * problem.sigma["output_V"] ** 2:
+        return None
+    effect = hum_effect(len(case.runs))
+    values = [float(np.sqrt(2 * power[at] / sum(b.place.stop - b.place.start for b in blocks))), float(grid[at])]
+    for k in range(len(case.runs)):
+        amplitude = 2 * sums[k][at] / len(case.runs[k]) if k in sums else 0j
+        values += [float(-amplitude.imag), float(amplitude.real)]
+    start = np.concatenate([found.coordinates, start_coordinates([effect], [values])])
+    return fit(problem, found.hypothesis.adding(effect), start)
+
+
+def _alias_grid(rate_Hz: float, longest_s: float) -> Array:
+    fine_Hz = 0.25 / longest_s
+    parts = []
+    for mains_Hz in MAINS_Hz:
+        alias_Hz = abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz))
+        parts.append(np.arange(alias_Hz - MAINS_TOLERANCE_Hz, alias_Hz + MAINS_TOLERANCE_Hz, fine_Hz))
+    grid = np.unique(np.concatenate(parts))
+    return grid[(grid > max(SLOWEST_HUM_Hz, 4 / longest_s)) & (grid < rate_Hz / 2)]
+
+
+def hum_effect(runs: int) -> Effect:
+    """Return `mains_hum` with a sine and a cosine per run: its phase belongs to one run, not to the rig."""
+    wave = [Parameter(f"{name}{k}", "V", -0.5, 0.5, 0.004, neutral=0.0) for k in range(runs) for name in ("sin", "cos")]
+    size = Parameter("A", "V", 0.0, 0.5, 0.004, neutral=0.0)
+    frequency = Parameter("f", "Hz", 0.0, 500.0, 0.001)
+    original = EFFECTS["mains_hum"]
+    return Effect(
+        original.id, original.stage, Hook.OUTPUT, original.equation, original.source, (size, frequency, *wave), _hum
+    )
+
+
+def _hum(flow: Flow, values: list[float], _: Memory) -> None:
+    angle = 2 * np.pi * values[1] * flow.t_s
+    sine, cosine = values[2 + 2 * flow.run], values[3 + 2 * flow.run]
+    flow.output_V = flow.output_V + sine * np.sin(angle) + cosine * np.cos(angle)
+
+
+def with_clipping(found: Fit, extent: Extent) -> Fit | None:
+    """Add `adc_saturation`: fit the rest without the flat tops first, then set the level at the tops."""
+    problem = found.problem
+    blocks = [b for b in _output_blocks(found) if problem.case.runs[b.run].kind == "press"]
+    if not blocks:
+        return None
+    margin_V = max(3 * problem.sigma["output_V"], 1.5 * problem.case.readout.step_V)
+    near = np.zeros(len(problem.measured), dtype=np.bool_)
+    for block in blocks:
+        near[block.place] = problem.measured[block.place] > extent.highest_V - margin_V
+    if not 8 <= np.count_nonzero(near) < 0.4 * len(near):
+        return None
+    open_use = ~near if problem.use is None else problem.use * ~near
+    rest = fit(problem.seeing(open_use.astype(np.float64)), found.hypothesis, found.coordinates)
+    over = near & (rest.predicted > problem.measured)
+    excess = ((rest.predicted - problem.measured) / problem.noise)[over]
+    if np.count_nonzero(excess > 3) < 3:
+        return None
+    level_V = float(np.median(problem.measured[over]))
+    effect = EFFECTS["adc_saturation"]
+    start = np.concatenate([rest.coordinates, start_coordinates([effect], [[level_V]])])
+    return fit(problem, found.hypothesis.adding(effect), start)

@@ -1,0 +1,346 @@
+"""Fit base parameters and effects jointly to all runs: bounded Levenberg–Marquardt on both channels with noise weights."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from softcal.core.gap.case import Case, Run
+from softcal.core.gap.forward import predict
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Parameter
+from softcal.core.twin.parameters import BaseParameters
+from softcal.core.twin.simulate import Chain
+
+BASE = (
+    Parameter("u0_mm", "mm", -5.0, 50.0, 0.3),
+    Parameter("k1_N_mm", "N/mm", 0.0, 1e4, 1.0),
+    Parameter("k3_N_mm3", "N/mm³", 0.0, 1e4, 0.1),
+    Parameter("r0_ohm", "ohm", 1e-6, 1e9, 4.0, scale="log"),
+    Parameter("kappa_per_N", "1/N", 0.0, 10.0, 0.07),
+)
+DIFFERENCE = 2e-4
+"""Step of a numerical derivative, in units of the parameter's usual size: above the corners of play and clipping."""
+
+Episodes = tuple[Mapping[str, Array], ...]
+
+
+def to_fit(parameter: Parameter, value: float) -> float:
+    """Return the coordinate in which the fit moves this parameter."""
+    if parameter.scale == "log":
+        return float(np.log(value))
+    return 0.0 if np.isinf(value) else (1.0 / value**2 if parameter.scale == "inverse_square" else value)
+
+
+def from_fit(parameter: Parameter, coordinate: float) -> float:
+    """Return the physical value at this coordinate of the fit."""
+    if parameter.scale == "log":
+        return float(np.exp(coordinate))
+    if parameter.scale == "inverse_square":
+        return float(coordinate**-0.5) if coordinate > 0 else float("inf")
+    return coordinate
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """The base twin with these effects on top.
+
+    Args:
+        effects: entries of the catalogue, or other realisations of the same causes.
+        episodes: per run, the rows of its episodic effects.
+    """
+
+    effects: tuple[Effect, ...] = ()
+    episodes: Episodes = ()
+
+    @cached_property
+    def chain(self) -> Chain:
+        return Chain(self.effects)
+
+    @cached_property
+    def ids(self) -> tuple[str, ...]:
+        """Identifiers of the causes, sorted."""
+        return tuple(sorted({effect.id for effect in self.effects}))
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters: the base's five, then those of the effects in order."""
+        return BASE + tuple(p for effect in self.effects for p in effect.parameters)
+
+    def episodes_of(self, run: int) -> Mapping[str, Array]:
+        return self.episodes[run] if self.episodes else {}
+
+    @property
+    def episode_count(self) -> int:
+        """How many episodes were placed; each costs as much as two parameters."""
+        return sum(len(rows) for run in self.episodes for rows in run.values())
+
+    def split(self, coordinates: Array) -> tuple[BaseParameters, list[list[float]]]:
+        """Return base parameters and the values of every effect at these coordinates of the fit."""
+        values = [from_fit(p, float(x)) for p, x in zip(self.parameters, coordinates, strict=True)]
+        rows, at = [], len(BASE)
+        for effect in self.effects:
+            rows.append(values[at : at + len(effect.parameters)])
+            at += len(effect.parameters)
+        return BaseParameters(*values[: len(BASE)]), rows
+
+    def adding(self, effect: Effect, episodes: Episodes | None = None) -> "Hypothesis":
+        """Return this hypothesis with one effect more, or with another realisation of one it has."""
+        kept = tuple(e for e in self.effects if e.id != effect.id)
+        return Hypothesis((*kept, effect), self.episodes if episodes is None else episodes)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Where the samples of one channel of one run stand in the vectors of a problem."""
+
+    run: int
+    channel: str
+    place: slice
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The measured channels of a case as one vector with noise weights.
+
+    Args:
+        case: the runs.
+        sigma: per channel, standard deviation of the white noise, (n,) or a number, in the channel's unit.
+        use: (samples,) which samples a fit may see; all where None.
+    """
+
+    case: Case
+    sigma: Mapping[str, float]
+    use: Array | None = None
+    extra_variance: Array | None = None
+    """(samples,) variance that comes with the noise of the driving channel, in the units of the samples squared."""
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        blocks, at = [], 0
+        for k, run in enumerate(self.case.runs):
+            for channel in predicted_channels(run):
+                blocks.append(Block(k, channel, slice(at, at + len(run))))
+                at += len(run)
+        return tuple(blocks)
+
+    @cached_property
+    def measured(self) -> Array:
+        """(samples,) all channels of all runs, block by block."""
+        return np.concatenate([getattr(self.case.runs[b.run], b.channel) for b in self.blocks])
+
+    @cached_property
+    def noise(self) -> Array:
+        """(samples,) standard deviation of the noise of every sample."""
+        noise = np.concatenate([np.full(b.place.stop - b.place.start, self.sigma[b.channel]) for b in self.blocks])
+        return noise if self.extra_variance is None else np.sqrt(noise**2 + self.extra_variance)
+
+    @cached_property
+    def weights(self) -> Array:
+        """(samples,) 1/σ, 0 where a fit may not look."""
+        return 1.0 / self.noise if self.use is None else self.use / self.noise
+
+    @cached_property
+    def is_free(self) -> Array:
+        """(5,) which base parameters these channels determine."""
+        case = self.case
+        stage, force, output = (case.has(c) for c in ("stage_mm", "force_N", "output_V"))
+        # Without a force only κ·k1 and κ·k3 act; k1 stays where it is and κ takes their common factor.
+        return np.array([stage, stage and force, stage, output, output])
+
+    @property
+    def count(self) -> int:
+        """Samples a fit may see."""
+        return int(np.count_nonzero(self.weights))
+
+    def predict(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
+        """Return the clean prediction, (samples,), at these coordinates of the fit."""
+        base, values = hypothesis.split(coordinates)
+        out = np.empty(len(self.measured))
+        last, prediction = -1, None
+        for block in self.blocks:
+            if block.run != last:
+                run, last = self.case.runs[block.run], block.run
+                prediction = predict(run, last, base, hypothesis.chain, values, hypothesis.episodes_of(last))
+            channel = prediction.channel(block.channel) if prediction is not None else None
+            out[block.place] = self.measured[block.place] if channel is None else channel
+        return out
+
+    def seeing(self, use: Array) -> "Problem":
+        """Return the same problem with other samples open to the fit."""
+        return Problem(self.case, self.sigma, use, self.extra_variance)
+
+    def with_noise(self, sigma: Mapping[str, float]) -> "Problem":
+        """Return the same problem under another noise level."""
+        return Problem(self.case, sigma, self.use, self.extra_variance)
+
+
+def predicted_channels(run: Run) -> tuple[str, ...]:
+    """Return the recorded channels of a run that the twin predicts (not those that drive it)."""
+    if run.kind == "rigid_block":
+        return ("stage_mm",)
+    if run.kind == "dead_weights":
+        return ("force_N",)
+    if run.kind == "dummy_resistor" or (run.kind == "press" and run.stage_mm is None):
+        return ("output_V",)
+    return tuple(channel for channel in ("force_N", "output_V") if getattr(run, channel) is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A hypothesis at its best parameters.
+
+    Args:
+        coordinates: (parameters,) in the coordinates of the fit.
+        predicted: (samples,) clean prediction.
+        chi2: sum of squared residuals over σ², over the samples the fit saw.
+        jacobian: (samples, parameters) of the weighted prediction; columns that were held fixed are 0.
+    """
+
+    problem: Problem
+    hypothesis: Hypothesis
+    coordinates: Array
+    predicted: Array
+    chi2: float
+    jacobian: Array = field(repr=False)
+
+    @cached_property
+    def base(self) -> BaseParameters:
+        return self.hypothesis.split(self.coordinates)[0]
+
+    @cached_property
+    def effect_values(self) -> list[list[float]]:
+        return self.hypothesis.split(self.coordinates)[1]
+
+    @cached_property
+    def residual(self) -> Array:
+        """(samples,) measured − predicted over σ."""
+        return (self.problem.measured - self.predicted) * self.problem.weights
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(parameters, parameters) of the coordinates; rows of fixed parameters are 0."""
+        normal = self.jacobian.T @ self.jacobian
+        free = np.flatnonzero(np.diag(normal) > 0)
+        covariance = np.zeros_like(normal)
+        covariance[np.ix_(free, free)] = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
+        return covariance
+
+    def under(self, problem: Problem) -> "Fit":
+        """Return the same parameters scored under another noise level."""
+        residual = (problem.measured - self.predicted) * problem.weights
+        ratio = np.divide(problem.weights, self.problem.weights, out=np.ones(len(residual)), where=problem.weights > 0)
+        return replace(
+            self, problem=problem, chi2=float(residual @ residual), jacobian=self.jacobian * ratio[:, np.newaxis]
+        )
+
+    @property
+    def parameter_count(self) -> int:
+        """Free parameters, an episode counted as two."""
+        added = sum(len(effect.parameters) for effect in self.hypothesis.effects)
+        return int(self.problem.is_free.sum()) + added + 2 * self.hypothesis.episode_count
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion χ² + p·ln(n) for white noise of known size."""
+        return self.chi2 + self.parameter_count * float(np.log(self.problem.count))
+
+
+def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20, tolerance: float = 0.02) -> Fit:
+    """Minimise χ² from a start within the bounds of all parameters.
+
+    Args:
+        start: (parameters,) coordinates to begin at.
+        steps: most Levenberg–Marquardt steps taken.
+        tolerance: stop when a step gains less than this in χ².
+    """
+    space = _Space(problem, hypothesis)
+    x = np.clip(start, space.low, space.high)
+    predicted = problem.predict(hypothesis, x)
+    residual = (problem.measured - predicted) * problem.weights
+    chi2, damping = float(residual @ residual), 1e-4
+    jacobian = space.jacobian(x, predicted)
+    for _ in range(steps):
+        accepted = False
+        for _ in range(6):
+            candidate = space.step(x, jacobian, residual, damping)
+            trial = problem.predict(hypothesis, candidate)
+            trial_residual = (problem.measured - trial) * problem.weights
+            trial_chi2 = float(trial_residual @ trial_residual)
+            if trial_chi2 < chi2:
+                accepted = True
+                break
+            damping = max(damping * 10, 1e-6)
+        if not accepted:
+            break
+        gain = chi2 - trial_chi2
+        x, predicted, residual, chi2 = candidate, trial, trial_residual, trial_chi2
+        damping = max(damping / 10, 1e-9)
+        if gain < tolerance + 1e-7 * chi2:
+            break
+        jacobian = space.jacobian(x, predicted)
+    return Fit(problem, hypothesis, x, predicted, chi2, jacobian)
+
+
+class _Space:
+    """Bounds, scales and derivatives of one hypothesis on one problem."""
+
+    def __init__(self, problem: Problem, hypothesis: Hypothesis) -> None:
+        self._problem, self._hypothesis = problem, hypothesis
+        bounds = [sorted((to_fit(p, p.low), to_fit(p, p.high))) for p in hypothesis.parameters]
+        self.low = np.array([b[0] for b in bounds])
+        self.high = np.array([b[1] for b in bounds])
+        for k, p in enumerate(hypothesis.parameters):
+            if p.scale == "inverse_square":
+                self.low[k] = 0.0
+        self.scale = np.array([fit_scale(p) for p in hypothesis.parameters])
+        self.is_free = np.concatenate([problem.is_free, np.ones(len(self.low) - len(BASE), dtype=np.bool_)])
+
+    def jacobian(self, x: Array, predicted: Array) -> Array:
+        """(samples, parameters) derivative of the weighted prediction, one-sided, away from a bound."""
+        out = np.zeros((len(predicted), len(x)))
+        for k in np.flatnonzero(self.is_free):
+            step = DIFFERENCE * self.scale[k]
+            if x[k] + step > self.high[k]:
+                step = -step
+            moved = x.copy()
+            moved[k] += step
+            out[:, k] = (self._problem.predict(self._hypothesis, moved) - predicted) / step * self._problem.weights
+        return out
+
+    def step(self, x: Array, jacobian: Array, residual: Array, damping: float) -> Array:
+        """Return the damped Gauss–Newton step; parameters pushed out of their bounds are held there."""
+        normal, slope = jacobian.T @ jacobian, jacobian.T @ residual
+        free = self.is_free & (np.diag(normal) > 0)
+        candidate = x.copy()
+        for _ in range(3):
+            k = np.flatnonzero(free)
+            damped = normal[np.ix_(k, k)] + np.diag(damping * np.diag(normal)[k] + 1e-12)
+            candidate = x.copy()
+            candidate[k] += np.linalg.solve(damped, slope[k])
+            outside = (candidate < self.low) | (candidate > self.high)
+            candidate = np.clip(candidate, self.low, self.high)
+            held = free & outside & (candidate == x)
+            if not held.any():
+                break
+            free &= ~held
+        return candidate
+
+
+def fit_scale(parameter: Parameter) -> float:
+    """Return a natural step of this parameter in the coordinates of the fit."""
+    if parameter.scale == "log":
+        return 1.0
+    return abs(to_fit(parameter, parameter.usual)) or 1.0
+
+
+def start_coordinates(effects: Sequence[Effect], values: Sequence[Sequence[float]]) -> Array:
+    """Return the coordinates of effect values, to be put after those of a base."""
+    return np.array(
+        [
+            to_fit(p, float(np.clip(v, p.low, p.high)) if np.isfinite(v) else v)
+            for effect, row in zip(effects, values, strict=True)
+            for p, v in zip(effect.parameters, row, strict=True)
+        ]
+    )

@@ -1,0 +1,113 @@
+"""Which effects are worth a full fit: score tests of every probe against a fit, with the fitted parameters set free."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.gap.candidates import Probe
+from softcal.core.gap.fit import Episodes, Fit, start_coordinates
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect
+
+
+@dataclass(frozen=True, eq=False)
+class Lead:
+    """A probe that would lower χ².
+
+    Args:
+        gain: expected drop of χ² when the effect is added and everything is fitted again, to first order.
+        values: where a full fit should begin.
+        shift: (parameters of the fit,) how its coordinates would move along.
+    """
+
+    effect: Effect
+    values: tuple[float, ...]
+    gain: float
+    shift: Array
+    episodes: Episodes | None = None
+
+    def start(self, found: Fit) -> Array:
+        """Return the coordinates at which a fit of the larger hypothesis should begin."""
+        kept = _without(found, self.effect.id, found.coordinates + self.shift)
+        return np.concatenate([kept, start_coordinates([self.effect], [self.values])])
+
+
+def _without(found: Fit, effect_id: str, coordinates: Array) -> Array:
+    keep = [np.ones(5, dtype=np.bool_)]
+    keep += [np.full(len(e.parameters), e.id != effect_id) for e in found.hypothesis.effects]
+    return coordinates[np.concatenate(keep)]
+
+
+def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
+    """Return the best lead of every effect that is not in the fit yet, best first.
+
+    The signature of a probe is the change it makes in the weighted prediction; only what the fitted parameters cannot
+    imitate counts (Rao's score test).
+    """
+    space = Tangent(found)
+    best: dict[str, Lead] = {}
+    for probe in candidates:
+        if probe.effect.id in found.hypothesis.ids:
+            continue
+        lead = space.lead(probe)
+        if lead is not None and (probe.effect.id not in best or lead.gain > best[probe.effect.id].gain):
+            best[probe.effect.id] = lead
+    return sorted(best.values(), key=lambda lead: -lead.gain)
+
+
+class Tangent:
+    """The directions in which a fit can move, and how a signature stands to them."""
+
+    def __init__(self, found: Fit) -> None:
+        self._found = found
+        jacobian = found.jacobian
+        scale = np.sqrt(np.sum(jacobian**2, axis=0))
+        self._columns = np.flatnonzero(scale > 0)
+        scaled = jacobian[:, self._columns] / scale[self._columns]
+        left, singular, right = np.linalg.svd(scaled.T @ scaled)
+        keep = singular > 1e-10 * singular[0]
+        self._basis = scaled @ (left[:, keep] / np.sqrt(singular[keep]))
+        self._solve = (right[keep].T / np.sqrt(singular[keep])).T / scale[self._columns]
+        self._residual = found.residual
+
+    def signature(self, probe: Probe) -> Array:
+        """(samples,) change of the weighted prediction when the probe is switched on at the fitted parameters."""
+        found = self._found
+        hypothesis = found.hypothesis.adding(probe.effect)
+        x = np.concatenate([found.coordinates, start_coordinates([probe.effect], [probe.values])])
+        return (found.problem.predict(hypothesis, x) - found.predicted) * found.problem.weights
+
+    def visible(self, signature: Array) -> Array:
+        """Return the part of a signature that the fitted parameters cannot imitate."""
+        return signature - self._basis @ (self._basis.T @ signature)
+
+    def lead(self, probe: Probe) -> Lead | None:
+        """Return what this probe promises, None if it promises nothing."""
+        signature = self.signature(probe)
+        size = float(signature @ signature)
+        seen = self.visible(signature)
+        power = float(seen @ seen)
+        if power <= 1e-9 * max(size, 1e-30) or power <= 1e-12:
+            return None
+        times = float(seen @ self._residual) / power
+        if probe.is_one_sided and times <= 0:
+            return None
+        gain = times**2 * power
+        # The probe is linear for small effects only: begin within a decade of it.
+        stretch = float(np.clip(times, -30.0, 30.0))
+        shift = np.zeros(len(self._found.coordinates))
+        shift[self._columns] = -stretch * (self._solve.T @ (self._basis.T @ signature))
+        return Lead(probe.effect, stretched(probe, stretch), gain, shift)
+
+
+def stretched(probe: Probe, times: float) -> tuple[float, ...]:
+    """Return the probe's values with its size multiplied, kept within bounds."""
+    first = probe.effect.parameters[0]
+    if first.scale == "inverse_square":
+        size = probe.values[0] / max(times, 1e-3) ** 0.5
+    elif probe.effect.id == "adc_saturation":
+        size = probe.values[0]
+    else:
+        size = probe.values[0] * times
+    return (float(np.clip(size, first.low, first.high)), *probe.values[1:])

@@ -1,0 +1,118 @@
+"""Which hypotheses are fitted: forward from the base, a few of the best at every size, each by full joint fits."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from softcal.core.gap.candidates import Extent, Probe, probes, visible_effects
+from softcal.core.gap.case import Case
+from softcal.core.gap.episodes import with_bad_contacts, with_clipping, with_hum, with_lost_samples
+from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.screen import screen
+from softcal.core.gap.start import base_fit, noise_levels, with_driving_noise
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class SearchConfig:
+    """How wide the search goes.
+
+    Args:
+        leads: effects fitted fully on top of the base, then of each hypothesis with one, with two effects.
+        beam: hypotheses of one, two effects that are grown further.
+        gain: a lead must promise this drop of χ² to be fitted (a third of it for the first effect).
+        relative_gain: and this share of the χ² that the best lead promises.
+    """
+
+    leads: tuple[int, ...] = (9, 6, 4)
+    beam: tuple[int, ...] = (3, 3)
+    gain: float = 14.0
+    relative_gain: float = 0.02
+
+
+class Search:
+    """All hypotheses fitted to one case, under one noise level."""
+
+    def __init__(self, case: Case, config: SearchConfig | None = None, progress: Progress | None = None) -> None:
+        self._config = config or SearchConfig()
+        self._say = progress or (lambda _: None)
+        self._say("fitting the base twin to all runs")
+        self.base = base_fit(case)
+        self._extent = _extent(self.base)
+        self._probes = probes(case, self._extent)
+        self._visible = set(visible_effects(case))
+        self.fits: dict[tuple[str, ...], Fit] = {(): self.base}
+
+    def run(self) -> None:
+        """Grow the hypotheses until no effect promises anything more."""
+        parents = [self.base]
+        for size, leads in enumerate(self._config.leads, start=1):
+            self._say(f"fitting {size} effect{'s' if size > 1 else ''} jointly with the base")
+            grown = [child for parent in parents for child in self._grow(parent, leads)]
+            if not grown:
+                break
+            self._settle_noise(self.best)
+            if size == len(self._config.leads) or not self._is_wanting(self.best):
+                break
+            ranked = sorted((f for f in self.fits.values() if len(f.hypothesis.ids) == size), key=lambda f: f.bic)
+            parents = ranked[: self._config.beam[size - 1]]
+
+    @property
+    def best(self) -> Fit:
+        return min(self.fits.values(), key=lambda f: f.bic)
+
+    def _is_wanting(self, found: Fit) -> bool:
+        """Whether any further effect promises enough, or must be placed to know."""
+        leads = screen(found, self._probes)
+        if leads and leads[0].gain > self._config.gain:
+            return True
+        return any(child.bic < found.bic for child in self._placed(found))
+
+    def keep(self, found: Fit) -> None:
+        """Keep a fit where it is the best of its set of causes."""
+        ids = found.hypothesis.ids
+        if ids not in self.fits or found.bic < self.fits[ids].bic:
+            self.fits[ids] = found
+
+    def _grow(self, parent: Fit, count: int) -> list[Fit]:
+        leads = screen(parent, self._probes)
+        strongest = leads[0].gain if leads else 0.0
+        need = max(self._config.gain / 3, self._config.relative_gain * strongest)
+        children = []
+        for lead in leads[:count]:
+            ids = tuple(sorted({*parent.hypothesis.ids, lead.effect.id}))
+            if lead.gain < need or ids in self.fits:
+                continue
+            children.append(fit(parent.problem, parent.hypothesis.adding(lead.effect), lead.start(parent)))
+        children += self._placed(parent)
+        for child in children:
+            self.keep(child)
+        return children
+
+    def _placed(self, parent: Fit) -> list[Fit]:
+        found: list[Fit | None] = []
+        missing = self._visible - set(parent.hypothesis.ids)
+        if "dropped_samples" in missing:
+            found.append(with_lost_samples(parent))
+        if "intermittent_contact" in missing:
+            found.append(with_bad_contacts(parent))
+        if "mains_hum" in missing:
+            found.append(with_hum(parent))
+        if "adc_saturation" in missing:
+            found.append(with_clipping(parent, self._extent))
+        return [f for f in found if f is not None]
+
+    def _settle_noise(self, best: Fit) -> None:
+        """Score all hypotheses under the noise that the best one leaves, so that their χ² can be compared."""
+        problem = with_driving_noise(best.problem.with_noise(noise_levels(best)), best)
+        self.fits = {ids: found.under(problem) for ids, found in self.fits.items()}
+        self.base = self.fits[()]
+
+
+def _extent(base: Fit) -> Extent:
+    case = base.problem.case
+    depths = [float(run.stage_mm.max()) for run in case.presses if run.stage_mm is not None]
+    depth_mm = max(depths) - base.base.u0_mm if depths else 1.0
+    forces = [float(run.force_N.max()) for run in case.presses if run.force_N is not None]
+    force_N = max(forces) if forces else base.base.k1_N_mm * depth_mm + base.base.k3_N_mm3 * depth_mm**3
+    return Extent.of(case, depth_mm, force_N)

@@ -1,0 +1,119 @@
+"""Where the base fit begins: rough base parameters and noise levels read off the recordings."""
+
+import numpy as np
+from scipy.optimize import nnls
+
+from softcal.core.gap.case import Case
+from softcal.core.gap.fit import BASE, Fit, Hypothesis, Problem, fit, to_fit
+from softcal.core.recording import Array
+
+TRIMMED = 0.02
+"""Share of the largest squared differences left out of a noise estimate: steps and drop-outs are not noise."""
+
+
+def base_fit(case: Case) -> Fit:
+    """Fit the base alone to all runs, with noise levels taken from its own residual."""
+    problem = Problem(case, _first_noise(case))
+    found = fit(problem, Hypothesis(), _start(case))
+    for _ in range(2):
+        problem = with_driving_noise(problem.with_noise(noise_levels(found)), found)
+        found = fit(problem, Hypothesis(), found.coordinates)
+    return found
+
+
+def noise_levels(found: Fit) -> dict[str, float]:
+    """Return σ of the white noise per channel from the differences of neighbouring residuals.
+
+    A structured residual is smooth and hardly enters; rounding by the ADC is a floor of q/√12.
+    """
+    problem = found.problem
+    squares: dict[str, list[Array]] = {}
+    for block in problem.blocks:
+        error = (problem.measured - found.predicted)[block.place]
+        squares.setdefault(block.channel, []).append(np.diff(error) ** 2 / 2)
+    levels = {}
+    for channel, parts in squares.items():
+        every = np.sort(np.concatenate(parts))
+        kept = every[: max(1, int(len(every) * (1 - TRIMMED)))]
+        # A Gaussian loses 14 % of its variance with its largest 2 % of squares.
+        variance = float(np.mean(kept)) / 0.86
+        if channel == "output_V" and problem.extra_variance is not None:
+            variance = max(0.0, variance - float(np.mean(_of_channel(problem, problem.extra_variance, channel))))
+        floor = problem.case.readout.step_V / np.sqrt(12) if channel == "output_V" else 1e-6
+        levels[channel] = max(float(np.sqrt(variance)), floor)
+    return levels
+
+
+def with_driving_noise(problem: Problem, found: Fit) -> Problem:
+    """Return the problem with the noise that a measured force brings along where it drives the chain.
+
+    σ² = σV² + (dV/dF·σF)²: errors in variables to first order.
+    """
+    case = problem.case
+    if not any(run.kind == "press" and run.stage_mm is None for run in case.runs):
+        return problem
+    extra = np.zeros(len(problem.measured))
+    for block in problem.blocks:
+        run = case.runs[block.run]
+        if run.kind != "press" or run.stage_mm is not None or run.force_N is None:
+            continue
+        slope = _slope(run.force_N, found.predicted[block.place])
+        extra[block.place] = (slope * force_noise(run.force_N)) ** 2
+    return Problem(case, problem.sigma, problem.use, extra)
+
+
+def force_noise(force_N: Array) -> float:
+    """Return σF of a measured force from its second differences; a straight ramp does not enter."""
+    squares = np.sort(np.diff(force_N, 2) ** 2 / 6)
+    return float(np.sqrt(np.mean(squares[: max(1, int(0.8 * len(squares)))]) / 0.45))
+
+
+def _slope(force_N: Array, output_V: Array) -> Array:
+    order = np.argsort(force_N, kind="stable")
+    x, y = force_N[order], output_V[order]
+    edges = np.linspace(0, len(x) - 1, 25).astype(int)
+    keep = np.concatenate([[True], np.diff(x[edges]) > 1e-6])
+    slopes = np.gradient(y[edges][keep], x[edges][keep]) if keep.sum() > 2 else np.zeros(int(keep.sum()))
+    return np.asarray(np.interp(force_N, x[edges][keep], slopes))
+
+
+def _of_channel(problem: Problem, values: Array, channel: str) -> Array:
+    return np.concatenate([values[b.place] for b in problem.blocks if b.channel == channel])
+
+
+def _first_noise(case: Case) -> dict[str, float]:
+    levels = {"force_N": 0.02, "output_V": case.readout.step_V, "stage_mm": 0.002}
+    for channel in ("force_N", "output_V"):
+        values = [getattr(run, channel) for run in case.presses if getattr(run, channel) is not None]
+        if values:
+            spread = float(np.std(np.concatenate(values)))
+            levels[channel] = max(0.02 * spread, 1e-6)
+    return levels
+
+
+def _start(case: Case) -> Array:
+    stage, force, output = (_joined(case, c) for c in ("stage_mm", "force_N", "output_V"))
+    u0, k1, k3, r0, kappa = 0.3, 1.0, 0.1, 4.0, 0.05
+    loaded = force if force is not None else output
+    if stage is not None and loaded is not None:
+        rest = float(np.median(loaded[stage <= np.quantile(stage, 0.05)]))
+        is_pressed = loaded - rest > 0.03 * (loaded.max() - rest)
+        u0 = float(np.quantile(stage[is_pressed], 0.02)) if is_pressed.any() else float(np.median(stage))
+        bent = np.maximum(0.0, stage - u0)
+        if force is not None:
+            (k1, k3), _ = nnls(np.column_stack([bent, bent**3]), np.maximum(force, 0.0))
+        force = k1 * bent + k3 * bent**3
+    if output is not None and force is not None:
+        readout = case.readout
+        resistance = output * readout.r_series_ohm / np.maximum(readout.vref_V - output, readout.step_V)
+        drive = np.maximum(0.0, stage - u0) if readout.sensor_type == "strain" and stage is not None else force
+        r0 = float(np.median(resistance[drive <= max(np.quantile(drive, 0.1), 0.02 * drive.max())]))
+        top = drive >= np.quantile(drive, 0.98)
+        kappa = max((1.0 - r0 / float(np.median(resistance[top]))) / float(np.median(drive[top])), 1e-4)
+    values = (u0, k1, k3, max(r0, 1e-3), kappa)
+    return np.array([to_fit(p, v) for p, v in zip(BASE, values, strict=True)])
+
+
+def _joined(case: Case, channel: str) -> Array | None:
+    parts = [getattr(run, channel) for run in case.presses]
+    return None if any(part is None for part in parts) else np.concatenate(parts)
