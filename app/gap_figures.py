@@ -1,0 +1,224 @@
+"""Figures of a diagnosis: arrays and report values in, Plotly figures out."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from softcal.core.recording import Array, Indices
+
+BEFORE, AFTER, INK, GRID = "#9aa5b1", "#0b5cad", "#1c2733", "#e4e8ec"
+CHANNEL_WORDS = {"output_V": "output", "force_N": "force"}
+CHANNEL_UNITS = {"output_V": "mV", "force_N": "mN"}
+DIRECTIONS = ("loading", "hold", "unloading")
+BANDS = 6
+SHOWN_POINTS = 1500
+"""Most points of a trace that are drawn; more are thinned by keeping the largest of each stretch."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelView:
+    """One channel of one run: measured, predicted by the refitted base, and by the base with the causes.
+
+    Args:
+        measured, base, explained: (n,) in the channel's unit.
+        noise: standard deviation of the noise in the same unit.
+    """
+
+    measured: Array
+    base: Array
+    explained: Array
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class RunView:
+    """What the page shows of one run.
+
+    Args:
+        name: folder of the run.
+        profile: what was pressed.
+        t_s: (n,) time since the start of the run.
+        drive: (n,) stage position in mm, or the force in N where there is none; its slope tells the direction.
+        load_N: (n,) force for the bands; measured where there is a load cell, predicted otherwise.
+        channels: by column name.
+    """
+
+    name: str
+    profile: str
+    t_s: Array
+    drive: Array
+    load_N: Array
+    channels: Mapping[str, ChannelView]
+
+
+def _styled(figure: go.Figure, height: int, left: int = 60, **layout: Any) -> go.Figure:
+    figure.update_layout(
+        template="plotly_white",
+        height=height,
+        margin={"l": left, "r": 20, "t": 44, "b": 44},
+        font={"family": "system-ui, Segoe UI, Roboto, Arial, sans-serif", "size": 13, "color": INK},
+        **layout,
+    )
+    return figure
+
+
+def direction(drive: Array, t_s: Array) -> Array:
+    """Return per sample 0 loading, 1 hold, 2 unloading, from the slope of the drive over five samples."""
+    if len(drive) < 5:
+        return np.ones(len(drive))
+    slope = np.gradient(np.convolve(np.pad(drive, 2, mode="edge"), np.full(5, 0.2), mode="valid"), t_s)
+    still = 0.02 * max(float(np.max(np.abs(slope))), 1e-12)
+    return np.where(slope > still, 0.0, np.where(slope < -still, 2.0, 1.0))
+
+
+def residual_map(runs: Sequence[RunView], channel: str, is_after: bool) -> tuple[Array, Array]:
+    """Return the RMS residual in units of the noise by force band and direction, and the edges of the bands.
+
+    Returns:
+        (BANDS, 3) with NaN where fewer than five samples fall, and (BANDS + 1,) edges in N.
+    """
+    shown = [run for run in runs if channel in run.channels]
+    edges = np.linspace(0.0, max(float(np.max(run.load_N)) for run in shown), BANDS + 1)
+    total, count = np.zeros((BANDS, 3)), np.zeros((BANDS, 3))
+    for run in shown:
+        view = run.channels[channel]
+        residual = (view.measured - (view.explained if is_after else view.base)) / view.noise
+        band = np.clip(np.searchsorted(edges, run.load_N, side="right") - 1, 0, BANDS - 1)
+        place = (band, direction(run.drive, run.t_s).astype(int))
+        np.add.at(total, place, residual**2)
+        np.add.at(count, place, 1.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(count >= 5, np.sqrt(total / count), np.nan), edges
+
+
+def map_figure(runs: Sequence[RunView], channel: str) -> go.Figure | None:
+    """Draw the residual of one channel by force band and direction, before and after; None without the channel."""
+    if not any(channel in run.channels for run in runs):
+        return None
+    before, edges = residual_map(runs, channel, is_after=False)
+    after, _ = residual_map(runs, channel, is_after=True)
+    top = float(np.nanmax([np.nanmax(before), np.nanmax(after), 3.0]))
+    bands = [f"{low:.1f}–{high:.1f} N" for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    word = CHANNEL_WORDS[channel]
+    figure = make_subplots(
+        cols=2, shared_yaxes=True, subplot_titles=(f"{word}, refitted base", f"{word}, with the causes")
+    )
+    for column, values in enumerate((before, after), start=1):
+        heat = go.Heatmap(
+            z=values,
+            x=DIRECTIONS,
+            y=bands,
+            coloraxis="coloraxis",
+            texttemplate="%{z:.1f}",
+            hovertemplate="%{y}, %{x}: %{z:.2f} σ<extra></extra>",
+            hoverongaps=False,
+        )
+        figure.add_trace(heat, row=1, col=column)
+    scale = {"colorscale": "OrRd", "cmin": 1.0, "cmax": top, "colorbar": {"title": "RMS<br>residual, σ"}}
+    return _styled(figure, 320, coloraxis=scale)
+
+
+def ranking_figure(report: Mapping[str, Any], shown: int) -> go.Figure:
+    """Draw the effects by probability of being present, the likeliest on top."""
+    ranked = sorted(report["causes"], key=lambda cause: -cause["probability"])[:shown][::-1]
+    names = [cause["effect"].replace("_", " ") for cause in ranked]
+    chances = [cause["probability"] for cause in ranked]
+    colours = [AFTER if chance >= 0.5 else BEFORE for chance in chances]
+    bars = go.Bar(
+        x=chances,
+        y=names,
+        orientation="h",
+        marker_color=colours,
+        text=[f"{100 * chance:.0f} %" for chance in chances],
+        textposition="outside",
+        cliponaxis=False,
+        hovertemplate="%{y}: %{x:.3f}<extra></extra>",
+    )
+    figure = go.Figure(bars)
+    figure.update_xaxes(range=[0.0, 1.08], tickformat=".0%", title="probability of being present")
+    return _styled(figure, 120 + 26 * max(1, len(ranked)), left=190, showlegend=False)
+
+
+def gain_figure(report: Mapping[str, Any]) -> go.Figure:
+    """Draw the residual of each channel before and after, with its noise floor."""
+    channels = [name for name in ("output", "force") if _has_gap(report["gap"].get(name))]
+    figure = make_subplots(cols=max(1, len(channels)), subplot_titles=[f"{name} residual, RMS" for name in channels])
+    for column, name in enumerate(channels, start=1):
+        gap, unit = report["gap"][name], "mV" if name == "output" else "mN"
+        values = [1e3 * gap[key] for key in ("rmse_before", "rmse_after", "noise_floor")]
+        bars = go.Bar(
+            x=["refitted base", "with the causes", "noise floor"],
+            y=values,
+            marker_color=[BEFORE, AFTER, GRID],
+            text=[f"{value:.3g} {unit}" for value in values],
+            textposition="outside",
+            cliponaxis=False,
+        )
+        figure.add_trace(bars, row=1, col=column)
+        figure.update_yaxes(title=unit, range=[0.0, 1.2 * max(values)], row=1, col=column)
+    return _styled(figure, 320, showlegend=False)
+
+
+def _has_gap(gap: Mapping[str, Any] | None) -> bool:
+    return bool(gap) and all((gap or {}).get(key) is not None for key in ("rmse_before", "rmse_after", "noise_floor"))
+
+
+def hidden_figure(report: Mapping[str, Any]) -> go.Figure | None:
+    """Draw how much of each effect the refitted base would swallow on these runs; None where it is not known."""
+    hidden = {name: share for name, share in report["hidden_fraction"].items() if share is not None}
+    if not hidden:
+        return None
+    names = sorted(hidden, key=lambda name: hidden[name])
+    shares = [hidden[name] for name in names]
+    bars = go.Bar(
+        x=shares,
+        y=[name.replace("_", " ") for name in names],
+        orientation="h",
+        marker_color=["#c4441c" if share >= 0.8 else BEFORE for share in shares],
+        hovertemplate="%{y}: %{x:.0%} hidden<extra></extra>",
+    )
+    figure = go.Figure(bars)
+    figure.update_xaxes(range=[0.0, 1.0], tickformat=".0%", title="share of the effect that a base refit would hide")
+    return _styled(figure, 110 + 18 * len(names), left=190, showlegend=False)
+
+
+def trace_figure(runs: Sequence[RunView], channel: str) -> go.Figure | None:
+    """Draw the residual of one channel over time, one row per run, before and after; None without the channel."""
+    shown = [run for run in runs if channel in run.channels]
+    if not shown:
+        return None
+    unit, titles = CHANNEL_UNITS[channel], [f"{run.name}: {run.profile}" for run in shown]
+    figure = make_subplots(rows=len(shown), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown)))
+    for row, run in enumerate(shown, start=1):
+        view = run.channels[channel]
+        for name, predicted, colour in (
+            ("refitted base", view.base, BEFORE),
+            ("with the causes", view.explained, AFTER),
+        ):
+            at = _thinned(view.measured - predicted)
+            line = go.Scattergl(
+                x=run.t_s[at],
+                y=1e3 * (view.measured - predicted)[at],
+                name=name,
+                legendgroup=name,
+                showlegend=row == 1,
+                line={"color": colour, "width": 1},
+            )
+            figure.add_trace(line, row=row, col=1)
+        figure.update_yaxes(title=unit, row=row, col=1)
+    figure.update_xaxes(title="time into the run, s", row=len(shown), col=1)
+    legend = {"orientation": "h", "x": 1.0, "xanchor": "right", "y": -0.35 / len(shown), "yanchor": "top"}
+    return _styled(figure, 110 + 150 * len(shown), legend=legend)
+
+
+def _thinned(values: Array) -> Indices:
+    """Return indices that keep the largest absolute value of each of at most SHOWN_POINTS stretches."""
+    if len(values) <= SHOWN_POINTS:
+        return np.arange(len(values))
+    starts = np.linspace(0, len(values), SHOWN_POINTS + 1).astype(int)
+    picks = [a + int(np.argmax(np.abs(values[a:b]))) for a, b in zip(starts[:-1], starts[1:], strict=True) if b > a]
+    return np.array(picks)

@@ -1,0 +1,99 @@
+"""The page of a diagnosis."""
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softcal.app.gap_figures import ChannelView, RunView, direction, residual_map, trace_figure
+from softcal.app.gap_page import gap_page
+
+REPORT: dict[str, Any] = {
+    "schema": "softcal.gap/1",
+    "verdict": "ambiguous",
+    "gap": {
+        "output": {"rmse_before": 6e-3, "rmse_after": 1.4e-3, "noise_floor": 1.3e-3},
+        "force": {"rmse_before": None, "rmse_after": None, "noise_floor": None},
+    },
+    "shrink": {"predicted": 0.97, "low": 0.93, "high": 0.99, "held_out": None},
+    "where": [{"stage": "transduction", "channel": "output", "regime": "rest", "share": 0.8, "detail": "a < b & c"}],
+    "causes": [
+        {
+            "effect": "thermal_drift",
+            "probability": 0.6,
+            "shrink": 0.97,
+            "parameters": {"alpha": {"value": 1e-3, "low": 9e-4, "high": None, "unit": "1/K"}},
+        },
+        {"effect": "backlash", "probability": 0.0, "shrink": 0.0, "parameters": {}},
+    ],
+    "ambiguous_with": [["thermal_drift", "ageing_drift"]],
+    "hidden_fraction": {"thermal_drift": 0.9, "backlash": None},
+    "next_experiment": {"profile": "temperature_step", "why": "10 K and back part the two by 20 σ"},
+    "missing_channels": ["stage_mm"],
+}
+
+
+@pytest.fixture
+def run(rng: np.random.Generator) -> RunView:
+    t_s = np.arange(2000) / 50.0
+    load_N = 3.0 * np.abs(np.sin(0.3 * t_s))
+    output_V = ChannelView(1.0 + 0.1 * load_N, 1.0 + 0.1 * load_N + 0.003, 1.0 + 0.1 * load_N + 0.001, 0.001)
+    return RunView("1", "ramps", t_s, load_N, load_N, {"output_V": output_V})
+
+
+def test_the_page_answers_the_five_questions(run: RunView) -> None:
+    page = gap_page(REPORT, [run], "A17")
+    for words in ("Where the twin is wrong", "Why", "What it gains", "How sure", "What to press next"):
+        assert words in page
+    assert "thermal drift" in page and "temperature step" in page and "97 %" in page
+    assert "cannot tell apart: thermal drift or ageing drift" in page
+
+
+def test_nothing_is_loaded_from_elsewhere(run: RunView) -> None:
+    page = gap_page(REPORT, [run], "A17")
+    assert not re.search(r"<(script|img|iframe)[^>]+src=|<link|@import|url\(\s*['\"]?http", page)
+
+
+def test_text_of_a_report_cannot_become_markup(run: RunView) -> None:
+    page = gap_page(REPORT, [run], "<script>alert(1)</script>")
+    assert "<script>alert" not in page
+    assert "a &lt; b &amp; c" in page
+
+
+@pytest.mark.parametrize("verdict", ["no_gap", "explained", "unknown"])
+def test_every_verdict_has_its_page(run: RunView, verdict: str) -> None:
+    empty = {"causes": [], "where": [], "ambiguous_with": [], "hidden_fraction": {}, "next_experiment": {}}
+    nothing = {"predicted": None, "low": None, "high": None, "held_out": None}
+    page = gap_page({**REPORT, **empty, "verdict": verdict, "shrink": nothing}, [run], "A17")
+    assert "No further experiment" in page and "No forecast" in page
+
+
+def test_the_residual_map_counts_in_units_of_the_noise(run: RunView) -> None:
+    before, edges = residual_map([run], "output_V", is_after=False)
+    after, _ = residual_map([run], "output_V", is_after=True)
+    assert edges[0] == 0.0 and edges[-1] == pytest.approx(3.0, abs=0.01)
+    np.testing.assert_allclose(before[np.isfinite(before)], 3.0)
+    np.testing.assert_allclose(after[np.isfinite(after)], 1.0)
+
+
+def test_direction_tells_loading_hold_and_unloading() -> None:
+    t_s = np.arange(300) / 50.0
+    drive = np.interp(t_s, [0.0, 2.0, 4.0, 6.0], [0.0, 2.0, 2.0, 0.0])
+    got = direction(drive, t_s)
+    assert (got[50], got[150], got[250]) == (0.0, 1.0, 2.0)
+
+
+def test_a_thinned_trace_keeps_its_peak(run: RunView) -> None:
+    t_s = np.arange(20_000) / 50.0
+    measured = np.zeros(20_000)
+    measured[12_345] = 0.5
+    flat = ChannelView(measured, np.zeros(20_000), np.zeros(20_000), 1e-3)
+    figure = trace_figure([replace(run, t_s=t_s, channels={"output_V": flat})], "output_V")
+    assert figure is not None
+    assert len(figure.data[0].y) <= 1500 and max(figure.data[0].y) == 500.0
+
+
+def test_a_channel_that_was_not_recorded_has_no_figure(run: RunView) -> None:
+    assert trace_figure([run], "force_N") is None
