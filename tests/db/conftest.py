@@ -1,6 +1,7 @@
 """A registry on SQLite and on PostgreSQL: every test that asks for `registry` or `registry_url` runs on both."""
 
 import os
+import shutil
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -8,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sqlalchemy import create_engine, text
+from sqlalchemy import URL, create_engine, delete, text
 from sqlalchemy.exc import OperationalError
+from sqlalchemy.pool import NullPool
 
 from softcal.core.calibration import CalibrationRecord
 from softcal.core.identity import content_sha256
@@ -18,8 +20,10 @@ from softcal.core.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
+from softcal.db.tables import metadata
 
 ADMIN_URL = os.environ.get("SOFTCAL_TEST_POSTGRESQL", "postgresql+psycopg://postgres@127.0.0.1:5432/postgres")
+NO_SERVER = f"no PostgreSQL at {ADMIN_URL.rpartition('@')[2]}; set SOFTCAL_TEST_POSTGRESQL"
 
 
 @pytest.fixture(scope="session")
@@ -44,7 +48,7 @@ def new_url(request, tmp_path, require) -> Iterator[Callable[[], str]]:
 
     def on_postgresql() -> str:
         admin = request.getfixturevalue("postgresql_admin")
-        require(admin is not None, f"no PostgreSQL at {ADMIN_URL}; set SOFTCAL_TEST_POSTGRESQL")
+        require(admin is not None, NO_SERVER)
         made.append(f"softcal_test_{uuid.uuid4().hex[:12]}")
         admin.execute(text(f"CREATE DATABASE {made[-1]}"))
         return admin.engine.url.set(database=made[-1]).render_as_string(hide_password=False)
@@ -54,9 +58,45 @@ def new_url(request, tmp_path, require) -> Iterator[Callable[[], str]]:
         request.getfixturevalue("postgresql_admin").execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
 
 
-@pytest.fixture
-def registry_url(new_url) -> str:
-    return new_url()
+@pytest.fixture(scope="session")
+def sqlite_template(tmp_path_factory) -> Path:
+    """A registry with tables and nothing in it: copying it is faster than migrating anew for each test."""
+    path = tmp_path_factory.mktemp("template") / "registry.db"
+    open_registry(f"sqlite:///{path}").close()
+    return path
+
+
+@pytest.fixture(scope="session")
+def postgresql_registry(postgresql_admin) -> Iterator[URL]:
+    """One database with tables for all tests that start from nothing: a new database takes seconds."""
+    name = f"softcal_test_{uuid.uuid4().hex[:12]}"
+    postgresql_admin.execute(text(f"CREATE DATABASE {name}"))
+    postgresql_admin.execute(text(f"ALTER DATABASE {name} SET synchronous_commit = off"))
+    url = postgresql_admin.engine.url.set(database=name)
+    open_registry(url.render_as_string(hide_password=False)).close()
+    yield url
+    postgresql_admin.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
+
+
+def emptied(url: URL) -> str:
+    """Empty every table of a PostgreSQL registry; as an administrator, past the triggers that forbid it."""
+    engine = create_engine(url, poolclass=NullPool)
+    with engine.begin() as connection:
+        connection.execute(text("SET LOCAL session_replication_role = replica"))
+        for table in metadata.sorted_tables:
+            if table.name != "registry_info":
+                connection.execute(delete(table))
+    return url.render_as_string(hide_password=False)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def registry_url(request, tmp_path, require) -> str:
+    """The URL of a registry with nothing in it."""
+    if request.param == "postgresql":
+        require(request.getfixturevalue("postgresql_admin") is not None, NO_SERVER)
+        return emptied(request.getfixturevalue("postgresql_registry"))
+    shutil.copy(request.getfixturevalue("sqlite_template"), tmp_path / "registry.db")
+    return f"sqlite:///{tmp_path / 'registry.db'}"
 
 
 @pytest.fixture
