@@ -30,12 +30,14 @@ SENSITIVITY = {
     "resolution": 1.0,
     "clipping": 1.0,
     "extrapolation": 0.2,
-    "stage": 1.0,
 }
-"""Sensitivity coefficients c_i of the budget."""
+"""Sensitivity coefficients c_i of the budget where the stage position is unknown."""
 
-RELATIVE_UNCERTAINTY = 0.2
-"""Standard deviation of log(true / forecast RMSE)."""
+SENSITIVITY_ON_STAGE = {"stage": 1.0, "support": 1.0, "clipping": 1.0, "extrapolation": 0.2, "resolution": 1.0}
+"""The same where source and unit carry the stage position: the load over position says more than all the rest."""
+
+RELATIVE_UNCERTAINTY, RELATIVE_UNCERTAINTY_ON_STAGE = 0.25, 0.15
+"""Standard deviation of log(true / forecast RMSE) of good units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +51,8 @@ class MapEvidence:
         distance: (n,) of the mapped windows from the source's support.
         disagreement: (n,) RMS difference of the other candidate maps' estimates from `estimate`.
         unmapped: (n,) f on the raw windows: what doing nothing would say.
-        budget: standard uncertainties in the reference unit: `model` and the names of `SENSITIVITY`.
+        budget: standard uncertainties in the reference unit: `model` and the names of `SENSITIVITY`, and
+            `stage` where source and unit carry the stage position.
     """
 
     rows: Indices
@@ -104,21 +107,24 @@ def gather_evidence(
         "resolution": _resolution(model, target, mapped, raw),
         "clipping": _clipping(model, target, limits),
         "extrapolation": _extrapolation(model, estimate),
-        "stage": _stage(model, target, rows, estimate, shape),
     }
+    stage = _stage(model, target, rows, estimate, shape)
+    if stage is not None:
+        budget["stage"] = stage
     return MapEvidence(rows, estimate, shape, distance, disagreement, network.evaluate(raw), budget)
 
 
 def forecast_error(budget: Mapping[str, float]) -> ErrorForecast:
     """Combine a budget: u_c^2 = u_model^2 + sum (c_i u_i)^2 (GUM, JCGM 100:2008, eq. 10), with its own uncertainty."""
     rmse = float(np.sqrt(budget["model"] ** 2 + map_variance(budget)))
-    guard = float(np.exp(2 * RELATIVE_UNCERTAINTY))
+    guard = float(np.exp(2 * (RELATIVE_UNCERTAINTY_ON_STAGE if "stage" in budget else RELATIVE_UNCERTAINTY)))
     return ErrorForecast(rmse, rmse / guard, rmse * guard)
 
 
 def map_variance(budget: Mapping[str, float]) -> float:
     """Return the part of the forecast's variance that is the map's and the recording's, not the network's."""
-    return float(sum((coefficient * budget[name]) ** 2 for name, coefficient in SENSITIVITY.items()))
+    coefficients = SENSITIVITY_ON_STAGE if "stage" in budget else SENSITIVITY
+    return float(sum((coefficient * budget[name]) ** 2 for name, coefficient in coefficients.items()))
 
 
 def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
@@ -185,10 +191,12 @@ def _clipping(model: SourceModel, target: OutputRecording, limits: OutputLimits)
     return float(np.sqrt(share / 12)) * (model.interval.high - model.interval.low) / 3
 
 
-def _stage(model: SourceModel, target: OutputRecording, rows: Indices, estimate: Array, shape: WindowShape) -> float:
+def _stage(
+    model: SourceModel, target: OutputRecording, rows: Indices, estimate: Array, shape: WindowShape
+) -> float | None:
     """Return how far the unit's load over stage position is from the source's, beyond the source's own scatter."""
     if model.stage_curve is None or target.stage_mm is None:
-        return 0.0
+        return None
     stage_mm = target.stage_mm[target.window_rows[rows]]
     difference = estimate - model.stage_curve.at(stage_mm, model.interval.direction(shape))
     return float(np.sqrt(max(np.mean(difference**2) - model.stage_curve.scatter_rms**2, 0.0)))

@@ -5,10 +5,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
 from softcal.core.identity import content_sha256
 from softcal.core.recording import Array
 
-CHUNK = 16_384
+CHUNK = 2_048
 """Windows per matrix product: the activations stay in cache."""
 
 
@@ -81,7 +82,6 @@ class Network:
         """Layers in float32 with both standardisations folded in, so that evaluation is products and ReLU alone."""
         weights, biases = [w.copy() for w in self.weights], [b.copy() for b in self.biases]
         weights[0] = weights[0] / self.output_scale
-        biases[0] = biases[0]
         weights[-1] = weights[-1] * self.reference_scale
         biases[-1] = biases[-1] * self.reference_scale + self.reference_mean
         return tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in zip(weights, biases, strict=True))
@@ -106,3 +106,23 @@ class Network:
             weight, bias = self._folded[-1]
             estimates[start : start + CHUNK] = (hidden @ weight + bias)[:, 0]
         return estimates
+
+    def gradient(self, windows: Array) -> tuple[Array, Array]:
+        """Estimate the reference and how it answers to each tap, in float64.
+
+        Args:
+            windows: (n, taps) in `output_unit`.
+
+        Returns:
+            (n,) estimates and (n, taps) their derivatives, reference unit per output unit.
+        """
+        hidden, active = (windows - self.output_mean) / self.output_scale, []
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            hidden = hidden @ weight + bias
+            active.append(hidden > 0)
+            hidden = np.maximum(hidden, 0.0)
+        estimate = self.reference_mean + self.reference_scale * (hidden @ self.weights[-1] + self.biases[-1])[:, 0]
+        slope: Array = np.broadcast_to(self.weights[-1][:, 0], hidden.shape)
+        for weight, on in zip(reversed(self.weights[:-1]), reversed(active), strict=True):
+            slope = (slope * on) @ weight.T
+        return estimate, slope * (self.reference_scale / self.output_scale)

@@ -181,7 +181,9 @@ def _tabulate(values: Array, direction: Indices, column: Indices, statistic) -> 
         for d in range(len(DIRECTIONS)):
             table[d, b] = _shrunk(values[in_band & (direction == d)], level, statistic)
     centres = (np.arange(BANDS) + 0.5) * LEVELS / BANDS
-    return np.stack([np.interp(np.arange(LEVELS) + 0.5, centres, row) for row in np.maximum(table, 1e-3 * whole)])
+    return np.stack(
+        [np.interp(np.arange(LEVELS) + 0.5, centres, row) for row in np.maximum(table, 1e-3 * whole + 1e-12)]
+    )
 
 
 def _shrunk(values: Array, prior: float, statistic) -> float:  # type: ignore[no-untyped-def]

@@ -1,0 +1,84 @@
+"""The raw output: dead, noisy, clipped, frozen and short recordings, and good ones that look like them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import UnitRefused
+from softcal.core.health import check_alive, count_presses, health_findings, output_limits, run_lengths
+
+
+@pytest.fixture
+def source(press):
+    return press(1, seconds=120.0).unlabelled
+
+
+def kinds(target, source):
+    return [f.kind for f in health_findings(target, source, output_limits(target, source))]
+
+
+def test_run_lengths_count_equal_samples():
+    assert run_lengths(np.array([1.0, 1, 2, 2, 2, 1])).tolist() == [1, 2, 1, 2, 3, 1]
+
+
+@pytest.mark.parametrize("peaks", [1, 2, 7])
+def test_presses_are_counted(peaks):
+    output = np.concatenate([np.zeros(30), *[np.concatenate([np.hanning(60), np.zeros(20)]) for _ in range(peaks)]])
+    assert count_presses(output) == peaks
+
+
+def test_a_good_unit_has_no_finding(press, source):
+    assert kinds(press(2, gain=1.3, offset_V=0.1).unlabelled, source) == []
+
+
+@pytest.mark.parametrize("bits", [8, 10])
+def test_a_coarse_readout_is_not_called_clipped(press, source, bits):
+    step = 1.0 / 2**bits
+    coarse = [replace(r, output=np.round(r.output / step) * step) for r in (press(2).unlabelled, source)]
+    assert "saturated" not in kinds(*coarse)
+
+
+def test_a_clipped_range_is_found_with_its_rail(press, source):
+    unit = press(2).unlabelled
+    clipped = replace(unit, output=np.minimum(unit.output, 0.65))
+    assert "saturated" in kinds(clipped, source)
+    assert output_limits(clipped, source).rail_high == 0.65
+
+
+def test_a_range_clipped_at_its_lower_end_is_found_too(press, source):
+    falling_source = replace(source, output=1.0 - source.output)
+    unit = press(2).unlabelled
+    clipped = replace(unit, output=np.maximum(1.0 - unit.output, 0.35))
+    assert output_limits(clipped, falling_source).rail_low == 0.35
+
+
+def test_a_constant_output_is_refused_with_its_value(press, source):
+    unit = press(2).unlabelled
+    with pytest.raises(UnitRefused, match=r"dead channel: output is constant at 0\.5 V"):
+        check_alive(replace(unit, output=np.full(len(unit), 0.5)), source)
+
+
+def test_noise_alone_is_refused(press, source, rng):
+    unit = press(2).unlabelled
+    with pytest.raises(UnitRefused, match="noise alone"):
+        check_alive(replace(unit, output=0.5 + rng.normal(0, 0.1, len(unit))), source)
+
+
+def test_an_output_that_hardly_moves_is_refused(press, source):
+    unit = press(2).unlabelled
+    with pytest.raises(UnitRefused, match="the source's by"):
+        check_alive(replace(unit, output=0.5 + 0.001 * (unit.output - 0.5)), source)
+
+
+def test_a_reading_that_freezes_in_mid_range_asks_for_a_retest(press, source):
+    output = press(2).unlabelled.output.copy()
+    start = int(np.flatnonzero(np.abs(output - 0.65) < 0.01)[0])
+    output[start : start + 400] = output[start]
+    found = health_findings(*(t := (replace(press(2).unlabelled, output=output), source)), output_limits(*t))
+    assert [f.worst_word for f in found if f.kind == "stuck"] == ["retest"]
+
+
+def test_a_short_recording_says_how_much_is_needed(press, source):
+    unit = press(2, seconds=8.0).unlabelled
+    assert "too little data" in kinds(unit, source)
