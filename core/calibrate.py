@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 
 from softcal.core.calibration import Calibration
-from softcal.core.errors import UnitRefused
+from softcal.core.errors import InputError, UnitRefused
 from softcal.core.findings import map_findings
 from softcal.core.forecast import MapEvidence, forecast_error, gather_evidence, variance_table
 from softcal.core.health import check_alive, health_findings, output_limits
@@ -50,8 +50,14 @@ def calibrate_unit(
 
     Raises:
         UnitRefused: the recording allows no map at all; the message says why and what to do.
+        InputError: the limit is stated in another unit than the reference.
     """
     model = source_model or make_source_model(problem.source, problem.network)
+    limit = limit or default_limit(problem.source.reference_unit, model.held_out_rmse)
+    if limit.unit != problem.source.reference_unit:
+        raise InputError(
+            f"limit is in {limit.unit}, the reference in {problem.source.reference_unit}; state it in that"
+        )
     target, source = problem.target, problem.source.unlabelled
     check_alive(target, source)
     limits = output_limits(target, source)
@@ -61,7 +67,6 @@ def calibrate_unit(
     )
     forecast = forecast_error(evidence.budget)
     findings = (*health_findings(target, source, limits), *map_findings(model, target, chosen.unit_map, evidence))
-    limit = limit or default_limit(problem.source.reference_unit, model.held_out_rmse)
     return Calibration(
         serial=target.serial,
         network_id=problem.network.id,

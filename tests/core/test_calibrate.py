@@ -1,0 +1,157 @@
+"""One unit end to end on a sensor that can be checked by hand, with faults planted one by one."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softcal.core.calibrate import CalibrationConfig, calibrate_unit
+from softcal.core.calibration import Calibration
+from softcal.core.errors import InputError, UnitRefused
+from softcal.core.estimate import estimate
+from softcal.core.explanation import contributions, explain
+from softcal.core.maps.choose import MapConfig
+from softcal.core.maps.interface import FitProblem
+from softcal.core.metrics import rmse
+from softcal.core.recording import OutputRecording
+from softcal.core.simulated_lot import FAULTS, LotDesign, simulate_lot
+from softcal.core.source_model import make_source_model
+from softcal.core.verdict import Limit
+
+AFFINE = CalibrationConfig(map=MapConfig(family="affine"))
+
+
+@pytest.fixture(scope="module")
+def calibrate(source_model, linear_network):
+    def run(unit: OutputRecording, limit: Limit | None = None, config: CalibrationConfig = AFFINE) -> Calibration:
+        return calibrate_unit(FitProblem(source_model.source, linear_network, unit), limit, config, source_model)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def good(press) -> OutputRecording:
+    return press(2, gain=1.3, offset_V=0.05, seconds=120.0).unlabelled
+
+
+def findings(calibration):
+    return str(calibration.evidence["findings"])
+
+
+def test_good_units_are_near_their_forecasts_and_their_intervals_hold(calibrate, linear_network, press):
+    covered, ratios = [], []
+    for k in range(8):
+        gain, offset_V = 0.8 + 0.1 * k, 0.02 * k
+        calibration = calibrate(press(20 + k, gain, offset_V, seconds=120.0).unlabelled)
+        audit = press(40 + k, gain, offset_V)
+        result = estimate(linear_network, calibration, audit.unlabelled)
+        rows = np.isfinite(result.estimate)
+        covered.append(np.mean(((result.lower <= audit.reference) & (audit.reference <= result.upper))[rows]))
+        ratios.append(rmse(result.estimate, audit.reference) / calibration.predicted_rmse)
+    assert 0.8 < np.mean(covered) <= 1.0
+    assert 0.5 < np.median(ratios) < 1.5 and max(ratios) < 3
+
+
+def test_equal_input_gives_equal_result(calibrate, good):
+    first, second = calibrate(good).to_record("i", "r"), calibrate(good).to_record("i", "r")
+    assert first.map_sha256 == second.map_sha256 and first.settings == second.settings
+    assert first.evidence == second.evidence
+
+
+def test_the_record_is_lossless_and_json(calibrate, linear_network, good):
+    calibration = calibrate(good)
+    record = calibration.to_record("input", "recording", fit_s=0.1)
+    stored = replace(
+        record, settings=json.loads(json.dumps(record.settings)), evidence=json.loads(json.dumps(dict(record.evidence)))
+    )
+    again = Calibration.from_record(stored)
+    assert again.verdict == calibration.verdict and again.forecast == calibration.forecast
+    assert again.output_limits == calibration.output_limits
+    assert all(isinstance(array, np.ndarray) for array in record.arrays.values())
+    one, two = (estimate(linear_network, c, good) for c in (calibration, again))
+    for name in ("estimate", "lower", "upper", "flag"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_without_a_limit_the_verdict_says_where_its_limit_comes_from(calibrate, good):
+    assert "no limit was stated" in calibrate(good).verdict.reasons[-1]
+    assert "stated for the lot" in calibrate(good, Limit("N", 0.5)).verdict.reasons[-1]
+
+
+def test_a_generous_limit_passes_and_a_strict_one_fails(calibrate, good):
+    assert calibrate(good, Limit("N", 1.0)).verdict.word == "pass"
+    assert calibrate(good, Limit("N", 0.001)).verdict.word == "fail"
+
+
+def test_a_limit_in_another_unit_is_refused(calibrate, good):
+    with pytest.raises(InputError, match="limit is in kPa"):
+        calibrate(good, Limit("kPa", 0.3))
+
+
+def test_reversed_wiring_fails_in_words(calibrate, good):
+    calibration = calibrate(replace(good, output=1.5 - good.output), Limit("N", 10.0))
+    assert "reversed" in findings(calibration) and calibration.verdict.word == "fail"
+    assert "wrong wiring" in " ".join(calibration.verdict.reasons)
+
+
+def test_a_clipped_unit_never_passes(calibrate, good):
+    calibration = calibrate(replace(good, output=np.minimum(good.output, 0.85)), Limit("N", 10.0))
+    assert "saturated" in findings(calibration) and calibration.verdict.word == "fail"
+
+
+def test_drift_inside_the_recording_is_told_from_creep(calibrate, good):
+    drifting = replace(good, output=good.output + np.linspace(0, 0.12, len(good)))
+    assert "drift" in findings(calibrate(drifting))
+
+
+def test_another_sensor_type_is_unfamiliar(calibrate, good, rng):
+    chatter = replace(good, output=good.output + rng.normal(0, 0.03, len(good)))
+    assert "unfamiliar" in findings(calibrate(chatter))
+
+
+def test_a_dead_unit_is_refused(calibrate, good):
+    with pytest.raises(UnitRefused, match="dead channel"):
+        calibrate(replace(good, output=np.full(len(good), 0.5)))
+
+
+def test_too_little_data_is_conditional_at_best(calibrate, press):
+    calibration = calibrate(press(2, gain=1.3, seconds=8.0).unlabelled, Limit("N", 10.0))
+    assert "too little data" in findings(calibration) and calibration.verdict.word == "conditional"
+
+
+def test_known_positions_reveal_a_gain_error_the_output_hides(source_model, linear_network, press):
+    """A unit pressed to two thirds of the depth looks exactly like one with two thirds of the gain."""
+    source, unit = source_model.source, press(2, seconds=120.0)
+    lighter = replace(unit.unlabelled, output=0.5 + (unit.unlabelled.output - 0.5) * 2 / 3)
+    depth_mm = unit.reference * 2 / 3
+    blind = calibrate_unit(FitProblem(source, linear_network, lighter), None, AFFINE, source_model)
+    known = replace(source, unlabelled=replace(source.unlabelled, stage_mm=source.reference))
+    model = make_source_model(known, linear_network, np.arange(0, len(known.windows), 4))
+    problem = FitProblem(known, linear_network, replace(lighter, stage_mm=depth_mm))
+    seen = calibrate_unit(problem, None, AFFINE, model)
+    assert seen.predicted_rmse > 4 * blind.predicted_rmse
+
+
+def test_the_explanation_adds_up_to_the_forecast(calibrate, source_model, good):
+    calibration = calibrate(good)
+    explanation = explain(source_model, calibration, good)
+    total = np.sqrt(sum(part**2 for part in contributions(calibration).values()))
+    assert total == pytest.approx(calibration.predicted_rmse)
+    for density in (explanation.source_density, explanation.mapped_density, explanation.unmapped_density):
+        assert density.sum() == pytest.approx(1.0)
+    assert np.all(explanation.half_width >= explanation.source_half_width)
+
+
+def test_a_simulated_lot_depends_on_its_seed_alone_and_holds_every_fault():
+    design = LotDesign(good=2, bad=dict.fromkeys(FAULTS, 1), source_s=60.0, unit_s=20.0, audit_s=20.0)
+    one, two = simulate_lot(5, design), simulate_lot(5, design)
+    assert {u.kind for u in one.units} == {"good", *FAULTS}
+    for a, b in zip(one.units, two.units, strict=True):
+        np.testing.assert_array_equal(a.recording.output, b.recording.output)
+    assert not np.array_equal(one.source.reference, simulate_lot(6, design).source.reference)
+
+
+def test_an_unknown_fault_lists_the_known_ones():
+    with pytest.raises(InputError, match="known: dead, saturated"):
+        LotDesign(bad={"haunted": 1})
