@@ -1,22 +1,27 @@
 """A profile pressed on the bench, with everything that was read on the way. A broken run is never a recording."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from softcal.core.errors import BadReply, CommandRefused, DeviceError, SafetyStop
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, SafetyStop
 from softcal.core.profiles import Profile
 from softcal.station.bench import Bench
+from softcal.station.contact import Search
 from softcal.station.interfaces import Hold, Move, Sample, StagePosition, Step
 from softcal.station.recording import Raw, StationRecording, assemble
-from softcal.station.safety import ForceWatch, StreamWatch
+from softcal.station.safety import FollowWatch, ForceWatch, StreamWatch
+from softcal.station.spool import Spool
 from softcal.station.trajectory import DrivenMove, Trapezoid
 
 TICK_S = 0.005
 """How often the devices are read while something may move; far below every latency that is promised."""
 
 SETTLE_S = 1.0
+ARRIVAL_S = 2.0
+"""A move that takes this much longer than planned has failed."""
+
 RETRACT_MM_S = 5.0
 
 
@@ -52,6 +57,7 @@ def record(
     profile: Profile,
     with_reference: bool,
     on_progress: OnProgress | None = None,
+    spool: Spool | None = None,
 ) -> StationRecording:
     """Press one unit with one profile and return what was read.
 
@@ -61,6 +67,7 @@ def record(
         profile: position 0 is `fixture.clearance_mm` above the contact.
         with_reference: keep the load cell's reading in the recording (source unit); it guards the run in any case.
         on_progress: called about every 0.1 s.
+        spool: where everything that is read goes as it comes.
 
     Raises:
         CommandRefused: the profile leaves the station's bounds; nothing moved.
@@ -70,7 +77,7 @@ def record(
     check_profile(bench, profile)
     if with_reference and bench.force is None:
         raise CommandRefused("a source unit needs the load cell, the station file has none; nothing moved")
-    run = _Run(bench, serial, profile, on_progress)
+    run = _Run(bench, serial, profile, on_progress, spool)
     try:
         return run.perform(with_reference)
     except DeviceError as error:
@@ -112,8 +119,10 @@ def steps_of(profile: Profile) -> list[Step]:
 
 
 class _Run:
-    def __init__(self, bench: Bench, serial: str, profile: Profile, on_progress: OnProgress | None) -> None:
-        self._bench, self._serial, self._profile = bench, serial, profile
+    def __init__(
+        self, bench: Bench, serial: str, profile: Profile, on_progress: OnProgress | None, spool: Spool | None
+    ) -> None:
+        self._bench, self._serial, self._profile, self._spool = bench, serial, profile, spool
         self._clock, self._stage = bench.clock, bench.stage
         self._on_progress = on_progress
         self._readings = _Readings()
@@ -121,6 +130,7 @@ class _Run:
         self._phase, self._began_s, self._shown_s = "starting", 0.0, -1.0
         self._total_s = profile.duration_s + 15.0
         self._force_watch = ForceWatch(bench.config.safety)
+        self._follow_watch = FollowWatch(bench.config.fixture.contact_N)
         self._watches: dict[str, StreamWatch] = {}
 
     def perform(self, with_reference: bool) -> StationRecording:
@@ -167,7 +177,7 @@ class _Run:
         try:
             self._stage.stop()
         except DeviceError:
-            return "the stage was told to stop but does not answer: switch it off"
+            return "the stage does not answer any more, it stops within 0.4 s: switch it off before you reach in"
         if not may_retract or not self._stage.is_position_known:
             return "the stage is stopped and must be homed"
         try:
@@ -191,24 +201,32 @@ class _Run:
     def _tick(self) -> None:
         """Let a little time pass, read every device, and check everything that was read."""
         self._clock.sleep_s(TICK_S)
-        self._readings.polls += self._stage.poll()
-        pressed_mm = self._pressed_mm()
-        if self._bench.force is not None:
-            for sample in self._bench.force.poll():
-                self._force_watch.check(sample)
-                self._watches["force"].check(sample, pressed_mm)
-                self._readings.force.append(sample)
-        for sample in self._bench.readout.poll():
-            self._watches["readout"].check(sample, pressed_mm)
-            self._readings.output.append(sample)
+        polls = self._stage.poll()
+        force = self._bench.force.poll() if self._bench.force is not None else ()
+        output = self._bench.readout.poll()
+        if self._spool is not None:
+            self._spool.append(output, force, polls)
+        self._readings.polls += polls
+        self._readings.force += force
+        self._readings.output += output
+        self._check(output, force)
         now_s = self._clock.now_s()
-        for watch in self._watches.values():
-            watch.check_silence(now_s)
-        self._check_depth()
         if now_s - self._shown_s >= 0.1:
             self._shown_s = now_s
             gone_s = now_s - self._began_s
             self._tell(min(0.99, gone_s / self._total_s), max(0.0, self._total_s - gone_s))
+
+    def _check(self, output: Sequence[Sample], force: Sequence[Sample]) -> None:
+        pressed_mm = self._pressed_mm()
+        for sample in force:
+            self._force_watch.check(sample)
+            self._follow_watch.check(sample.values[0] - self._force_watch.zero_N, pressed_mm, sample.host_s)
+            self._watches["force"].check(sample, pressed_mm)
+        for sample in output:
+            self._watches["readout"].check(sample, pressed_mm)
+        for watch in self._watches.values():
+            watch.check_silence(self._clock.now_s())
+        self._check_depth()
 
     def _pressed_mm(self) -> float:
         if self._contact_mm is None or not self._readings.polls:
@@ -227,11 +245,13 @@ class _Run:
                 f"the profile would reach {to_mm:.2f} mm, the limit is {self._bench.config.safety.deepest_mm:g} mm; "
                 "check the fixture"
             )
-        start_mm, began_s = self._stage.position_mm, self._clock.now_s()
+        path = Trapezoid(self._stage.position_mm, to_mm, speed_mm_s, self._stage.acceleration_mm_s2)
+        began_s = self._clock.now_s()
         self._stage.begin(Move(to_mm, speed_mm_s))
         while self._stage.is_moving:
             self._tick()
-        path = Trapezoid(start_mm, to_mm, speed_mm_s, self._stage.acceleration_mm_s2)
+            if self._clock.now_s() - began_s > path.duration_s + ARRIVAL_S:
+                raise NoReply(f"stage: {ARRIVAL_S:g} s late at {to_mm:.2f} mm; look for what blocks it, then home it")
         self._readings.moves.append(DrivenMove(path, began_s, self._clock.now_s()))
 
     def _wait(self, seconds: float) -> None:
@@ -275,22 +295,18 @@ class _Run:
     def _find_contact(self) -> float:
         """Lower slowly until force (or output, without a load cell) changes; return the position of the contact."""
         self._phase = "searching for contact"
-        fixture = self._bench.config.fixture
-        samples = self._readings.output if self._bench.force is None else self._readings.force
-        threshold = fixture.contact_output if self._bench.force is None else fixture.contact_N
-        unloaded = float(np.mean([sample.values[0] for sample in samples[-25:]]))
-        seen = len(samples)
-        self._stage.begin(Move(self._bench.config.safety.deepest_mm, fixture.search_mm_s))
-        began_s, start_mm = self._clock.now_s(), self._stage.position_mm
+        bench, fixture = self._bench, self._bench.config.fixture
+        search = Search(fixture, bench.force is not None, self._readings.force, self._readings.output)
+        start_mm, began_s = self._stage.position_mm, self._clock.now_s()
+        self._stage.begin(Move(bench.config.safety.deepest_mm, fixture.search_mm_s))
         while self._stage.is_moving:
             self._tick()
-            while seen < len(samples):
-                if abs(samples[seen].values[0] - unloaded) > threshold:
-                    self._stage.stop()
-                    return start_mm + fixture.search_mm_s * (samples[seen].host_s - began_s)
-                seen += 1
+            touched_s = search.contact_s()
+            if touched_s is not None:
+                self._stage.stop()
+                return start_mm + fixture.search_mm_s * (touched_s - began_s)
         raise SafetyStop(
-            f"no contact down to {self._bench.config.safety.deepest_mm:g} mm; is a unit in the fixture and connected?"
+            f"no contact down to {bench.config.safety.deepest_mm:g} mm; is a unit in the fixture and connected?"
         )
 
     def _tell(self, fraction: float, remaining_s: float) -> None:

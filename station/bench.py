@@ -115,14 +115,14 @@ def simulated_config(station: SimulatedStation) -> StationConfig:
 
 
 def _open_stage(config: StageConfig, clock: Clock) -> Stage:
-    return GrblStage(Link(config.port, clock, config.baud_rate), config.axis, config.is_reversed)
+    return GrblStage(Link(config.port, clock, config.baud_rate, "stage"), config.axis, config.is_reversed)
 
 
 def _open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
-    link = Link(config.port, clock, config.baud_rate)
+    link = Link(config.port, clock, config.baud_rate, "sensor readout")
     return ArduinoReadout(link, config.vref_V, config.adc_bits, config.rate_Hz, config.channels)
 
 
 def _open_force(config: ForceConfig, clock: Clock) -> ForceReader:
-    link = Link(config.port, clock, config.baud_rate)
+    link = Link(config.port, clock, config.baud_rate, "load cell")
     return Hx711Cell(link, config.counts_per_N, config.zero_counts, config.capacity_N, config.rate_Hz)

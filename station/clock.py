@@ -97,6 +97,9 @@ def unwrap_ms(previous_ms: int, reported_ms: int) -> int:
     return previous_ms + (step if step < WRAP_MS // 2 else step - WRAP_MS)
 
 
+CHANGE_SAMPLES = 5
+
+
 def residual_offset_s(leading: Array, following: Array, rate_Hz: float, reach_s: float = 0.5) -> float:
     """Estimate how much later `following` shows the same event as `leading`, from their rates of change.
 
@@ -112,7 +115,8 @@ def residual_offset_s(leading: Array, following: Array, rate_Hz: float, reach_s:
     Returns:
         Offset in s, positive when `following` is late; NaN where one of them never changes.
     """
-    a, b = np.diff(leading), np.diff(following)
+    # Changes over some samples: the rate of change with the noise of one sample step would drown it.
+    a, b = (signal[CHANGE_SAMPLES:] - signal[:-CHANGE_SAMPLES] for signal in (leading, following))
     a, b = a - a.mean(), b - b.mean()
     scale = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
     if scale == 0.0:

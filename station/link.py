@@ -33,19 +33,21 @@ class Link:
         port: device name, for example /dev/ttyACM0 or COM5.
         clock: the clock that stamps lines and lets time pass while waiting.
         baud_rate: symbols per second, 8N1.
+        name: how messages call the device.
 
     Raises:
         NoReply: the port does not exist, may not be opened, or belongs to another process.
     """
 
-    def __init__(self, port: str, clock: Clock, baud_rate: int = 115200) -> None:
+    def __init__(self, port: str, clock: Clock, baud_rate: int = 115200, name: str = "") -> None:
         self.port, self.clock = port, clock
+        self._label = f"{name} ({port})" if name else port
         self._rest = b""
         self._lines: deque[Line] = deque()
         try:
             self._serial = serial.Serial(port, baud_rate, timeout=0, write_timeout=1.0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
-            raise NoReply(_why_closed(port, error)) from error
+            raise NoReply(f"{self._label}: {_why_closed(port, error)}") from error
 
     def write(self, content: bytes) -> None:
         """Write bytes; real-time bytes go out before this returns.
@@ -81,7 +83,7 @@ class Link:
             if self._lines:
                 return self._lines.popleft()
             if self.clock.now_s() >= end_s:
-                raise NoReply(f"{self.port}: no answer within {within_s:g} s; check cable, power and baud rate")
+                raise NoReply(f"{self._label}: no answer within {within_s:g} s; check cable, power and baud rate")
             self.clock.sleep_s(POLL_S)
 
     def discard(self) -> None:
@@ -109,12 +111,15 @@ class Link:
         self._lines.extend(Line(text.strip(b"\r"), now_s) for text in whole)
         if len(self._rest) > LONGEST_LINE:
             self._rest = b""
-            raise NoReply(f"{self.port}: {LONGEST_LINE} bytes without a line end; check device and baud rate")
+            raise NoReply(f"{self._label}: {LONGEST_LINE} bytes without a line end; check device and baud rate")
 
     def _gone(self) -> NoReply:
         # On Windows a port whose device was pulled stays dead until it is closed.
         self.close()
-        return NoReply(f"{self.port}: the device is gone (unplugged, switched off, or another program took the port)")
+        return NoReply(
+            f"{self._label}: the device is gone (unplugged, switched off, or another program took the port); check its "
+            "cable, then start again"
+        )
 
 
 def available_ports() -> list[str]:
@@ -124,11 +129,11 @@ def available_ports() -> list[str]:
 
 def _why_closed(port: str, error: Exception) -> str:
     if not Path(port).exists() and os.name == "posix":
-        return f"{port}: no such port; check the cable, then run `softcal station check` to see the ports there are"
+        return "no such port; check the cable, then run `softcal station check` to see the ports there are"
     owner = _owner(port)
     if owner:
-        return f"{port}: in use by {owner}; end that program, one process owns a port"
-    return f"{port}: cannot be opened: {error}"
+        return f"in use by {owner}; end that program, one process owns a port"
+    return f"cannot be opened: {error}"
 
 
 def _owner(port: str) -> str:

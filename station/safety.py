@@ -12,8 +12,11 @@ REACTION_S = 0.03
 FROZEN_MM = 0.6
 """A channel whose value does not change while the stage presses this much deeper is frozen."""
 
+PRESSED_MM, MISSING_S = 0.8, 0.15
+"""A unit pressed this deep for so long must show a force."""
+
 SLOPE_SAMPLES = 5
-RATE_SAMPLES = 40
+RATE_SAMPLES = 16
 RAIL_S = 0.3
 
 
@@ -46,6 +49,30 @@ class ForceWatch:
             return 0.0
         (first_s, first_N), (last_s, last_N) = self._recent[0], self._recent[-1]
         return (last_N - first_N) / (last_s - first_s) if last_s > first_s else 0.0
+
+
+class FollowWatch:
+    """Whether there is a force where the stage presses.
+
+    Args:
+        contact_N: change of force that is contact.
+    """
+
+    def __init__(self, contact_N: float) -> None:
+        self._contact_N = contact_N
+        self._missing_since_s: float | None = None
+
+    def check(self, force_N: float, pressed_mm: float, now_s: float) -> None:
+        """Raise `BadReply` when a stage well below the contact meets no force for a while."""
+        if pressed_mm < PRESSED_MM or force_N > self._contact_N:
+            self._missing_since_s = None
+        elif self._missing_since_s is None:
+            self._missing_since_s = now_s
+        elif now_s - self._missing_since_s > MISSING_S:
+            raise BadReply(
+                f"load cell: {force_N:.2f} N although the stage is {pressed_mm:.2f} mm below the contact; check the "
+                "cell's bridge, the fixture and whether the stage is blocked"
+            )
 
 
 class StreamWatch:

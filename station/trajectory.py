@@ -85,11 +85,16 @@ NODE_S = 0.002
 """Distance of the nodes inside a move; the straight line between them is off by less than a·NODE_S²/8."""
 
 
+FOLLOWS_MM = 0.1
+"""A poll further from the commanded path than this says that the move did not go as commanded."""
+
+
 def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> StageTrack:
     """Return where the stage was at any time of a run.
 
     A controller answers ten polls a second at most, too few to draw a corner. So every move is the trapezoid it was
-    commanded as, shifted in time to where its polls say it was; one with too few polls moves with its neighbours.
+    commanded as, shifted in time to where its polls say it was; one with too few polls moves with its neighbours. A
+    move that did not go as commanded (the host came late with the next piece) is drawn through its polls.
 
     Args:
         polls: status polls of the run, in time order.
@@ -110,6 +115,12 @@ def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> 
     for move, delay in zip(moves, delays, strict=True):
         start_s = max(move.begun_s + (usual_s if delay is None else delay), float(t_s[-1][-1]) + 1e-6)
         since_s = np.arange(0.0, move.path.duration_s + NODE_S, NODE_S)
+        inside = (poll_s > move.begun_s) & (poll_s < move.confirmed_s) & (poll_s > t_s[-1][-1])
+        off_mm = np.abs(poll_mm[inside] - move.path.position_mm(poll_s[inside] - start_s))
+        if np.any(off_mm > FOLLOWS_MM):
+            t_s.append(poll_s[inside])
+            position_mm.append(poll_mm[inside])
+            continue
         t_s.append(start_s + since_s)
         position_mm.append(move.path.position_mm(since_s))
     nodes_s, nodes_mm = np.concatenate(t_s), np.concatenate(position_mm)

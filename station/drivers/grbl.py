@@ -148,7 +148,9 @@ class GrblStage:
                 return self._wait_for_greeting(1.2)
             except NoReply:
                 continue
-        raise NoReply(f"{self._link.port}: no GRBL controller answers; check power, cable and baud rate (115200)")
+        raise NoReply(
+            f"stage ({self._link.port}): no GRBL controller answers; check power, cable and baud rate (115200)"
+        )
 
     def _read_settings(self) -> dict[int, float]:
         # A controller that greets in several lines may still be talking.
@@ -257,6 +259,8 @@ class GrblStage:
                 reply = grbl.parse(self._link.next_line(SILENCE_S).text)
             except (BadReply, NoReply):
                 continue
+            if isinstance(reply, grbl.Alarm) or (isinstance(reply, grbl.Status) and reply.state == "Alarm"):
+                return False
             if isinstance(reply, grbl.Status) and (reply.state, reply.substate) in (("Hold", 0), ("Idle", 0)):
                 return True
             self._link.clock.sleep_s(0.02)

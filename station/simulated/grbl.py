@@ -38,6 +38,8 @@ class SimulatedGrbl:
         self.delay_reply_s = 0.0
         self.is_locked_until_reset = False
         self.state = "Alarm"
+        self.stop_received_s: float | None = None
+        self.was_moving_at_stop = False
         self._offset_mm = -axis.position_mm  # what the controller believes after power-up: Z = 0 where it stands
         self._now_s = 0.0
         self._received = bytearray()
@@ -51,7 +53,11 @@ class SimulatedGrbl:
     def receive(self, now_s: float) -> None:
         """Take what the host has written: real-time bytes at once, lines into the buffer."""
         self._now_s = now_s
-        for code in self.wire.receive():
+        content = self.wire.receive()
+        if not content:
+            return
+        self.axis.advance(now_s)
+        for code in content:
             byte = bytes([code])
             if byte in _REAL_TIME:
                 self._real_time(byte)
@@ -110,9 +116,12 @@ class SimulatedGrbl:
     def _real_time(self, byte: bytes) -> None:
         if byte == grbl.STATUS and self.state != "Home":
             self._report()
-        elif byte == grbl.HOLD and self.state in ("Run", "Jog"):
-            self.axis.hold()
-            self.state = "Hold"
+        elif byte == grbl.HOLD:
+            if self.stop_received_s is None:
+                self.stop_received_s, self.was_moving_at_stop = self._now_s, self.axis.is_moving
+            if self.state in ("Run", "Jog"):
+                self.axis.hold()
+                self.state = "Hold"
         elif byte == grbl.RESUME and self.state in ("Hold", "Door"):
             self.axis.resume()
             self.state = "Run" if self.axis.is_moving else "Idle"

@@ -35,7 +35,7 @@ class Axis:
         self.time_s = 0.0
         self.queue: deque[Block] = deque()
         self.is_held = False
-        self.stopped_at_s = 0.0
+        self.standstills_s: deque[float] = deque(maxlen=100)
         self._phases: deque[_Phase] = deque()
 
     @property
@@ -66,7 +66,7 @@ class Axis:
         self.queue.clear()
         self._phases.clear()
         if self.velocity_mm_s:
-            self.stopped_at_s = self.time_s
+            self.standstills_s.append(self.time_s)
         self.velocity_mm_s = 0.0
         self.is_held = False
 
@@ -96,13 +96,13 @@ class Axis:
     def _arrive(self) -> None:
         if self.is_held:
             self.velocity_mm_s = 0.0
-            self.stopped_at_s = self.time_s
+            self.standstills_s.append(self.time_s)
             return
         block = self.queue.popleft()
         self.position_mm = block.target_mm
         if not self.queue or abs(self.velocity_mm_s) < 1e-9:
             self.velocity_mm_s = 0.0
-            self.stopped_at_s = self.time_s
+            self.standstills_s.append(self.time_s)
         self._plan()
 
     def _plan(self) -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin, TwinStream
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.motion import Axis
@@ -33,7 +34,7 @@ class SimulatedStation:
         self._rng = rng
         self.free_mm = FREE_MM
         self.axis = Axis(ACCELERATION_MM_S2)
-        self.axis.position_mm = 7.3  # Where somebody left it: nothing is known before homing.
+        self.axis.position_mm = 2.3  # Where somebody left it: nothing is known before homing.
         self.rig = Rig(self.axis)
         self.mount(unit)
         self.stage_wire, self.force_wire, self.readout_wire = (Wire(child) for child in rng.spawn(3))
@@ -51,6 +52,10 @@ class SimulatedStation:
         """Put a unit under the stage, a little higher or lower than the one before."""
         clearance_mm = self.free_mm + 1.0 + float(self._rng.uniform(-0.2, 0.2))
         self.rig.mount(TwinStream(unit, self._rng.spawn(1)[0]), clearance_mm, self.world.now_s())
+
+    def mount_rigid(self, stiffness_N_mm: float = 60.0) -> None:
+        """Put something hard under the stage."""
+        self.mount(Twin(BaseParameters(k1_N_mm=stiffness_N_mm, kappa_per_N=0.001), (), self.metadata))
 
     def close(self) -> None:
         """Pull all cables."""

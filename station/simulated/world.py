@@ -91,14 +91,22 @@ class World:
         for far_end in self._far_ends:
             far_end.receive(self._now_s)
         while True:
-            due_s = min((far_end.next_event_s() for far_end in self._far_ends), default=until_s)
-            if self._planned:
-                due_s = min(due_s, self._planned[0][0])
-            if due_s > until_s:
+            due_s = [far_end.next_event_s() for far_end in self._far_ends]
+            next_s = min(due_s, default=until_s)
+            if self._planned and self._planned[0][0] <= min(next_s, until_s):
+                self._happen()
+                continue
+            if next_s > until_s:
                 break
-            self._now_s = max(self._now_s, due_s)
-            while self._planned and self._planned[0][0] <= self._now_s:
-                heappop(self._planned)[2]()
-            for far_end in self._far_ends:
-                far_end.advance(self._now_s)
+            self._now_s = max(self._now_s, next_s)
+            for far_end, at_s in zip(self._far_ends, due_s, strict=True):
+                if at_s <= self._now_s:
+                    far_end.advance(self._now_s)
         self._now_s = until_s
+
+    def _happen(self) -> None:
+        time_s, _, happening = heappop(self._planned)
+        self._now_s = max(self._now_s, time_s)
+        for far_end in self._far_ends:
+            far_end.advance(self._now_s)
+        happening()

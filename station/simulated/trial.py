@@ -1,0 +1,110 @@
+"""One run on the simulated station with one fault: what the operator reads, when the stage stood, what was kept."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from softcal.core.errors import DeviceError
+from softcal.core.profiles import Profile, moves
+from softcal.station.acquisition import RunProgress, record
+from softcal.station.bench import open_simulated_bench
+from softcal.station.simulated.faults import Fault
+from softcal.station.simulated.station import SimulatedStation
+from softcal.station.spool import Spool, read_spool
+
+PROFILE: Profile = moves("trial", [0.0, 3.0, 0.0, 3.0, 0.0], [2.0, 2.0, 2.0, 10.0, 10.0], [1.0, 1.0, 0.5, 0.0, 1.0])
+
+COAST_S = 1.0
+"""How long the rig is watched after the run gave up: a stage nobody can reach runs out of queued pieces."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one fault did.
+
+    Args:
+        fault: its name.
+        error: class of the error, "" when the run went through.
+        message: the sentence for the operator.
+        detected_s: from the fault to the stop byte, or to the end of the run where none was sent; NaN before a run.
+        stopped_s: from the fault to a stage that stands until it is lifted on purpose; NaN before a run.
+        largest_force_N: that the unit saw.
+        record: "none" (nothing was recorded as good), "good" otherwise.
+        spool: how the spool says the run ended.
+    """
+
+    fault: str
+    error: str
+    message: str
+    detected_s: float
+    stopped_s: float
+    largest_force_N: float
+    record: str
+    spool: str
+
+
+def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> Outcome:
+    """Press with one fault injected at the wire.
+
+    Args:
+        folder: where the spool goes.
+        seed: of the simulated station.
+    """
+    with open_simulated_bench(seed=seed) as (bench, station):
+        watch = _Watch(station, fault)
+        if not fault.phase:
+            station.world.at(fault.after_s, watch.inject)
+            station.world.sleep_s(0.001)
+        error, record_state = None, "none"
+        path = folder / "run.spool"
+        try:
+            with Spool(path, {"serial": "F1"}) as spool:
+                record(bench, "F1", PROFILE, True, watch.on_progress, spool)
+            record_state = "good"
+        except DeviceError as caught:
+            error = caught
+        ended_s = station.world.now_s()
+        station.world.sleep_s(COAST_S)
+        return Outcome(
+            fault.name,
+            type(error).__name__ if error else "",
+            str(error or ""),
+            watch.detected_s(ended_s),
+            watch.stopped_s(),
+            station.rig.largest_force_N,
+            record_state,
+            read_spool(path).end,
+        )
+
+
+class _Watch:
+    def __init__(self, station: SimulatedStation, fault: Fault) -> None:
+        self._station, self._fault = station, fault
+        self._at_s: float | None = None
+        self._is_planned = not fault.phase
+
+    def on_progress(self, progress: RunProgress) -> None:
+        if not self._is_planned and progress.phase == self._fault.phase:
+            self._is_planned = True
+            self._station.world.at(self._station.world.now_s() + self._fault.after_s, self.inject)
+
+    def inject(self) -> None:
+        self._at_s = self._station.world.now_s()
+        self._station.stage.stop_received_s = None
+        self._fault.inject(self._station)
+
+    def detected_s(self, ended_s: float) -> float:
+        if self._at_s is None or not self._fault.phase:
+            return float("nan")
+        stop_s = self._station.stage.stop_received_s
+        return (ended_s if stop_s is None else stop_s) - self._at_s
+
+    def stopped_s(self) -> float:
+        """When the stage came to rest for good: at the stop byte, before it, or without one."""
+        if self._at_s is None or not self._fault.phase:
+            return float("nan")
+        stop_s, stands = self._station.stage.stop_received_s, self._station.axis.standstills_s
+        if stop_s is not None and self._station.stage.was_moving_at_stop:
+            rest_s = min(stand_s for stand_s in stands if stand_s >= stop_s)
+        else:
+            rest_s = max((s for s in stands if stop_s is None or s <= stop_s), default=0.0)
+        return max(0.0, rest_s - self._at_s)

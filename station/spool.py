@@ -1,0 +1,168 @@
+"""What was read goes to disk as it comes: append-only lines, each with its checksum, so a power cut costs a second.
+
+A line is `crc32 json`. The first one is the header, the last one of a finished run says how it ended; a spool without
+an end is a run that was cut off, and counts as aborted.
+"""
+
+import json
+import os
+import queue
+import threading
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from softcal.core.errors import DeviceError, InputError
+from softcal.station.interfaces import Sample, StagePosition
+
+SCHEMA = "softcal.spool/1"
+
+
+@dataclass(frozen=True)
+class SpooledRun:
+    """One spool as it was found.
+
+    Args:
+        header: serial, profile and what else the run wrote first.
+        output, force, polls: everything that was read, in order.
+        end: "done", or why the run ended otherwise; "cut off" where nothing says so.
+        damaged: lines whose checksum does not fit; what follows the first of them is not used.
+    """
+
+    header: dict[str, str]
+    output: tuple[Sample, ...]
+    force: tuple[Sample, ...]
+    polls: tuple[StagePosition, ...]
+    end: str
+    damaged: int
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the run was finished and every line is intact."""
+        return self.end == "done" and not self.damaged
+
+
+class Spool:
+    """A spool being written. A thread of its own writes and syncs: a slow disk never makes the stage wait.
+
+    Args:
+        path: new file; its folder is made.
+        header: serial, profile, station, time: texts that say what this is.
+
+    Raises:
+        DeviceError: the file cannot be made; nothing has moved yet.
+    """
+
+    def __init__(self, path: Path, header: dict[str, str]) -> None:
+        self.path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("ab")
+        except OSError as error:
+            raise DeviceError(f"{path}: cannot be written: {error.strerror}; make room, nothing moved") from error
+        self._lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._error: OSError | None = None
+        self._thread = threading.Thread(target=self._write_lines, name="spool", daemon=True)
+        self._put({"schema": SCHEMA, **header})
+        self._thread.start()
+
+    def __enter__(self) -> "Spool":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._put({"end": "done" if error is None else f"aborted: {error or kind}"})
+        self._lines.put(None)
+        self._thread.join()
+        self._file.close()
+        if error is None:
+            self._check()
+
+    def append(self, output: Sequence[Sample], force: Sequence[Sample], polls: Sequence[StagePosition]) -> None:
+        """Add what was read since the last call.
+
+        Raises:
+            DeviceError: an earlier line could not be written (disk full, disk gone).
+        """
+        self._check()
+        if output or force or polls:
+            self._put(
+                {
+                    "output": [(s.host_s, s.device_s, *s.values) for s in output],
+                    "force": [(s.host_s, s.device_s, *s.values) for s in force],
+                    "polls": [(p.host_s, p.position_mm) for p in polls],
+                }
+            )
+
+    def _check(self) -> None:
+        if self._error is not None:
+            raise DeviceError(
+                f"{self.path}: samples cannot be kept: {self._error.strerror}; make room on the disk, press again"
+            ) from self._error
+
+    def _put(self, value: dict[str, object] | dict[str, str]) -> None:
+        self._lines.put(_line(value))
+
+    def _write_lines(self) -> None:
+        is_open = True
+        while is_open:
+            waiting = [self._lines.get()]
+            while not self._lines.empty():
+                waiting.append(self._lines.get())
+            is_open = waiting[-1] is not None
+            try:
+                self._file.write(b"".join(line for line in waiting if line is not None))
+                self._file.flush()
+                os.fsync(self._file.fileno())
+            except OSError as error:
+                self._error = self._error or error
+            except ValueError:
+                return
+
+
+def _line(value: dict[str, object] | dict[str, str]) -> bytes:
+    text = json.dumps(value, separators=(",", ":")).encode()
+    return b"%08x %s\n" % (zlib.crc32(text), text)
+
+
+def read_spool(path: Path) -> SpooledRun:
+    """Read a spool up to its first damaged line.
+
+    Raises:
+        InputError: the file cannot be read, or is no spool at all.
+    """
+    try:
+        lines = path.read_bytes().split(b"\n")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    values, damaged = _intact(lines)
+    if not values or values[0].get("schema") != SCHEMA:
+        raise InputError(f"{path}: is no spool of softcal; nothing was changed")
+    output, force, polls = [], [], []
+    for value in values[1:]:
+        output += [_sample(row) for row in value.get("output", ())]
+        force += [_sample(row) for row in value.get("force", ())]
+        polls += [StagePosition(*row) for row in value.get("polls", ())]
+    end = str(values[-1].get("end", "cut off"))
+    header = {key: str(text) for key, text in values[0].items() if key != "schema"}
+    return SpooledRun(header, tuple(output), tuple(force), tuple(polls), end, damaged)
+
+
+def _intact(lines: Sequence[bytes]) -> tuple[list[dict[str, Any]], int]:
+    values: list[dict[str, Any]] = []
+    for k, line in enumerate(lines):
+        checksum, _, text = line.partition(b" ")
+        if not line and k == len(lines) - 1:
+            break
+        if checksum != b"%08x" % zlib.crc32(text):
+            return values, len([rest for rest in lines[k:] if rest])
+        values.append(json.loads(text))
+    return values, 0
+
+
+def _sample(row: Sequence[float]) -> Sample:
+    return Sample(row[0], row[1], tuple(row[2:]))
