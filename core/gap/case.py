@@ -37,6 +37,7 @@ class Run:
         dummy_ohm: the resistor in place of the sensor, of a run with a dummy resistor.
         kind: `press`, or one of the special runs.
         profile: what was pressed, in words.
+        is_planned: not recorded yet; its measured channels hold zeros and are not looked at.
 
     Raises:
         InputError: a channel has another length, is not finite, is constant where it carries the diagnosis, time
@@ -54,6 +55,7 @@ class Run:
     dummy_ohm: float | None = None
     kind: RunKind = "press"
     profile: str = ""
+    is_planned: bool = False
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -98,7 +100,7 @@ class Run:
                 raise InputError(f"{self.name}: a {self.kind} run needs {channel}, which is not recorded")
         if self.kind == "dummy_resistor" and not (self.dummy_ohm is not None and self.dummy_ohm > 0):
             raise InputError(f"{self.name}: a dummy_resistor run needs dummy_ohm above 0 in its metadata")
-        if self.kind == "press":
+        if self.kind == "press" and not self.is_planned:
             if sum(getattr(self, channel) is not None for channel in ("stage_mm", "force_N", "output_V")) < 2:
                 raise InputError(f"{self.name}: two of stage_mm, force_N, output_V are needed to see any gap")
             for channel in ("stage_mm", "force_N", "output_V"):
@@ -126,15 +128,19 @@ class Run:
 class Case:
     """Runs of one unit on one rig.
 
+    Args:
+        is_planned: a case of runs that are not recorded yet; a special run alone will do.
+
     Raises:
         InputError: no run in which the sensor is pressed, or runs whose units, rates or electronics differ.
     """
 
     serial: str
     runs: tuple[Run, ...]
+    is_planned: bool = False
 
     def __post_init__(self) -> None:
-        if not self.presses:
+        if not self.presses and not self.is_planned:
             raise InputError(f"case {self.serial}: no run in which the sensor is pressed; a diagnosis needs one")
         first = self.runs[0]
         for run in self.runs[1:]:

@@ -85,6 +85,10 @@ class Hypothesis:
             at += len(effect.parameters)
         return BaseParameters(*values[: len(BASE)]), rows
 
+    def without_episodes(self) -> "Hypothesis":
+        """Return the same effects on a run whose episodes nobody knows."""
+        return Hypothesis(self.effects)
+
     def adding(self, effect: Effect, episodes: Episodes | None = None) -> "Hypothesis":
         """Return this hypothesis with one effect more, or with another realisation of one it has."""
         kept = tuple(e for e in self.effects if e.id != effect.id)

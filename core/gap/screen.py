@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.gap.candidates import Probe
-from softcal.core.gap.fit import Episodes, Fit, start_coordinates
+from softcal.core.gap.fit import BASE, Episodes, Fit, start_coordinates
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 
@@ -34,7 +34,7 @@ class Lead:
 
 
 def _without(found: Fit, effect_id: str, coordinates: Array) -> Array:
-    keep = [np.ones(5, dtype=np.bool_)]
+    keep = [np.ones(len(BASE), dtype=np.bool_)]
     keep += [np.full(len(e.parameters), e.id != effect_id) for e in found.hypothesis.effects]
     return coordinates[np.concatenate(keep)]
 
@@ -57,12 +57,18 @@ def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
 
 
 class Tangent:
-    """The directions in which a fit can move, and how a signature stands to them."""
+    """The directions in which a fit can move, and how a signature stands to them.
 
-    def __init__(self, found: Fit) -> None:
+    Args:
+        base_only: let the base parameters alone move.
+    """
+
+    def __init__(self, found: Fit, base_only: bool = False) -> None:
         self._found = found
         jacobian = found.jacobian
         scale = np.sqrt(np.sum(jacobian**2, axis=0))
+        if base_only:
+            scale[len(BASE) :] = 0.0
         self._columns = np.flatnonzero(scale > 0)
         scaled = jacobian[:, self._columns] / scale[self._columns]
         left, singular, right = np.linalg.svd(scaled.T @ scaled)

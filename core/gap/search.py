@@ -58,6 +58,16 @@ class Search:
             parents = ranked[: self._config.beam[size - 1]]
 
     @property
+    def depth_mm(self) -> float:
+        """Deepest stage position beyond contact."""
+        return self._extent.depth_mm
+
+    @property
+    def force_N(self) -> float:
+        """Largest force of the runs."""
+        return self._extent.force_N
+
+    @property
     def best(self) -> Fit:
         return min(self.fits.values(), key=lambda f: f.bic)
 

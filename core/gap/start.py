@@ -35,8 +35,8 @@ def noise_levels(found: Fit) -> dict[str, float]:
     for channel, parts in squares.items():
         every = np.sort(np.concatenate(parts))
         kept = every[: max(1, int(len(every) * (1 - TRIMMED)))]
-        # A Gaussian loses 14 % of its variance with its largest 2 % of squares.
-        variance = float(np.mean(kept)) / 0.86
+        # A Gaussian without its largest 2 % of squares keeps 0.873 of its variance.
+        variance = float(np.mean(kept)) / 0.873
         if channel == "output_V" and problem.extra_variance is not None:
             variance = max(0.0, variance - float(np.mean(_of_channel(problem, problem.extra_variance, channel))))
         floor = problem.case.readout.step_V / np.sqrt(12) if channel == "output_V" else 1e-6

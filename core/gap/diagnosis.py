@@ -1,0 +1,290 @@
+"""The diagnosis of a case: where the twin is wrong, why, how much it gains, how sure that is, what to press next."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
+from softcal.core.gap.case import Case
+from softcal.core.gap.fit import BASE, Fit, from_fit
+from softcal.core.gap.next_experiment import NextExperiment, propose
+from softcal.core.gap.posterior import overdispersion, probabilities
+from softcal.core.gap.residual import Map, Regime, regimes, structure, suspects, three_maps
+from softcal.core.gap.search import Search, SearchConfig
+from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
+from softcal.core.recording import Array
+from softcal.core.twin.catalogue import EFFECTS
+from softcal.core.twin.effects import ChainStage, Effect
+
+Verdict = Literal["no_gap", "explained", "ambiguous", "unknown"]
+SCHEMA = "softcal.gap/1"
+
+EXPLAINED_SHARE = 0.9
+"""Share of the structured gap energy that the causes must take away; calibrated on other realisations of the causes."""
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """A fitted parameter of an effect with its 90 % interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One effect of the catalogue and how it stands.
+
+    Args:
+        probability: of being present.
+        shrink: share of the gap that goes when it is added, of the explained whole.
+        parameters: empty where the effect is not in the best hypothesis.
+    """
+
+    effect: str
+    stage: ChainStage
+    probability: float
+    shrink: float
+    parameters: dict[str, ParameterEstimate]
+
+
+@dataclass(frozen=True)
+class Place:
+    """One line of where the gap lies."""
+
+    stage: str
+    channel: str
+    regime: str
+    share: float
+    detail: str
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Everything a report or a page needs of one diagnosis.
+
+    Args:
+        base, best: fits of the base alone and of the best hypothesis to all runs.
+        rivals: hypotheses that cannot be told apart, the best first.
+        maps: the three chain relations fitted separately.
+        protocol: how samples were held back for the shrink.
+        explained_share: of the structured gap energy, 1 when nothing but noise is left.
+    """
+
+    case: Case
+    verdict: Verdict
+    base: Fit
+    best: Fit
+    rivals: tuple[Fit, ...]
+    causes: tuple[Cause, ...]
+    places: tuple[Place, ...]
+    maps: tuple[Map, ...]
+    regimes: tuple[Regime, ...]
+    gap: dict[str, ChannelGap]
+    shrink: Shrink
+    protocol: str
+    ambiguous_with: list[list[str]]
+    hidden_fraction: dict[str, float]
+    next_experiment: NextExperiment
+    explained_share: float
+
+    def residual(self, run: int, channel: str, after: bool) -> Array:
+        """Return measured − predicted of one channel of one run in its unit, before or after the causes."""
+        found = self.best if after else self.base
+        for block in found.problem.blocks:
+            if block.run == run and block.channel == channel:
+                return np.asarray((found.problem.measured - found.predicted)[block.place])
+        raise ValueError(f"run {run} has no predicted channel {channel}")
+
+    def report(self) -> dict[str, object]:
+        """Return the report of the contract, ready for JSON."""
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "serial": self.case.serial,
+            "gap": {name.split("_")[0]: vars(gap) for name, gap in self.gap.items()},
+            "shrink": vars(self.shrink) | {"protocol": self.protocol},
+            "where": [vars(place) for place in self.places],
+            "causes": [
+                {
+                    "effect": c.effect,
+                    "stage": c.stage,
+                    "probability": c.probability,
+                    "shrink": c.shrink,
+                    "parameters": {name: vars(p) for name, p in c.parameters.items()},
+                }
+                for c in self.causes
+            ],
+            "ambiguous_with": self.ambiguous_with,
+            "hidden_fraction": self.hidden_fraction,
+            "next_experiment": {
+                "profile": self.next_experiment.profile,
+                "why": self.next_experiment.why,
+                "separation_sigma": self.next_experiment.separation_sigma,
+                "minutes": self.next_experiment.minutes,
+            },
+            "missing_channels": list(self.case.missing_channels),
+            "explained_share": self.explained_share,
+            "base": {p.name: getattr(self.best.base, p.name) for p in BASE},
+            "maps": [{"map": m.name, "z": m.structure.z, "structured_sigma": m.structure.rms} for m in self.maps],
+        }
+
+
+def diagnose(
+    case: Case, progress: Callable[[str], None] | None = None, config: SearchConfig | None = None
+) -> Diagnosis:
+    """Diagnose the gap between the base twin and the recordings of a case.
+
+    Args:
+        progress: called with one line at every step.
+        config: how wide the search goes.
+    """
+    say = progress or (lambda _: None)
+    search = Search(case, config, say)
+    search.run()
+    best = search.best
+    dispersion = overdispersion(best)
+    group = rivals(search.fits, best, dispersion)
+    say("refitting the three maps separately")
+    maps = three_maps(case)
+    say("measuring the shrink on samples no fit has seen")
+    quantified = quantify(search.base, best)
+    share = explained_share(search.base, best)
+    chances = probabilities(search.fits, dispersion)
+    verdict = _verdict(best, group, share)
+    causes = _causes(search, best, chances, quantified.shrink.held_out)
+    found_regimes = regimes(search.base)
+    return Diagnosis(
+        case=case,
+        verdict=verdict,
+        base=search.base,
+        best=best,
+        rivals=group,
+        causes=causes,
+        places=_places(best, causes, maps, found_regimes, verdict, share),
+        maps=maps,
+        regimes=found_regimes,
+        gap=quantified.gap,
+        shrink=quantified.shrink,
+        protocol=quantified.protocol,
+        ambiguous_with=confused_pairs(group),
+        hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
+        next_experiment=_next(case, search, group, verdict),
+        explained_share=share,
+    )
+
+
+def explained_share(base: Fit, best: Fit) -> float:
+    """Return which share of the base's excess over the noise the best hypothesis takes away."""
+    count = best.problem.count
+    before = max(base.chi2 - count, 0.0)
+    left = structure(best)
+    after = max(best.chi2 - count, 0.0) if left.is_significant else 0.0
+    return float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0 else 1.0
+
+
+def _verdict(best: Fit, group: tuple[Fit, ...], share: float) -> Verdict:
+    left = structure(best)
+    if left.is_significant and share < EXPLAINED_SHARE:
+        return "unknown"
+    if not best.hypothesis.ids:
+        return "unknown" if left.is_significant else "no_gap"
+    return "ambiguous" if len(group) > 1 else "explained"
+
+
+def _causes(search: Search, best: Fit, chances: dict[str, float], held_out: float) -> tuple[Cause, ...]:
+    shares = _shares(search, best)
+    causes = []
+    for effect in EFFECTS.values():
+        found = best if effect.id in best.hypothesis.ids else search.fits.get((effect.id,))
+        parameters = _estimates(found, effect.id) if found is not None else {}
+        share = shares.get(effect.id, 0.0) * held_out
+        causes.append(Cause(effect.id, effect.stage, chances[effect.id], share, parameters))
+    return tuple(sorted(causes, key=lambda c: (-c.probability, -c.shrink)))
+
+
+def _shares(search: Search, best: Fit) -> dict[str, float]:
+    """Split the explained χ² among the causes: the mean of adding each one first and adding it last."""
+    ids = best.hypothesis.ids
+    if len(ids) < 2:
+        return dict.fromkeys(ids, 1.0)
+    worth = {}
+    for effect_id in ids:
+        alone, rest = search.fits.get((effect_id,)), search.fits.get(tuple(i for i in ids if i != effect_id))
+        first = search.base.chi2 - alone.chi2 if alone else 0.0
+        last = rest.chi2 - best.chi2 if rest else 0.0
+        worth[effect_id] = max(0.5 * (first + last), 0.0)
+    total = sum(worth.values()) or 1.0
+    return {effect_id: value / total for effect_id, value in worth.items()}
+
+
+def _estimates(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
+    at, spread = len(BASE), np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    for effect in found.hypothesis.effects:
+        if effect.id == effect_id:
+            return _named(effect, found.coordinates[at:], 1.645 * spread[at:])
+        at += len(effect.parameters)
+    return {}
+
+
+def _named(effect: Effect, coordinates: Array, margin: Array) -> dict[str, ParameterEstimate]:
+    out = {}
+    for k, p in enumerate(effect.parameters):
+        ends = [from_fit(p, float(coordinates[k] + side * margin[k])) for side in (-1.0, 1.0)]
+        low, high = (float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in sorted(ends))
+        value = float(np.nan_to_num(from_fit(p, float(coordinates[k])), posinf=p.high, neginf=p.low))
+        out[p.name] = ParameterEstimate(value, low, high, p.unit)
+    return out
+
+
+def _places(
+    best: Fit,
+    causes: tuple[Cause, ...],
+    maps: tuple[Map, ...],
+    found: tuple[Regime, ...],
+    verdict: Verdict,
+    share: float,
+) -> tuple[Place, ...]:
+    if verdict == "no_gap":
+        return ()
+    pointed = suspects(maps)
+    dirty = ", ".join(m.name for m in maps if m.structure.is_significant) or "none"
+    detail = f"maps refitted separately that do not close: {dirty}"
+    named = [c for c in causes if c.effect in best.hypothesis.ids]
+    channel = found[0].channel.split("_")[0] if found else "output"
+    regime = found[0].name if found else "everywhere"
+    places = []
+    if verdict == "unknown":
+        stage = pointed[-1] if pointed else (named[0].stage if named else "unknown")
+        for c in named[:1]:
+            if c.stage in pointed:
+                stage = c.stage
+        text = f"{detail}; the catalogue explains {share:.0%} of the structured gap, nothing in it the rest"
+        places.append(Place(stage, channel, regime, 1.0, text))
+    else:
+        total = sum(c.shrink for c in named) or 1.0
+        places += [Place(c.stage, channel, regime, c.shrink / total, f"{c.effect}; {detail}") for c in named]
+    for r in found[:4]:
+        stage = places[0].stage if places else "unknown"
+        where = f"{r.share:.0%} of the gap's energy in this regime, {r.lift:.1f} times its share of time"
+        places.append(Place(stage, r.channel.split("_")[0], r.name, r.share, where))
+    return tuple(places)
+
+
+def _next(case: Case, search: Search, group: tuple[Fit, ...], verdict: Verdict) -> NextExperiment:
+    proposed = propose(case, group, search.depth_mm, search.force_N) if verdict != "unknown" else None
+    if proposed is not None:
+        return proposed
+    if verdict == "unknown":
+        return NextExperiment(
+            "rate sweep", "a rate sweep with holds shows whether what is left follows speed, time or load"
+        )
+    if verdict == "no_gap":
+        return NextExperiment(
+            "long hold", "no gap is visible here; slow creep, drift and ageing would show first in a long hold"
+        )
+    return NextExperiment("none needed", "the causes are separated on these runs; apply them to the twin")

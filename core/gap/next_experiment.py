@@ -1,0 +1,160 @@
+"""What to press next: the run that best tells the remaining rivals apart, per minute of bench time."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core import profiles
+from softcal.core.gap.case import Case, Run
+from softcal.core.gap.fit import Fit, Problem, fit
+from softcal.core.profiles import Profile
+
+ENOUGH_SIGMA = 10.0
+"""Rivals this far apart, in standard deviations over all samples, are told apart on a real, coloured floor."""
+
+SET_UP_min: Mapping[str, float] = {"press": 0.5, "dummy_resistor": 1.0, "dead_weights": 2.0, "rigid_block": 1.0}
+LEVELS = 6
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One entry of the menu.
+
+    Args:
+        name: what the operator is asked to do.
+        run: the run as it would be recorded, its measured channels still empty (zeros).
+        minutes: bench time, set-up included.
+        stage_profile: what the station runs, None for a special run.
+    """
+
+    name: str
+    run: Run
+    minutes: float
+    stage_profile: Profile | None = None
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """The proposed run.
+
+    Args:
+        profile: its name.
+        why: which rivals it separates, and how far.
+        separation_sigma: distance of the refitted rivals over the run, in standard deviations of the noise.
+        stage_profile: segments the station can run, None for a special run.
+    """
+
+    profile: str
+    why: str
+    separation_sigma: float = 0.0
+    minutes: float = 0.0
+    stage_profile: Profile | None = None
+
+
+def menu(case: Case, depth_mm: float, force_N: float) -> tuple[Experiment, ...]:
+    """Return what can be recorded on this rig: stage profiles to the depth already pressed, and special runs."""
+    d = depth_mm
+    rate_Hz = case.readout.sample_rate_Hz
+    pressed: list[Profile] = []
+    if case.has("stage_mm"):
+        pressed = [
+            profiles.rate_sweep(d),
+            profiles.steps_with_holds([0.4 * d, 0.7 * d, d, 0.5 * d], hold_s=20.0),
+            profiles.long_hold(d, 300.0),
+            profiles.amplitude_ladder(d),
+            profiles.slow_touch_down(min(0.8, d)),
+            profiles.small_reversals(d),
+            profiles.ramps([d] * 10, 3.0, name="ten fast ramps"),
+        ]
+    entries = [
+        Experiment(p.name, _press(case, p, rate_Hz), SET_UP_min["press"] + p.duration_s / 60, p) for p in pressed
+    ]
+    return (*entries, *_special(case, force_N, rate_Hz))
+
+
+def propose(case: Case, rivals: Sequence[Fit], depth_mm: float, force_N: float) -> NextExperiment | None:
+    """Return the experiment that separates the refitted rivals best per minute; None if there are fewer than two.
+
+    The distance of two rivals is what the second's prediction keeps from the first after the first has been refitted
+    to the old runs and the new one together (T-optimality with refit, to first order).
+    """
+    if len(rivals) < 2:
+        return None
+    first, second = rivals[0], rivals[1]
+    best: tuple[float, float, Experiment] | None = None
+    for experiment in menu(case, depth_mm, force_N):
+        distance = min(_distance(first, second, experiment.run), _distance(second, first, experiment.run))
+        score = min(distance, 10 * ENOUGH_SIGMA) / experiment.minutes
+        if best is None or score > best[0]:
+            best = (score, distance, experiment)
+    names = " and ".join("+".join(f.hypothesis.ids) for f in (first, second))
+    if best is None or best[1] < ENOUGH_SIGMA:
+        return NextExperiment("none on this rig", f"{names} cannot be separated by any run of the menu; {_sensor(rivals)}")
+    _, distance, experiment = best
+    why = f"separates {names} by {distance:.0f} standard deviations of the noise in {experiment.minutes:.1f} min"
+    return NextExperiment(experiment.name, why, distance, experiment.minutes, experiment.stage_profile)
+
+
+def _sensor(rivals: Sequence[Fit]) -> str:
+    ids = {i for f in rivals for i in f.hypothesis.ids}
+    if ids & {"thermal_drift", "ageing_drift", "reference_drift"}:
+        return "log the temperature of the sensor and the reference voltage"
+    if ids & {"backlash", "frame_compliance", "misaligned_contact", "contact_shift"}:
+        return "measure the position of the platen itself"
+    return "a second load cell or a four-wire measurement of the channel would"
+
+
+def _distance(mine: Fit, other: Fit, run: Run) -> float:
+    """Return how far `other` stays from `mine` on a new run after `mine` was refitted to the old runs and this one."""
+    problem = Problem(Case(mine.problem.case.serial, (run,), is_planned=True), mine.problem.sigma)
+    hypothesis = mine.hypothesis.without_episodes()
+    theirs = problem.predict(other.hypothesis.without_episodes(), other.coordinates) / problem.noise
+    own = problem.predict(hypothesis, mine.coordinates) / problem.noise
+    parted = theirs - own
+    jacobian = fit(problem, hypothesis, mine.coordinates, steps=0).jacobian
+    if jacobian.shape[1] == 0:
+        return float(np.linalg.norm(parted))
+    old = mine.jacobian.T @ mine.jacobian
+    free = np.flatnonzero(np.diag(old) > 0)
+    normal = old[np.ix_(free, free)] + jacobian[:, free].T @ jacobian[:, free]
+    slope = jacobian[:, free].T @ parted
+    left = float(parted @ parted) - float(slope @ np.linalg.lstsq(normal, slope, rcond=None)[0])
+    return float(np.sqrt(max(left, 0.0)))
+
+
+def _press(case: Case, profile: Profile, rate_Hz: float) -> Run:
+    t_s, stage_mm = profile.sample(rate_Hz)
+    zeros = np.zeros(len(t_s))
+    return Run(
+        profile.name,
+        t_s,
+        case.readout,
+        stage_mm=stage_mm,
+        force_N=zeros if case.has("force_N") else None,
+        output_V=zeros if case.has("output_V") else None,
+        is_planned=True,
+    )
+
+
+def _special(case: Case, force_N: float, rate_Hz: float) -> tuple[Experiment, ...]:
+    t_s = np.arange(int(60 * rate_Hz)) / rate_Hz
+    zeros, readout = np.zeros(len(t_s)), case.readout
+    stairs = np.floor(t_s / t_s[-1] * (LEVELS - 1e-9)) / (LEVELS - 1)
+    up_down = 1.0 - np.abs(2 * t_s / t_s[-1] - 1.0)
+    out = []
+    if case.has("output_V"):
+        for ohm in (0.5 * readout.r_series_ohm, 2.0 * readout.r_series_ohm):
+            run = Run("dummy", t_s, readout, output_V=zeros, dummy_ohm=ohm, kind="dummy_resistor", is_planned=True)
+            out.append(Experiment(f"dummy_resistor {ohm:.3g} ohm", run, SET_UP_min["dummy_resistor"] + 1.0))
+    if case.has("force_N"):
+        weights = Run(
+            "weights", t_s, readout, force_N=zeros, known_force_N=force_N * stairs, kind="dead_weights", is_planned=True
+        )
+        out.append(Experiment("dead_weights", weights, SET_UP_min["dead_weights"] + 1.0))
+        if case.has("stage_mm"):
+            block = Run(
+                "block", t_s, readout, stage_mm=up_down, force_N=force_N * up_down, kind="rigid_block", is_planned=True
+            )
+            out.append(Experiment("rigid_block", block, SET_UP_min["rigid_block"] + 1.0))
+    return tuple(out)

@@ -1,0 +1,195 @@
+"""Where the gap lies: three maps refitted separately, and the regimes in which the residual stands out."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from softcal.core.gap.case import Case, Run
+from softcal.core.gap.fit import Block, Fit
+from softcal.core.gap.start import base_fit
+from softcal.core.recording import Array
+from softcal.core.twin.effects import ChainStage
+
+BLOCK_SAMPLES = (8, 40)
+"""Lengths over which a residual is summed to see structure: a fifth of a second and a second at 50 Hz."""
+
+DIRTY_Z = 6.0
+"""A map or a residual has structure when its block sums are this many standard errors above white noise."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """How much of a residual is not noise.
+
+    Args:
+        z: excess of the block sums over white noise, in standard errors; the larger of two block lengths.
+        rms: root mean square of the structured part in units of the noise.
+    """
+
+    z: float
+    rms: float
+
+    @property
+    def is_significant(self) -> bool:
+        return self.z > DIRTY_Z
+
+
+@dataclass(frozen=True)
+class Map:
+    """One chain relation fitted alone: stage→force, force→output or stage→output."""
+
+    name: str
+    structure: Structure
+
+
+@dataclass(frozen=True)
+class Regime:
+    """A condition under which the gap stands out.
+
+    Args:
+        share: of the energy of the gap of this channel.
+        lift: share over the share of time spent in it.
+    """
+
+    channel: str
+    name: str
+    share: float
+    lift: float
+
+
+def structure(found: Fit, channel: str | None = None) -> Structure:
+    """Measure the structure left in the residual of a fit, of one channel or of all."""
+    parts = [found.residual[b.place] for b in found.problem.blocks if channel in (None, b.channel)]
+    return structure_of(parts)
+
+
+def structure_of(parts: list[Array]) -> Structure:
+    """Measure the structure of residuals in units of their noise; one array per run and channel."""
+    largest = -np.inf
+    for length in BLOCK_SAMPLES:
+        sums = [_block_sums(part, length) for part in parts]
+        every = np.concatenate(sums)
+        if len(every) > 3:
+            largest = max(largest, float((np.mean(every**2) - 1.0) / np.sqrt(2.0 / len(every))))
+    short = np.concatenate([_block_sums(part, BLOCK_SAMPLES[0]) for part in parts])
+    energy = max(0.0, float(np.mean(short**2)) - 1.0) / BLOCK_SAMPLES[0] if len(short) else 0.0
+    return Structure(largest, float(np.sqrt(energy)))
+
+
+def _block_sums(values: Array, length: int) -> Array:
+    whole = len(values) // length * length
+    return np.asarray(values[:whole].reshape(-1, length).sum(axis=1) / np.sqrt(length))
+
+
+def three_maps(case: Case) -> tuple[Map, ...]:
+    """Fit each chain relation of the base alone and measure what it leaves; no effect of the catalogue enters."""
+    relations = {
+        "stage→force": {"output_V": None},
+        "force→output": {"stage_mm": None},
+        "stage→output": {"force_N": None},
+    }
+    maps = []
+    for name, without in relations.items():
+        runs = [replace(run, **without) for run in case.presses if _has_two(run, without)]
+        if runs:
+            maps.append(Map(name, structure(base_fit(Case(case.serial, tuple(runs))))))
+    return tuple(maps)
+
+
+def _has_two(run: Run, without: dict[str, None]) -> bool:
+    return all(getattr(run, c) is not None for c in ("stage_mm", "force_N", "output_V") if c not in without)
+
+
+def suspects(maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:
+    """Return the stages that the pattern of dirty maps points to; none when all are clean.
+
+    A dirty map stage→force with a clean force→output is motion or mechanics, the reverse is the channel or its
+    electronics; when stage→output alone is clean, the load cell is what both others share.
+    """
+    dirty = {m.name: m.structure for m in maps}
+    if not any(s.is_significant for s in dirty.values()):
+        return ()
+    if len(dirty) < 3:
+        return _from_fewer(dirty)
+    force, channel, direct = (dirty[n] for n in ("stage→force", "force→output", "stage→output"))
+    before: tuple[ChainStage, ...] = ("motion", "mechanics")
+    behind: tuple[ChainStage, ...] = ("transduction", "electronics", "acquisition")
+    if not direct.is_significant:
+        return ("load_cell",)
+    if not channel.is_significant and force.is_significant:
+        return before
+    if not force.is_significant:
+        return behind
+    # All three: the cleanest one names the innocent side when it is far cleaner than the others.
+    quiet = min((force, "behind"), (channel, "before"), (direct, "cell"), key=lambda pair: pair[0].z)
+    loud = max(force.z, channel.z, direct.z)
+    if quiet[0].z < 0.02 * loud:
+        return {"behind": behind, "before": before, "cell": ("load_cell",)}[quiet[1]]  # type: ignore[return-value]
+    return (*before, *behind)
+
+
+def _from_fewer(dirty: dict[str, Structure]) -> tuple[ChainStage, ...]:
+    name = next(iter(dirty))
+    if name == "stage→force":
+        return ("mechanics", "motion", "load_cell")
+    if name == "force→output":
+        return ("transduction", "electronics", "acquisition", "load_cell")
+    return ("motion", "mechanics", "transduction", "electronics", "acquisition")
+
+
+def regimes(found: Fit) -> tuple[Regime, ...]:
+    """Return the regimes in which the residual of a fit stands out, channel by channel, strongest first.
+
+    share_b = Σ_b(e² − 1)/Σ(e² − 1) with e in units of the noise; lift is share over the share of samples.
+    """
+    out = []
+    for channel in ("force_N", "output_V"):
+        blocks = [b for b in found.problem.blocks if b.channel == channel]
+        blocks = [b for b in blocks if found.problem.case.runs[b.run].kind == "press"]
+        if not blocks:
+            continue
+        excess = np.concatenate([found.residual[b.place] ** 2 - 1.0 for b in blocks])
+        total = float(excess.sum())
+        if total <= 4 * np.sqrt(2 * len(excess)):
+            continue
+        for name, members in _conditions(found, blocks).items():
+            time_share = float(np.mean(members))
+            if 0.01 < time_share < 0.95:
+                share = float(excess[members].sum()) / total
+                out.append(Regime(channel, name, float(np.clip(share, 0.0, 1.0)), share / time_share))
+    return tuple(sorted(out, key=lambda r: -r.share * np.log(max(r.lift, 1.0) + 1e-9)))
+
+
+def _conditions(found: Fit, blocks: list[Block]) -> dict[str, Array]:
+    case = found.problem.case
+    runs = [case.runs[b.run] for b in blocks]
+    drive = np.concatenate([_drive(run) for run in runs])
+    speed = np.concatenate([np.gradient(_drive(run), run.t_s) for run in runs])
+    part = np.concatenate([run.elapsed_s / run.elapsed_s[-1] for run in runs])
+    contact = found.base.u0_mm if case.has("stage_mm") else 0.02 * float(drive.max())
+    touching = drive > contact
+    quick = np.abs(speed[touching & (np.abs(speed) > 0)])
+    slow = float(np.quantile(quick, 0.02)) if len(quick) else 0.0
+    fast = float(np.quantile(quick, 0.6)) if len(quick) else np.inf
+    moving = np.abs(speed) > max(slow * 0.5, 1e-9)
+    depth = (drive - contact) / max(float(drive.max()) - contact, 1e-9)
+    conditions = {
+        "loading": touching & moving & (speed > 0),
+        "unloading": touching & moving & (speed < 0),
+        "hold": touching & ~moving,
+        "no contact": ~touching,
+        "first touch (lowest 15 % of the stroke)": touching & (depth < 0.15),
+        "high load (top 20 % of the stroke)": depth > 0.8,
+        "fast motion": touching & (np.abs(speed) > fast),
+        "start of the run (first quarter)": part < 0.25,
+        "end of the run (last quarter)": part > 0.75,
+    }
+    for k, run in enumerate(runs):
+        name = f"run {run.name}" + (f" ({run.profile})" if run.profile else "")
+        conditions[name] = np.concatenate([np.full(len(r), i == k) for i, r in enumerate(runs)])
+    return conditions
+
+
+def _drive(run: Run) -> Array:
+    drive = run.stage_mm if run.stage_mm is not None else run.force_N
+    return np.zeros(len(run)) if drive is None else drive
