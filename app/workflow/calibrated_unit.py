@@ -66,6 +66,7 @@ class SharedNetwork:
 
     network: Network
     source: LabelledRecording
+    source_sha256: str
 
     @cached_property
     def file(self) -> NetworkFile:
@@ -150,9 +151,9 @@ class UnitLoader:
     def _shared(self, stored: StoredCalibration) -> SharedNetwork:
         network_id = stored.record.network_id
         if network_id not in self._networks:
-            training = self.registry.network_entry(network_id).training
-            source = self.registry.recording(str(training["source_recording_sha256"]))
+            sha256 = str(self.registry.network_entry(network_id).training["source_recording_sha256"])
+            source = self.registry.recording(sha256)
             if not isinstance(source, LabelledRecording):
                 raise InputError(f"the source recording of network {network_id[:12]} has no reference")
-            self._networks[network_id] = SharedNetwork(self.registry.network(network_id), source)
+            self._networks[network_id] = SharedNetwork(self.registry.network(network_id), source, sha256)
         return self._networks[network_id]
