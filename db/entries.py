@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import date, datetime
 
 from softcal.core.calibration import CalibrationRecord
+from softcal.core.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -149,3 +150,78 @@ class AuditRow:
 
     def with_hash(self, value: str) -> "AuditRow":
         return replace(self, hash=value)
+
+
+@dataclass(frozen=True)
+class CellCertificate:
+    """A load cell's calibration certificate, as far as the station's gate and the uncertainty budget need it.
+
+    Args:
+        cell_serial: serial of the load cell.
+        number: number of the certificate.
+        laboratory: who issued it.
+        issued_on, due_on: first day it holds, first day it no longer holds.
+        capacity_N: largest force it covers.
+        uncertainty_N: expanded uncertainty (k = 2) over its range, in N.
+        document: the document itself (PDF, DCC), where there is one.
+    """
+
+    cell_serial: str
+    number: str
+    laboratory: str
+    issued_on: date
+    due_on: date
+    capacity_N: float
+    uncertainty_N: float
+    document: bytes | None = None
+
+    def __post_init__(self) -> None:
+        if not self.due_on > self.issued_on:
+            raise InputError(f"certificate {self.number}: due on {self.due_on}, which is not after {self.issued_on}")
+        if not (0 < self.capacity_N < float("inf") and 0 < self.uncertainty_N < float("inf")):
+            raise InputError(f"certificate {self.number}: capacity and uncertainty must be positive numbers of N")
+
+    def is_valid(self, on: date) -> bool:
+        """Whether it holds on this day."""
+        return self.issued_on <= on < self.due_on
+
+
+@dataclass(frozen=True)
+class GoldenRun:
+    """One check of a station with a golden unit.
+
+    Args:
+        station, serial: which station pressed which golden unit.
+        made_at: UTC.
+        value: what is charted, for example the mean error against the unit's own calibration, in `unit`.
+        passed: whether it was inside the limits that held then; `reasons` say why not.
+        actor: who did it.
+        recording_sha256: its recording, where it was kept.
+    """
+
+    station: str
+    serial: str
+    made_at: datetime
+    value: float
+    unit: str
+    passed: bool
+    reasons: tuple[str, ...] = ()
+    actor: str = ""
+    recording_sha256: str | None = None
+
+
+@dataclass(frozen=True)
+class User:
+    """A person with a role; the PIN is never given out.
+
+    Args:
+        name: as it stands in the audit trail.
+        role: operator, engineer or quality.
+        is_active: whether the person may sign in.
+        version: counts the changes, so that two editors do not overwrite each other.
+    """
+
+    name: str
+    role: str
+    is_active: bool
+    version: int

@@ -14,8 +14,12 @@ from softcal.db.tables import AUDITED, blobs, canonical_json, metadata
 MIGRATIONS = Path(__file__).with_name("migrations")
 
 
-def migrate(database: Database) -> str:
-    """Bring an empty or older database to the newest schema in one transaction; return its revision."""
+def migrate(database: Database, to: str = "head") -> str:
+    """Bring an empty or older database to the newest schema in one transaction; return its revision.
+
+    Args:
+        to: an older revision, for tests of the upgrade itself.
+    """
     # Alembic takes half a second to import: only those who migrate pay.
     from alembic.operations import Operations
     from alembic.runtime.migration import MigrationContext
@@ -25,7 +29,7 @@ def migrate(database: Database) -> str:
     with database.writing() as connection:
         context = MigrationContext.configure(
             connection,
-            opts={"fn": lambda revision, _: scripts._upgrade_revs("head", revision), "transactional_ddl": True},
+            opts={"fn": lambda revision, _: scripts._upgrade_revs(to, revision), "transactional_ddl": True},
         )
         with Operations.context(context):
             context.run_migrations()
@@ -69,9 +73,9 @@ def _blob_faults(connection: Connection) -> Iterator[str]:
         if hashlib.sha256(row.data).hexdigest() != row.sha256:
             yield f"blob {row.sha256[:12]}: its bytes were changed"
     for table in _tables_with_blobs():
-        for values in connection.execute(select(table)).mappings():
-            if values["blob_sha256"] not in stored:
-                yield f"blob {values['blob_sha256'][:12]} of {table.name}: is missing"
+        for sha256 in connection.execute(select(table.c.blob_sha256)).scalars():
+            if sha256 is not None and sha256 not in stored:
+                yield f"blob {sha256[:12]} of {table.name}: is missing"
 
 
 def _tables_with_blobs() -> list[Table]:

@@ -131,7 +131,7 @@ class OrderQueue:
                 connection.execute(insert(heartbeats).values(**values))
                 return
             is_alive = heartbeat.at - known["at"] <= SILENT_AFTER
-            if is_alive and known["process"] != heartbeat.process and known["state"] != StationState.CLOSED:
+            if is_alive and known["process"] != heartbeat.process and known["state"] != StationState.OFF:
                 raise InputError(f"station {heartbeat.station!r} is served by {known['process']}; stop that one first")
             connection.execute(update(heartbeats).where(where).values(**values))
 

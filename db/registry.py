@@ -14,11 +14,13 @@ from softcal.db.entries import AuditRow
 from softcal.db.lot_tables import LotTables
 from softcal.db.maintenance import faults
 from softcal.db.order_queue import OrderQueue
+from softcal.db.people import People
 from softcal.db.recording_tables import RecordingTables
+from softcal.db.station_tables import StationTables
 from softcal.db.work_queue import WorkQueue
 
 
-class Registry(LotTables, RecordingTables, CalibrationTables, AdaptationTables):
+class Registry(LotTables, RecordingTables, CalibrationTables, AdaptationTables, StationTables, People):
     """An open registry, used as a context manager and made by `open_registry`."""
 
     def __enter__(self) -> "Registry":

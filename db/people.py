@@ -1,0 +1,134 @@
+"""Who may do what: people with a role and a PIN. PINs are kept as Argon2id hashes and never leave this module."""
+
+from datetime import timedelta
+
+from argon2 import PasswordHasher
+from argon2.exceptions import InvalidHashError, VerificationError
+from sqlalchemy import Connection, RowMapping, insert, select, update
+
+from softcal.core.errors import InputError
+from softcal.db import history
+from softcal.db.entries import User
+from softcal.db.registry_base import RegistryBase
+from softcal.db.tables import users
+
+ROLES = ("operator", "engineer", "quality")
+SHORTEST_PIN = 4
+MOST_FAILURES = 5
+LOCKED_FOR = timedelta(minutes=5)
+"""A four-digit PIN would fall to 10,000 guesses; after five wrong ones there is a pause."""
+
+PERMISSIONS = {
+    "operator": frozenset({"calibrate", "look"}),
+    "engineer": frozenset({"calibrate", "look", "set_limit", "rollback", "override", "set_up"}),
+    "quality": frozenset({"look", "set_limit", "rollback", "override", "people", "audit"}),
+}
+_HASHER = PasswordHasher()
+_NO_SUCH_USER = _HASHER.hash("nobody has this PIN")
+
+
+class People(RegistryBase):
+    """The part of the registry that knows people."""
+
+    def set_user(
+        self, name: str, role: str, pin: str | None = None, *, actor: str, is_active: bool = True, version: int = 0
+    ) -> User:
+        """Add a person (version 0), or change the version that was looked at.
+
+        Args:
+            pin: digits, at least four; None keeps the one there is.
+
+        Raises:
+            InputError: no such role, a PIN too short, or somebody else changed the person since `version`.
+        """
+        if role not in ROLES:
+            raise InputError(f"role {role!r} is none of {', '.join(ROLES)}")
+        if pin is not None and (len(pin) < SHORTEST_PIN or not pin.isdigit()):
+            raise InputError(f"a PIN has at least {SHORTEST_PIN} digits and nothing else")
+        with self.database.writing() as connection:
+            known = _row(connection, name)
+            found = known["version"] if known else 0
+            if found != version:
+                raise InputError(
+                    f"{name!r} was changed by somebody else (version {found}, not {version}); look again and decide"
+                )
+            if known is None and pin is None:
+                raise InputError(f"{name!r} is new and needs a PIN")
+            user = User(name, role, is_active, version + 1)
+            values = vars(user) | {"failures": 0, "locked_until": None, "changed_at": self.settings.clock()}
+            if pin is not None:
+                values["pin_hash"] = _HASHER.hash(pin)
+            statement = insert(users) if known is None else update(users).where(users.c.name == name)
+            connection.execute(statement.values(**values))
+            before = vars(_user(known)) if known else None
+            self._tell(connection, "set_user", name, vars(user), before, actor)
+            return user
+
+    def users(self) -> list[User]:
+        """Return everybody by name."""
+        with self.database.reading() as connection:
+            return [_user(row) for row in connection.execute(select(users).order_by(users.c.name)).mappings()]
+
+    def sign_in(self, name: str, pin: str) -> User:
+        """Return the person when the PIN is right.
+
+        Raises:
+            InputError: wrong name or PIN (it does not say which), not active, or a pause after wrong ones.
+        """
+        with self.database.writing() as connection:
+            row = _row(connection, name)
+            now = self.settings.clock()
+            is_locked = row is not None and row["locked_until"] is not None and row["locked_until"] > now
+            # The hash is checked even for an unknown name, so that the time it takes says nothing.
+            is_right = _is_pin(row["pin_hash"] if row else _NO_SUCH_USER, pin)
+            if row is not None and not is_locked:
+                failures = 0 if is_right else row["failures"] + 1
+                pause = now + LOCKED_FOR if failures >= MOST_FAILURES else None
+                values = {"failures": 0 if pause else failures, "locked_until": pause}
+                connection.execute(update(users).where(users.c.name == name).values(**values))
+                if pause:
+                    self._tell(connection, "lock", name, {"until": pause}, None, name)
+            refused = _refusal(row, is_locked, is_right)
+        if refused or row is None:
+            raise InputError(refused)
+        return _user(row)
+
+    def _tell(
+        self,
+        connection: Connection,
+        action: str,
+        name: str,
+        after: dict[str, object],
+        before: dict[str, object] | None,
+        actor: str,
+    ) -> None:
+        at = self.settings.clock()
+        history.append(connection, self.origin, at, actor, action, "users", (name,), after=after, before=before)
+
+
+def may(user: User, action: str) -> bool:
+    """Whether a person's role allows an action of `PERMISSIONS`."""
+    return user.is_active and action in PERMISSIONS[user.role]
+
+
+def _refusal(row: RowMapping | None, is_locked: bool, is_right: bool) -> str:
+    if is_locked:
+        return f"too many wrong PINs; wait {LOCKED_FOR.seconds // 60} minutes"
+    if row is None or not is_right:
+        return "name or PIN is wrong"
+    return "" if row["is_active"] else "this person may no longer sign in"
+
+
+def _is_pin(stored: str, pin: str) -> bool:
+    try:
+        return _HASHER.verify(stored, pin)
+    except (VerificationError, InvalidHashError):
+        return False
+
+
+def _row(connection: Connection, name: str) -> RowMapping | None:
+    return connection.execute(select(users).where(users.c.name == name)).mappings().first()
+
+
+def _user(row: RowMapping) -> User:
+    return User(row["name"], row["role"], row["is_active"], row["version"])

@@ -1,0 +1,112 @@
+"""Nothing in a registry can be edited, removed or put in unseen: not a row, not a byte, not a line of the trail."""
+
+import hashlib
+import json
+from datetime import UTC, date, datetime
+
+import pytest
+from sqlalchemy import create_engine, delete, insert, select, text, update
+from sqlalchemy.pool import NullPool
+
+from softcal.core.errors import RegistryError
+from softcal.db.entries import CellCertificate, GoldenRun
+from softcal.db.tables import APPEND_ONLY, audit, blobs, calibrations, metadata, units
+
+
+@pytest.fixture
+def past_the_triggers(registry):
+    """`past_the_triggers(statement)` changes rows as somebody with the rights of an administrator can."""
+
+    def execute(statement):
+        # An engine of its own: SQLite checks foreign keys only where a connection asks for it.
+        engine = create_engine(registry.database.engine.url, poolclass=NullPool)
+        with engine.begin() as connection:
+            if registry.database.is_sqlite:
+                for name in connection.scalars(text("SELECT name FROM sqlite_master WHERE type = 'trigger'")).all():
+                    connection.execute(text(f"DROP TRIGGER {name}"))
+            else:
+                connection.execute(text("SET LOCAL session_replication_role = replica"))
+            connection.execute(statement)
+
+    return execute
+
+
+@pytest.fixture
+def filled(factory, recording_of):
+    factory.registry.add_recording("L1", recording_of("A1"), "unit")
+    factory.calibrate("A1", 1)
+    factory.calibrate("A1", 2)
+    factory.registry.add_refusal("L1", "A2", "fail", ("constant",))
+    factory.registry.add_adaptation("A1", 1, {"stream": "s", "sample": 3, "gain": 1.5})
+    factory.registry.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, 6, tzinfo=UTC), 0.01, "N", True))
+    factory.registry.add_certificate(CellCertificate("C1", "7", "lab", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.01))
+    return factory
+
+
+def test_a_registry_in_use_is_whole(filled):
+    assert filled.registry.verify() == []
+
+
+@pytest.mark.parametrize("table", APPEND_ONLY)
+def test_the_database_refuses_to_change_or_delete_rows(filled, table):
+    column = metadata.tables[table].c[0]
+    for statement in (update(metadata.tables[table]).values({column: column}), delete(metadata.tables[table])):
+        with pytest.raises(RegistryError, match="append-only"), filled.registry.database.writing() as connection:
+            connection.execute(statement)
+
+
+@pytest.mark.parametrize(
+    ("statement", "fault"),
+    [
+        (update(calibrations).where(calibrations.c.revision == 1).values(verdict="conditional"), "changed after"),
+        (update(calibrations).where(calibrations.c.revision == 1).values(predicted_rmse=0.1000001), "changed after"),
+        (delete(units).where(units.c.serial == "A2"), "was removed"),
+        (
+            insert(units).from_select(
+                ["lot_id", "serial", "role", "added_at"],
+                select(units.c.lot_id, text("'A9'"), units.c.role, units.c.added_at).where(units.c.serial == "A1"),
+            ),
+            "without an entry",
+        ),
+        (update(audit).where(audit.c.seq == 4).values(actor="somebody else"), "row 4: was changed"),
+        (delete(audit).where(audit.c.seq == 4), "rows 4 to 4 are missing"),
+        (update(blobs).values(data=b"x"), "bytes were changed"),
+        (delete(blobs), "is missing"),
+    ],
+)
+def test_verify_finds_what_was_done_behind_its_back(filled, past_the_triggers, statement, fault):
+    past_the_triggers(statement)
+    assert any(fault in line for line in filled.registry.verify())
+
+
+def test_one_flipped_bit_in_a_blob_is_found_and_never_read(filled, past_the_triggers):
+    with filled.registry.database.reading() as connection:
+        stored = connection.execute(select(calibrations.c.blob_sha256).where(calibrations.c.revision == 2)).scalar_one()
+        content = bytearray(connection.execute(select(blobs.c.data).where(blobs.c.sha256 == stored)).scalar_one())
+    content[-1] ^= 1
+    past_the_triggers(update(blobs).where(blobs.c.sha256 == stored).values(data=bytes(content)))
+    assert filled.registry.verify() == [f"blob {stored[:12]}: its bytes were changed"]
+    with pytest.raises(RegistryError, match="was damaged"):
+        filled.registry.calibration("A1")
+
+
+def test_an_edited_row_with_an_edited_trail_still_breaks_the_chain(filled, past_the_triggers):
+    past_the_triggers(update(calibrations).where(calibrations.c.revision == 1).values(verdict="fail"))
+    forged = update(audit).where(audit.c.key.contains('"A1",1')).values(after=None)
+    past_the_triggers(forged)
+    assert any("was changed after it was written" in line for line in filled.registry.verify())
+
+
+def test_the_hash_of_a_row_can_be_computed_by_anybody(filled):
+    row = filled.registry.audit_rows()[-1]
+    fields = {name: value for name, value in vars(row).items() if name != "hash"}
+    fields["at"] = row.at.isoformat(timespec="microseconds")
+    text_of_row = json.dumps(fields, sort_keys=True, separators=(",", ":"))
+    assert hashlib.sha256(text_of_row.encode()).hexdigest() == row.hash
+
+
+def test_events_that_change_no_table_stand_in_the_trail(filled):
+    filled.registry.add_event("export", "exports", ("A1", 2), {"format": "json"}, actor="kim", reason="shipment 7")
+    last = filled.registry.audit_rows()[-1]
+    assert (last.action, last.actor, last.reason) == ("export", "kim", "shipment 7")
+    assert filled.registry.verify() == []

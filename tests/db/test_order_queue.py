@@ -1,0 +1,91 @@
+"""Page and station share orders: one run at a time, STOP first, and a silent station is seen."""
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
+from softcal.db.order_queue import SILENT_AFTER, OrderQueue
+
+NOW = datetime(2026, 5, 4, tzinfo=UTC)
+
+
+@pytest.fixture
+def queue(registry):
+    return OrderQueue(registry.database, lambda: NOW)
+
+
+def press(order_id="o1", station="s1"):
+    return Order(order_id, station, OrderKind.UNIT, "A1", "L1", "kim", created=NOW)
+
+
+def test_an_order_comes_out_as_it_was_placed(queue):
+    queue.place(press())
+    assert queue.take("s2") is None and queue.take("s1") == press() and queue.take("s1") is None
+
+
+def test_a_second_run_is_refused_while_one_is_not_over(queue):
+    queue.place(press("o1"))
+    with pytest.raises(InputError, match=r"not over \(unit A1, queued\)"):
+        queue.place(press("o2"))
+    queue.place(press("o3", "s2"))
+    queue.report(Progress("o1", RunState.DONE))
+    queue.place(press("o4"))
+
+
+def test_the_same_order_twice_is_one(queue):
+    queue.place(press())
+    queue.place(press())
+    assert len(queue.runs("s1")) == 1
+
+
+def test_stop_is_placed_beside_a_run_and_taken_first(queue):
+    queue.place(press())
+    queue.place(Order("stop", "s1", OrderKind.STOP, created=NOW + timedelta(seconds=1)))
+    assert [queue.take("s1").kind, queue.take("s1").kind] == [OrderKind.STOP, OrderKind.UNIT]
+
+
+def test_progress_is_read_back_with_its_signal(queue):
+    queue.place(press())
+    signal = Signal((0.0, 0.02), (1.0, 1.1), (0.0, 0.5), (), "ohm")
+    told = Progress("o1", RunState.RUNNING, "pressing", 0.4, 12.5, signal=signal)
+    queue.report(told)
+    assert queue.progress("o1") == told and queue.active("s1") == (press(), told)
+
+
+def test_a_run_that_is_over_stays_as_it_ended(queue):
+    queue.place(press())
+    queue.report(Progress("o1", RunState.ERROR, code="E-NOREPLY", message="the stage does not answer"))
+    queue.report(Progress("o1", RunState.DONE))
+    assert queue.progress("o1").state == RunState.ERROR and queue.active("s1") is None
+
+
+def test_a_station_that_starts_ends_what_it_left(queue):
+    queue.place(press())
+    queue.take("s1")
+    queue.place(Order("stop", "s1", OrderKind.STOP, created=NOW))
+    assert queue.interrupt("s1", "the station was restarted") == ["o1", "stop"]
+    assert queue.progress("o1").state == RunState.ERROR and queue.take("s1") is None
+
+
+def test_a_station_has_one_owner(queue):
+    queue.beat(Heartbeat("s1", StationState.READY, NOW, process="host:1"))
+    with pytest.raises(InputError, match="served by host:1"):
+        queue.beat(Heartbeat("s1", StationState.READY, NOW + timedelta(seconds=1), process="host:2"))
+    late = NOW + SILENT_AFTER + timedelta(seconds=1)
+    queue.beat(Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2"))
+    assert queue.heartbeat("s1") == Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2")
+
+
+def test_silence_is_seen(registry, queue):
+    assert not queue.is_answering("s1")
+    queue.beat(Heartbeat("s1", StationState.READY, NOW))
+    later = OrderQueue(registry.database, lambda: NOW + timedelta(seconds=4))
+    assert queue.is_answering("s1") and not later.is_answering("s1")
+    assert [beat.station for beat in queue.stations()] == ["s1"]
+
+
+def test_an_unknown_order_is_named(queue):
+    with pytest.raises(InputError, match="'o9' is not in the registry"):
+        queue.progress("o9")

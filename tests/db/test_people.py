@@ -1,0 +1,70 @@
+"""People sign in with a PIN that nobody can read, and guessing does not pay."""
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from sqlalchemy import select
+
+from softcal.core.errors import InputError
+from softcal.db.connection import open_registry
+from softcal.db.people import LOCKED_FOR, MOST_FAILURES, may
+from softcal.db.registry_base import RegistrySettings
+from softcal.db.tables import users
+
+
+def test_the_right_pin_gives_the_person_and_the_role(registry):
+    user = registry.set_user("kim", "engineer", "2580", actor="admin")
+    assert registry.sign_in("kim", "2580") == user
+    assert may(user, "set_limit") and not may(user, "people")
+
+
+@pytest.mark.parametrize(("name", "pin"), [("kim", "2581"), ("lee", "2580"), ("kim", "")])
+def test_a_wrong_name_and_a_wrong_pin_read_the_same(registry, name, pin):
+    registry.set_user("kim", "operator", "2580", actor="admin")
+    with pytest.raises(InputError, match="^name or PIN is wrong$"):
+        registry.sign_in(name, pin)
+
+
+def test_no_pin_is_stored_or_told(registry):
+    registry.set_user("kim", "operator", "2580", actor="admin")
+    with registry.database.reading() as connection:
+        assert connection.execute(select(users.c.pin_hash)).scalar_one().startswith("$argon2id$")
+    told = " ".join(str(vars(row)) for row in registry.audit_rows())
+    assert "set_user" in told and "2580" not in told and "argon2" not in told
+
+
+def test_guessing_leads_to_a_pause_even_for_the_right_pin(registry_url):
+    now = [datetime(2026, 5, 4, tzinfo=UTC)]
+    with open_registry(registry_url, RegistrySettings(clock=lambda: now[0])) as registry:
+        registry.set_user("kim", "operator", "2580", actor="admin")
+        for _ in range(MOST_FAILURES):
+            with pytest.raises(InputError, match="wrong"):
+                registry.sign_in("kim", "0000")
+        with pytest.raises(InputError, match="wait 5 minutes"):
+            registry.sign_in("kim", "2580")
+        now[0] += LOCKED_FOR + timedelta(seconds=1)
+        assert registry.sign_in("kim", "2580").name == "kim"
+
+
+def test_two_editors_do_not_overwrite_each_other(registry):
+    first = registry.set_user("kim", "operator", "2580", actor="admin")
+    registry.set_user("kim", "engineer", actor="anna", version=first.version)
+    with pytest.raises(InputError, match="changed by somebody else"):
+        registry.set_user("kim", "quality", actor="ben", version=first.version)
+    assert registry.users()[0].role == "engineer" and registry.sign_in("kim", "2580")
+
+
+def test_who_left_cannot_sign_in(registry):
+    registry.set_user("kim", "operator", "2580", actor="admin")
+    registry.set_user("kim", "operator", actor="admin", is_active=False, version=1)
+    with pytest.raises(InputError, match="no longer"):
+        registry.sign_in("kim", "2580")
+
+
+@pytest.mark.parametrize(
+    ("role", "pin"), [("boss", "2580"), ("operator", "12"), ("operator", "abcd"), ("operator", None)]
+)
+def test_a_senseless_person_is_refused(registry, role, pin):
+    with pytest.raises(InputError):
+        registry.set_user("kim", role, pin, actor="admin")
+    assert registry.users() == []

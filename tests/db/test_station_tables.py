@@ -1,0 +1,48 @@
+"""Certificates hold on their days only, and golden runs keep their order."""
+
+from datetime import UTC, date, datetime
+
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.db.entries import CellCertificate, GoldenRun
+
+OLD = CellCertificate("C1", "K-1", "lab", date(2025, 1, 1), date(2026, 1, 1), 50.0, 0.02, b"%PDF-1.4 first")
+NEW = CellCertificate("C1", "K-2", "lab", date(2025, 12, 1), date(2026, 12, 1), 50.0, 0.01)
+
+
+def test_the_newest_certificate_that_holds_on_the_day_counts(registry):
+    registry.add_certificate(OLD)
+    registry.add_certificate(NEW)
+    assert registry.certificates("C1") == [OLD, NEW]
+    assert registry.certificate("C1", date(2025, 6, 1)) == OLD
+    assert registry.certificate("C1", date(2025, 12, 24)) == NEW
+    assert (
+        registry.certificate("C1", date(2026, 12, 1)) is None
+    assert registry.certificate("C2", date(2025, 6, 1)) is None
+    )
+
+
+def test_the_same_certificate_twice_is_one_and_another_of_that_day_is_refused(registry):
+    registry.add_certificate(OLD)
+    registry.add_certificate(OLD)
+    with pytest.raises(InputError, match="has certificate K-1 of the same day"):
+        registry.add_certificate(CellCertificate("C1", "K-9", "x", OLD.issued_on, OLD.due_on, 50.0, 0.02))
+    assert len(registry.audit_rows()) == 1
+
+
+@pytest.mark.parametrize("change", [{"due_on": date(2025, 1, 1)}, {"capacity_N": 0.0}, {"uncertainty_N": float("nan")}])
+def test_a_senseless_certificate_cannot_be_made(change):
+    with pytest.raises(InputError, match="certificate K-1"):
+        CellCertificate(**vars(OLD) | change)
+
+
+def test_golden_runs_come_back_in_order(registry):
+    runs = [
+        GoldenRun("s1", "G1", datetime(2026, 5, day, tzinfo=UTC), 0.01 * day, "N", day < 3, ("drift",), "kim")
+        for day in (1, 2, 3)
+    ]
+    for run in reversed(runs):
+        registry.add_golden_run(run)
+    assert registry.golden_runs("s1") == runs and registry.golden_runs("s2") == []
+    assert registry.golden_runs(since=datetime(2026, 5, 2, tzinfo=UTC)) == runs[1:]
