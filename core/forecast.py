@@ -199,7 +199,7 @@ def _stage(
         return None
     stage_mm = target.stage_mm[target.window_rows[rows]]
     difference = estimate - model.stage_curve.at(stage_mm, model.interval.direction(shape))
-    return float(np.sqrt(max(np.mean(difference**2) - model.stage_curve.scatter_rms**2, 0.0)))
+    return float(np.sqrt(max(float(np.mean(difference**2)) - model.stage_curve.scatter_rms**2, 0.0)))
 
 
 def _extrapolation(model: SourceModel, estimate: Array) -> float:

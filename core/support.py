@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_edt
 
 from softcal.core.identity import Settings
 from softcal.core.network import CHUNK
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Indices
 from softcal.core.windows import TAPS
 
 LEVEL_CELLS, SLOPE_CELLS = 96, 64
@@ -80,14 +80,16 @@ class Support:
 
     def distance(self, shape: WindowShape) -> Array:
         """Return how far each window lies outside the source's support, in the units of `WindowShape`; 0 inside."""
-        position = np.stack([shape.level, shape.slope], axis=1)
-        cell = (position - self.origin) / self.step
-        index = np.clip(cell.astype(np.int64), 0, np.array(self.distance_grid.shape) - 1)
-        beyond = np.abs(cell - 0.5 - np.clip(cell - 0.5, 0, np.array(self.distance_grid.shape) - 1)) * self.step
-        squared = self.distance_grid[index[:, 0], index[:, 1]] ** 2 + np.einsum("ij,ij->i", beyond, beyond)
-        squared += np.maximum(np.abs(shape.bend) - self.bend_limit, 0) ** 2
-        squared += np.maximum(shape.roughness - self.roughness_limit, 0) ** 2
-        return np.asarray(np.sqrt(squared))
+        row, beyond_level = _cell(shape.level, self.origin[0], self.step[0], self.distance_grid.shape[0])
+        column, beyond_slope = _cell(shape.slope, self.origin[1], self.step[1], self.distance_grid.shape[1])
+        parts = (
+            self.distance_grid[row, column],
+            beyond_level,
+            beyond_slope,
+            np.maximum(np.abs(shape.bend) - self.bend_limit, 0),
+            np.maximum(shape.roughness - self.roughness_limit, 0),
+        )
+        return np.sqrt(sum((part * part for part in parts), start=np.zeros(len(shape.level))))
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """Return the arrays under stable names."""
@@ -109,6 +111,13 @@ class Support:
         names = ("output_mean", "output_scale", "bend_limit", "roughness_limit")
         mean, scale, bend_limit, roughness_limit = (float(str(settings[name])) for name in names)
         return cls(mean, scale, origin, step, grid, bend_limit, roughness_limit)
+
+
+def _cell(value: Array, origin: float, step: float, cells: int) -> tuple[Indices, Array]:
+    """Return the cell each value falls in, the outermost one beyond the grid, and how far beyond its middle it is."""
+    position = (value - origin) / step
+    inside = np.clip(position, 0.5, cells - 0.5)
+    return inside.astype(np.int64), np.abs(position - inside) * step
 
 
 def fit_support(windows: Array, output_mean: float, output_scale: float) -> Support:
