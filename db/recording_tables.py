@@ -119,6 +119,13 @@ class RecordingTables(RegistryBase):
             row = _network_row(connection, network_id)
             return NetworkEntry(**{f: row[f] for f in NetworkEntry.__dataclass_fields__})
 
+    def networks(self) -> list[NetworkEntry]:
+        """Return what is known of every network beside its weights, oldest first."""
+        query = select(networks).order_by(networks.c.added_at, networks.c.id)
+        with self.database.reading() as connection:
+            rows = connection.execute(query).mappings()
+            return [NetworkEntry(**{f: row[f] for f in NetworkEntry.__dataclass_fields__}) for row in rows]
+
     def _has_network(self, connection: Connection, network_id: str) -> bool:
         return connection.execute(select(networks.c.id).where(networks.c.id == network_id)).first() is not None
 
