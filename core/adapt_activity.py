@@ -18,8 +18,8 @@ STEADY_SCATTER, STEADY_TREND = 0.25, 0.8
 TOLERANCE = np.array([0.10, 0.15, 0.25])
 """Least tolerance of an activity for a cycle's quantiles (RMS, in scales), its log speed and its log duration."""
 
-NOISE_FLOOR = np.array([0.01, 0.01])
-"""Smallest standard deviation of one cycle's shift and log gain."""
+NOISE_FLOOR = np.array([0.01, 0.01, 0.01])
+"""Smallest standard deviation of one cycle's rest, level and log scale."""
 
 REST_SCATTER = 0.10
 """An activity whose unloaded turning points differ by less than this, in scales, returns to a known rest."""
@@ -38,9 +38,9 @@ class Activity:
         log_speed, log_duration: of its cycles.
         rest: level of the unloaded turning point.
         rest_scatter: how much it differs.
-        noise: (2,) variance of one cycle's shift and log gain.
+        noise: (3, 3) covariance of one cycle's rest, level and log scale.
         tolerance: (3,) largest differences in shape, log speed and log duration.
-        anchor: (2,) variance of the drift when the activity was first seen; 0 for the calibration recording.
+        anchor: (2, 2) covariance of the drift when the activity was first seen; 0 for the calibration recording.
     """
 
     level: float
@@ -54,6 +54,21 @@ class Activity:
     noise: Array
     tolerance: Array
     anchor: Array
+
+    def drift_of(self, cycle: Cycle, rest_is_low: bool) -> tuple[Array, Array]:
+        """Return the (2,) shift and log gain under which a cycle is one of this activity, and their (2, 2) covariance.
+
+        Weighted least squares of three equations in mu and g = exp(lambda): rest, level and scale of the cycle are
+        mu + g rest, mu + g level and g scale of the activity. A sure rest pins the shift however presses differ.
+        """
+        seen_gain = cycle.scale / np.exp(self.log_scale)
+        design = np.array([[1.0, self.rest], [1.0, self.level], [0.0, 1.0]])
+        seen = np.array([cycle.low if rest_is_low else cycle.high, cycle.level, seen_gain])
+        weight = np.linalg.inv(self.noise * seen_gain**2)
+        covariance = np.linalg.inv(design.T @ weight @ design)
+        shift, gain = covariance @ design.T @ weight @ seen
+        to_log = np.array([1.0, 1.0 / max(gain, 1e-3)])
+        return np.array([shift, np.log(max(gain, 1e-3))]), covariance * np.outer(to_log, to_log)
 
     @property
     def has_rest(self) -> bool:
@@ -108,10 +123,11 @@ def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, anchor: Array) ->
     Args:
         cycles: in time order, in scales of the calibrated use.
         rest_is_low: whether the unloaded turning point is the lower one.
-        anchor: (2,) variance of the drift under these cycles.
+        anchor: (2, 2) covariance of the drift under these cycles.
     """
     if len(cycles) < MIN_CYCLES:
         return Lesson(None, f"{len(cycles)} cycles of use, {MIN_CYCLES} are needed to compare with", np.zeros(2))
+    rests = np.array([c.low if rest_is_low else c.high for c in cycles])
     position = np.array([[c.level, np.log(c.scale)] for c in cycles])
     trend, scatter = _trend(position)
     if scatter.max() > STEADY_SCATTER or np.abs(trend).max() > STEADY_TREND:
@@ -120,7 +136,8 @@ def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, anchor: Array) ->
     shapes = np.array([c.shape for c in cycles])
     shape = shapes.mean(axis=0)
     speed, duration = np.log([c.speed for c in cycles]), np.log([c.duration_s for c in cycles])
-    rests = np.array([c.low if rest_is_low else c.high for c in cycles])
+    # Differences of neighbours: a drift under the cycles is no noise of theirs.
+    steps = np.diff(np.column_stack([rests, position]), axis=0)
     spread = np.array([np.sqrt(np.mean((shapes - shape) ** 2)), speed.std(), duration.std()])
     activity = Activity(
         level=float(position[:, 0].mean()),
@@ -131,8 +148,7 @@ def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, anchor: Array) ->
         log_duration=float(duration.mean()),
         rest=float(rests.mean()),
         rest_scatter=float(_trend(rests[:, None])[1][0]),
-        # Differences of neighbours: a drift under the cycles is no noise of theirs.
-        noise=np.maximum(NOISE_FLOOR**2, np.mean(np.diff(position, axis=0) ** 2, axis=0) / 2),
+        noise=steps.T @ steps / (2 * len(steps)) + np.diag(NOISE_FLOOR**2),
         tolerance=np.maximum(TOLERANCE, 3 * spread),
         anchor=anchor,
     )
@@ -155,6 +171,7 @@ class CalibratedUse:
         mean, scale: of the output over the cycles, in its unit; 0 and 1 of every other number here.
         low, high: where the output turned, in its unit.
         duration_s: length of the recording.
+        usual: samples of a cycle.
         longest: most samples of a cycle.
         rest_is_low: whether the unloaded output is the lower one.
         lesson: the activity of the recording.
@@ -165,6 +182,7 @@ class CalibratedUse:
     low: float
     high: float
     duration_s: float
+    usual: float
     longest: int
     rest_is_low: bool
     lesson: Lesson
@@ -179,7 +197,7 @@ def learn_use(recording: OutputRecording, rest_is_low: bool) -> CalibratedUse:
     """
     low, high = (float(v) for v in np.quantile(recording.output, (0.02, 0.98)))
     longest = max(1, int(LONGEST_CYCLE * len(recording)))
-    cutter = CycleCutter(low, high, longest)
+    cutter = CycleCutter(low, high, longest, longest)
     cycles = []
     for segment in recording.segments:
         cutter.restart()
@@ -192,8 +210,9 @@ def learn_use(recording: OutputRecording, rest_is_low: bool) -> CalibratedUse:
     if len(cycles) >= MIN_CYCLES and is_covered:
         mean = float(np.mean([c.level for c in cycles]))
         scale = float(np.exp(np.mean([np.log(c.scale) for c in cycles])))
-    lesson = learn_activity([c.standardised(mean, scale) for c in cycles], rest_is_low, np.zeros(2))
+    lesson = learn_activity([c.standardised(mean, scale) for c in cycles], rest_is_low, np.zeros((2, 2)))
     if not is_covered:
         lesson = Lesson(None, "the calibration recording is no sequence of cycles", np.zeros(2))
+    usual = recording.sample_rate_Hz * float(np.median([c.duration_s for c in cycles])) if cycles else longest
     duration_s = float(np.ptp(recording.t_s))
-    return CalibratedUse(mean, scale, low, high, duration_s, longest, rest_is_low, lesson)
+    return CalibratedUse(mean, scale, low, high, duration_s, usual, longest, rest_is_low, lesson)

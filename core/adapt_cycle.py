@@ -24,6 +24,9 @@ BAND = (0.3, 0.7)
 SWING_MEMORY = 0.2
 """Weight of the newest cycle in the swing the next one is cut with."""
 
+OVERDUE = 3
+"""A cycle that takes so many times the usual turns elsewhere: the swing is taken anew from what was seen of it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
@@ -70,17 +73,19 @@ class CycleCutter:
 
     Args:
         low, high: where the output turned in the calibration recording, in its unit: the first swing to cut with.
+        usual: samples of a cycle there.
         longest: most samples of a cycle; after that many the output counts as not cycling.
     """
 
-    def __init__(self, low: float, high: float, longest: int) -> None:
-        self._first_swing = (low, high)
-        self._low, self._high, self._longest = low, high, longest
+    def __init__(self, low: float, high: float, usual: float, longest: int) -> None:
+        self._low, self._high, self._usual, self._longest = low, high, usual, longest
+        self._silent = 0
         self.restart()
 
     def restart(self) -> None:
         """Forget the cycle under way, after a gap or a fault: it ends in no `Cycle`."""
         self._was_low, self._has_start = False, False
+        self._silent = 0
         self._kept: list[float] = []
         self._tail: list[float] = []
         self._stride, self._count, self._start_s, self._end_s = 1, 0, 0.0, 0.0
@@ -97,9 +102,18 @@ class CycleCutter:
             elif not self._has_start:
                 self._begin()
         self._collect(t_s[start:], output[start:])
+        self._silent = len(output) - start + (0 if start else self._silent)
         if self._count >= self._longest:
             found.append(self._finish(is_complete=False))
+        elif self._silent > OVERDUE * max(self._usual, MIN_SAMPLES):
+            self._take_swing()
         return found
+
+    def _take_swing(self) -> None:
+        """Look for cycles in the swing of what was seen since the last turn."""
+        self._low, self._high = (float(v) for v in np.quantile(self._kept, (0.02, 0.98)))
+        self._silent = 0
+        self._was_low, self._has_start = False, False
 
     def _turns(self, output: Array) -> list[int]:
         """Return the positions where a new cycle begins."""
@@ -151,10 +165,10 @@ class CycleCutter:
         cycle = Cycle(
             level, scale, low, high, shape, float(speed), self._end_s - self._start_s, self._end_s, is_complete
         )
-        weight = SWING_MEMORY if is_complete else 1.0
-        if high > low:
-            self._low += weight * (low - self._low)
-            self._high += weight * (high - self._high)
+        self._low += SWING_MEMORY * (low - self._low)
+        self._high += SWING_MEMORY * (high - self._high)
+        if is_complete:
+            self._usual += SWING_MEMORY * (self._count - self._usual)
         self._begin()
         return cycle
 

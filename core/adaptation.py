@@ -108,8 +108,9 @@ class Adapter:
         self._network, self._calibration, self._config = network, calibration, config
         self._use, self._error_per_scale = _learn(network, calibration, recording)
         self._calibrated_rmse = _calibrated_rmse(calibration)
-        self._intake = Intake(recording.sample_rate_Hz, self._use.mean)
-        self._cutter = CycleCutter(self._use.low, self._use.high, self._use.longest)
+        self._sample_rate_Hz = recording.sample_rate_Hz
+        self._intake = Intake(self._sample_rate_Hz, self._use.mean)
+        self._cutter = CycleCutter(self._use.low, self._use.high, self._use.usual, self._use.longest)
         self._tracker = DriftTracker(self._use, config.mode == "improved")
         self._evidence: list[tuple[float, float] | None] = []
         self._row, self._silent_batches, self._doubt = 0, 0, 0.0
@@ -120,6 +121,11 @@ class Adapter:
     def current(self) -> MapUpdate:
         """The correction in force."""
         return self._current
+
+    @property
+    def row(self) -> int:
+        """How many rows were taken."""
+        return self._row
 
     @property
     def calibrated_use(self) -> CalibratedUse:
@@ -241,8 +247,8 @@ class Adapter:
         """Return the standard deviation that doubt about the drift leaves in an estimate, in the reference unit."""
         if self._config.mode == "none" or now_s is None:
             return 0.0
-        variance = self._tracker.variance_at(now_s)
-        return self._error_per_scale * float(np.sqrt(variance.sum() + self._tracker.unresolved**2))
+        variance = float(np.trace(self._tracker.covariance_at(now_s)))
+        return self._error_per_scale * float(np.sqrt(variance + self._tracker.unresolved**2))
 
     def _predicted_rmse(self, drift_error: float) -> float:
         return float(np.hypot(self._calibrated_rmse, drift_error))
@@ -262,6 +268,14 @@ class Adapter:
         reason = "" if self._use.lesson.activity else self._use.lesson.reason
         drift = (start.shift, start.log_gain, start.shift_sd, start.log_gain_sd)
         return MapUpdate(0, None, 1.0, 0.0, *drift, predicted_rmse, "start", reason, "")
+
+    def reconnect(self) -> None:
+        """Go on after an interruption of unknown length: windows and cycles start anew, the map stays."""
+        self._row += -self._row % BATCH
+        self._evidence = []
+        self._intake = Intake(self._sample_rate_Hz, self._use.mean)
+        self._cutter.restart()
+        self._tracker.reconnect()
 
     def state(self) -> dict[str, object]:
         """Return all that a restart needs besides network, calibration and recording, as JSON values."""

@@ -19,14 +19,26 @@ from softcal.core.adapt_activity import MIN_CYCLES, Activity, CalibratedUse, lea
 from softcal.core.adapt_cycle import Cycle
 from softcal.core.recording import Array
 
-DRIFT_PRIOR = np.array([0.05, 0.03])
+DRIFT_PRIOR = np.array([0.02, 0.012])
 """Standard deviation of the drift over a time as long as the calibration recording, before any is seen."""
 
 START_DOUBT = np.array([0.10, 0.05])
 """Standard deviation of what may have happened between the calibration and the start of a stream."""
 
+STEADY_MEMORY = 20
+"""Cycles that a drift at rest is averaged over."""
+
+BIAS_WEIGHT = 0.1
+"""Weight of the newest cycle in the mean surprise, which tells a drift under way from chance."""
+
+FASTEST = 400.0
+"""A drift under way is followed with up to this many times the variance of one at rest."""
+
 JUMP_SIGMAS, JUMP_FLOOR = 4.0, np.array([0.15, 0.12])
 """A cycle further than both from the drift expected is a jump."""
+
+JUMP_CYCLES, MOST_JUMPS = 3, 8
+"""So many like cycles after a jump decide what it was; so many are kept while they cannot."""
 
 LARGEST_JUMP, LARGEST_DRIFT = np.array([1.0, 0.35]), np.array([1.5, 0.6])
 """The trust region: no jump and no drift beyond these is ever followed."""
@@ -85,11 +97,12 @@ class DriftTracker:
 
     def __init__(self, use: CalibratedUse, is_improved: bool) -> None:
         self._use, self._is_improved = use, is_improved
-        self._drift, self._variance = np.zeros(2), START_DOUBT**2
+        self._drift, self._covariance = np.zeros(2), np.diag(START_DOUBT**2)
+        self._bias = np.zeros(2)
         known = use.lesson.activity
         self._has_calibrated = known is not None
         self._activities = [] if known is None else [known]
-        self._walk = (DRIFT_PRIOR**2 + use.lesson.trend**2 * self._has_calibrated) / use.duration_s
+        self._walk = np.diag(DRIFT_PRIOR**2 + use.lesson.trend**2 * self._has_calibrated) / use.duration_s
         self._last_s: float | None = None
         self._strangers: list[Cycle] = []
         self._jumps: list[Cycle] = []
@@ -98,7 +111,7 @@ class DriftTracker:
 
     def observe(self, cycle: Cycle) -> Observation:
         """Take one cycle of the raw output."""
-        self._variance = self.variance_at(cycle.end_s)
+        self._covariance = self.covariance_at(cycle.end_s)
         self._last_s = cycle.end_s
         if not cycle.is_complete:
             self._strangers.clear()
@@ -112,17 +125,24 @@ class DriftTracker:
 
     def start(self) -> Observation:
         """Return what is known before the first cycle."""
-        shift_sd, log_gain_sd = np.sqrt(self._variance).tolist()
+        shift_sd, log_gain_sd = np.sqrt(np.diag(self._covariance)).tolist()
         return Observation(0.0, HELD, "", 0.0, 0.0, shift_sd, log_gain_sd, -1)
 
-    def variance_at(self, t_s: float) -> Array:
-        """Return the (2,) variance of shift and log gain at a later time without another cycle."""
+    def reconnect(self) -> None:
+        """Allow for what may have happened in an interruption of unknown length."""
+        self._covariance = self._covariance + np.diag(START_DOUBT**2)
+        self._last_s = None
+        self._jumps.clear()
+        self._strangers.clear()
+
+    def covariance_at(self, t_s: float) -> Array:
+        """Return the (2, 2) covariance of shift and log gain at a later time without another cycle."""
         since_s = 0.0 if self._last_s is None else max(0.0, t_s - self._last_s)
-        return np.asarray(self._variance + self._walk * since_s)
+        return np.asarray(self._covariance + self._walk * since_s)
 
     def correction(self) -> tuple[float, float]:
         """Return gain and offset that carry the output now to the output at calibration, as far as evidence goes."""
-        sigmas = np.abs(self._drift) / np.sqrt(self._variance)
+        sigmas = np.sqrt(self._drift @ np.linalg.solve(self._covariance, self._drift))
         weight = np.clip((sigmas - SHRINK[0]) / (SHRINK[1] - SHRINK[0]), 0, 1)
         shift, log_gain = weight * self._drift
         gain = float(np.exp(-log_gain))
@@ -133,44 +153,52 @@ class DriftTracker:
         best = int(np.argmin(strangeness)) if strangeness else -1
         return best if best >= 0 and strangeness[best] <= 1 else -1
 
-    def _measure(self, cycle: Cycle, activity: Activity) -> Array:
-        log_gain = np.log(cycle.scale) - activity.log_scale
-        return np.array([cycle.level - np.exp(log_gain) * activity.level, log_gain])
-
     def _compare(self, cycle: Cycle, index: int) -> Observation:
         activity = self._activities[index]
-        surprise = self._measure(cycle, activity) - self._drift
-        expected = np.sqrt(self._variance + activity.noise + activity.anchor)
-        if np.any(np.abs(surprise) > np.maximum(JUMP_SIGMAS * expected, JUMP_FLOOR)):
+        measured, noise = activity.drift_of(cycle, self._use.rest_is_low)
+        surprise = measured - self._drift
+        expected = self._covariance + noise + activity.anchor
+        sigma = np.sqrt(np.diag(expected))
+        if np.any(np.abs(surprise) > np.maximum(JUMP_SIGMAS * sigma, JUMP_FLOOR)):
             return self._meet_jump(cycle, index)
         self._jumps.clear()
-        gain = self._variance / (self._variance + activity.noise + activity.anchor)
-        drift = self._drift + gain * surprise
+        moving = self._covariance + self._pace(surprise, expected) * noise / STEADY_MEMORY**2
+        gain = moving @ np.linalg.inv(moving + noise + activity.anchor)
+        drift = self._drift + gain @ surprise
         if np.any(np.abs(drift) > LARGEST_DRIFT):
             self.alarm = "the drift has left the range that is followed"
             return self._held(cycle, self.alarm, index)
-        if index == 0 and self._has_calibrated and np.any(np.abs(surprise) > 2 * expected):
+        if index == 0 and self._has_calibrated and np.any(np.abs(surprise) > 2 * sigma):
             # The calibrated use is back and disagrees: what was learnt meanwhile stands on a wrong drift.
             del self._activities[1:]
         self._drift = drift
         # An activity learnt in use knows the drift no better than it was known then.
-        self._variance = np.maximum((1 - gain) * self._variance, activity.anchor)
+        known = (np.eye(2) - gain) @ moving
+        self._covariance = known if np.trace(known) >= np.trace(activity.anchor) else activity.anchor.copy()
         if self._is_improved:
             self._activities[index] = self._activities[index].refreshed(cycle, REFRESH)
         self.alarm, self.unresolved = "", 0.0
         return self._observation(cycle, FOLLOWED, "", index)
 
+    def _pace(self, surprise: Array, expected: Array) -> float:
+        """Return how many times faster than at rest the drift is, from surprises that keep one sign."""
+        self._bias = self._bias + BIAS_WEIGHT * (surprise - self._bias)
+        chance = BIAS_WEIGHT / (2 - BIAS_WEIGHT) * expected
+        return float(np.clip(self._bias @ np.linalg.solve(chance, self._bias) / 8, 1, FASTEST))
+
     def _meet_jump(self, cycle: Cycle, index: int) -> Observation:
         activity = self._activities[index]
-        measures = [self._measure(c, activity) for c in self._jumps]
-        apart = JUMP_SIGMAS * np.sqrt(2 * activity.noise)
-        if measures and np.any(np.abs(self._measure(cycle, activity) - np.mean(measures, axis=0)) > apart):
+        measured, noise = activity.drift_of(cycle, self._use.rest_is_low)
+        before = [activity.drift_of(c, self._use.rest_is_low)[0] for c in self._jumps[-MOST_JUMPS + 1 :]]
+        apart = JUMP_SIGMAS * np.sqrt(2 * np.diag(noise))
+        if before and np.any(np.abs(measured - np.mean(before, axis=0)) > apart):
             self._jumps.clear()
-        self._jumps.append(cycle)
-        step = np.mean([self._measure(c, activity) for c in self._jumps], axis=0) - self._drift
+            before = []
+        self._jumps = [*self._jumps[-MOST_JUMPS + 1 :], cycle]
+        step = np.mean([*before, measured], axis=0) - self._drift
         self.unresolved = float(np.hypot(*step))
-        if len(self._jumps) < MIN_CYCLES:
-            return self._held(cycle, f"a sudden change; {MIN_CYCLES} like cycles decide what it is", index)
+        if len(self._jumps) < JUMP_CYCLES:
+            return self._held(cycle, f"a sudden change; {JUMP_CYCLES} like cycles decide what it is", index)
         if np.any(np.abs(step) > LARGEST_JUMP) or np.any(np.abs(self._drift + step) > LARGEST_DRIFT):
             self.alarm = "a sudden change larger than is ever followed; check the sensor and its mounting"
             return self._held(cycle, self.alarm, index)
@@ -180,8 +208,8 @@ class DriftTracker:
         if self._has_rest_moved(activity):
             return self._follow_jump(cycle, index, step)
         self.unresolved = 0.0
-        if self._is_improved:
-            self._learn(self._jumps)
+        if self._is_improved and len(self._jumps) >= MIN_CYCLES and self._learn(self._jumps):
+            self._jumps.clear()
         return self._held(cycle, "the rest is where it was: the use changed, not the sensor", index)
 
     def _has_rest_moved(self, activity: Activity) -> bool:
@@ -192,7 +220,9 @@ class DriftTracker:
     def _follow_jump(self, cycle: Cycle, index: int, step: Array) -> Observation:
         activity = self._activities[index]
         self._drift = self._drift + step
-        self._variance = activity.anchor + activity.noise / len(self._jumps)
+        _, noise = activity.drift_of(cycle, self._use.rest_is_low)
+        self._covariance = activity.anchor + noise / len(self._jumps)
+        self._bias = np.zeros(2)
         self._jumps.clear()
         self.alarm, self.unresolved = "", 0.0
         return self._observation(cycle, JUMPED, "the rest and all levels moved at once: re-seated", index)
@@ -213,7 +243,7 @@ class DriftTracker:
         """Learn an activity from cycles with the drift known now taken out."""
         shift, gain = float(self._drift[0]), float(np.exp(self._drift[1]))
         calibrated = [c.standardised(shift, gain) for c in cycles]
-        activity = learn_activity(calibrated, self._use.rest_is_low, self._variance.copy()).activity
+        activity = learn_activity(calibrated, self._use.rest_is_low, self._covariance.copy()).activity
         if activity is None:
             return False
         first_learnt = 1 if self._has_calibrated else 0
@@ -227,14 +257,15 @@ class DriftTracker:
 
     def _observation(self, cycle: Cycle, verdict: str, reason: str, index: int) -> Observation:
         shift, log_gain = self._drift.tolist()
-        shift_sd, log_gain_sd = np.sqrt(self._variance).tolist()
+        shift_sd, log_gain_sd = np.sqrt(np.diag(self._covariance)).tolist()
         return Observation(cycle.end_s, verdict, reason, shift, log_gain, shift_sd, log_gain_sd, index)
 
     def state(self) -> dict[str, object]:
         """Return all that a restart needs besides the calibrated use, as JSON values."""
         return {
             "drift": self._drift.tolist(),
-            "variance": self._variance.tolist(),
+            "covariance": self._covariance.tolist(),
+            "bias": self._bias.tolist(),
             "last_s": self._last_s,
             "activities": [activity.state() for activity in self._activities],
             "strangers": [cycle.state() for cycle in self._strangers],
@@ -245,7 +276,8 @@ class DriftTracker:
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a `state()` taken earlier."""
-        self._drift, self._variance = np.array(state["drift"]), np.array(state["variance"])
+        self._drift, self._covariance = np.array(state["drift"]), np.array(state["covariance"])
+        self._bias = np.array(state["bias"])
         self._last_s = state["last_s"]
         self._activities = [Activity.from_state(activity) for activity in state["activities"]]
         self._strangers = [Cycle.from_state(cycle) for cycle in state["strangers"]]
