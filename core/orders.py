@@ -41,6 +41,8 @@ class StationState(StrEnum):
     """What the station is doing, as one word for the screen."""
 
     STARTING = "starting"
+    OFF = "off"
+    """The service has ended in good order and given its ports back."""
     CLOSED = "closed"
     """The gate is closed: the reasons say what is missing."""
     READY = "ready"

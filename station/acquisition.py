@@ -1,7 +1,7 @@
 """A profile pressed on the bench, with everything that was read on the way. A broken run is never a recording."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, astuple, dataclass, field
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from softcal.core.profiles import Profile
 from softcal.station.bench import Bench
 from softcal.station.contact import Search
 from softcal.station.interfaces import Hold, Move, Sample, StagePosition, Step
-from softcal.station.recording import Raw, StationRecording, assemble
+from softcal.station.recording import Raw, RunFacts, StationRecording, assemble
 from softcal.station.safety import FollowWatch, ForceWatch, StreamWatch
 from softcal.station.spool import Spool
 from softcal.station.trajectory import DrivenMove, Trapezoid
@@ -48,7 +48,6 @@ class _Readings:
     output: list[Sample] = field(default_factory=list)
     force: list[Sample] = field(default_factory=list)
     polls: list[StagePosition] = field(default_factory=list)
-    moves: list[DrivenMove] = field(default_factory=list)
 
 
 def record(
@@ -126,6 +125,7 @@ class _Run:
         self._clock, self._stage = bench.clock, bench.stage
         self._on_progress = on_progress
         self._readings = _Readings()
+        self._moves: list[DrivenMove] = []
         self._contact_mm: float | None = None
         self._phase, self._began_s, self._shown_s = "starting", 0.0, -1.0
         self._total_s = profile.duration_s + 15.0
@@ -146,8 +146,7 @@ class _Run:
         contact_mm = self._find_contact()
         self._contact_mm = contact_mm
         # The search ended in a stop: the path that can be reconstructed begins here.
-        self._readings.moves.clear()
-        self._readings.polls.clear()
+        self._moves.clear()
         zero_mm = contact_mm - fixture.clearance_mm
         self._go(zero_mm, fixture.search_mm_s)
         self._wait(SETTLE_S)
@@ -158,19 +157,24 @@ class _Run:
         self._phase = "reading the zero return"
         self._go(fixture.approach_mm, RETRACT_MM_S)
         self._wait(SETTLE_S)
-        raw = Raw(
-            self._readings.output,
-            self._readings.force,
-            self._readings.polls,
-            self._readings.moves,
+        facts = RunFacts(
+            self._serial,
+            self._profile.name,
+            bench.readout.name,
+            bench.readout.unit,
+            bench.readout.rate_Hz,
+            tuple((*astuple(move.path), move.begun_s, move.confirmed_s) for move in self._moves),
             (profile_began_s, profile_ended_s),
             zero_mm,
             contact_mm,
             zero_N,
             self._zero_return_N(zero_N),
+            with_reference,
         )
+        if self._spool is not None:
+            self._spool.add_facts(asdict(facts))
         self._tell(1.0, 0.0)
-        return assemble(raw, self._serial, self._profile.name, self._bench.readout, with_reference)
+        return assemble(Raw(self._readings.output, self._readings.force, self._readings.polls), facts)
 
     def make_safe(self, may_retract: bool) -> str:
         """Stop the stage, lift it where its position is still known, and say what was done."""
@@ -252,7 +256,7 @@ class _Run:
             self._tick()
             if self._clock.now_s() - began_s > path.duration_s + ARRIVAL_S:
                 raise NoReply(f"stage: {ARRIVAL_S:g} s late at {to_mm:.2f} mm; look for what blocks it, then home it")
-        self._readings.moves.append(DrivenMove(path, began_s, self._clock.now_s()))
+        self._moves.append(DrivenMove(path, began_s, self._clock.now_s()))
 
     def _wait(self, seconds: float) -> None:
         end_s = self._clock.now_s() + seconds

@@ -5,14 +5,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.errors import BadReply
+from softcal.core.errors import BadReply, InputError
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.station.clock import ClockFit, fit_clock, residual_offset_s
-from softcal.station.interfaces import Readout, Sample, StagePosition
-from softcal.station.trajectory import DrivenMove, StageTrack, reconstruct
+from softcal.station.interfaces import Sample, StagePosition
+from softcal.station.spool import SpooledRun
+from softcal.station.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
 
 LARGEST_LOSS = 0.02
 """A recording that lost more of its samples than this is not one."""
+
+LONGEST_GAP_S = 0.2
+"""Force is read between two samples of the load cell no further apart than this."""
 
 LARGEST_DRIFT = 0.02
 """A device clock further off than this is broken, or its rate is declared wrong."""
@@ -93,58 +97,91 @@ class StationRecording:
 
 
 @dataclass(frozen=True)
-class Raw:
-    """Everything a run read, as it came.
+class RunFacts:
+    """What a run says of itself beside its samples, in values a text file can hold.
 
     Args:
-        output, force: samples of the readout and of the load cell (empty without one).
-        polls, moves: status polls of the stage, and what it was told.
+        serial, profile: what was pressed with what.
+        sensor, output_unit, sample_rate_Hz: the readout.
+        moves: (start_mm, end_mm, speed_mm_s, acceleration_mm_s2, begun_s, confirmed_s) of every move.
         span_s: host time at which the profile began and ended.
         zero_mm: stage position that is 0 in the recording.
         contact_mm, zero_N, zero_return_N: as in `StationRecording`.
+        with_reference: whether the recording keeps the force.
     """
 
-    output: Sequence[Sample]
-    force: Sequence[Sample]
-    polls: Sequence[StagePosition]
-    moves: Sequence[DrivenMove]
+    serial: str
+    profile: str
+    sensor: str
+    output_unit: str
+    sample_rate_Hz: float
+    moves: Sequence[tuple[float, float, float, float, float, float]]
     span_s: tuple[float, float]
     zero_mm: float
     contact_mm: float
     zero_N: float
     zero_return_N: float
+    with_reference: bool
 
 
-def assemble(raw: Raw, serial: str, profile: str, readout: Readout, with_reference: bool) -> StationRecording:
+@dataclass(frozen=True)
+class Raw:
+    """Everything a run read, as it came.
+
+    Args:
+        output, force: samples of the readout and of the load cell (empty without one).
+        polls: status polls of the stage.
+    """
+
+    output: Sequence[Sample]
+    force: Sequence[Sample]
+    polls: Sequence[StagePosition]
+
+
+def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
     """Bring all channels onto the sensor's clock and cut the profile out of the run.
 
     Raises:
         BadReply: too many samples were lost, or a device clock is far off.
     """
     sensor_s, output = _columns(raw.output)
-    sensor = _fitted(sensor_s, raw.output, readout.name)
-    chosen = (sensor.to_host(sensor_s) >= raw.span_s[0]) & (sensor.to_host(sensor_s) <= raw.span_s[1])
+    sensor = _fitted(sensor_s, raw.output, facts.sensor)
+    begun_s, ended_s = facts.span_s
+    chosen = (sensor.to_host(sensor_s) >= begun_s) & (sensor.to_host(sensor_s) <= ended_s)
     sensor_s, output = sensor_s[chosen], output[chosen]
-    lost = _count_lost(sensor_s, readout)
+    lost = _count_lost(sensor_s, facts)
     host_s = sensor.to_host(sensor_s)
-    track = reconstruct(raw.polls, raw.moves)
-    stage_mm = track.at(host_s) - raw.zero_mm
-    force_N, force = _force_at(host_s, raw)
+    moves = [DrivenMove(Trapezoid(*row[:4]), *row[4:]) for row in facts.moves]
+    track = reconstruct([poll for poll in raw.polls if poll.host_s >= moves[0].begun_s], moves)
+    stage_mm = track.at(host_s) - facts.zero_mm
+    force_N, force = _force_at(host_s, raw.force, facts.zero_N)
     return StationRecording(
-        serial,
-        profile,
+        facts.serial,
+        facts.profile,
         sensor_s - sensor_s[0],
         output,
         stage_mm,
-        force_N if with_reference else None,
-        readout.rate_Hz,
-        readout.unit,
-        raw.contact_mm,
-        raw.zero_N,
-        raw.zero_return_N,
+        force_N if facts.with_reference else None,
+        facts.sample_rate_Hz,
+        facts.output_unit,
+        facts.contact_mm,
+        facts.zero_N,
+        facts.zero_return_N,
         lost,
-        _alignment(sensor, force, track, output[:, 0], stage_mm, force_N, readout.rate_Hz),
+        _alignment(sensor, force, track, output[:, 0], stage_mm, force_N, facts.sample_rate_Hz),
     )
+
+
+def restore(run: SpooledRun) -> StationRecording:
+    """Make the recording of a finished run again from its spool.
+
+    Raises:
+        InputError: the run was aborted or cut off; it is not a recording and never becomes one.
+        BadReply: as `assemble`.
+    """
+    if not run.is_whole or not run.facts:
+        raise InputError(f"run of {run.header.get('serial', '?')}: {run.end}; press the unit again")
+    return assemble(Raw(run.output, run.force, run.polls), RunFacts(**run.facts))
 
 
 def _columns(samples: Sequence[Sample]) -> tuple[Array, Array]:
@@ -162,23 +199,23 @@ def _fitted(device_s: Array, samples: Sequence[Sample], name: str) -> ClockFit:
     return fit
 
 
-def _count_lost(sensor_s: Array, readout: Readout) -> int:
-    expected = round((sensor_s[-1] - sensor_s[0]) * readout.rate_Hz) + 1
+def _count_lost(sensor_s: Array, facts: RunFacts) -> int:
+    expected = round((sensor_s[-1] - sensor_s[0]) * facts.sample_rate_Hz) + 1
     lost = max(0, int(expected) - len(sensor_s))
     if lost > LARGEST_LOSS * expected:
-        raise BadReply(f"{readout.name}: {lost} of {expected} samples were lost; check its cable, then record again")
+        raise BadReply(f"{facts.sensor}: {lost} of {expected} samples were lost; check its cable, then record again")
     return lost
 
 
-def _force_at(host_s: Array, raw: Raw) -> tuple[Array | None, ClockFit | None]:
-    if not raw.force:
+def _force_at(host_s: Array, samples: Sequence[Sample], zero_N: float) -> tuple[Array | None, ClockFit | None]:
+    if not samples:
         return None, None
-    force_s, force_N = _columns(raw.force)
-    fit = _fitted(force_s, raw.force, "load cell")
+    force_s, force_N = _columns(samples)
+    fit = _fitted(force_s, samples, "load cell")
     longest_s = float(np.max(np.diff(force_s), initial=0.0))
-    if longest_s > 0.2:
+    if longest_s > LONGEST_GAP_S:
         raise BadReply(f"load cell: a gap of {longest_s:.2f} s in its samples; check its cable, then record again")
-    return np.interp(host_s, fit.to_host(force_s), force_N[:, 0]) - raw.zero_N, fit
+    return np.interp(host_s, fit.to_host(force_s), force_N[:, 0]) - zero_N, fit
 
 
 def _alignment(

@@ -28,6 +28,7 @@ class SpooledRun:
     Args:
         header: serial, profile and what else the run wrote first.
         output, force, polls: everything that was read, in order.
+        facts: what the run said of itself at its end; empty when it was cut off.
         end: "done", or why the run ended otherwise; "cut off" where nothing says so.
         damaged: lines whose checksum does not fit; what follows the first of them is not used.
     """
@@ -36,6 +37,7 @@ class SpooledRun:
     output: tuple[Sample, ...]
     force: tuple[Sample, ...]
     polls: tuple[StagePosition, ...]
+    facts: dict[str, Any]
     end: str
     damaged: int
 
@@ -78,7 +80,10 @@ class Spool:
         self._put({"end": "done" if error is None else f"aborted: {error or kind}"})
         self._lines.put(None)
         self._thread.join()
-        self._file.close()
+        try:
+            self._file.close()
+        except OSError as full:
+            self._error = self._error or full
         if error is None:
             self._check()
 
@@ -98,13 +103,17 @@ class Spool:
                 }
             )
 
+    def add_facts(self, facts: dict[str, Any]) -> None:
+        """Add what is needed beside the samples to make a recording of them again."""
+        self._put({"facts": facts})
+
     def _check(self) -> None:
         if self._error is not None:
             raise DeviceError(
                 f"{self.path}: samples cannot be kept: {self._error.strerror}; make room on the disk, press again"
             ) from self._error
 
-    def _put(self, value: dict[str, object] | dict[str, str]) -> None:
+    def _put(self, value: dict[str, Any]) -> None:
         self._lines.put(_line(value))
 
     def _write_lines(self) -> None:
@@ -120,11 +129,9 @@ class Spool:
                 os.fsync(self._file.fileno())
             except OSError as error:
                 self._error = self._error or error
-            except ValueError:
-                return
 
 
-def _line(value: dict[str, object] | dict[str, str]) -> bytes:
+def _line(value: dict[str, Any]) -> bytes:
     text = json.dumps(value, separators=(",", ":")).encode()
     return b"%08x %s\n" % (zlib.crc32(text), text)
 
@@ -149,7 +156,8 @@ def read_spool(path: Path) -> SpooledRun:
         polls += [StagePosition(*row) for row in value.get("polls", ())]
     end = str(values[-1].get("end", "cut off"))
     header = {key: str(text) for key, text in values[0].items() if key != "schema"}
-    return SpooledRun(header, tuple(output), tuple(force), tuple(polls), end, damaged)
+    facts: dict[str, Any] = next((value["facts"] for value in values if "facts" in value), {})
+    return SpooledRun(header, tuple(output), tuple(force), tuple(polls), facts, end, damaged)
 
 
 def _intact(lines: Sequence[bytes]) -> tuple[list[dict[str, Any]], int]:

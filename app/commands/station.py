@@ -8,6 +8,7 @@ from softcal.app.commands.options import add_json
 from softcal.app.output import print_table, say, write_json
 
 if TYPE_CHECKING:
+    from softcal.app.workflow.station import Recovered
     from softcal.station.acquisition import OnProgress
     from softcal.station.self_test import Finding
 
@@ -19,8 +20,12 @@ EXAMPLES = """examples:
   softcal station unit --station station.toml --serial A1 --out lot-1/units/A1.csv
   softcal station unit --simulated --serial A1 --out A1.csv   the same on the simulated rig
 
+  softcal station recover --out recovered                     after a power cut in mid-run
+
 Exit code 3: a device is missing or failed; the stage was stopped and no file was written.
 """
+
+SPOOL_HELP = "where samples go as they come; default: the user's data folder"
 
 
 def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -36,6 +41,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     _add_check(actions)
     for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
         _add_press(actions, kind, what)
+    _add_recover(actions)
 
 
 def _add_check(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -67,9 +73,24 @@ def _add_press(actions: "argparse._SubParsersAction[argparse.ArgumentParser]", k
     press.add_argument("--seconds", type=_positive, metavar="S", help="how long to press")
     press.add_argument("--depth", type=_positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
     press.add_argument("--profile-seed", type=int, default=0, help="draws the random presses (default 0)")
+    press.add_argument("--spool", type=Path, metavar="DIR", help=SPOOL_HELP)
     _add_station(press)
     add_json(press)
     press.set_defaults(run=run_press, kind=kind)
+
+
+def _add_recover(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    recover = actions.add_parser(
+        "recover",
+        help="write what runs that were cut off had read",
+        description="Read the spools: finished runs become recordings, all others files marked as aborted.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    recover.add_argument("--spool", type=Path, metavar="DIR", help=SPOOL_HELP)
+    recover.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the files")
+    add_json(recover)
+    recover.set_defaults(run=run_recover)
 
 
 def _add_station(parser: argparse.ArgumentParser) -> None:
@@ -113,16 +134,34 @@ def run_check(options: argparse.Namespace) -> int:
 
 def run_press(options: argparse.Namespace) -> int:
     """Press one unit and write its recording."""
-    from softcal.app.workflow.station import chosen_bench, profile_for, record_to_files, run_json
+    from softcal.app.workflow.station import chosen_bench, profile_for, record_to_files, run_json, spool_folder
 
     profile = profile_for(options.kind, options.profile_seed, options.seconds, options.depth)
     with chosen_bench(options.station, options.simulated) as bench:
-        run = record_to_files(bench, options.serial, options.out, profile, options.kind == "source", _progress())
+        with_reference, spools = options.kind == "source", spool_folder(options.spool)
+        run = record_to_files(bench, options.serial, options.out, profile, with_reference, spools, _progress())
     for path in run.files:
         say(f"{path}: {len(run.recording.t_s)} samples in {run.seconds:.0f} s of station time")
     if options.json:
         write_json(options.json, run_json(run))
     return 0
+
+
+def run_recover(options: argparse.Namespace) -> int:
+    """Write what the spools hold."""
+    from softcal.app.workflow.station import recover, spool_folder
+
+    found = recover(spool_folder(options.spool), options.out)
+    print_table(("serial", "profile", "ended", "samples", "file"), [_recovered_row(run) for run in found])
+    if options.json:
+        runs = [vars(run) | {"spool": str(run.spool), "file": str(run.file)} for run in found]
+        write_json(options.json, {"schema": "softcal.station-recover/1", "runs": runs})
+    say(f"{len(found)} spool(s) read; they were left where they are")
+    return 0
+
+
+def _recovered_row(run: "Recovered") -> tuple[str, str, str, int, str]:
+    return run.serial, run.profile, run.end[:60], run.samples, str(run.file)
 
 
 def _row(finding: "Finding") -> tuple[str, str, str, str]:

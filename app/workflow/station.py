@@ -3,10 +3,12 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
+from softcal.app.bootstrap import data_folder
 from softcal.app.recording_file import write_columns
 from softcal.core.errors import InputError, NoReply
 from softcal.core.lot import check_serial
@@ -20,8 +22,9 @@ from softcal.station.clock import HostClock
 from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
 from softcal.station.identify import Identity, identify
 from softcal.station.link import available_ports
-from softcal.station.recording import StationRecording
+from softcal.station.recording import StationRecording, restore
 from softcal.station.self_test import Finding, self_test
+from softcal.station.spool import Spool, read_spool
 
 LOOKED_FOR = "a GRBL stage, a load-cell stream and a sensor readout"
 
@@ -137,6 +140,7 @@ def record_to_files(
     out: Path,
     profile: Profile,
     with_reference: bool,
+    spool_folder: Path,
     on_progress: OnProgress | None = None,
 ) -> WrittenRun:
     """Press once and write one file per channel, whole or not at all.
@@ -144,6 +148,7 @@ def record_to_files(
     Args:
         serials: one per channel of the readout.
         out: the file; with several channels the folder.
+        spool_folder: samples go there as they come; removed again when the files are written.
 
     Raises:
         InputError: a serial that cannot be one, or not one per channel.
@@ -154,11 +159,24 @@ def record_to_files(
     if len(serials) != bench.readout.channels or len(set(serials)) != len(serials):
         raise InputError(f"{len(set(serials))} serials for {bench.readout.channels} channels; give one per channel")
     began_s = bench.clock.now_s()
-    recording = record(bench, serials[0], profile, with_reference, on_progress)
+    spool_path = new_spool(spool_folder, serials[0])
+    with Spool(spool_path, {"serial": serials[0], "profile": profile.name, "station": bench.config.name}) as spool:
+        recording = record(bench, serials[0], profile, with_reference, on_progress, spool)
     paths = [out] if len(serials) == 1 else [out / f"{serial}.csv" for serial in serials]
     for channel, path in enumerate(paths):
         write_columns(path, columns(recording, channel))
+    spool_path.unlink()
     return WrittenRun(recording, tuple(paths), bench.clock.now_s() - began_s)
+
+
+def spool_folder(option: Path | None) -> Path:
+    """Return the folder of spools: the option, else one among the user's data."""
+    return option or data_folder() / "spool"
+
+
+def new_spool(folder: Path, serial: str) -> Path:
+    """Return the path of a new spool, named by unit and time."""
+    return folder / f"{serial}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}.spool"
 
 
 def run_json(run: WrittenRun) -> dict[str, object]:
@@ -193,6 +211,55 @@ def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float) ->
     if kind == "source":
         return source_profile(rng, seconds or 170.0, depth_mm)
     return unit_profile(rng, seconds or 25.0, depth_mm)
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """One spool that was found.
+
+    Args:
+        spool: its file.
+        serial, profile: of the run.
+        end: "done", or how it ended.
+        samples: how many samples of the output it holds.
+        file: what was written from it.
+    """
+
+    spool: Path
+    serial: str
+    profile: str
+    end: str
+    samples: int
+    file: Path
+
+
+def recover(folder: Path, out: Path) -> list[Recovered]:
+    """Write what the spools of a folder hold: finished runs as recordings, all others marked as aborted.
+
+    Spools stay where they are; deleting them is a decision of a person.
+
+    Raises:
+        InputError: no such folder, or a file in it that is no spool.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such folder of spools")
+    return [_recover(path, out) for path in sorted(folder.glob("*.spool"))]
+
+
+def _recover(path: Path, out: Path) -> Recovered:
+    run = read_spool(path)
+    serial, profile = check_serial(run.header.get("serial", "unknown")), run.header.get("profile", "")
+    if run.is_whole and run.facts:
+        recording = restore(run)
+        file = out / f"{serial}.csv"
+        write_columns(file, columns(recording))
+        return Recovered(path, serial, profile, run.end, len(recording.t_s), file)
+    file = out / f"{path.stem}.aborted.csv"
+    channels = len(run.output[0].values) if run.output else 0
+    device_s = [sample.host_s if sample.device_s is None else sample.device_s for sample in run.output]
+    outputs = [(f"output_{c}", np.array([s.values[c] for s in run.output])) for c in range(channels)]
+    write_columns(file, [("device_s", np.array(device_s)), *outputs, ("aborted", [run.end] * len(device_s))])
+    return Recovered(path, serial, profile, run.end, len(run.output), file)
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,9 @@ def test_check_names_every_port_that_is_missing(softcal):
 
 def test_source_writes_the_columns_of_a_lot_folder(softcal, tmp_path):
     path = tmp_path / "source" / "A0.csv"
-    assert softcal("source", "--simulated", 4, "--serial", "A0", "--out", path, "--seconds", 20) == 0
+    assert (
+        softcal("source", "--simulated", 4, "--serial", "A0", "--out", path, "--seconds", 20, "--spool", tmp_path) == 0
+    )
     labelled = read_labelled(path, "A0", 50.0)
     assert labelled.reference.max() > 3.0
     assert labelled.unlabelled.stage_mm is not None
@@ -50,7 +52,7 @@ def test_source_writes_the_columns_of_a_lot_folder(softcal, tmp_path):
 
 def test_unit_writes_no_reference(softcal, tmp_path):
     path = tmp_path / "A1.csv"
-    assert softcal("unit", "--simulated", "--serial", "A1", "--out", path, "--seconds", 6) == 0
+    assert softcal("unit", "--simulated", "--serial", "A1", "--out", path, "--seconds", 6, "--spool", tmp_path) == 0
     assert path.read_text().splitlines()[0] == "t_s,output,stage_mm"
     assert len(read_recording(path, "A1", 50.0)) > 250
 
@@ -71,3 +73,18 @@ def test_a_station_file_with_an_unknown_key_lists_the_known_ones(softcal, tmp_pa
     path.write_text('[stage]\nport = "/dev/x"\nspeed = 3\n[readout]\nport = "/dev/y"\n')
     with pytest.raises(InputError, match=r"unknown key 'speed'; known are port, kind"):
         softcal("check", "--station", path)
+
+
+def test_recover_writes_what_a_run_that_was_cut_off_had_read(softcal, tmp_path):
+    from softcal.station.interfaces import Sample
+    from softcal.station.spool import Spool
+
+    with Spool(tmp_path / "spool" / "A1-1.spool", {"serial": "A1", "profile": "unit"}) as spool:
+        spool.append([Sample(0.02 * k, 0.02 * k, (0.5,)) for k in range(50)], (), ())
+    content = (tmp_path / "spool" / "A1-1.spool").read_bytes()
+    (tmp_path / "spool" / "A1-1.spool").write_bytes(content[: content.rindex(b"\n", 0, -1) + 1])
+    assert softcal("recover", "--spool", tmp_path / "spool", "--out", tmp_path / "out") == 0
+    lines = (tmp_path / "out" / "A1-1.aborted.csv").read_text().splitlines()
+    assert lines[0] == "device_s,output_0,aborted"
+    assert len(lines) == 51
+    assert lines[1].endswith("cut off")

@@ -1,0 +1,101 @@
+"""Samples on disk as they come: a power cut costs the last moment, damage is seen, a full disk stops the run."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import DeviceError, InputError
+from softcal.core.profiles import ramps
+from softcal.station.acquisition import record
+from softcal.station.bench import open_simulated_bench
+from softcal.station.interfaces import Sample, StagePosition
+from softcal.station.recording import restore
+from softcal.station.spool import Spool, read_spool
+
+SAMPLES = [Sample(0.1 * k, 0.02 * k, (float(k),)) for k in range(5)]
+
+
+def write(path: Path) -> Path:
+    with Spool(path, {"serial": "A1"}) as spool:
+        spool.append(SAMPLES, SAMPLES[:2], [StagePosition(0.1, 3.0)])
+        spool.append((), (), ())
+    return path
+
+
+def test_what_was_read_comes_back(tmp_path):
+    run = read_spool(write(tmp_path / "a.spool"))
+    assert (run.header, run.end, run.damaged) == ({"serial": "A1"}, "done", 0)
+    assert run.output == tuple(SAMPLES)
+    assert run.polls == (StagePosition(0.1, 3.0),)
+
+
+def test_an_error_is_the_end_of_the_spool(tmp_path):
+    with pytest.raises(DeviceError):
+        with Spool(tmp_path / "a.spool", {"serial": "A1"}) as spool:
+            spool.append(SAMPLES, (), ())
+            raise DeviceError("unplugged")
+    run = read_spool(tmp_path / "a.spool")
+    assert run.end == "aborted: unplugged"
+    assert len(run.output) == 5
+
+
+def test_every_cut_leaves_what_was_whole_before_it(tmp_path):
+    path = write(tmp_path / "a.spool")
+    content = path.read_bytes()
+    first = content.index(b"\n") + 1
+    for length in range(first, len(content) - 1):
+        path.write_bytes(content[:length])
+        run = read_spool(path)
+        assert not run.is_whole
+        assert len(run.output) in (0, 5)
+
+
+def test_a_flipped_byte_is_seen(tmp_path, rng):
+    path = write(tmp_path / "a.spool")
+    content = bytearray(path.read_bytes())
+    first = content.index(b"\n") + 1
+    for position in rng.integers(first, len(content) - 1, 50):
+        damaged = bytearray(content)
+        damaged[position] ^= 0x01
+        path.write_bytes(damaged)
+        assert not read_spool(path).is_whole
+
+
+def test_a_file_that_is_no_spool_is_refused(tmp_path):
+    path = tmp_path / "a.spool"
+    path.write_text("t_s,output\n")
+    with pytest.raises(InputError, match="no spool"):
+        read_spool(path)
+
+
+def test_a_finished_run_is_made_again_from_its_spool(tmp_path):
+    path = tmp_path / "a.spool"
+    with open_simulated_bench(seed=2) as (bench, _), Spool(path, {"serial": "A1"}) as spool:
+        recorded = record(bench, "A1", ramps([2.0], 4.0, rest_s=0.5), True, spool=spool)
+    restored = restore(read_spool(path))
+    np.testing.assert_array_equal(restored.output, recorded.output)
+    np.testing.assert_array_equal(restored.force_N, recorded.force_N)
+    np.testing.assert_array_equal(restored.stage_mm, recorded.stage_mm)
+
+
+def test_an_aborted_run_never_becomes_a_recording(tmp_path):
+    with pytest.raises(DeviceError), Spool(tmp_path / "a.spool", {"serial": "A1"}) as spool:
+        spool.append(SAMPLES, (), ())
+        raise DeviceError("unplugged")
+    with pytest.raises(InputError, match="press the unit again"):
+        restore(read_spool(tmp_path / "a.spool"))
+
+
+def test_a_full_disk_stops_the_run():
+    with open_simulated_bench(seed=2) as (bench, station):
+        with pytest.raises(DeviceError, match=r"No space left.*stage is stopped and lifted"):
+            with Spool(Path("/dev/full"), {"serial": "A1"}) as spool:
+                record(bench, "A1", ramps([2.0], 4.0, rest_s=0.5), True, spool=spool)
+        assert not station.axis.is_moving
+
+
+def test_a_spool_that_cannot_be_made_moves_nothing(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DeviceError, match="nothing moved"):
+        Spool(tmp_path / "file" / "a.spool", {})
