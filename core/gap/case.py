@@ -2,13 +2,17 @@
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import ReadoutMetadata
+
+Mask: TypeAlias = NDArray[np.bool_]
+"""Which samples are meant."""
 
 RunKind = Literal["press", "rigid_block", "dummy_resistor", "dead_weights", "rest"]
 KINDS: tuple[RunKind, ...] = ("press", "rigid_block", "dummy_resistor", "dead_weights", "rest")

@@ -17,6 +17,7 @@ from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import ChainStage, Effect
+from softcal.core.twin.mechanics import elastic_force
 
 Verdict = Literal["no_gap", "explained", "ambiguous", "unknown"]
 SCHEMA = "softcal.gap/1"
@@ -99,6 +100,13 @@ class Diagnosis:
             if block.run == run and block.channel == channel:
                 return np.asarray((found.problem.measured - found.predicted)[block.place])
         raise ValueError(f"run {run} has no predicted channel {channel}")
+
+    def elastic_force_N(self, run: int) -> Array:
+        """Return the force the fitted base gives for one run with a stage position, for bands of load."""
+        base, stage_mm = self.best.base, self.case.runs[run].stage_mm
+        if stage_mm is None:
+            raise ValueError(f"run {run} has no stage position")
+        return np.asarray(elastic_force(np.maximum(0.0, stage_mm - base.u0_mm), base.k1_N_mm, base.k3_N_mm3))
 
     def report(self) -> dict[str, object]:
         """Return the report of the contract, ready for JSON."""
@@ -257,9 +265,9 @@ def _places(
     named = [c for c in causes if c.effect in best.hypothesis.ids]
     channel = found[0].channel.split("_")[0] if found else "output"
     regime = found[0].name if found else "everywhere"
-    places = []
+    places: list[Place] = []
     if verdict == "unknown":
-        stage = pointed[-1] if pointed else (named[0].stage if named else "unknown")
+        stage: str = pointed[-1] if pointed else (named[0].stage if named else "unknown")
         for c in named[:1]:
             if c.stage in pointed:
                 stage = c.stage
@@ -269,9 +277,9 @@ def _places(
         total = sum(c.shrink for c in named) or 1.0
         places += [Place(c.stage, channel, regime, c.shrink / total, f"{c.effect}; {detail}") for c in named]
     for r in found[:4]:
-        stage = places[0].stage if places else "unknown"
+        at = places[0].stage if places else "unknown"
         where = f"{r.share:.0%} of the gap's energy in this regime, {r.lift:.1f} times its share of time"
-        places.append(Place(stage, r.channel.split("_")[0], r.name, r.share, where))
+        places.append(Place(at, r.channel.split("_")[0], r.name, r.share, where))
     return tuple(places)
 
 
@@ -281,10 +289,10 @@ def _next(case: Case, search: Search, group: tuple[Fit, ...], verdict: Verdict) 
         return proposed
     if verdict == "unknown":
         return NextExperiment(
-            "rate sweep", "a rate sweep with holds shows whether what is left follows speed, time or load"
+            "rate_sweep", "a rate sweep with holds shows whether what is left follows speed, time or load"
         )
     if verdict == "no_gap":
         return NextExperiment(
-            "long hold", "no gap is visible here; slow creep, drift and ageing would show first in a long hold"
+            "long_hold", "no gap is visible here; slow creep, drift and ageing would show first in a long hold"
         )
-    return NextExperiment("none needed", "the causes are separated on these runs; apply them to the twin")
+    return NextExperiment("none", "the causes are separated on these runs; apply them to the twin")

@@ -1,8 +1,12 @@
 """Effects that a search must first place: lost samples and bad contacts in time, hum in frequency, a clipped output."""
 
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
 import numpy as np
 
 from softcal.core.gap.candidates import Extent
+from softcal.core.gap.case import Mask
 from softcal.core.gap.fit import Block, Episodes, Fit, Hypothesis, fit, start_coordinates
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
@@ -24,6 +28,10 @@ SLOWEST_HUM_Hz = 0.3
 """An alias below this is a drift to the eye and to every fit."""
 
 
+Place: TypeAlias = Callable[[Fit, str], tuple[list[Array], float]]
+"""Find the rows of an episodic effect in every run, and its size."""
+
+
 def with_lost_samples(found: Fit) -> Fit | None:
     """Add `dropped_samples` where it explains anything: place the losses, fit, place again."""
     return _placed(found, "dropped_samples", _lost_samples)
@@ -34,7 +42,7 @@ def with_bad_contacts(found: Fit) -> Fit | None:
     return _placed(found, "intermittent_contact", _bad_contacts)
 
 
-def _placed(found: Fit, effect_id: str, place) -> Fit | None:  # type: ignore[no-untyped-def]
+def _placed(found: Fit, effect_id: str, place: Place) -> Fit | None:
     effect = EFFECTS[effect_id]
     best: Fit | None = None
     current = found
@@ -159,7 +167,7 @@ def _bad_contacts(found: Fit, effect_id: str) -> tuple[list[Array], float]:
 
 
 @compiled
-def step_path(error: Array, sigma: Array, size: float, penalty: float) -> Array:
+def step_path(error: Array, sigma: Array, size: float, penalty: float) -> Mask:
     """Return where the error stands at `size` instead of 0: two-state Viterbi, `penalty` for every change of state."""
     n = len(error)
     back = np.zeros((n, 2), dtype=np.int8)
@@ -182,7 +190,7 @@ def step_path(error: Array, sigma: Array, size: float, penalty: float) -> Array:
     return out
 
 
-def _intervals(t_s: Array, path: Array) -> Array:
+def _intervals(t_s: Array, path: Mask) -> Array:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], path, [False]]).astype(int)))
     end_s = np.append(t_s, 2 * t_s[-1] - t_s[-2])
     return np.column_stack([end_s[edges[0::2]], end_s[edges[1::2]]]).reshape(-1, 2)
@@ -235,7 +243,7 @@ def hum_effect(runs: int) -> Effect:
     )
 
 
-def _hum(flow: Flow, values: list[float], _: Memory) -> None:
+def _hum(flow: Flow, values: Sequence[float], _: Memory) -> None:
     angle = 2 * np.pi * values[1] * flow.t_s
     sine, cosine = values[2 + 2 * flow.run], values[3 + 2 * flow.run]
     flow.output_V = flow.output_V + sine * np.sin(angle) + cosine * np.cos(angle)

@@ -1,4 +1,4 @@
-"""Fit base parameters and effects jointly to all runs: bounded Levenberg–Marquardt on both channels with noise weights."""
+"""Fit base parameters and effects jointly to all runs: Levenberg–Marquardt within bounds, channels weighted."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -59,7 +59,7 @@ def predict(
         flow.stage_mm = np.full(len(run), RETRACTED_mm)
     elif run.stage_mm is None:
         return _from_force(run, flow, base, chain, values)
-    memories = [{} for _ in chain.effects]
+    memories = chain.fresh_memories()
     chain.run(flow, base, run.readout, values, memories)
     return Prediction(flow.reading_N, np.clip(flow.output_V, 0.0, run.readout.vref_V))
 
@@ -69,10 +69,10 @@ def _from_force(run: Run, flow: Flow, base: BaseParameters, chain: Chain, values
     force_N = reading_N
     for _ in range(INVERSE_STEPS):
         flow.force_N = force_N
-        chain.weigh(flow, values, [{} for _ in chain.effects])
+        chain.weigh(flow, values, chain.fresh_memories())
         force_N = force_N + reading_N - flow.reading_N
     flow.force_N = flow.deformation_mm = np.maximum(force_N, 0.0)
-    chain.sense(flow, base, run.readout, values, [{} for _ in chain.effects])
+    chain.sense(flow, base, run.readout, values, chain.fresh_memories())
     return Prediction(output_V=np.clip(flow.output_V, 0.0, run.readout.vref_V))
 
 
@@ -80,7 +80,7 @@ def _rigid_block(run: Run, flow: Flow, chain: Chain, values: Values) -> Predicti
     """A rigid block gives way only where the frame does: u − backlash = const + c_f·F while it is touched."""
     force_N = np.asarray(run.force_N)
     flow.pad_mm = flow.stage_mm
-    memories = [{} for _ in chain.effects]
+    memories = chain.fresh_memories()
     chain.apply(Hook.MOTION, flow, values, memories)
     chain.apply(Hook.CONTACT, flow, values, memories)
     is_touched = force_N > TOUCHING_share * force_N.max()
@@ -93,7 +93,7 @@ def _rigid_block(run: Run, flow: Flow, chain: Chain, values: Values) -> Predicti
 
 def _dead_weights(run: Run, flow: Flow, chain: Chain, values: Values) -> Prediction:
     flow.force_N = np.asarray(run.known_force_N)
-    memories = [{} for _ in chain.effects]
+    memories = chain.fresh_memories()
     read_force(flow)
     chain.apply(Hook.READING, flow, values, memories)
     return Prediction(force_N=flow.reading_N)
@@ -101,5 +101,5 @@ def _dead_weights(run: Run, flow: Flow, chain: Chain, values: Values) -> Predict
 
 def _dummy_resistor(run: Run, flow: Flow, chain: Chain, values: Values) -> Prediction:
     flow.resistance_ohm = np.full(len(run), float(run.dummy_ohm or 0.0))
-    chain.read_out(flow, run.readout, values, [{} for _ in chain.effects])
+    chain.read_out(flow, run.readout, values, chain.fresh_memories())
     return Prediction(output_V=np.clip(flow.output_V, 0.0, run.readout.vref_V))

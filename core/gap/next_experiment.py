@@ -56,19 +56,20 @@ def menu(case: Case, depth_mm: float, force_N: float) -> tuple[Experiment, ...]:
     """Return what can be recorded on this rig: stage profiles to the depth already pressed, and special runs."""
     d = depth_mm
     rate_Hz = case.readout.sample_rate_Hz
-    pressed: list[Profile] = []
+    pressed: dict[str, Profile] = {}
     if case.has("stage_mm"):
-        pressed = [
-            profiles.rate_sweep(d),
-            profiles.steps_with_holds([0.4 * d, 0.7 * d, d, 0.5 * d], hold_s=20.0),
-            profiles.long_hold(d, 300.0),
-            profiles.amplitude_ladder(d),
-            profiles.slow_touch_down(min(0.8, d)),
-            profiles.small_reversals(d),
-            profiles.ramps([d] * 10, 3.0, name="ten fast ramps"),
-        ]
+        pressed = {
+            "rate_sweep": profiles.rate_sweep(d),
+            "steps_with_holds": profiles.steps_with_holds([0.4 * d, 0.7 * d, d, 0.5 * d], hold_s=20.0),
+            "long_hold": profiles.long_hold(d, 300.0),
+            "amplitude_ladder": profiles.amplitude_ladder(d),
+            "slow_touch_down": profiles.slow_touch_down(min(0.8, d)),
+            "small_reversals": profiles.small_reversals(d),
+            "fast_ramps": profiles.ramps([d] * 10, 3.0, name="fast ramps"),
+        }
     entries = [
-        Experiment(p.name, _press(case, p, rate_Hz), SET_UP_min["press"] + p.duration_s / 60, p) for p in pressed
+        Experiment(name, _press(case, p, rate_Hz), SET_UP_min["press"] + p.duration_s / 60, p)
+        for name, p in pressed.items()
     ]
     return (*entries, *_special(case, force_N, rate_Hz))
 
@@ -90,7 +91,7 @@ def propose(case: Case, rivals: Sequence[Fit], depth_mm: float, force_N: float) 
             best = (score, distance, experiment)
     names = " and ".join("+".join(f.hypothesis.ids) for f in (first, second))
     if best is None or best[1] < ENOUGH_SIGMA:
-        return NextExperiment("none on this rig", f"{names} cannot be separated by any run of the menu; {_sensor(rivals)}")
+        return NextExperiment("none", f"{names} cannot be separated by any run of the menu; {_sensor(rivals)}")
     _, distance, experiment = best
     why = f"separates {names} by {distance:.0f} standard deviations of the noise in {experiment.minutes:.1f} min"
     return NextExperiment(experiment.name, why, distance, experiment.minutes, experiment.stage_profile)
@@ -146,7 +147,7 @@ def _special(case: Case, force_N: float, rate_Hz: float) -> tuple[Experiment, ..
     if case.has("output_V"):
         for ohm in (0.5 * readout.r_series_ohm, 2.0 * readout.r_series_ohm):
             run = Run("dummy", t_s, readout, output_V=zeros, dummy_ohm=ohm, kind="dummy_resistor", is_planned=True)
-            out.append(Experiment(f"dummy_resistor {ohm:.3g} ohm", run, SET_UP_min["dummy_resistor"] + 1.0))
+            out.append(Experiment("dummy_resistor", run, SET_UP_min["dummy_resistor"] + 1.0))
     if case.has("force_N"):
         weights = Run(
             "weights", t_s, readout, force_N=zeros, known_force_N=force_N * stairs, kind="dead_weights", is_planned=True

@@ -83,21 +83,19 @@ def _block_sums(values: Array, length: int) -> Array:
 
 def three_maps(case: Case) -> tuple[Map, ...]:
     """Fit each chain relation of the base alone and measure what it leaves; no effect of the catalogue enters."""
-    relations = {
-        "stage→force": {"output_V": None},
-        "force→output": {"stage_mm": None},
-        "stage→output": {"force_N": None},
-    }
-    maps = []
-    for name, without in relations.items():
-        runs = [replace(run, **without) for run in case.presses if _has_two(run, without)]
-        if runs:
-            maps.append(Map(name, structure(base_fit(Case(case.serial, tuple(runs))))))
+    presses, maps = case.presses, []
+    stage, force, output = (case.has(channel) for channel in ("stage_mm", "force_N", "output_V"))
+    if stage and force:
+        maps.append(_map("stage→force", case, [replace(run, output_V=None) for run in presses]))
+    if force and output:
+        maps.append(_map("force→output", case, [replace(run, stage_mm=None) for run in presses]))
+    if stage and output:
+        maps.append(_map("stage→output", case, [replace(run, force_N=None) for run in presses]))
     return tuple(maps)
 
 
-def _has_two(run: Run, without: dict[str, None]) -> bool:
-    return all(getattr(run, c) is not None for c in ("stage_mm", "force_N", "output_V") if c not in without)
+def _map(name: str, case: Case, runs: list[Run]) -> Map:
+    return Map(name, structure(base_fit(Case(case.serial, tuple(runs)))))
 
 
 def suspects(maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:

@@ -36,7 +36,7 @@ class Lead:
 def _without(found: Fit, effect_id: str, coordinates: Array) -> Array:
     keep = [np.ones(len(BASE), dtype=np.bool_)]
     keep += [np.full(len(e.parameters), e.id != effect_id) for e in found.hypothesis.effects]
-    return coordinates[np.concatenate(keep)]
+    return np.asarray(coordinates[np.concatenate(keep)])
 
 
 def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
@@ -82,11 +82,11 @@ class Tangent:
         found = self._found
         hypothesis = found.hypothesis.adding(probe.effect)
         x = np.concatenate([found.coordinates, start_coordinates([probe.effect], [probe.values])])
-        return (found.problem.predict(hypothesis, x) - found.predicted) * found.problem.weights
+        return np.asarray((found.problem.predict(hypothesis, x) - found.predicted) * found.problem.weights)
 
     def visible(self, signature: Array) -> Array:
         """Return the part of a signature that the fitted parameters cannot imitate."""
-        return signature - self._basis @ (self._basis.T @ signature)
+        return np.asarray(signature - self._basis @ (self._basis.T @ signature))
 
     def lead(self, probe: Probe) -> Lead | None:
         """Return what this probe promises, None if it promises nothing."""

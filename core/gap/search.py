@@ -1,9 +1,9 @@
 """Which hypotheses are fitted: forward from the base, a few of the best at every size, each by full joint fits."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from softcal.core.gap.candidates import Extent, Probe, probes, visible_effects
+from softcal.core.gap.candidates import Extent, probes, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.episodes import with_bad_contacts, with_clipping, with_hum, with_lost_samples
 from softcal.core.gap.fit import Fit, fit

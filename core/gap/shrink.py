@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softcal.core.gap.case import Mask
 from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit
 from softcal.core.recording import Array
 
@@ -45,7 +46,7 @@ class Quantified:
 
 @dataclass(frozen=True, eq=False)
 class _Fold:
-    unseen: Array
+    unseen: Mask
     before: Fit
     after: Fit
 
@@ -67,14 +68,14 @@ def quantify(base: Fit, best: Fit) -> Quantified:
     return Quantified(gap, Shrink(predicted, low, high, held_out), protocol)
 
 
-def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Array], str]:
+def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Mask], str]:
     presses = [k for k, run in enumerate(problem.case.runs) if run.kind == "press"]
     if len(presses) > 1 and not any(e in PER_RUN for e in hypothesis.ids):
         return [_of_run(problem, k) for k in presses], "one run after the other held back"
     return [_of_stretches(problem, part) for part in range(HELD_PARTS)], "stretches of every run held back"
 
 
-def _of_run(problem: Problem, run: int) -> Array:
+def _of_run(problem: Problem, run: int) -> Mask:
     unseen = np.zeros(len(problem.measured), dtype=np.bool_)
     for block in problem.blocks:
         if block.run == run:
@@ -82,7 +83,7 @@ def _of_run(problem: Problem, run: int) -> Array:
     return unseen
 
 
-def _of_stretches(problem: Problem, part: int) -> Array:
+def _of_stretches(problem: Problem, part: int) -> Mask:
     unseen = np.zeros(len(problem.measured), dtype=np.bool_)
     for block in problem.blocks:
         stretch = (problem.case.runs[block.run].elapsed_s / BLOCK_s).astype(int)
@@ -90,7 +91,7 @@ def _of_stretches(problem: Problem, part: int) -> Array:
     return unseen
 
 
-def _refit(base: Fit, best: Fit, unseen: Array) -> _Fold:
+def _refit(base: Fit, best: Fit, unseen: Mask) -> _Fold:
     problem = best.problem.seeing((~unseen).astype(np.float64))
     before = fit(problem, base.hypothesis, base.coordinates, steps=6)
     after = fit(problem, best.hypothesis, best.coordinates, steps=6) if best.hypothesis.ids else before

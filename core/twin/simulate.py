@@ -85,6 +85,10 @@ class Chain:
         order = sorted(range(len(effects)), key=lambda k: ORDER.get(effects[k].id, len(ORDER)))
         self._at = {hook: [k for k in order if effects[k].hook == hook] for hook in Hook}
 
+    def fresh_memories(self) -> list[Memory]:
+        """Return what the effects remember at the start of a run: nothing."""
+        return [{} for _ in self.effects]
+
     def apply(self, hook: Hook, flow: Flow, values: Values, memories: Sequence[Memory]) -> None:
         """Let every effect of this hook change the flow; values and memories one row per effect."""
         for k in self._at[hook]:
@@ -155,7 +159,7 @@ class TwinStream:
 
     def restart(self) -> None:
         """Begin a new run from rest; the noise goes on."""
-        self._memories: list[Memory] = [{} for _ in self._chain.effects]
+        self._memories = self._chain.fresh_memories()
         self._last_t_s: float | None = None
         self._first_temperature_C = 0.0
 
