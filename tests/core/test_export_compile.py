@@ -1,0 +1,118 @@
+"""Maps of every kind as small device forms: exact where they can be, refused where the estimate would suffer."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import UnitRefused
+from softcal.core.export.compile_map import AffineForm, InputScale, PerSampleForm, compile_map
+from softcal.core.maps.catalogue import FAMILIES
+from softcal.core.maps.interface import FitProblem
+from softcal.core.network import Network
+from softcal.core.recording import Array, LabelledRecording
+from softcal.core.windows import TAPS, windows
+
+Press = Callable[..., LabelledRecording]
+LIMIT_N = 0.01
+
+
+@dataclass(frozen=True)
+class _Map:
+    """A map given by its function on windows."""
+
+    on_windows: Callable[[Array], Array]
+    family: str = "test"
+
+    def apply(self, windows: Array) -> Array:
+        return self.on_windows(windows)
+
+    def apply_signal(self, signal: Array) -> Array:
+        return self.on_windows(windows(signal))
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def settings(self) -> dict[str, object]:
+        return {}
+
+
+def test_an_affine_map_needs_two_knots(linear_network: Network, press: Press) -> None:
+    unit = press(2).unlabelled
+    compiled = compile_map(_Map(lambda x: 0.1 + 0.8 * x), linear_network, unit, LIMIT_N)
+    assert isinstance(compiled.form, PerSampleForm)
+    assert len(compiled.form.outputs) == 2
+    assert compiled.max_deviation < 1e-6
+
+
+def test_a_bent_map_fits_into_32_knots(linear_network: Network, press: Press) -> None:
+    unit = press(2).unlabelled
+    compiled = compile_map(_Map(lambda x: 0.6 + 0.2 * np.tanh(6 * (x - 0.6))), linear_network, unit, LIMIT_N)
+    assert isinstance(compiled.form, PerSampleForm)
+    assert len(compiled.form.outputs) <= 32
+    assert compiled.rms_deviation < 0.002
+
+
+def test_the_stated_deviation_is_what_the_estimate_changes(linear_network: Network, press: Press) -> None:
+    unit, bent = press(2).unlabelled, _Map(lambda x: 0.6 + 0.2 * np.tanh(6 * (x - 0.6)))
+    compiled = compile_map(bent, linear_network, unit, 0.05, knots=5)
+    change = linear_network.evaluate(compiled.form.apply(unit.windows)) - linear_network.evaluate(
+        bent.apply(unit.windows)
+    )
+    assert compiled.max_deviation == pytest.approx(np.abs(change).max())
+    assert compiled.rms_deviation == pytest.approx(np.sqrt(np.mean(change**2)))
+
+
+def test_a_falling_map_stays_falling(linear_network: Network, press: Press) -> None:
+    compiled = compile_map(_Map(lambda x: 1.2 - x), linear_network, press(2).unlabelled, LIMIT_N)
+    assert isinstance(compiled.form, PerSampleForm)
+    assert np.all(np.diff(compiled.form.values) < 0)
+
+
+def test_a_map_over_the_window_becomes_the_matrix_it_is(
+    linear_network: Network, press: Press, rng: np.random.Generator
+) -> None:
+    matrix = 0.9 * np.eye(TAPS) + 0.15 * np.eye(TAPS, k=-1) + 0.1 * rng.normal(size=(TAPS, TAPS)) / TAPS
+    windowed = _Map(lambda x: 0.02 + x @ matrix.T)
+    compiled = compile_map(windowed, linear_network, press(2).unlabelled, 0.001)
+    assert isinstance(compiled.form, AffineForm)
+    assert np.allclose(compiled.form.matrix, matrix, atol=1e-3)
+
+
+def test_a_map_that_has_no_small_form_is_refused_with_its_deviation(linear_network: Network, press: Press) -> None:
+    rough = _Map(lambda x: 0.5 + 0.3 * np.round(np.sin(40 * x.mean(axis=1, keepdims=True))) * np.ones(TAPS))
+    with pytest.raises(UnitRefused, match=r"family test of unit U1 .* N rms, 0.01 is allowed"):
+        compile_map(rough, linear_network, press(2).unlabelled, LIMIT_N)
+
+
+@pytest.mark.parametrize("name", sorted(FAMILIES))
+def test_every_family_has_a_device_form_or_a_refusal_that_says_why(
+    name: str, linear_network: Network, press: Press
+) -> None:
+    source, target = press(1, serial="S0"), press(2, gain=1.1, offset_V=0.02).unlabelled
+    try:
+        unit_map = FAMILIES[name].fit(FitProblem(source, linear_network, target))
+    except UnitRefused:
+        return  # the family needs more than this recording holds
+    try:
+        compiled = compile_map(unit_map, linear_network, target, 0.05)
+    except UnitRefused as refusal:
+        assert "N rms" in str(refusal)
+        return
+    exact = linear_network.evaluate(unit_map.apply(target.windows))
+    change = linear_network.evaluate(compiled.form.apply(target.windows)) - exact
+    assert np.sqrt(np.mean(change**2)) <= 0.05
+
+
+def test_a_converter_gives_back_its_own_codes() -> None:
+    scale = InputScale.of_converter(10, 5.0)
+    adc = np.arange(1024)
+    assert np.array_equal(scale.codes(adc * 5 / 1023), adc * 64)
+
+
+def test_the_default_scale_covers_source_and_unit(linear_network: Network) -> None:
+    scale = InputScale.covering(linear_network, np.array([0.2, 3.1]))
+    assert (scale.zero, scale.outputs(np.array([65_535]))[0]) == (0.0, pytest.approx(5.0))
+    signed = InputScale.covering(linear_network, np.array([-0.2, 0.4]))
+    assert signed.zero == -2.0
