@@ -25,6 +25,7 @@ WINDOW_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "m
 FLAGS = {
     "server.headless": "true",
     "server.fileWatcherType": "none",
+    "runner.magicEnabled": "false",
     "browser.gatherUsageStats": "false",
     "client.toolbarMode": "minimal",
     "client.showErrorDetails": "none",

@@ -17,19 +17,23 @@ def guarded(cell: object) -> object:
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA_STARTS) else cell
 
 
+def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table as CSV text."""
+    text = io.StringIO()
+    csv.writer(text).writerows([guarded(cell) for cell in row] for row in (header, *rows))
+    return text.getvalue()
+
+
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a table as .csv or .xlsx, whole or not at all.
 
     Raises:
         InputError: another suffix, or the file cannot be written.
     """
-    table = [[guarded(cell) for cell in row] for row in (header, *rows)]
     if path.suffix.lower() == ".csv":
-        text = io.StringIO()
-        csv.writer(text).writerows(table)
-        write_text(path, text.getvalue())
+        write_text(path, csv_text(header, rows))
     elif path.suffix.lower() == ".xlsx":
-        _write_excel(path, table)
+        _write_excel(path, [[guarded(cell) for cell in row] for row in (header, *rows)])
     else:
         raise InputError(f"{path}: the suffix {path.suffix!r} is not known; give .csv or .xlsx")
 

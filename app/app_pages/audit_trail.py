@@ -1,0 +1,32 @@
+"""The audit trail: who did what to what, when and why, newest first."""
+
+import pandas as pd
+import streamlit as st
+
+from softcal.app.desk import choose_language, empty, errors_in_words, registry, words
+
+NEWEST = 500
+
+
+def render() -> None:
+    """Draw the page."""
+    say = words()
+    with errors_in_words():
+        _, right = st.columns([5, 1])
+        with right:
+            choose_language()
+        rows = registry().audit_rows()[-NEWEST:]
+        if not rows:
+            empty(say("audit.none"), say("empty.lots.how"))
+            return
+        table = [
+            {
+                say("column.made"): f"{row.at:%Y-%m-%d %H:%M:%S} UTC",
+                say("column.actor"): row.actor,
+                say("column.action"): row.action,
+                say("column.entity"): f"{row.entity} {row.key}",
+                say("column.reason"): row.reason,
+            }
+            for row in reversed(rows)
+        ]
+        st.dataframe(pd.DataFrame(table), width="stretch", hide_index=True, height=640)
