@@ -1,0 +1,90 @@
+"""The main job from end to end on a simulated station: press, train, map, judge, register, export."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from softcal.app.lot_folder import LotFolder, open_lot_folder, write_lot_toml
+from softcal.app.recording_file import write_columns
+from softcal.app.workflow.batch import BatchConfig, BatchReport, UnitResult, Watch, run_batch
+from softcal.app.workflow.station import PressedLot, PressTimes, press_simulated_lot
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.twin.spread import draw_lot
+from softcal.db.registry import Registry
+
+TABLE_HEADER = ("unit", "verdict", "before [N]", "after [N]", "own [N]", "after/own", "before/own", "predicted [N]")
+
+
+@dataclass(frozen=True)
+class DemoConfig:
+    """What the demo shows.
+
+    Args:
+        units: target units beside the source.
+        seed: of the units' differences, of mounting, noise and profiles.
+        times: how long each run presses. An audit is as long as it takes to train a fair own calibration on it.
+        batch: how the lot is calibrated.
+    """
+
+    units: int = 6
+    seed: int = 20201900178
+    times: PressTimes = PressTimes(audit_s=170.0)
+    batch: BatchConfig = BatchConfig()
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.units <= 99:
+            raise InputError(f"{self.units} units; 1 to 99 were expected")
+
+
+def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], None]) -> LotFolder:
+    """Press a simulated lot over its serial lines and write it as a lot folder.
+
+    Raises:
+        InputError: `folder` is there already.
+        DeviceError: the simulated station failed.
+    """
+    if folder.exists():
+        raise InputError(f"{folder}: is there already; remove it or choose another --out")
+    serials = [f"DEMO-{k:02d}" for k in range(config.units + 1)]
+    rng = np.random.default_rng(config.seed)
+    pressed = press_simulated_lot(draw_lot(rng, len(serials)), serials, config.seed, config.times, on_run)
+    _write(
+        folder, pressed, Lot("demo", serials[0], pressed.source.unlabelled.sample_rate_Hz, "simulated eGaIn channel")
+    )
+    return open_lot_folder(folder)
+
+
+def run_demo(config: DemoConfig, folder: LotFolder, registry: Registry, watch: Watch) -> BatchReport:
+    """Calibrate the demo's lot."""
+    return run_batch(folder, registry, replace(config.batch, score_own=True), watch)
+
+
+def table_row(unit: UnitResult) -> list[object]:
+    """Return one row of the table like the paper's Table 1, under `TABLE_HEADER`."""
+    record = unit.record
+    if record is None:
+        return [unit.serial, unit.verdict, *[None] * 6]
+    before, after, own = record.before_rmse, record.after_rmse, record.own_rmse
+    ratios = [after / own if after and own else None, before / own if before and own else None]
+    return [unit.serial, unit.verdict, before, after, own, *ratios, record.predicted_rmse]
+
+
+def _write(folder: Path, pressed: PressedLot, lot: Lot) -> None:
+    write_lot_toml(folder, lot)
+    _write_labelled(folder / "source" / f"{lot.source}.csv", pressed.source)
+    for serial, unit in pressed.units.items():
+        write_columns(folder / "units" / f"{serial}.csv", _columns(unit))
+        _write_labelled(folder / "audit" / f"{serial}.csv", pressed.audits[serial])
+
+
+def _write_labelled(path: Path, recording: LabelledRecording) -> None:
+    write_columns(path, [*_columns(recording.unlabelled), ("reference", recording.reference)])
+
+
+def _columns(recording: OutputRecording) -> list[tuple[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]]:
+    columns = [("t_s", recording.t_s), ("output", recording.output)]
+    return columns if recording.stage_mm is None else [*columns, ("stage_mm", recording.stage_mm)]
