@@ -58,9 +58,16 @@ def row_hash(row: AuditRow) -> str:
     return hashlib.sha256(canonical_json(plain(fields)).encode()).hexdigest()
 
 
-def rows(connection: Connection, origin: str | None = None, after_seq: int = 0) -> Iterator[AuditRow]:
+def origins(connection: Connection) -> list[str]:
+    """Return the registries whose chains are here."""
+    return list(connection.execute(select(audit.c.origin).distinct().order_by(audit.c.origin)).scalars())
+
+
+def rows(
+    connection: Connection, origin: str | None = None, after_seq: int = 0, count: int | None = None
+) -> Iterator[AuditRow]:
     """Give the rows of one chain, or of all chains one after another, oldest first."""
-    query = select(audit).where(audit.c.seq > after_seq).order_by(audit.c.origin, audit.c.seq)
+    query = select(audit).where(audit.c.seq > after_seq).order_by(audit.c.origin, audit.c.seq).limit(count)
     if origin is not None:
         query = query.where(audit.c.origin == origin)
     for row in connection.execute(query, execution_options={"yield_per": 1000}):

@@ -47,20 +47,20 @@ def faults(connection: Connection) -> Iterator[str]:
 
 
 def _row_faults(connection: Connection) -> Iterator[str]:
-    told: dict[tuple[str, str], str] = {}
+    # Two registries may have registered the same thing: the row is the one or the other.
+    told: dict[tuple[str, str], set[str]] = {}
     for entry in history.rows(connection):
         if entry.entity in AUDITED and entry.after is not None:
-            told[entry.entity, entry.key] = hashlib.sha256(entry.after.encode()).hexdigest()
+            told.setdefault((entry.entity, entry.key), set()).add(hashlib.sha256(entry.after.encode()).hexdigest())
     for name in AUDITED:
         table = metadata.tables[name]
         for row in connection.execute(select(table), execution_options={"yield_per": 1000}).mappings():
-            values = dict(row)
-            key = canonical_json(history.row_key(table, values))
+            key = canonical_json(history.row_key(table, dict(row)))
             expected = told.pop((name, key), None)
-            found = hashlib.sha256(canonical_json(history.told(table, values)).encode()).hexdigest()
+            found = hashlib.sha256(canonical_json(history.told(table, dict(row))).encode()).hexdigest()
             if expected is None:
                 yield f"{name} {key}: was put in without an entry in the audit trail"
-            elif expected != found:
+            elif found not in expected:
                 yield f"{name} {key}: was changed after it was written"
     for name, key in told:
         yield f"{name} {key}: is in the audit trail but was removed"

@@ -52,6 +52,8 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     rollback.add_argument("--serial", required=True)
     rollback.add_argument("--to", required=True, type=int, metavar="REVISION")
     rollback.add_argument("--reason", required=True, help="lands in the audit trail")
+    sync = _action(actions, "sync", "bring a station's registry and the line's together, both ways", _sync)
+    sync.add_argument("--with", required=True, dest="other", metavar="URL", help="the other registry")
     _action(actions, "upgrade", "bring the tables to this version (SQLite: after a backup)", _upgrade)
 
 
@@ -156,6 +158,18 @@ def _rollback(options: argparse.Namespace) -> int:
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
     value = {"schema": "softcal.registry.rollback/1", "serial": options.serial, "revision": revision}
     return _answer(options, line, value | {"rolled_back_to": options.to})
+
+
+def _sync(options: argparse.Namespace) -> int:
+    from softcal.app.workflow.registry import synchronise_with
+
+    with open_chosen_registry(options.registry) as registry:
+        report = synchronise_with(registry, options.other)
+    for conflict in report.conflicts:
+        say(f"conflict: {conflict}")
+    value: dict[str, object] = {"schema": "softcal.registry.sync/1", "sent": report.sent, "received": report.received}
+    line = f"sent {report.sent}, received {report.received} changes, {len(report.conflicts)} conflicts"
+    return _answer(options, line, value | {"conflicts": list(report.conflicts)})
 
 
 def _upgrade(options: argparse.Namespace) -> int:

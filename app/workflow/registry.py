@@ -6,11 +6,13 @@ from pathlib import Path
 
 from softcal.core.errors import RegistryError
 from softcal.db.backup import back_up, restore
+from softcal.db.connection import open_registry
 from softcal.db.database import Database, open_database, schema_of
 from softcal.db.entries import StoredCalibration, UnitEntry
 from softcal.db.history import head
 from softcal.db.maintenance import migrate
 from softcal.db.registry import Registry
+from softcal.db.sync import SyncReport, synchronise
 from softcal.db.tables import SCHEMA
 
 UNIT_HEADER = (
@@ -93,6 +95,12 @@ def back_up_registry(registry: Registry, path: Path) -> None:
 def restore_registry(path: Path, url: str) -> None:
     """Fill an empty registry from a backup."""
     restore(path, url)
+
+
+def synchronise_with(registry: Registry, other_url: str) -> SyncReport:
+    """Bring a registry and the one behind another URL together, both ways."""
+    with open_registry(other_url, registry.settings) as other:
+        return synchronise(registry, other)
 
 
 def unit_row(unit: UnitEntry) -> list[object]:

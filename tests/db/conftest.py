@@ -108,7 +108,7 @@ def registry(registry_url) -> Iterator[Registry]:
 @pytest.fixture
 def file_registry(tmp_path: Path) -> Iterator[Registry]:
     """A registry in an SQLite file, for what concerns files."""
-    with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as opened:
+    with open_registry(f"sqlite:///{tmp_path / 'station.db'}") as opened:
         yield opened
 
 

@@ -17,10 +17,8 @@ def test_the_newest_certificate_that_holds_on_the_day_counts(registry):
     assert registry.certificates("C1") == [OLD, NEW]
     assert registry.certificate("C1", date(2025, 6, 1)) == OLD
     assert registry.certificate("C1", date(2025, 12, 24)) == NEW
-    assert (
-        registry.certificate("C1", date(2026, 12, 1)) is None
+    assert registry.certificate("C1", date(2026, 12, 1)) is None
     assert registry.certificate("C2", date(2025, 6, 1)) is None
-    )
 
 
 def test_the_same_certificate_twice_is_one_and_another_of_that_day_is_refused(registry):

@@ -1,0 +1,168 @@
+"""Bring two registries together, both ways: a station's SQLite file and the PostgreSQL of the line.
+
+The audit trail is the list of what to send: a registry gets, per chain, the rows behind the last one it has, together
+with what they tell of. Each chunk is one transaction, so that a broken line loses nothing, and sending twice changes
+nothing. Work items, orders and people stay where they are.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import date, datetime
+from typing import Any
+
+from sqlalchemy import Connection, Date, Table, and_, func, insert, select
+
+from softcal.core.errors import InputError, RegistryError
+from softcal.db import history
+from softcal.db.arrays import get_bytes
+from softcal.db.entries import AuditRow
+from softcal.db.registry import Registry
+from softcal.db.tables import AUDITED, UtcTime, audit, blobs, calibrations, limits, metadata
+
+ROWS_AT_ONCE = 200
+FACTS_OF_A_LOT = ("source", "sample_rate_Hz", "sensor_model", "reference_quantity", "reference_unit", "output_unit")
+
+
+@dataclass(frozen=True)
+class SyncReport:
+    """What a synchronisation did.
+
+    Args:
+        sent, received: rows of the audit trail that went to the other registry and came from there.
+        conflicts: what two registries did to the same thing; both results are kept, the newest counts.
+    """
+
+    sent: int
+    received: int
+    conflicts: tuple[str, ...]
+
+
+def synchronise(here: Registry, there: Registry) -> SyncReport:
+    """Send what `there` does not have, take what `here` does not have.
+
+    Raises:
+        InputError: both are the same registry, or copies of one file that were both written to.
+        RegistryError: a chain is damaged or a connection broke; what came over before is kept, run it again.
+    """
+    if here.origin == there.origin:
+        raise InputError(
+            "both registries are one and the same, or one is a plain copy of the other's file; "
+            "make copies with `softcal registry backup` and `restore`"
+        )
+    sent, received = _send(here, there), _send(there, here)
+    return SyncReport(sent, received, tuple(conflicts(here)))
+
+
+def conflicts(registry: Registry) -> list[str]:
+    """Return one line for everything that two registries did differently: calibrations, limits, facts of a lot."""
+    with registry.database.reading() as connection:
+        return [*_twice_calibrated(connection), *_twice_limited(connection), *_differing_lots(connection)]
+
+
+def _send(source: Registry, target: Registry) -> int:
+    sent = 0
+    with source.database.reading() as connection:
+        chains = history.origins(connection)
+    for origin in chains:
+        while chunk := _missing(source, target, origin):
+            with source.database.reading() as rows, target.database.writing() as connection:
+                for entry in chunk:
+                    if entry.entity in AUDITED:
+                        table = metadata.tables[entry.entity]
+                        _copy(rows, connection, table, _key_values(table, entry.key))
+                    connection.execute(insert(audit).values(**vars(entry)))
+            sent += len(chunk)
+    return sent
+
+
+def _missing(source: Registry, target: Registry, origin: str) -> list[AuditRow]:
+    """Return the next rows of a chain that the target lacks, after checking that they continue what it has."""
+    with target.database.reading() as connection:
+        seq, sha256 = history.head(connection, origin)
+    with source.database.reading() as connection:
+        newest, _ = history.head(connection, origin)
+        if newest < seq:
+            return []
+        if seq:
+            query = select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq)
+            if connection.execute(query).scalar_one_or_none() != sha256:
+                raise InputError(
+                    f"the history of registry {origin} parts at row {seq}: two copies of one file were both written "
+                    "to; bring one of them in with `softcal registry restore`"
+                )
+        rows = list(history.rows(connection, origin, seq, ROWS_AT_ONCE))
+    for entry in rows:
+        if entry.prev_hash != sha256 or entry.hash != history.row_hash(entry):
+            raise RegistryError(f"audit {origin} row {entry.seq} is damaged; run `softcal registry verify` there")
+        sha256 = entry.hash
+    return rows
+
+
+def _copy(source: Connection, target: Connection, table: Table, key: dict[str, Any]) -> None:
+    """Copy a row and, before it, whatever it refers to, unless the target has it already."""
+    where = and_(*(table.c[name] == value for name, value in key.items()))
+    if target.execute(select(table.primary_key.columns[0]).where(where)).first() is not None:
+        return
+    row = source.execute(select(table).where(where)).mappings().first()
+    if row is None:
+        raise RegistryError(f"{table.name} {list(key.values())} is missing; run `softcal registry verify` there")
+    for constraint in table.foreign_key_constraints:
+        parent = {element.column.name: row[element.parent.name] for element in constraint.elements}
+        if None not in parent.values():
+            _copy_parent(source, target, constraint.referred_table, parent)
+    target.execute(insert(table).values(**row))
+
+
+def _copy_parent(source: Connection, target: Connection, table: Table, key: dict[str, Any]) -> None:
+    if table is not blobs:
+        _copy(source, target, table, key)
+        return
+    sha256 = key["sha256"]
+    if target.execute(select(blobs.c.size).where(blobs.c.sha256 == sha256)).first() is None:
+        kind = source.execute(select(blobs.c.kind).where(blobs.c.sha256 == sha256)).scalar_one_or_none()
+        content = get_bytes(source, sha256)
+        target.execute(insert(blobs).values(sha256=sha256, kind=kind, size=len(content), data=content))
+
+
+def _key_values(table: Table, key: str) -> dict[str, Any]:
+    columns = list(table.primary_key.columns)
+    return {column.name: _typed(column.type, value) for column, value in zip(columns, json.loads(key), strict=True)}
+
+
+def _typed(kind: object, value: Any) -> Any:
+    if isinstance(kind, UtcTime):
+        return datetime.fromisoformat(value)
+    return date.fromisoformat(value) if isinstance(kind, Date) else value
+
+
+def _twice_calibrated(connection: Connection) -> Iterator[str]:
+    c = calibrations.c
+    for serial, revision in _doubles(connection, c.serial, c.revision):
+        newest = select(c.origin, c.made_at).where(c.serial == serial, c.revision == revision)
+        origin, made_at = connection.execute(newest.order_by(c.made_at.desc(), c.origin.desc()).limit(1)).one()
+        yield (
+            f"unit {serial} revision {revision} was calibrated by two registries; "
+            f"the newer one of {made_at:%Y-%m-%d %H:%M:%S} UTC by registry {origin} counts before the other"
+        )
+
+
+def _twice_limited(connection: Connection) -> Iterator[str]:
+    for lot_id, version in _doubles(connection, limits.c.lot_id, limits.c.version):
+        yield f"lot {lot_id!r} limit version {version} was set by two registries; the newer one holds"
+
+
+def _doubles(connection: Connection, *columns: Any) -> list[tuple[Any, ...]]:
+    query = select(*columns).group_by(*columns).having(func.count() > 1).order_by(*columns)
+    return [tuple(row) for row in connection.execute(query)]
+
+
+def _differing_lots(connection: Connection) -> Iterator[str]:
+    told: dict[str, set[str]] = {}
+    query = select(audit.c.key, audit.c.after).where(audit.c.entity == "lots")
+    for key, after in connection.execute(query):
+        facts = json.loads(after)
+        told.setdefault(key, set()).add(json.dumps([facts[name] for name in FACTS_OF_A_LOT]))
+    for key, versions in sorted(told.items()):
+        if len(versions) > 1:
+            yield f"lot {json.loads(key)[0]!r} was registered with other facts elsewhere; give one of them another id"
