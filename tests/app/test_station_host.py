@@ -1,0 +1,131 @@
+"""Service and registry joined: orders become recordings, a second owner is refused, old orders move nothing."""
+
+import threading
+import time
+from datetime import UTC, datetime
+
+import pytest
+
+from softcal.app.station_host import StationHost
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+from softcal.core.orders import Heartbeat, Order, OrderKind, RunState, StationState
+from softcal.core.profiles import ramps
+from softcal.core.station_gate import Gate
+from softcal.db.connection import open_registry
+from softcal.station.bench import Bench, open_simulated_bench
+from softcal.station.service import Hooks, StationService
+
+QUICK = ramps([2.0], 4.0, rest_s=0.3, name="quick")
+
+
+@pytest.fixture
+def registry(tmp_path):
+    with open_registry(f"sqlite:///{tmp_path / 'r.db'}") as registry:
+        registry.add_lot(Lot("L1", "A0", 50.0))
+        yield registry
+
+
+class Opened:
+    """The simulated bench as the service opens it."""
+
+    def __enter__(self) -> Bench:
+        self._context = open_simulated_bench(seed=1)
+        return self._context.__enter__()[0]
+
+    def __exit__(self, *exception: object) -> None:
+        self._context.__exit__(None, None, None)
+
+
+def make_host(registry, folder):
+    def service(hooks: Hooks) -> StationService:
+        return StationService(Opened, {OrderKind.SOURCE: QUICK, OrderKind.UNIT: QUICK}, folder, hooks)
+
+    return StationHost(registry, "s1", lambda kind: Gate(()), service)
+
+
+def serve_until(host, is_done, limit_s=60.0):
+    end_s = time.monotonic() + limit_s
+    host.run(lambda: not is_done() and time.monotonic() < end_s)
+
+
+def state_of(registry, order_id):
+    return registry.order_queue.progress(order_id).state
+
+
+def test_an_order_becomes_a_recording_in_the_registry(registry, tmp_path):
+    queue = registry.order_queue
+    host = make_host(registry, tmp_path)
+
+    def place_and_wait():
+        if queue.heartbeat("s1").state is not StationState.STARTING and not queue.runs("s1"):
+            queue.place(Order("o1", "s1", OrderKind.UNIT, "A1", "L1", actor="kim"))
+        return bool(queue.runs("s1")) and not state_of(registry, "o1").is_active
+
+    serve_until(host, place_and_wait)
+    progress = queue.progress("o1")
+    assert progress.state is RunState.DONE, progress.message
+    recording = registry.recording(progress.recording_sha256)
+    assert recording.serial == "A1"
+    assert recording.stage_mm.max() == pytest.approx(2.0, abs=0.02)
+    assert queue.heartbeat("s1").state is StationState.OFF
+
+
+def test_what_was_ordered_before_the_service_started_moves_nothing(registry, tmp_path):
+    registry.order_queue.place(Order("old", "s1", OrderKind.UNIT, "A1", "L1"))
+    serve_until(make_host(registry, tmp_path), lambda: True)
+    assert state_of(registry, "old") is RunState.CANCELLED
+
+
+def test_a_second_owner_is_refused(registry, tmp_path):
+    registry.order_queue.beat(Heartbeat("s1", StationState.READY, datetime.now(UTC), process="other:1"))
+    with pytest.raises(InputError, match="served by other:1"):
+        make_host(registry, tmp_path).run(lambda: False)
+
+
+def test_a_stop_order_reaches_a_run_in_progress(registry, tmp_path):
+    queue = registry.order_queue
+    host = make_host(registry, tmp_path)
+    # One press that takes minutes of station time: it can only end by the stop.
+    host._service._profiles = {OrderKind.UNIT: ramps([2.0] * 400, 1.0, name="long")}
+
+    def person():
+        while queue.active("s1") is None or queue.active("s1")[1].phase != "pressing":
+            time.sleep(0.02)
+        queue.place(Order("stop", "s1", OrderKind.STOP))
+
+    def place_and_wait():
+        if not queue.runs("s1"):
+            queue.place(Order("o1", "s1", OrderKind.UNIT, "A1", "L1"))
+            threading.Thread(target=person, daemon=True).start()
+        return not state_of(registry, "o1").is_active
+
+    serve_until(host, place_and_wait)
+    assert state_of(registry, "o1") is RunState.CANCELLED
+    assert state_of(registry, "stop") is RunState.DONE
+
+
+def test_a_recording_waits_for_a_registry_that_is_away(registry, tmp_path, monkeypatch):
+    from softcal.core.errors import RegistryError
+
+    queue = registry.order_queue
+    host = make_host(registry, tmp_path)
+    away = {"left": 3}
+    add = type(registry).add_recording
+
+    def sometimes(self, *arguments, **options):
+        if away["left"]:
+            away["left"] -= 1
+            raise RegistryError("the registry is away")
+        return add(self, *arguments, **options)
+
+    monkeypatch.setattr(type(registry), "add_recording", sometimes)
+
+    def place_and_wait():
+        if not queue.runs("s1"):
+            queue.place(Order("o1", "s1", OrderKind.UNIT, "A1", "L1"))
+        return not state_of(registry, "o1").is_active
+
+    serve_until(host, place_and_wait)
+    assert state_of(registry, "o1") is RunState.DONE
+    assert away["left"] == 0

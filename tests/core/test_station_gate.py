@@ -1,0 +1,81 @@
+"""May this station run: every reason alone, all of them at once, and who is quarantined."""
+
+from dataclasses import replace
+from datetime import UTC, date, datetime, timedelta
+
+import pytest
+
+from softcal.core.orders import OrderKind
+from softcal.core.station_gate import (
+    CellCertificate,
+    GoldenCheck,
+    Override,
+    StationFacts,
+    may_run,
+    quarantined,
+)
+
+NOW = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
+GOOD = StationFacts(
+    now=NOW,
+    switched_on=NOW - timedelta(hours=2),
+    certificate=CellCertificate("K-17", date(2027, 1, 1), 20.0, 0.02),
+    largest_force_N=12.0,
+    shift_began=NOW - timedelta(hours=1),
+    golden=GoldenCheck(NOW - timedelta(minutes=30), "G1", True),
+)
+
+REASONS = {
+    "no certificate": ({"certificate": None}, "no certificate"),
+    "out of date": ({"certificate": CellCertificate("K-17", date(2026, 3, 1), 20.0, 0.02)}, "ended on 2026-03-01"),
+    "range": ({"largest_force_N": 25.0}, "certificate ends at 20 N"),
+    "warm-up": ({"switched_on": NOW - timedelta(minutes=5)}, "10 more min"),
+    "zero": ({"zero_return_N": -0.31}, "zero moved by -0.31 N"),
+    "homing": ({"is_homing_possible": False}, "could not be homed"),
+    "no golden": ({"golden": None}, "no golden unit"),
+    "golden of the last shift": ({"golden": GoldenCheck(NOW - timedelta(hours=9), "G1", True)}, "in this shift"),
+    "golden out": ({"golden": GoldenCheck(NOW, "G1", False)}, "outside its control limits"),
+}
+
+
+def test_a_good_station_may_run():
+    assert may_run(GOOD).is_open
+
+
+@pytest.mark.parametrize(("change", "reason"), REASONS.values(), ids=REASONS)
+def test_each_reason_alone_closes_the_gate(change, reason):
+    gate = may_run(replace(GOOD, **change))
+    assert not gate.is_open
+    assert len(gate.reasons) == 1
+    assert reason in gate.reasons[0]
+
+
+def test_all_reasons_are_said_at_once():
+    facts = replace(GOOD, certificate=None, zero_return_N=1.0, golden=None, is_homing_possible=False)
+    assert len(may_run(facts).reasons) == 4
+
+
+def test_the_last_day_of_a_certificate_still_counts():
+    assert may_run(replace(GOOD, certificate=CellCertificate("K", NOW.date(), 20.0, 0.02))).is_open
+
+
+def test_a_golden_unit_may_qualify_a_station_again():
+    facts = replace(GOOD, golden=GoldenCheck(NOW, "G1", False))
+    assert may_run(facts, OrderKind.GOLDEN).is_open
+    assert not may_run(replace(facts, certificate=None), OrderKind.GOLDEN).is_open
+
+
+def test_an_override_opens_the_gate_until_it_ends_and_keeps_the_reasons():
+    override = Override("kim", "certificate is in the post", NOW + timedelta(hours=1))
+    gate = may_run(replace(GOOD, certificate=None, override=override))
+    assert gate.is_open and gate.is_overridden and gate.reasons
+    assert not may_run(replace(GOOD, certificate=None, override=replace(override, until=NOW - timedelta(1)))).is_open
+
+
+def test_units_since_the_last_good_check_are_quarantined():
+    minutes = [NOW - timedelta(minutes=m) for m in (50, 40, 30, 20, 10)]
+    checks = [GoldenCheck(minutes[0], "G1", True), GoldenCheck(minutes[2], "G1", True), GoldenCheck(NOW, "G1", False)]
+    pressed = [("A4", minutes[4]), ("A2", minutes[1]), ("A3", minutes[3])]
+    assert quarantined(pressed, checks, NOW) == ("A3", "A4")
+    assert quarantined(pressed, checks[:2], NOW) == ()
+    assert quarantined(pressed, checks[2:], NOW) == ("A2", "A3", "A4")

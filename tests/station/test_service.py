@@ -1,0 +1,120 @@
+"""The resident service: one order at a time, a stop needs an acknowledgement, ports are opened again after a fault."""
+
+from contextlib import contextmanager
+
+import pytest
+
+from softcal.core.errors import NoReply
+from softcal.core.orders import Order, OrderKind, RunState, StationState
+from softcal.core.profiles import ramps
+from softcal.core.station_gate import Gate
+from softcal.station.bench import open_simulated_bench
+from softcal.station.service import Hooks, StationService
+
+QUICK = ramps([2.0], 4.0, rest_s=0.3, name="quick")
+PROFILES = {OrderKind.SOURCE: QUICK, OrderKind.UNIT: QUICK, OrderKind.GOLDEN: QUICK}
+
+
+class Host:
+    """Everything a host gives, in memory."""
+
+    def __init__(self) -> None:
+        self.reports, self.stations, self.reasons = [], [], ()
+        self.stop_at_phase = ""
+        self.on_report = lambda progress: None
+
+    def report(self, progress):
+        self.reports.append(progress)
+        self.on_report(progress)
+
+    def is_stop_wanted(self):
+        return bool(self.stop_at_phase) and bool(self.reports) and self.reports[-1].phase == self.stop_at_phase
+
+    def gate(self, kind):
+        return Gate(() if kind in (OrderKind.GOLDEN, OrderKind.CHECK) else self.reasons)
+
+    @contextmanager
+    def open_bench(self):
+        with open_simulated_bench(seed=len(self.stations)) as (bench, station):
+            self.stations.append(station)
+            yield bench
+
+    def service(self, folder):
+        hooks = Hooks(self.report, self.is_stop_wanted, self.gate)
+        service = StationService(self.open_bench, PROFILES, folder, hooks)
+        service.start()
+        return service
+
+
+@pytest.fixture
+def host():
+    return Host()
+
+
+@pytest.fixture
+def service(host, tmp_path):
+    service = host.service(tmp_path)
+    yield service
+    service.close()
+
+
+def order(kind=OrderKind.UNIT, serial="A1", order_id="1"):
+    return Order(order_id, "s1", kind, serial)
+
+
+def test_a_unit_is_pressed_and_its_progress_told(host, service):
+    recording = service.perform(order())
+    assert recording is not None and recording.force_N is None
+    assert service.state is StationState.READY
+    assert {"searching for contact", "pressing"} <= {report.phase for report in host.reports}
+    assert host.reports[-1].signal.output_unit == "V"
+
+
+def test_a_closed_gate_refuses_with_its_reasons_but_lets_the_golden_unit_in(host, service):
+    host.reasons = ("no golden unit was pressed in this shift; press one",)
+    service.settle()
+    assert service.state is StationState.CLOSED
+    assert service.perform(order()) is None
+    assert (host.reports[-1].code, host.reports[-1].state) == ("E-GATE", RunState.ERROR)
+    assert "golden" in host.reports[-1].message
+    golden = service.perform(order(OrderKind.GOLDEN, "G1", "2"))
+    assert golden is not None and golden.force_N is not None
+
+
+def test_a_fault_stops_the_station_until_somebody_acknowledges(host, service):
+    host.on_report = lambda progress: progress.phase == "pressing" and host.stations[-1].force_wire.unplug()
+    assert service.perform(order()) is None
+    assert service.state is StationState.STOPPED
+    assert host.reports[-1].code == "E-SILENT"
+    host.on_report = lambda progress: None
+    assert service.perform(order(order_id="2")) is None
+    assert "acknowledge first" in host.reports[-1].message
+    service.perform(order(OrderKind.ACKNOWLEDGE, order_id="3"))
+    assert service.state is StationState.READY
+    assert service.perform(order(order_id="4")) is not None
+
+
+def test_a_stop_of_a_person_cancels_the_run_and_lifts_the_stage(host, service):
+    host.stop_at_phase = "pressing"
+    assert service.perform(order()) is None
+    assert host.reports[-1].state is RunState.CANCELLED
+    assert "lifted" in host.reports[-1].message
+    assert not host.stations[-1].axis.is_moving
+
+
+def test_a_self_test_reports_that_all_is_good(host, service):
+    assert service.perform(Order("1", "s1", OrderKind.CHECK)) is None
+    assert host.reports[-1].state is RunState.DONE
+    assert service.findings
+
+
+def test_missing_devices_leave_the_station_stopped_with_all_of_them_named(host, tmp_path):
+    @contextmanager
+    def nothing():
+        raise NoReply("stage (/dev/a): no such port; load cell (/dev/b): no such port")
+        yield
+
+    service = StationService(nothing, PROFILES, tmp_path, Hooks(host.report, host.is_stop_wanted, host.gate))
+    service.start()
+    assert service.state is StationState.STOPPED
+    assert "/dev/a" in service.reasons[0] and "/dev/b" in service.reasons[0]
