@@ -20,6 +20,9 @@ from softcal.core.windows import TAPS
 
 IDENTITY = "identity"
 
+STRETCHES = 4
+"""Stretches of the recording per left-out share."""
+
 
 @dataclass(frozen=True)
 class CalibrationConfig:
@@ -27,7 +30,7 @@ class CalibrationConfig:
 
     Args:
         map: how the map is chosen.
-        parts: stretches of the recording the chosen family is fitted to again, to see how firm it stands.
+        parts: shares of the recording left out in turn while the chosen family is fitted again: how firm it stands.
     """
 
     map: MapConfig = field(default_factory=MapConfig)
@@ -60,13 +63,13 @@ def calibrate_unit(
         )
     target, source = problem.target, problem.source.unlabelled
     check_alive(target, source)
-    limits = output_limits(target, source)
+    limits = output_limits(target, source, is_rising=model.interval.slope_limit > 0)
     chosen = choose_map(problem, config.map)
     evidence = gather_evidence(
         model, target, chosen.unit_map, _rivals(chosen), _refitted(problem, chosen, config.parts), limits
     )
     forecast = forecast_error(evidence.budget)
-    findings = (*health_findings(target, source, limits), *map_findings(model, target, chosen.unit_map, evidence))
+    findings = (*health_findings(target, source, limits), *map_findings(model, target, evidence))
     return Calibration(
         serial=target.serial,
         network_id=problem.network.id,
@@ -85,9 +88,10 @@ def _rivals(chosen: ChosenMap) -> list[UnitMap]:
 
 
 def _refitted(problem: FitProblem, chosen: ChosenMap, parts: int) -> list[UnitMap]:
-    """Fit the chosen family again with one stretch of the recording left out at a time."""
+    """Fit the chosen family again with one share of the recording left out at a time."""
     refits = []
-    for target in _without_one_part(problem.target, parts):
+    for part in range(parts):
+        target = _without_share(problem.target, part, parts)
         try:
             refits.append(family(chosen.family).fit(replace(problem, target=target)))
         except UnitRefused:
@@ -95,16 +99,10 @@ def _refitted(problem: FitProblem, chosen: ChosenMap, parts: int) -> list[UnitMa
     return refits
 
 
-def _without_one_part(target: OutputRecording, parts: int) -> list[OutputRecording]:
-    edges = np.linspace(0, len(target), parts + 1).astype(int)
-    if edges[1] < 4 * TAPS:
-        return []
-    return [_without(target, slice(a, b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-
-
-def _without(target: OutputRecording, left_out: slice) -> OutputRecording:
-    keep = np.ones(len(target), dtype=bool)
-    keep[left_out] = False
+def _without_share(target: OutputRecording, part: int, parts: int) -> OutputRecording:
+    """Leave out every parts-th of many stretches, so that what is left still covers the whole programme."""
+    length = max(len(target) // (parts * STRETCHES), TAPS)
+    keep = (np.arange(len(target)) // length) % parts != part
     stage_mm = None if target.stage_mm is None else target.stage_mm[keep]
     return replace(target, t_s=target.t_s[keep], output=target.output[keep], stage_mm=stage_mm)
 

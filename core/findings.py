@@ -3,23 +3,28 @@
 import numpy as np
 
 from softcal.core.forecast import REACH, MapEvidence, map_variance, rest_rows
-from softcal.core.maps.interface import UnitMap
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.source_model import SourceModel
 from softcal.core.verdict import Finding
 
 UNFAMILIAR_SHARE = 0.05
 COVERED_SHARE = 0.75
+ENOUGH_OVERLAP = 0.6
 DRIFT_FACTOR = 2.0
 """A drift or creep at rest of this many times the source's own error is worth a word."""
 
 
-def map_findings(
-    model: SourceModel, target: OutputRecording, unit_map: UnitMap, evidence: MapEvidence
-) -> tuple[Finding, ...]:
+def map_findings(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> tuple[Finding, ...]:
     """Say in words what the mapped windows show against the unit, if anything."""
-    checks = (_unfamiliar(model, evidence), _uncovered(model, evidence), _restless(model, target, evidence))
-    return tuple(f for f in (*checks, _reversed(model, target), _not_better(evidence)) if f is not None)
+    checks = (
+        _reversed(model, target),
+        _unfamiliar(model, evidence),
+        _other_use(evidence),
+        _uncovered(model, target, evidence),
+        _restless(model, target, evidence),
+        _not_better(evidence),
+    )
+    return tuple(finding for finding in checks if finding is not None)
 
 
 def _unfamiliar(model: SourceModel, evidence: MapEvidence) -> Finding | None:
@@ -37,19 +42,38 @@ def _unfamiliar(model: SourceModel, evidence: MapEvidence) -> Finding | None:
     return Finding("unfamiliar", text, "fail" if share > 0.3 else "conditional")
 
 
-def _uncovered(model: SourceModel, evidence: MapEvidence) -> Finding | None:
-    """Return a finding where the unit's loads reach over too little of the source's range."""
-    low, high = model.interval.low, model.interval.high
-    reach = np.quantile(evidence.estimate, REACH)
-    share = float((min(reach[1], high) - max(reach[0], low)) / (high - low))
+def _uncovered(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> Finding | None:
+    """Return a finding where the unit was pressed over too little of the source's range: by position where known."""
+    source = model.source.unlabelled
+    if target.stage_mm is not None and source.stage_mm is not None:
+        what, unit, reach, whole = "pressed", "mm", _reach(target.stage_mm), _reach(source.stage_mm)
+    else:
+        what, unit = "loaded", model.network.reference_unit
+        reach, whole = _reach(evidence.estimate), (model.interval.low, model.interval.high)
+    share = (min(reach[1], whole[1]) - max(reach[0], whole[0])) / (whole[1] - whole[0])
     if share >= COVERED_SHARE:
         return None
-    unit = model.network.reference_unit
     text = (
-        f"profile not covered: the unit was pressed from {reach[0]:.3g} to {reach[1]:.3g} {unit}, "
-        f"{max(share, 0):.0%} of the source's range of {low:.3g} to {high:.3g} {unit}"
+        f"profile not covered: the unit was {what} from {reach[0]:.3g} to {reach[1]:.3g} {unit}, {max(share, 0):.0%} "
+        f"of the source's {whole[0]:.3g} to {whole[1]:.3g} {unit}; loads beyond are extrapolated"
     )
     return Finding("not covered", text)
+
+
+def _reach(values: Array) -> tuple[float, float]:
+    low, high = np.quantile(values, REACH)
+    return float(low), float(high)
+
+
+def _other_use(evidence: MapEvidence) -> Finding | None:
+    """Return a finding where the unit's mix of loads and speeds is not the source's."""
+    if evidence.overlap >= ENOUGH_OVERLAP:
+        return None
+    text = (
+        f"wrong programme: the unit's mix of loads and speeds overlaps the source's by {evidence.overlap:.0%} only; "
+        "either it was pressed otherwise or it behaves otherwise"
+    )
+    return Finding("wrong programme", text)
 
 
 def _restless(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> Finding | None:

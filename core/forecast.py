@@ -30,6 +30,7 @@ SENSITIVITY = {
     "resolution": 1.0,
     "clipping": 1.0,
     "extrapolation": 0.2,
+    "overlap": 0.3,
 }
 """Sensitivity coefficients c_i of the budget where the stage position is unknown."""
 
@@ -51,6 +52,7 @@ class MapEvidence:
         distance: (n,) of the mapped windows from the source's support.
         disagreement: (n,) RMS difference of the other candidate maps' estimates from `estimate`.
         unmapped: (n,) f on the raw windows: what doing nothing would say.
+        overlap: of the unit's mix of loads and speeds with the source's, 0 to 1.
         budget: standard uncertainties in the reference unit: `model` and the names of `SENSITIVITY`, and
             `stage` where source and unit carry the stage position.
     """
@@ -61,6 +63,7 @@ class MapEvidence:
     distance: Array
     disagreement: Array
     unmapped: Array
+    overlap: float
     budget: Mapping[str, float]
 
     @property
@@ -97,6 +100,7 @@ def gather_evidence(
     disagreement = _spread(estimate, [network.evaluate(other.apply(raw)) for other in alternatives])
     stability = _spread(estimate, [network.evaluate(part.apply(raw)) for part in resampled])
     cells = interval.direction(shape), interval.column(estimate)
+    overlap = use_overlap(model, shape)
     budget = {
         "model": _rms(model.residuals.rmse_table[cells]),
         "disagreement": _rms(disagreement),
@@ -107,11 +111,12 @@ def gather_evidence(
         "resolution": _resolution(model, target, mapped, raw),
         "clipping": _clipping(model, target, limits),
         "extrapolation": _extrapolation(model, estimate),
+        "overlap": (1 - overlap) ** 2 * (interval.high - interval.low),
     }
     stage = _stage(model, target, rows, estimate, shape)
     if stage is not None:
         budget["stage"] = stage
-    return MapEvidence(rows, estimate, shape, distance, disagreement, network.evaluate(raw), budget)
+    return MapEvidence(rows, estimate, shape, distance, disagreement, network.evaluate(raw), overlap, budget)
 
 
 def forecast_error(budget: Mapping[str, float]) -> ErrorForecast:
@@ -206,3 +211,20 @@ def _extrapolation(model: SourceModel, estimate: Array) -> float:
     """Return the RMS distance of the source's loads from the range of loads this unit has shown."""
     low, high = np.quantile(estimate, REACH)
     return _rms(np.maximum(np.maximum(low - model.estimate, model.estimate - high), 0))
+
+
+def use_overlap(model: SourceModel, shape: WindowShape) -> float:
+    """Return the shared area of the unit's and the source's distributions over level and slope, 0 to 1.
+
+    The grid is coarse enough for short recordings.
+    """
+    levels = np.linspace(*np.quantile(model.shape.level, REACH), 11)
+    slopes = np.linspace(-1, 1, 8) * np.quantile(np.abs(model.shape.slope), 0.98)
+    source, unit = (_use(part, levels, slopes) for part in (model.shape, shape))
+    return float(np.minimum(source, unit).sum())
+
+
+def _use(shape: WindowShape, levels: Array, slopes: Array) -> Array:
+    level, slope = np.clip(shape.level, levels[0], levels[-1]), np.clip(shape.slope, slopes[0], slopes[-1])
+    counts, *_ = np.histogram2d(level, slope, (levels, slopes))
+    return np.asarray(counts / len(level))

@@ -9,10 +9,10 @@ from softcal.core.recording import Array, Indices, OutputRecording
 from softcal.core.verdict import Finding
 
 RAIL_RUN = 5
-"""Equal samples in a row at the very end of the range that count as clipped."""
+"""Samples in a row at the very end of the range that count as flat."""
 
 PILE = 3.0
-"""Samples at a rail over samples one level inside it; noise alone leaves fewer at the very end."""
+"""Samples at a rail over samples beside it; a triangle leaves about as many in both."""
 
 VISITS = 0.2
 """Share of presses that end at a rail, beyond what the source shows at the same end, that is clipping."""
@@ -52,15 +52,13 @@ class Rail:
     """How the samples pile up at one end of the range.
 
     Args:
-        level: the end of the range, in the output unit.
-        share: share of all samples at it.
-        visits: share of the presses that end at it, flat for at least `RAIL_RUN` samples.
+        level: inner edge of the band at this end, as wide as the noise, in the output unit.
+        visits: share of the presses that end in the band, flat for at least `RAIL_RUN` samples.
         count: number of such presses.
-        pile: samples at it over samples at the next level inside.
+        pile: samples in the band over samples in the next band inside it.
     """
 
     level: float
-    share: float
     visits: float
     count: int
     pile: float
@@ -68,7 +66,7 @@ class Rail:
     def is_clipped(self, source: "Rail") -> bool:
         """Tell whether the readout clips here: presses of different depth all end flat at one level.
 
-        A hold at the deepest load ends flat too, and a unit at rest does at the other end: both do so in the source.
+        Holds at one same depth end flat too, but then they do so in the source.
         """
         return self.count >= 3 and self.pile >= PILE and self.visits > source.visits + VISITS
 
@@ -76,19 +74,30 @@ class Rail:
 def rail(output: Array, is_upper: bool) -> Rail:
     """Describe the upper or lower end of an output's range."""
     rising = output if is_upper else -output
-    levels, counts = np.unique(rising, return_counts=True)
-    top, span = levels[-1], levels[-1] - levels[0]
-    flat = (rising == top) & (run_lengths(rising) == RAIL_RUN)
-    state = np.where(flat, 1, np.where(rising < top - 0.1 * span, -1, 0))
+    band = noise_band(output)
+    top, span = float(rising.max()), float(np.ptp(rising))
+    in_band = rising > top - band
+    flat = in_band & (run_lengths(in_band.astype(np.float64)) == RAIL_RUN)
+    state = np.where(flat, 1, np.where(rising < top - max(0.1 * span, 2 * band), -1, 0))
     state = state[state != 0]
     count = int(np.count_nonzero((state[1:] == 1) & (state[:-1] == -1)))
+    next_inside = np.count_nonzero((rising <= top - band) & (rising > top - 2 * band))
     return Rail(
-        level=float(top if is_upper else -top),
-        share=float(counts[-1] / len(output)),
+        level=(top - band) * (1 if is_upper else -1),
         visits=count / max(count_presses(output), 1),
         count=count,
-        pile=float(counts[-1] / counts[-2]),
+        pile=float(np.count_nonzero(in_band) / max(next_inside, 1)),
     )
+
+
+def noise_band(output: Array) -> float:
+    """Return the width of a flat stretch: six standard deviations of the noise, at least one and a half ADC steps.
+
+    The noise comes from second differences, which a slow signal leaves small (median absolute value / 0.6745 / √6).
+    """
+    noise = float(np.median(np.abs(np.diff(output, 2)))) / 0.6745 / np.sqrt(6)
+    step = float(np.min(np.diff(np.unique(output)), initial=np.inf))
+    return max(6 * noise, 1.5 * step, 1e-3 * float(np.ptp(output)))
 
 
 def check_alive(target: OutputRecording, source: OutputRecording) -> None:
@@ -113,13 +122,19 @@ def check_alive(target: OutputRecording, source: OutputRecording) -> None:
         )
 
 
-def output_limits(target: OutputRecording, source: OutputRecording) -> OutputLimits:
-    """Find the rails of the unit's readout and the longest stillness it shows in good order."""
-    lower, upper = (rail(target.output, is_upper) for is_upper in (False, True))
+def output_limits(target: OutputRecording, source: OutputRecording, is_rising: bool) -> OutputLimits:
+    """Find the rail of the unit's readout and the longest stillness it shows in good order.
+
+    Args:
+        target, source: the unit's recording and the source's.
+        is_rising: the output rises with the load. Only its loaded end is looked at: at rest every unit is flat.
+    """
+    end = rail(target.output, is_rising)
+    clipped = end.level if end.is_clipped(rail(source.output, is_rising)) else None
     longest = int(max(run_lengths(target.output).max(), run_lengths(source.output).max()))
     return OutputLimits(
-        rail_low=lower.level if lower.is_clipped(rail(source.output, is_upper=False)) else -np.inf,
-        rail_high=upper.level if upper.is_clipped(rail(source.output, is_upper=True)) else np.inf,
+        rail_low=-np.inf if clipped is None or is_rising else clipped,
+        rail_high=np.inf if clipped is None or not is_rising else clipped,
         stuck_samples=max(2 * longest, round(STUCK_S * target.sample_rate_Hz)),
     )
 
@@ -131,7 +146,7 @@ def clipped_share(output: Array, limits: OutputLimits) -> float:
 
 def health_findings(target: OutputRecording, source: OutputRecording, limits: OutputLimits) -> tuple[Finding, ...]:
     """Say in words what is wrong with the raw output, if anything."""
-    return (*_clipped(target, limits), *_frozen(target, source), *_short(target))
+    return (*_clipped(target, limits), *_frozen(target, source), *_short(target, source))
 
 
 def _clipped(target: OutputRecording, limits: OutputLimits) -> list[Finding]:
@@ -163,13 +178,15 @@ def _longest_inner_run(output: Array) -> int:
     return int(np.max(run_lengths(output)[inner], initial=0))
 
 
-def _short(target: OutputRecording) -> list[Finding]:
+def _short(target: OutputRecording, source: OutputRecording) -> list[Finding]:
     windows, presses = len(target.window_rows), count_presses(target.output)
-    if windows >= FEW_WINDOWS and presses >= FEW_PRESSES:
+    # A slow programme may have but two presses in the source too.
+    enough = min(FEW_PRESSES, count_presses(source.output))
+    if windows >= FEW_WINDOWS and presses >= enough:
         return []
     text = (
         f"too little data: {windows} windows and {presses} presses; "
-        f"at least {FEW_WINDOWS} windows and {FEW_PRESSES} presses are needed for a firm verdict"
+        f"at least {FEW_WINDOWS} windows and {enough} presses are needed for a firm verdict"
     )
     return [Finding("too little data", text)]
 

@@ -15,7 +15,7 @@ def source(press):
 
 
 def kinds(target, source):
-    return [f.kind for f in health_findings(target, source, output_limits(target, source))]
+    return [f.kind for f in health_findings(target, source, output_limits(target, source, is_rising=True))]
 
 
 def test_run_lengths_count_equal_samples():
@@ -43,14 +43,20 @@ def test_a_clipped_range_is_found_with_its_rail(press, source):
     unit = press(2).unlabelled
     clipped = replace(unit, output=np.minimum(unit.output, 0.65))
     assert "saturated" in kinds(clipped, source)
-    assert output_limits(clipped, source).rail_high == 0.65
+    assert output_limits(clipped, source, is_rising=True).rail_high == pytest.approx(0.65, abs=0.02)
 
 
-def test_a_range_clipped_at_its_lower_end_is_found_too(press, source):
+def test_a_noisy_clip_is_found_too(press, source, rng):
+    unit = press(2).unlabelled
+    noisy = np.minimum(unit.output, 0.65) + rng.normal(0, 0.001, len(unit))
+    assert "saturated" in kinds(replace(unit, output=noisy), source)
+
+
+def test_a_falling_output_is_clipped_at_its_lower_end(press, source):
     falling_source = replace(source, output=1.0 - source.output)
     unit = press(2).unlabelled
     clipped = replace(unit, output=np.maximum(1.0 - unit.output, 0.35))
-    assert output_limits(clipped, falling_source).rail_low == 0.35
+    assert output_limits(clipped, falling_source, is_rising=False).rail_low == pytest.approx(0.35, abs=0.02)
 
 
 def test_a_constant_output_is_refused_with_its_value(press, source):
@@ -75,7 +81,9 @@ def test_a_reading_that_freezes_in_mid_range_asks_for_a_retest(press, source):
     output = press(2).unlabelled.output.copy()
     start = int(np.flatnonzero(np.abs(output - 0.65) < 0.01)[0])
     output[start : start + 400] = output[start]
-    found = health_findings(*(t := (replace(press(2).unlabelled, output=output), source)), output_limits(*t))
+    found = health_findings(
+        *(t := (replace(press(2).unlabelled, output=output), source)), output_limits(*t, is_rising=True)
+    )
     assert [f.worst_word for f in found if f.kind == "stuck"] == ["retest"]
 
 
