@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from softcal.core.health import OutputLimits
 from softcal.core.identity import Settings
-from softcal.core.maps.catalogue import map_from_arrays
 from softcal.core.maps.interface import UnitMap, map_sha256
 from softcal.core.uncertainty import ErrorForecast, Interval
 from softcal.core.verdict import VERDICTS, Verdict
@@ -136,6 +135,9 @@ class Calibration:
         Raises:
             InputError: the map's family is unknown to this version.
         """
+        # The families bring solvers that take seconds to import; a registry that lists records needs none of them.
+        from softcal.core.maps.catalogue import map_from_arrays
+
         settings = {name: _mapping(record.settings, name) for name in ("map", "interval", "config")}
         limits = _mapping(settings["interval"], "output_limits")
         forecast = record.settings["forecast"]
