@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from softcal.core.gap.fit import BASE, Fit, Hypothesis
+from softcal.core.gap.linear import energy
 from softcal.core.gap.posterior import log_evidence
 from softcal.core.gap.screen import Tangent
 
@@ -56,8 +57,8 @@ def hidden_fraction(found: Fit, effect_id: str) -> float:
     smaller = Hypothesis(tuple(effects), hypothesis.episodes)
     without = found.problem.predict(smaller, coordinates[kept])
     signature = (found.predicted - without) * found.problem.weights
-    size = float(signature @ signature)
+    size = energy(signature)
     if size <= 0.0:
         return 1.0
     seen = Tangent(found, base_only=True).visible(signature)
-    return float(np.clip(1.0 - float(seen @ seen) / size, 0.0, 1.0))
+    return float(np.clip(1.0 - energy(seen) / size, 0.0, 1.0))

@@ -223,7 +223,7 @@ def with_hum(found: Fit) -> Fit | None:
 
 
 def _alias_grid(rate_Hz: float, longest_s: float) -> Array:
-    fine_Hz = 0.25 / longest_s
+    fine_Hz = 0.4 / longest_s
     parts = []
     for mains_Hz in MAINS_Hz:
         alias_Hz = abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz))

@@ -8,6 +8,7 @@ import numpy as np
 
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.forward import predict
+from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
 from softcal.core.twin.parameters import BaseParameters
@@ -199,7 +200,7 @@ class Fit:
         coordinates: (parameters,) in the coordinates of the fit.
         predicted: (samples,) clean prediction.
         chi2: sum of squared residuals over σ², over the samples the fit saw.
-        jacobian: (samples, parameters) of the weighted prediction; columns that were held fixed are 0.
+        jacobian: (parameters, samples) of the weighted prediction; rows that were held fixed are 0.
     """
 
     problem: Problem
@@ -225,7 +226,7 @@ class Fit:
     @cached_property
     def covariance(self) -> Array:
         """(parameters, parameters) of the coordinates; rows of fixed parameters are 0."""
-        normal = self.jacobian.T @ self.jacobian
+        normal = gram(self.jacobian)
         free = np.flatnonzero(np.diag(normal) > 0)
         covariance = np.zeros_like(normal)
         covariance[np.ix_(free, free)] = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
@@ -235,9 +236,7 @@ class Fit:
         """Return the same parameters scored under another noise level."""
         residual = (problem.measured - self.predicted) * problem.weights
         ratio = np.divide(problem.weights, self.problem.weights, out=np.ones(len(residual)), where=problem.weights > 0)
-        return replace(
-            self, problem=problem, chi2=float(residual @ residual), jacobian=self.jacobian * ratio[:, np.newaxis]
-        )
+        return replace(self, problem=problem, chi2=energy(residual), jacobian=self.jacobian * ratio)
 
     @property
     def parameter_count(self) -> int:
@@ -263,7 +262,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
     x = np.clip(start, space.low, space.high)
     predicted = problem.predict(hypothesis, x)
     residual = (problem.measured - predicted) * problem.weights
-    chi2, damping = float(residual @ residual), 1e-4
+    chi2, damping = energy(residual), 1e-4
     jacobian = space.jacobian(x, predicted)
     for _ in range(steps):
         accepted = False
@@ -271,7 +270,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
             candidate = space.step(x, jacobian, residual, damping)
             trial = problem.predict(hypothesis, candidate)
             trial_residual = (problem.measured - trial) * problem.weights
-            trial_chi2 = float(trial_residual @ trial_residual)
+            trial_chi2 = energy(trial_residual)
             if trial_chi2 < chi2:
                 accepted = True
                 break
@@ -302,20 +301,20 @@ class _Space:
         self.is_free = np.concatenate([problem.is_free, np.ones(len(self.low) - len(BASE), dtype=np.bool_)])
 
     def jacobian(self, x: Array, predicted: Array) -> Array:
-        """(samples, parameters) derivative of the weighted prediction, one-sided, away from a bound."""
-        out = np.zeros((len(predicted), len(x)))
+        """(parameters, samples) derivative of the weighted prediction, one-sided, away from a bound."""
+        out = np.zeros((len(x), len(predicted)))
         for k in np.flatnonzero(self.is_free):
             step = DIFFERENCE * self.scale[k]
             if x[k] + step > self.high[k]:
                 step = -step
             moved = x.copy()
             moved[k] += step
-            out[:, k] = (self._problem.predict(self._hypothesis, moved) - predicted) / step * self._problem.weights
+            out[k] = (self._problem.predict(self._hypothesis, moved) - predicted) / step * self._problem.weights
         return out
 
     def step(self, x: Array, jacobian: Array, residual: Array, damping: float) -> Array:
         """Return the damped Gauss–Newton step; parameters pushed out of their bounds are held there."""
-        normal, slope = jacobian.T @ jacobian, jacobian.T @ residual
+        normal, slope = gram(jacobian), dots(jacobian, residual)
         free = self.is_free & (np.diag(normal) > 0)
         candidate = x.copy()
         for _ in range(3):

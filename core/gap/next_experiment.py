@@ -8,6 +8,7 @@ import numpy as np
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import Fit, Problem, fit
+from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.profiles import Profile
 
 ENOUGH_SIGMA = 10.0
@@ -114,13 +115,11 @@ def _distance(mine: Fit, other: Fit, run: Run) -> float:
     own = problem.predict(hypothesis, mine.coordinates) / problem.noise
     parted = theirs - own
     jacobian = fit(problem, hypothesis, mine.coordinates, steps=0).jacobian
-    if jacobian.shape[1] == 0:
-        return float(np.linalg.norm(parted))
-    old = mine.jacobian.T @ mine.jacobian
+    old = gram(mine.jacobian)
     free = np.flatnonzero(np.diag(old) > 0)
-    normal = old[np.ix_(free, free)] + jacobian[:, free].T @ jacobian[:, free]
-    slope = jacobian[:, free].T @ parted
-    left = float(parted @ parted) - float(slope @ np.linalg.lstsq(normal, slope, rcond=None)[0])
+    normal = old[np.ix_(free, free)] + gram(jacobian[free])
+    slope = dots(jacobian[free], parted)
+    left = energy(parted) - float(slope @ np.linalg.lstsq(normal, slope, rcond=None)[0])
     return float(np.sqrt(max(left, 0.0)))
 
 

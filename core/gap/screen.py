@@ -7,6 +7,7 @@ import numpy as np
 
 from softcal.core.gap.candidates import Probe
 from softcal.core.gap.fit import BASE, Episodes, Fit, start_coordinates
+from softcal.core.gap.linear import combine, dots, energy, gram
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 
@@ -66,15 +67,17 @@ class Tangent:
     def __init__(self, found: Fit, base_only: bool = False) -> None:
         self._found = found
         jacobian = found.jacobian
-        scale = np.sqrt(np.sum(jacobian**2, axis=0))
+        normal = gram(jacobian)
+        scale = np.sqrt(np.diag(normal))
         if base_only:
             scale[len(BASE) :] = 0.0
-        self._columns = np.flatnonzero(scale > 0)
-        scaled = jacobian[:, self._columns] / scale[self._columns]
-        left, singular, right = np.linalg.svd(scaled.T @ scaled)
-        keep = singular > 1e-10 * singular[0]
-        self._basis = scaled @ (left[:, keep] / np.sqrt(singular[keep]))
-        self._solve = (right[keep].T / np.sqrt(singular[keep])).T / scale[self._columns]
+        self._rows = np.flatnonzero(scale > 0)
+        scale = scale[self._rows]
+        strength, axes = np.linalg.eigh(normal[np.ix_(self._rows, self._rows)] / np.outer(scale, scale))
+        keep = strength > 1e-10 * strength[-1]
+        # Rows of `turn` times the Jacobian are orthonormal.
+        self._turn = (axes[:, keep] / np.sqrt(strength[keep])).T / scale
+        self._basis = np.array([combine(row, jacobian[self._rows]) for row in self._turn])
         self._residual = found.residual
 
     def signature(self, probe: Probe) -> Array:
@@ -86,24 +89,24 @@ class Tangent:
 
     def visible(self, signature: Array) -> Array:
         """Return the part of a signature that the fitted parameters cannot imitate."""
-        return np.asarray(signature - self._basis @ (self._basis.T @ signature))
+        return signature - combine(dots(self._basis, signature), self._basis)
 
     def lead(self, probe: Probe) -> Lead | None:
         """Return what this probe promises, None if it promises nothing."""
         signature = self.signature(probe)
-        size = float(signature @ signature)
+        size = energy(signature)
         seen = self.visible(signature)
-        power = float(seen @ seen)
+        power = energy(seen)
         if power <= 1e-9 * max(size, 1e-30) or power <= 1e-12:
             return None
-        times = float(seen @ self._residual) / power
+        times = float(dots(seen.reshape(1, -1), self._residual)[0]) / power
         if probe.is_one_sided and times <= 0:
             return None
         gain = times**2 * power
         # The probe is linear for small effects only: begin within a decade of it.
         stretch = float(np.clip(times, -30.0, 30.0))
         shift = np.zeros(len(self._found.coordinates))
-        shift[self._columns] = -stretch * (self._solve.T @ (self._basis.T @ signature))
+        shift[self._rows] = -stretch * (self._turn.T @ dots(self._basis, signature))
         return Lead(probe.effect, stretched(probe, stretch), gain, shift)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from softcal.core.gap.case import Mask
 from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit
+from softcal.core.gap.linear import combine
 from softcal.core.recording import Array
 
 HELD_PARTS = 4
@@ -162,4 +163,5 @@ def _spread(fold: _Fold) -> Array:
     found = fold.after
     whole = found.problem.seeing(np.ones(len(found.problem.measured)))
     jacobian = fit(whole, found.hypothesis, found.coordinates, steps=0).jacobian
-    return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", jacobian, found.covariance, jacobian)) * whole.noise)
+    carried = np.array([combine(row, jacobian) for row in found.covariance])
+    return np.asarray(np.sqrt(np.maximum(np.sum(carried * jacobian, axis=0), 0.0)) * whole.noise)

@@ -31,7 +31,7 @@ def noise_levels(found: Fit) -> dict[str, float]:
     for block in problem.blocks:
         error = (problem.measured - found.predicted)[block.place]
         squares.setdefault(block.channel, []).append(np.diff(error) ** 2 / 2)
-    levels = {}
+    levels = dict(problem.sigma)
     for channel, parts in squares.items():
         every = np.sort(np.concatenate(parts))
         kept = every[: max(1, int(len(every) * (1 - TRIMMED)))]
