@@ -14,7 +14,7 @@ from softcal.core.metrics import rmse
 from softcal.core.network import Network
 from softcal.core.recording import LabelledRecording
 from softcal.core.simulated_lot import FAULTS, SHIFTS, LotDesign, SimulatedUnit, simulate_lot
-from softcal.core.source_model import make_source_model
+from softcal.core.source_model import SourceModel, make_source_model
 from softcal.core.training import NetworkConfig, fit_network
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)
@@ -22,6 +22,10 @@ NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)
 
 TRAIN_SHARE = 0.6
 """Share of the audit recording a unit's own calibration trains on; all errors are on the rest."""
+
+
+SHIFTS_WITHOUT_STAGE = ("none", "none", "none", "short profile", "none", "other dwell")
+"""A line that does not know its stage has to press its units as it pressed the source; a few do not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,50 +66,61 @@ class Case:
         return self.calibration.predicted_rmse / self.source_rmse
 
 
-def cases(seeds: range, good: int = 6) -> Iterator[Case]:
-    """Yield every unit of the lots of these seeds: all faults once, shifts in turn, with and without stage position."""
-    shifts = ("none", *SHIFTS)
+def lot_design(seed: int, good: int = 6) -> LotDesign:
+    """Return the design of a lot: every fault once; even seeds know the stage position and see every shift in turn."""
+    has_stage = seed % 2 == 0
+    shifts = tuple(SHIFTS) if has_stage else SHIFTS_WITHOUT_STAGE
+    return LotDesign(
+        good=good, bad=dict.fromkeys(FAULTS, 1), shift=shifts[(seed // 2) % len(shifts)], has_stage=has_stage
+    )
+
+
+def cases(seeds: range) -> Iterator[Case]:
+    """Yield every unit of the lots of these seeds."""
     for seed in seeds:
-        design = LotDesign(
-            good=good,
-            bad=dict.fromkeys(FAULTS, 1),
-            shift=shifts[seed % len(shifts)],
-            has_stage=bool((seed // len(shifts)) % 2 == 0),
-        )
+        design = lot_design(seed)
         lot = simulate_lot(seed, design)
         trained = fit_network(lot.source, NETWORK)
         model = make_source_model(lot.source, trained.network, trained.validation_rows)
         for unit in lot.units:
             split = int(TRAIN_SHARE * len(unit.audit))
             test = unit.audit.part(split, len(unit.audit))
-            calibration = _calibrate(FitProblem(lot.source, trained.network, unit.recording), model)
-            result = None if calibration is None else estimate(trained.network, calibration, test.unlabelled)
-            yield Case(
-                seed,
-                design.shift,
-                design.has_stage,
-                unit.kind,
-                before=rmse(trained.network.evaluate(test.windows), test.window_reference),
-                after=float("nan") if result is None else rmse(result.estimate, test.reference),
-                own=_own_rmse(unit, split, test, trained.network),
-                source_rmse=model.held_out_rmse,
-                calibration=calibration,
-                result=result,
-                test=test,
-            )
+            own = _own_rmse(unit.audit.part(0, split), test)
+            yield judged(seed, design, unit, own, trained.network, model)
 
 
-def _calibrate(problem: FitProblem, model) -> Calibration | None:  # type: ignore[no-untyped-def]
+def judged(seed: int, design: LotDesign, unit: SimulatedUnit, own: float, network: Network, model: SourceModel) -> Case:
+    """Calibrate one unit and set the truth beside it."""
+    test = unit.audit.part(int(TRAIN_SHARE * len(unit.audit)), len(unit.audit))
+    calibration = _calibrate(FitProblem(model.source, network, unit.recording), model)
+    result = None if calibration is None else estimate(network, calibration, test.unlabelled)
+    return Case(
+        seed,
+        design.shift,
+        design.has_stage,
+        unit.kind,
+        before=rmse(network.evaluate(test.windows), test.window_reference),
+        after=float("nan") if result is None else rmse(result.estimate, test.reference),
+        own=own,
+        source_rmse=model.held_out_rmse,
+        calibration=calibration,
+        result=result,
+        test=test,
+    )
+
+
+def _calibrate(problem: FitProblem, model: SourceModel) -> Calibration | None:
     try:
         return calibrate_unit(problem, source_model=model)
     except UnitRefused:
         return None
 
 
-def _own_rmse(unit: SimulatedUnit, split: int, test: LabelledRecording, shared: Network) -> float:
+def _own_rmse(train: LabelledRecording, test: LabelledRecording) -> float:
     try:
-        own = fit_network(unit.audit.part(0, split), NETWORK).network
+        own = fit_network(train, NETWORK).network
     except InputError:
+        # A dead or clipped unit teaches nothing: its own calibration is the mean load.
         return float(np.std(test.window_reference))
     return rmse(own.evaluate(test.windows), test.window_reference)
 

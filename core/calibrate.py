@@ -10,7 +10,6 @@ from softcal.core.errors import InputError, UnitRefused
 from softcal.core.findings import map_findings
 from softcal.core.forecast import MapEvidence, forecast_error, gather_evidence, variance_table
 from softcal.core.health import check_alive, health_findings, output_limits
-from softcal.core.maps.catalogue import family
 from softcal.core.maps.choose import ChosenMap, MapConfig, choose_map
 from softcal.core.maps.interface import FitProblem, UnitMap
 from softcal.core.recording import OutputRecording
@@ -93,7 +92,7 @@ def _refitted(problem: FitProblem, chosen: ChosenMap, parts: int) -> list[UnitMa
     for part in range(parts):
         target = _without_share(problem.target, part, parts)
         try:
-            refits.append(family(chosen.family).fit(replace(problem, target=target)))
+            refits.append(choose_map(replace(problem, target=target), MapConfig(chosen.family)).unit_map)
         except UnitRefused:
             continue
     return refits

@@ -206,7 +206,8 @@ def _other_dwell(rng: np.random.Generator, duration_s: float) -> Profile:
 
 
 SHIFTS: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
-    "none": unit_profile,
+    "none": source_profile,
+    "short profile": unit_profile,
     "lighter": _scaled(0.88),
     "harder": _scaled(1.08),
     "half range": _half_range,

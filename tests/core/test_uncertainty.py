@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softcal.core.forecast import forecast_error
+from softcal.core.forecast import SENSITIVITY, forecast_error
 from softcal.core.support import fit_support
 from softcal.core.uncertainty import Interval, conformal_quantile, source_residuals
 from softcal.core.windows import TAPS, windows
@@ -95,9 +95,8 @@ def test_the_sources_own_windows_are_familiar_and_distance_is_euclidean_outside(
 
 
 def test_a_forecast_is_the_root_of_the_sum_of_squares():
-    budget = dict.fromkeys(
-        ("disagreement", "stability", "support", "shift", "rest", "resolution", "clipping", "extrapolation"), 0.0
-    )
+    budget = dict.fromkeys(SENSITIVITY, 0.0)
     alone = forecast_error({"model": 0.3, **budget})
     assert alone.rmse == pytest.approx(0.3) and alone.lower < 0.3 < alone.upper
-    assert forecast_error({"model": 0.3, **budget, "rest": 0.4}).rmse > 0.3
+    both = forecast_error({"model": 0.3, **budget, "rest": 0.4})
+    assert both.rmse == pytest.approx(np.hypot(0.3, 0.4 * SENSITIVITY["rest"]))
