@@ -21,6 +21,9 @@ from softcal.station.config import (
 from softcal.station.drivers.arduino import ArduinoReadout
 from softcal.station.drivers.grbl import GrblStage
 from softcal.station.drivers.hx711 import Hx711Cell
+from softcal.station.drivers.indicator import IndicatorCell
+from softcal.station.drivers.mark10 import Mark10Gauge
+from softcal.station.drivers.zaber import ZaberStage
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
 from softcal.station.link import Link
 from softcal.station.simulated.station import SimulatedStation
@@ -75,7 +78,11 @@ def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Be
 
 @contextmanager
 def open_simulated_bench(
-    unit: Twin | None = None, seed: int = 0, time_factor: float | None = None
+    unit: Twin | None = None,
+    seed: int = 0,
+    time_factor: float | None = None,
+    stage_kind: str = "grbl",
+    force_kind: str = "hx711",
 ) -> Iterator[tuple[Bench, SimulatedStation]]:
     """Open the same drivers on simulated far ends, each behind its own serial line.
 
@@ -83,11 +90,12 @@ def open_simulated_bench(
         unit: the unit under the stage; None for a nominal one. `SimulatedStation.mount` changes it.
         seed: of noise, delays and mounting.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
+        stage_kind, force_kind: dialects, as in a station file.
 
     Returns:
         The bench, and the simulated station with its fault switches.
     """
-    station = SimulatedStation(unit or Twin(), np.random.default_rng(seed), time_factor)
+    station = SimulatedStation(unit or Twin(), np.random.default_rng(seed), time_factor, stage_kind, force_kind)
     try:
         with open_bench(simulated_config(station), station.world) as bench:
             yield bench, station
@@ -99,7 +107,7 @@ def simulated_config(station: SimulatedStation) -> StationConfig:
     """Return the station file that belongs to a simulated station."""
     electronics = station.metadata
     return StationConfig(
-        StageConfig(station.stage_wire.port),
+        StageConfig(station.stage_wire.port, station.stage_kind),
         ReadoutConfig(
             station.readout_wire.port,
             vref_V=electronics.vref_V,
@@ -107,7 +115,12 @@ def simulated_config(station: SimulatedStation) -> StationConfig:
             r_series_ohm=electronics.r_series_ohm,
             rate_Hz=electronics.sample_rate_Hz,
         ),
-        ForceConfig(station.force_wire.port, counts_per_N=station.counts_per_N, zero_counts=station.zero_counts),
+        ForceConfig(
+            station.force_wire.port,
+            station.force_kind,
+            counts_per_N=station.counts_per_N,
+            zero_counts=station.zero_counts,
+        ),
         SafetyConfig(),
         replace(FixtureConfig(), approach_mm=station.free_mm),
         name="simulated",
@@ -115,14 +128,32 @@ def simulated_config(station: SimulatedStation) -> StationConfig:
 
 
 def _open_stage(config: StageConfig, clock: Clock) -> Stage:
-    return GrblStage(Link(config.port, clock, config.baud_rate, "stage"), config.axis, config.is_reversed)
+    with _link(config, clock, "stage") as link:
+        if config.kind == "zaber":
+            return ZaberStage(link, config.microstep_mm)
+        return GrblStage(link, config.axis, config.is_reversed)
 
 
 def _open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
-    link = Link(config.port, clock, config.baud_rate, "sensor readout")
-    return ArduinoReadout(link, config.vref_V, config.adc_bits, config.rate_Hz, config.channels)
+    with _link(config, clock, "sensor readout") as link:
+        return ArduinoReadout(link, config.vref_V, config.adc_bits, config.rate_Hz, config.channels)
 
 
 def _open_force(config: ForceConfig, clock: Clock) -> ForceReader:
-    link = Link(config.port, clock, config.baud_rate, "load cell")
-    return Hx711Cell(link, config.counts_per_N, config.zero_counts, config.capacity_N, config.rate_Hz)
+    with _link(config, clock, "load cell") as link:
+        if config.kind == "mark10":
+            return Mark10Gauge(link, config.capacity_N, config.sign, config.rate_Hz)
+        if config.kind == "indicator":
+            return IndicatorCell(link, config.capacity_N, config.sign, config.rate_Hz)
+        return Hx711Cell(link, config.counts_per_N, config.zero_counts, config.capacity_N, config.rate_Hz)
+
+
+@contextmanager
+def _link(config: StageConfig | ReadoutConfig | ForceConfig, clock: Clock, name: str) -> Iterator[Link]:
+    """Open a port for a driver; give it back when the device behind it is not what was expected."""
+    link = Link(config.port, clock, config.baud_rate, name)
+    try:
+        yield link
+    except DeviceError:
+        link.close()
+        raise

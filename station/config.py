@@ -8,31 +8,45 @@ from typing import Any, TypeVar
 
 from softcal.core.errors import InputError
 
-STAGE_KINDS = ("grbl",)
-FORCE_KINDS = ("hx711",)
+STAGE_KINDS = ("grbl", "zaber")
+FORCE_KINDS = ("hx711", "mark10", "indicator")
 READOUT_KINDS = ("arduino",)
 
 
 @dataclass(frozen=True)
 class StageConfig:
-    """The stage: `axis` letter, `is_reversed` when pressing is the negative machine direction."""
+    """The stage.
+
+    Args:
+        axis, is_reversed: GRBL: letter of the axis, and whether pressing is the negative machine direction.
+        microstep_mm: Zaber: travel per microstep, from the data sheet.
+    """
 
     port: str
     kind: str = "grbl"
     baud_rate: int = 115200
     axis: str = "Z"
     is_reversed: bool = True
+    microstep_mm: float = 0.0001905
 
 
 @dataclass(frozen=True)
 class ForceConfig:
-    """The load cell: `counts_per_N` and `zero_counts` come from `softcal station calibrate-cell`."""
+    """The load cell.
+
+    Args:
+        serial: of the cell, as on its certificate.
+        counts_per_N, zero_counts: HX711: from `softcal station calibrate-cell`.
+        sign: Mark-10 and indicators: 1 where compression reads positive, −1 otherwise.
+    """
 
     port: str
     kind: str = "hx711"
     baud_rate: int = 115200
     counts_per_N: float = 10000.0
     zero_counts: float = 0.0
+    sign: float = 1.0
+    serial: str = ""
     capacity_N: float = 20.0
     rate_Hz: float = 80.0
 

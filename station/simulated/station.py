@@ -4,12 +4,14 @@ import numpy as np
 
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin, TwinStream
+from softcal.station.simulated.force_gauge import SimulatedIndicator, SimulatedMark10
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.rig import Rig
 from softcal.station.simulated.text_stream import SimulatedTextStream
 from softcal.station.simulated.wire import Wire
-from softcal.station.simulated.world import World
+from softcal.station.simulated.world import FarEnd, World
+from softcal.station.simulated.zaber import SimulatedZaber
 
 ACCELERATION_MM_S2 = 200.0
 FREE_MM = 4.0
@@ -23,12 +25,21 @@ class SimulatedStation:
         unit: the unit under the stage.
         rng: draws noise, delays, clock errors and how units come to lie.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
+        stage_kind, force_kind: dialects, as in a station file. The fault switches of `stage` and `force` are those of
+            GRBL and HX711.
     """
 
     counts_per_N = 9870.0
     zero_counts = 84_210.0
 
-    def __init__(self, unit: Twin, rng: np.random.Generator, time_factor: float | None = None) -> None:
+    def __init__(
+        self,
+        unit: Twin,
+        rng: np.random.Generator,
+        time_factor: float | None = None,
+        stage_kind: str = "grbl",
+        force_kind: str = "hx711",
+    ) -> None:
         self.world = World(time_factor)
         self.metadata = unit.metadata
         self._rng = rng
@@ -38,15 +49,32 @@ class SimulatedStation:
         self.rig = Rig(self.axis)
         self.mount(unit)
         self.stage_wire, self.force_wire, self.readout_wire = (Wire(child) for child in rng.spawn(3))
-        self.stage = SimulatedGrbl(self.stage_wire, self.axis)
+        self.stage_kind, self.force_kind = stage_kind, force_kind
+        nowhere = Wire(rng)
+        nowhere.unplug()
+        self.stage = SimulatedGrbl(self.stage_wire if stage_kind == "grbl" else nowhere, self.axis)
         self.force = SimulatedTextStream(
-            self.force_wire, self._force_counts, 80.0, float(rng.normal(0, 1e-3)), banner=b"softcal load cell 1\r\n"
+            self.force_wire if force_kind == "hx711" else nowhere,
+            self._force_counts,
+            80.0,
+            float(rng.normal(0, 1e-3)),
+            banner=b"softcal load cell 1\r\n",
         )
         self.readout = SimulatedTextStream(
             self.readout_wire, self._output_counts, unit.metadata.sample_rate_Hz, float(rng.normal(0, 1e-3))
         )
-        for far_end in (self.stage, self.force, self.readout):
+        for far_end in (self._stage_end(), self._force_end(), self.readout):
             self.world.add(far_end)
+
+    def _stage_end(self) -> FarEnd:
+        return SimulatedZaber(self.stage_wire, self.axis) if self.stage_kind == "zaber" else self.stage
+
+    def _force_end(self) -> FarEnd:
+        if self.force_kind == "mark10":
+            return SimulatedMark10(self.force_wire, lambda now_s: self.rig.read(now_s)[0])
+        if self.force_kind == "indicator":
+            return SimulatedIndicator(self.force_wire, lambda now_s: self.rig.read(now_s)[0])
+        return self.force
 
     def mount(self, unit: Twin) -> None:
         """Put a unit under the stage, a little higher or lower than the one before."""

@@ -60,3 +60,13 @@ def test_a_target_unit_keeps_no_reference():
     assert recording.force_N is None
     with pytest.raises(ValueError, match="without a reference"):
         recording.labelled_recording()
+
+
+@pytest.mark.parametrize(("stage", "force"), [("zaber", "hx711"), ("grbl", "mark10"), ("zaber", "indicator")])
+def test_every_dialect_records_the_same_unit(stage, force):
+    with open_simulated_bench(seed=3, stage_kind=stage, force_kind=force) as (bench, station):
+        recording = record(bench, "A0", ramps([2.0, 3.0], 3.0, rest_s=0.5), with_reference=True)
+        surface_mm = recording.contact_mm - 0.3 - station.rig.clearance_mm
+    force_N, output_V = simulate(Twin(), recording.t_s, recording.stage_mm + surface_mm)
+    assert np.sqrt(np.mean((recording.force_N - force_N) ** 2)) < 0.06
+    assert np.sqrt(np.mean((recording.output[:, 0] - output_V) ** 2)) < 0.01

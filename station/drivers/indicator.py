@@ -1,0 +1,58 @@
+"""Driver of a weighing indicator that prints its reading by itself."""
+
+from softcal.core.errors import BadReply
+from softcal.station.drivers.text_stream import BAD_IN_A_ROW
+from softcal.station.frames.indicator import parse_N
+from softcal.station.interfaces import Sample
+from softcal.station.link import Link
+
+
+class IndicatorCell:
+    """Lines `ST,GS,+  4.876kg` as N.
+
+    The lines carry no time: where indicator and unit meet within some milliseconds matters, use a cell with a clock.
+
+    Args:
+        link: its port.
+        capacity_N: rated load.
+        sign: 1 where compression reads positive, −1 otherwise.
+        rate_Hz: lines per second it is set to.
+    """
+
+    name = "load cell"
+    unit = "N"
+
+    def __init__(self, link: Link, capacity_N: float, sign: float = 1.0, rate_Hz: float = 50.0) -> None:
+        self._link, self.capacity_N, self._sign, self.rate_Hz = link, capacity_N, sign, rate_Hz
+        self._is_synchronised = False
+        self._bad_in_a_row = 0
+
+    def start(self) -> None:
+        """Throw away what lies in the buffers and begin to count."""
+        self._link.discard()
+        self._is_synchronised, self._bad_in_a_row = False, 0
+
+    def poll(self) -> list[Sample]:
+        """Return the readings that arrived, in N.
+
+        Raises:
+            NoReply: the port is gone.
+            BadReply: overload, or nothing but noise.
+        """
+        samples = []
+        for line in self._link.read_lines():
+            if not self._is_synchronised:
+                self._is_synchronised = True  # The first line is cut more often than not.
+                continue
+            try:
+                samples.append(Sample(line.host_s, None, (self._sign * parse_N(line.text),)))
+                self._bad_in_a_row = 0
+            except BadReply as error:
+                self._bad_in_a_row += 1
+                if "overloaded" in str(error) or self._bad_in_a_row >= BAD_IN_A_ROW:
+                    raise
+        return samples
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._link.close()

@@ -1,0 +1,79 @@
+"""Driver of a Mark-10 force gauge, asked reading by reading (Mark-10 GCL2 manual)."""
+
+from softcal.core.errors import CommandRefused, NoReply
+from softcal.station.frames import gcl2
+from softcal.station.interfaces import Sample
+from softcal.station.link import Link
+
+ANSWER_S = 1.0
+
+
+class Mark10Gauge:
+    """A gauge that answers `?C` with a reading and its unit.
+
+    It has no clock of its own: a reading is taken to be from the middle between question and answer. A successful
+    command gets no answer at all, so every setting is read back.
+
+    Args:
+        link: its port.
+        capacity_N: rated load.
+        sign: 1 where compression reads positive, as delivered; −1 where the polarity is inverted.
+        rate_Hz: questions per second.
+
+    Raises:
+        NoReply: no gauge answers.
+        CommandRefused: peak mode, or readings without unit or sign, which its menu must change.
+    """
+
+    name = "load cell"
+    unit = "N"
+
+    def __init__(self, link: Link, capacity_N: float, sign: float = 1.0, rate_Hz: float = 50.0) -> None:
+        self._link, self.capacity_N, self._sign, self.rate_Hz = link, capacity_N, sign, rate_Hz
+        self._asked_s: float | None = None
+        self._next_s = 0.0
+        self._set("CUR", "N")
+
+    def start(self) -> None:
+        """Throw away what lies in the buffers and begin to ask."""
+        self._link.discard()
+        self._asked_s, self._next_s = None, 0.0
+
+    def poll(self) -> list[Sample]:
+        """Return the readings that arrived, in N, and ask for the next one when it is time.
+
+        Raises:
+            NoReply: the port is gone.
+            BadReply: the gauge answers with an error code, or without its unit.
+        """
+        samples = []
+        for line in self._link.read_lines():
+            if self._asked_s is None:
+                continue
+            force_N = self._sign * gcl2.parse_reading_N(line.text)
+            samples.append(Sample((self._asked_s + line.host_s) / 2, None, (force_N,)))
+            self._asked_s = None
+        now_s = self._link.clock.now_s()
+        if self._asked_s is None and now_s >= self._next_s:
+            self._link.write(gcl2.CURRENT)
+            self._asked_s, self._next_s = now_s, now_s + 1.0 / self.rate_Hz
+        return samples
+
+    def zero(self) -> None:
+        """Set the unloaded gauge to zero."""
+        self._link.write(b"Z" + gcl2.END)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._link.close()
+
+    def _set(self, *commands: str) -> None:
+        self._link.discard()
+        for command in commands:
+            self._link.write(command.encode() + gcl2.END)
+        self._link.write(gcl2.LIST)
+        settings = gcl2.parse_settings(self._link.next_line(ANSWER_S).text)
+        if (settings.mode, settings.unit) != ("CUR", "N"):
+            raise NoReply(f"load cell: the gauge stays in {settings.mode} and {settings.unit}; switch it to CUR and N")
+        if not settings.has_units or not settings.has_sign:
+            raise CommandRefused("load cell: readings lack unit or sign; switch both on in the gauge's menu")

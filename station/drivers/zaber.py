@@ -1,0 +1,179 @@
+"""Driver of a Zaber stage over the ASCII protocol, firmware 6 and 7 (Zaber ASCII manual)."""
+
+from softcal.core.errors import CommandRefused, DeviceError, NoReply
+from softcal.station.command import Control, Measurement
+from softcal.station.frames import zaber
+from softcal.station.interfaces import Move, StagePosition
+from softcal.station.link import POLL_S, Link
+
+ANSWER_S = 0.5
+SILENCE_S = 0.25
+STATUS_S = 0.04
+HOMING_S = 60.0
+
+SPEED_UNIT = 1.6384
+"""A speed setting is microsteps per second times this; an acceleration setting is that per 10 000 s of second."""
+
+ACCELERATION_UNIT = 1.6384 / 10_000
+
+
+class ZaberStage:
+    """One axis of a Zaber device, positive when it compresses, 0 at its home.
+
+    Args:
+        link: its port.
+        microstep_mm: travel per microstep, from the stage's data sheet (0.1905 µm is 0.0001905).
+        device, axis: addresses.
+
+    Raises:
+        NoReply: no Zaber device answers.
+    """
+
+    name = "stage"
+
+    limit_max = Measurement("get limit.max", unit="microsteps", doc="Measure the end of the travel in microsteps.")
+    acceleration = Measurement("get accel", unit="settings", doc="Measure the acceleration setting.")
+    speed = Control(
+        "get maxspeed", "set maxspeed {:.0f}", unit="settings", limits=(1.0, 1e9), doc="Control the speed setting."
+    )
+
+    def __init__(self, link: Link, microstep_mm: float, device: int = 1, axis: int = 1) -> None:
+        self._link, self._microstep_mm, self._device, self._axis = link, microstep_mm, device, axis
+        self._next_id = 1
+        self._is_homed = self._is_moving = False
+        self._asked: tuple[int, float] | None = None
+        self._next_status_s = 0.0
+        self.travel_mm = self.limit_max * microstep_mm
+        self.max_speed_mm_s = self.speed / SPEED_UNIT * microstep_mm
+        self.acceleration_mm_s2 = self.acceleration / ACCELERATION_UNIT * microstep_mm
+        self.position_mm = float(self.ask("get pos")) * microstep_mm
+        self._target_mm = self.position_mm
+
+    @property
+    def is_position_known(self) -> bool:
+        """Whether the axis was homed and nothing happened since that could have lost the position."""
+        return self._is_homed
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the last move has not yet been confirmed as finished."""
+        return self._is_moving
+
+    def home(self) -> None:
+        """Find the home sensor and wait until it is done.
+
+        Raises:
+            DeviceError: the axis stalled or cannot be homed.
+        """
+        self._is_homed = False
+        self._forget()
+        self._command("home")
+        end_s = self._link.clock.now_s() + HOMING_S
+        while (reply := self._command("")).is_busy:
+            if self._link.clock.now_s() > end_s:
+                raise NoReply(f"stage: not at home after {HOMING_S:g} s; look for what blocks it")
+            self._link.clock.sleep_s(STATUS_S)
+        self._check(reply)
+        self.position_mm = float(self.ask("get pos")) * self._microstep_mm
+        self._is_homed = True
+
+    def begin(self, move: Move) -> None:
+        """Start a move and return at once.
+
+        Raises:
+            CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
+        """
+        if not self._is_homed or self._is_moving:
+            why = "not homed" if not self._is_homed else "the move before is not finished"
+            raise CommandRefused(f"stage: {why}; nothing was sent")
+        if not 0.0 <= move.to_mm <= self.travel_mm:
+            raise CommandRefused(f"stage: {move.to_mm:g} mm is outside [0, {self.travel_mm:g}] mm; nothing was sent")
+        if not 0.0 < move.speed_mm_s <= self.max_speed_mm_s * (1 + 1e-6):
+            raise CommandRefused(
+                f"stage: {move.speed_mm_s:g} mm/s is outside (0, {self.max_speed_mm_s:g}] mm/s; nothing was sent"
+            )
+        self._forget()
+        self.speed = max(1.0, move.speed_mm_s / self._microstep_mm * SPEED_UNIT)
+        self._command(f"move abs {round(move.to_mm / self._microstep_mm)}")
+        self._target_mm, self._is_moving = move.to_mm, True
+        self._next_status_s = 0.0
+
+    def poll(self) -> list[StagePosition]:
+        """Read what the device said and ask for the position when it is time.
+
+        Raises:
+            NoReply: the port is gone, or a question was not answered.
+            DeviceError: stalled, interrupted, moved by hand, or a fault: the position may be lost.
+        """
+        positions = []
+        for line in self._link.read_lines():
+            reply = zaber.parse_reply(line.text)
+            if reply is None or self._asked is None or reply.message_id != self._asked[0]:
+                continue
+            asked_s, self._asked = self._asked[1], None
+            self._check(reply)
+            self.position_mm = float(reply.data) * self._microstep_mm
+            positions.append(StagePosition((asked_s + line.host_s) / 2, self.position_mm))
+            self._is_moving = reply.is_busy
+        now_s = self._link.clock.now_s()
+        if self._asked is not None and now_s - self._asked[1] > SILENCE_S:
+            self._is_homed = False
+            raise NoReply(f"stage: no status for {SILENCE_S:g} s; check its power and cable, then home")
+        if self._asked is None and now_s >= self._next_status_s:
+            self._asked = (self._send("get pos"), now_s)
+            self._next_status_s = now_s + STATUS_S
+        return positions
+
+    def stop(self) -> None:
+        """Brake; the device answers between moves at any time, so the command waits behind nothing.
+
+        Raises:
+            NoReply: the device does not answer; it was told to stop all the same.
+        """
+        self._forget()
+        reply = self._command("stop")
+        end_s = self._link.clock.now_s() + 2 * ANSWER_S
+        while reply.is_busy and self._link.clock.now_s() < end_s:
+            self._link.clock.sleep_s(POLL_S)
+            reply = self._command("")
+        self._is_homed = self._is_homed and not reply.is_busy and not reply.warning.startswith("F")
+        self.position_mm = float(self.ask("get pos")) * self._microstep_mm
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._link.close()
+
+    def ask(self, words: str) -> str:
+        """Return the data of the reply to a question."""
+        return self._command(words).data
+
+    def tell(self, words: str) -> None:
+        """Give a command that has no data."""
+        self._command(words)
+
+    def _command(self, words: str) -> zaber.Reply:
+        message_id = self._send(words)
+        end_s = self._link.clock.now_s() + ANSWER_S
+        while True:
+            line = self._link.next_line(max(0.0, end_s - self._link.clock.now_s()))
+            reply = zaber.parse_reply(line.text)
+            if reply is not None and reply.message_id == message_id:
+                break
+        if not reply.is_ok:
+            raise CommandRefused(f"stage: {words!r} was rejected: {reply.data}; nothing moved by it")
+        return reply
+
+    def _send(self, words: str) -> int:
+        message_id, self._next_id = self._next_id, self._next_id % 98 + 1
+        self._link.write(zaber.format_command(zaber.Command(self._device, self._axis, message_id, words)))
+        return message_id
+
+    def _check(self, reply: zaber.Reply) -> None:
+        if not reply.is_fault and not (self._is_homed and reply.warning in zaber.NOT_HOMED):
+            return
+        self._is_homed = self._is_moving = False
+        what = zaber.WARNINGS.get(reply.warning, reply.warning)
+        raise DeviceError(f"stage: {what} ({reply.warning}); look at the rig, then home it")
+
+    def _forget(self) -> None:
+        self._is_moving, self._asked = False, None

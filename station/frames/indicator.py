@@ -1,0 +1,26 @@
+"""Weighing indicators that print `ST,GS,+  4.876kg` (the common A&D, OHAUS and Chinese format). No I/O here."""
+
+import re
+
+from softcal.core.errors import BadReply
+from softcal.station.frames.force_unit import in_newtons
+
+_LINE = re.compile(r"(ST|US|OL),(GS|NT),([+-])\s*(\d+(?:\.\d+)?)\s*([A-Za-z]+)")
+
+
+def parse_N(line: bytes) -> float:
+    """Return a reading in N; stable or not, since a press is never stable.
+
+    Raises:
+        BadReply: overload, a cut line, or noise.
+    """
+    try:
+        fields = _LINE.fullmatch(line.decode("ascii").strip())
+    except UnicodeDecodeError as error:
+        raise BadReply(f"indicator sent {line[:40]!r}, which is noise") from error
+    if not fields:
+        raise BadReply(f"indicator sent {line[:40]!r}; `ST,GS,+  4.876kg` was expected")
+    state, _, sign, number, unit = fields.groups()
+    if state == "OL":
+        raise BadReply("load cell: overloaded (OL); unload it and have its calibration checked")
+    return in_newtons(float(sign + number), unit)

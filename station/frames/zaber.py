@@ -1,0 +1,144 @@
+"""Zaber ASCII protocol: commands and replies with address, message id, checksum (Zaber ASCII manual). No I/O here."""
+
+from dataclasses import dataclass
+
+from softcal.core.errors import BadReply
+
+WARNINGS = {
+    "FF": "critical system error",
+    "FN": "peripheral not supported",
+    "FZ": "peripheral inactive",
+    "FH": "hardware emergency stop",
+    "FV": "overvoltage or undervoltage",
+    "FO": "driver disabled",
+    "FC": "current inrush error",
+    "FM": "motor temperature error",
+    "FD": "driver disabled by a fault",
+    "FQ": "encoder error",
+    "FI": "index error",
+    "FA": "analog encoder error",
+    "FR": "overdrive limit exceeded",
+    "FS": "stalled and stopped",
+    "FB": "stream bounds error",
+    "FP": "interpolated path deviation",
+    "FE": "limit error",
+    "FT": "excessive twist",
+    "WS": "stalled, position recovered",
+    "WR": "no reference position",
+    "WH": "not homed",
+    "NC": "moved by its knob",
+    "NI": "movement interrupted",
+}
+"""Warning flags that matter here; a device reports its worst one in every reply."""
+
+NOT_HOMED = ("WR", "WH")
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command.
+
+    Args:
+        device, axis: addresses; 0 is all.
+        message_id: echoed by the device; None when it was not given.
+        words: the command itself, "" asks only for the status.
+    """
+
+    device: int
+    axis: int
+    message_id: int | None
+    words: str
+
+
+@dataclass(frozen=True)
+class Reply:
+    """One reply.
+
+    Args:
+        device, scope: who answers.
+        message_id: of the command, where it had one.
+        is_ok: OK, or rejected (RJ): then `data` says why.
+        is_busy: whether the axis moves.
+        warning: worst warning flag, "--" for none.
+        data: what was asked for.
+    """
+
+    device: int
+    scope: int
+    message_id: int | None
+    is_ok: bool
+    is_busy: bool
+    warning: str
+    data: str
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether the last move cannot be trusted: a fault, or an interruption."""
+        return self.warning.startswith("F") or self.warning in ("WS", "NI", "NC")
+
+
+def lrc(content: bytes) -> bytes:
+    """Return the checksum of what stands between the first character and the colon."""
+    return b"%02X" % (-sum(content) & 0xFF)
+
+
+def format_command(command: Command) -> bytes:
+    """Return a command with its checksum."""
+    identity = "" if command.message_id is None else f" {command.message_id:02d}"
+    words = f" {command.words}" if command.words else ""
+    content = f"{command.device} {command.axis}{identity}{words}".encode()
+    return b"/" + content + b":" + lrc(content) + b"\n"
+
+
+def parse_command(line: bytes) -> tuple[Command, bool]:
+    """Return a command and whether it came with a checksum.
+
+    Raises:
+        BadReply: no command, or a checksum that does not match.
+    """
+    if not line.startswith(b"/"):
+        raise BadReply(f"{line[:40]!r} is no Zaber command")
+    content, has_checksum = _without_checksum(line)
+    numbers: list[int] = []
+    words = content.decode("ascii", "replace").split()
+    while words and len(numbers) < 3 and words[0].isdigit():
+        numbers.append(int(words.pop(0)))
+    device, axis = [*numbers, 0, 0][:2]
+    return Command(device, axis, numbers[2] if len(numbers) == 3 else None, " ".join(words)), has_checksum
+
+
+def format_reply(reply: Reply, has_checksum: bool) -> bytes:
+    """Return a reply as the device sends it."""
+    identity = "" if reply.message_id is None else f" {reply.message_id:02d}"
+    words = ("OK" if reply.is_ok else "RJ", "BUSY" if reply.is_busy else "IDLE", reply.warning, reply.data)
+    content = f"{reply.device:02d} {reply.scope}{identity} {' '.join(words)}".encode()
+    return b"@" + content + (b":" + lrc(content) if has_checksum else b"") + b"\r\n"
+
+
+def parse_reply(line: bytes) -> Reply | None:
+    """Return a reply; None for an info or alert line, which asks for nothing.
+
+    Raises:
+        BadReply: noise, or a checksum that does not match.
+    """
+    if line[:1] in (b"#", b"!"):
+        _without_checksum(line)
+        return None
+    try:
+        content, _ = _without_checksum(line)
+        words = content.decode("ascii").split(" ")
+        device, scope = int(words[0]), int(words[1])
+        message_id = int(words.pop(2)) if words[2].isdigit() else None
+        verdict, state, warning, *data = words[2:]
+    except (ValueError, IndexError) as error:
+        raise BadReply(f"Zaber answered {line[:60]!r}, which is no Zaber reply") from error
+    if line[:1] != b"@" or verdict not in ("OK", "RJ") or state not in ("BUSY", "IDLE"):
+        raise BadReply(f"Zaber answered {line[:60]!r}, which is no Zaber reply")
+    return Reply(device, scope, message_id, verdict == "OK", state == "BUSY", warning, " ".join(data))
+
+
+def _without_checksum(line: bytes) -> tuple[bytes, bool]:
+    content, colon, checksum = line[1:].rstrip().partition(b":")
+    if colon and checksum != lrc(content):
+        raise BadReply(f"{line[:60]!r}: the checksum should be {lrc(content).decode()}")
+    return content, bool(colon)

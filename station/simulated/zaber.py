@@ -1,0 +1,138 @@
+"""A Zaber stage with one axis at the far end of a serial line (Zaber ASCII manual)."""
+
+import math
+
+from softcal.core.errors import BadReply
+from softcal.station.drivers.zaber import ACCELERATION_UNIT, SPEED_UNIT
+from softcal.station.frames import zaber
+from softcal.station.simulated.motion import Axis, Block
+from softcal.station.simulated.wire import Wire
+
+HOMING_MM_S = 10.0
+
+
+class SimulatedZaber:
+    """A device with address 1 and one axis.
+
+    Faults are switches: `warning` (sent with every reply), `stall()`, `turn_knob()`, and all the wire can do.
+
+    Args:
+        wire: the serial line.
+        axis: the drive; its position counts from home, mm.
+        travel_mm: length of the axis.
+        microstep_mm: travel per microstep.
+    """
+
+    def __init__(self, wire: Wire, axis: Axis, travel_mm: float = 40.0, microstep_mm: float = 0.0001905) -> None:
+        self.wire, self.axis, self.microstep_mm = wire, axis, microstep_mm
+        self.warning = ""
+        self._is_homed = self._is_homing = False
+        self._now_s = 0.0
+        self._received = b""
+        self.settings: dict[str, float] = {
+            "deviceid": 50081,
+            "system.serial": 81234,
+            "system.axiscount": 1,
+            "version": 7.38,
+            "version.build": 16000,
+            "device.hw.modified": 0,
+            "comm.command.packets.max": 1,
+            "comm.packet.size.max": 80,
+            "comm.word.size.max": 50,
+            "get.settings.max": 10,
+            "resolution": 64,
+            "peripheralid": 0,
+            "limit.min": 0,
+            "limit.max": round(travel_mm / microstep_mm),
+            "maxspeed": round(25.0 / microstep_mm * SPEED_UNIT),
+            "accel": round(axis.acceleration_mm_s2 / microstep_mm * ACCELERATION_UNIT),
+        }
+
+    def receive(self, now_s: float) -> None:
+        """Take what the host has written and answer every whole command."""
+        self._now_s = now_s
+        content = self.wire.receive()
+        if not content:
+            return
+        self.axis.advance(now_s)
+        *lines, self._received = (self._received + content).split(b"\n")
+        for line in lines:
+            try:
+                command, has_checksum = zaber.parse_command(line.rstrip())
+            except BadReply:
+                continue  # A device does not answer what it cannot read.
+            if command.device in (0, 1):
+                self._answer(command, has_checksum)
+
+    def next_event_s(self) -> float:
+        """Return the time of the next thing that happens by itself."""
+        return min(self.axis.next_event_s(), self.wire.next_arrival_s())
+
+    def advance(self, now_s: float) -> None:
+        """Move, and let bytes reach the host."""
+        self._now_s = now_s
+        self.axis.advance(now_s)
+        if self._is_homing and not self.axis.is_moving:
+            self._is_homed, self._is_homing = True, False
+        self.wire.deliver(now_s)
+
+    def stall(self) -> None:
+        """Something blocks the carriage; the device stops and says so."""
+        self.axis.flush()
+        self.warning = "FS"
+
+    def turn_knob(self) -> None:
+        """Somebody turns the manual knob in a move."""
+        self.axis.flush()
+        self.warning = "NC"
+
+    def _answer(self, command: zaber.Command, has_checksum: bool) -> None:
+        is_ok, data = self._do(command.words)
+        warning = self.warning or ("--" if self._is_homed else "WR")
+        reply = zaber.Reply(1, command.axis, command.message_id, is_ok, self.axis.is_moving, warning, data)
+        self.wire.send(zaber.format_reply(reply, has_checksum), self._now_s)
+
+    def _do(self, words: str) -> tuple[bool, str]:
+        match words.split():
+            case []:
+                return True, "0"
+            case ["get", "pos"]:
+                return True, str(round(self.axis.position_mm / self.microstep_mm))
+            case ["get", name] if name in self.settings:
+                return True, f"{self.settings[name]:.10g}"
+            case ["set", name, value] if name in self.settings:
+                self.settings[name] = float(value)
+                return True, "0"
+            case ["move", ("abs" | "rel") as kind, value]:
+                start_mm = self.axis.position_mm if kind == "rel" else 0.0
+                return self._move(start_mm + float(value) * self.microstep_mm)
+            case ["home"]:
+                self.warning, self._is_homing = "", True
+                self.axis.flush()
+                self.axis.add(Block(0.0, HOMING_MM_S))
+                self._is_homed = not self.axis.is_moving
+                return True, "0"
+            case ["stop"]:
+                self._brake()
+                return True, "0"
+            case ["estop"]:
+                self.axis.flush()
+                return True, "0"
+            case ["warnings", *_]:
+                return True, "00"
+        return False, "BADCOMMAND"
+
+    def _move(self, to_mm: float) -> tuple[bool, str]:
+        if not -1e-9 <= to_mm <= self.settings["limit.max"] * self.microstep_mm + 1e-9:
+            return False, "BADDATA"
+        self.axis.flush()
+        self.axis.add(Block(to_mm, self.settings["maxspeed"] / SPEED_UNIT * self.microstep_mm))
+        return True, "0"
+
+    def _brake(self) -> None:
+        speed = self.axis.velocity_mm_s
+        stop_mm = self.axis.position_mm + math.copysign(speed**2 / (2 * self.axis.acceleration_mm_s2), speed)
+        self.axis.queue.clear()
+        if speed:
+            self.axis.add(Block(stop_mm, abs(speed)))
+        self._is_homing = False
