@@ -223,7 +223,25 @@ def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, c
 def _adapt_limits(device_map: DeviceMap, codes: Integers, options: DeviceOptions) -> AdaptLimits:
     if not isinstance(device_map, PiecewiseMap):
         return AdaptLimits(0, 0, 0, 0)
-    mapped = map_codes(device_map, codes[:, -1]).astype(np.float64)
-    low, high = (int(v) for v in np.quantile(mapped, ANCHOR_LEVELS))
+    low, high = _anchors(map_codes(device_map, codes[:, -1]))
     gain = min(2**14, round(options.adapt_gain * 2**15))
     return AdaptLimits(low, high, gain, min(ACTIVATION_MAX, round(options.adapt_offset * abs(high - low))))
+
+
+def _anchors(mapped: Integers) -> tuple[int, int]:
+    """Return where the firmware's running quantiles of mapped samples settle on this recording.
+
+    They are run as `ss_adapt` runs them, so that a unit in unchanged use finds nothing to follow. The second round,
+    begun where the first ended, gives the mean.
+    """
+    low, high = (int(v) * 64 for v in np.quantile(mapped.astype(np.float64), ANCHOR_LEVELS))
+    step = (high - low) // 64 // 256 + 1
+    samples = [int(value) * 64 for value in mapped]
+    lows, highs = [], []
+    for value in samples * 2:
+        low += -31 * step if value < low else step
+        high += 31 * step if value > high else -step
+        lows.append(low)
+        highs.append(high)
+    half = len(samples)
+    return round(float(np.mean(lows[half:])) / 64), round(float(np.mean(highs[half:])) / 64)

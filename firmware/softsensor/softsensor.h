@@ -205,11 +205,12 @@ static const ss_full_word *ss_dot(const ss_full_word *w, const int16_t *end, uin
   const int16_t *x = end - columns;
   uint32_t a = 0, b = 0, c = 0, d = 0;
   do {
-    uint32_t v = (uint32_t)(int32_t)*x++, ab = *w++, cd = *w++;
-    a += v * (uint32_t)(int32_t)(int16_t)ab;
-    b += v * (uint32_t)((int32_t)ab >> 16);
-    c += v * (uint32_t)(int32_t)(int16_t)cd;
-    d += v * (uint32_t)((int32_t)cd >> 16);
+    int32_t v = *x++;
+    uint32_t ab = *w++, cd = *w++;
+    a += (uint32_t)(v * (int16_t)ab);
+    b += (uint32_t)(v * ((int32_t)ab >> 16));
+    c += (uint32_t)(v * (int16_t)cd);
+    d += (uint32_t)(v * ((int32_t)cd >> 16));
   } while (x != end);
   acc[0] = a, acc[1] = b, acc[2] = c, acc[3] = d;
   return w;
@@ -376,8 +377,9 @@ static inline int ss_slot_to_write(int in_use) { return in_use == 0 ? 1 : 0; }
 /* ---- long use: the device follows slow drift of offset and gain within the bounds of its file ------------------- */
 
 typedef struct {
-  int32_t low, high; /* running quantiles 1/32 and 31/32 of the mapped samples, in 1/64 counts */
-  uint32_t seen;
+  int32_t low, high;         /* running quantiles 1/32 and 31/32 of the mapped samples, in 1/64 counts */
+  int32_t low_sum, high_sum; /* of the two over this period, in counts */
+  uint16_t seen;
 } ss_adaptation;
 
 typedef enum {
@@ -388,7 +390,8 @@ typedef enum {
 } ss_adapt_result;
 
 static inline void ss_adapt_start(ss_adaptation *a, const ss_sensor *s) {
-  a->low = ss_i16(s->unit + 68) * 64, a->high = ss_i16(s->unit + 70) * 64, a->seen = 0;
+  a->low = ss_i16(s->unit + 68) * 64, a->high = ss_i16(s->unit + 70) * 64;
+  a->low_sum = a->high_sum = 0, a->seen = 0;
 }
 
 static inline int32_t ss_bounded(int32_t x, int32_t bound, int *is_at_bound) {
@@ -397,12 +400,12 @@ static inline int32_t ss_bounded(int32_t x, int32_t bound, int *is_at_bound) {
   return x;
 }
 
-/* Call after every ss_push with the same code; after every `period` samples gain and offset are set anew from the two
- * running quantiles. Only for use that keeps returning to rest (and, where the file allows a gain, to full presses):
- * the device cannot tell drift from a change of use. */
-static inline ss_adapt_result ss_adapt(ss_adaptation *a, ss_sensor *s, uint16_t code, uint32_t period) {
+/* Call after every ss_push with the same code; after every `period` samples (minutes of use) gain and offset are set
+ * anew from the mean of the two running quantiles over the period. Only for use that keeps returning to rest (and, where
+ * the file allows a gain, to full presses): the device cannot tell drift from a change of use. */
+static inline ss_adapt_result ss_adapt(ss_adaptation *a, ss_sensor *s, uint16_t code, uint16_t period) {
   const uint8_t *u = s->unit;
-  int32_t y, low, high, gain = 0, offset, step;
+  int32_t y, low, high, seen_low, seen_high, step, gain = 0, offset;
   int is_at_bound = 0;
   if (!u || u[48] != 1 || !(ss_u16(u + 72) | ss_u16(u + 74))) return SS_NOT_ADAPTABLE;
   low = ss_i16(u + 68), high = ss_i16(u + 70);
@@ -410,16 +413,17 @@ static inline ss_adapt_result ss_adapt(ss_adaptation *a, ss_sensor *s, uint16_t 
   step = (high - low) / 256 + 1; /* in 1/64 counts: 0.2 % of the span per sample towards an extreme, 1/31 of it back */
   a->low += y < a->low ? -31 * step : step;
   a->high += y > a->high ? 31 * step : -step;
+  a->low_sum += ss_clip(a->low / 64), a->high_sum += ss_clip(a->high / 64); /* below 2^15 * 2^16 */
   if (++a->seen < period) return SS_WATCHING;
-  a->seen = 0;
-  if (a->high - a->low < 64) return SS_AT_BOUND; /* the output stands still: nothing to follow */
-  if (ss_u16(u + 72)) {
-    int32_t span = (a->high - a->low) / 64, missing = high - low - span;
-    gain = span ? ss_bounded(ss_clip(missing) * 32768 / span, (int32_t)ss_u16(u + 72), &is_at_bound) : 0;
-  }
-  offset = low - a->low / 64;
-  offset = ss_bounded(offset - (gain * (a->low / 64 - low) >> 15), (int32_t)ss_u16(u + 74), &is_at_bound);
-  s->gain = (int16_t)gain, s->offset = (int16_t)offset;
+  seen_low = a->low_sum / a->seen, seen_high = a->high_sum / a->seen;
+  a->low_sum = a->high_sum = 0, a->seen = 0;
+  if (seen_high <= seen_low) return SS_AT_BOUND; /* the output stands still: nothing to follow */
+  if (ss_u16(u + 72))
+    gain = ss_bounded(ss_clip(high - low - seen_high + seen_low) * 32768 / (seen_high - seen_low),
+                      (int32_t)ss_u16(u + 72), &is_at_bound);
+  offset = low - seen_low - (gain * (seen_low - low) >> 15);
+  s->gain = (int16_t)gain;
+  s->offset = (int16_t)ss_bounded(offset, (int32_t)ss_u16(u + 74), &is_at_bound);
   return is_at_bound ? SS_AT_BOUND : SS_ADAPTED;
 }
 

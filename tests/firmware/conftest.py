@@ -1,0 +1,100 @@
+"""Real networks and units as device files, and the compilers that build the runtime."""
+
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.core.export.blob import NetworkFile, UnitFile
+from softcal.core.export.compile_map import InputScale
+from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
+from softcal.core.maps.affine import Affine, AffineMap
+from softcal.core.maps.interface import FitProblem
+from softcal.core.network import Network
+from softcal.core.recording import LabelledRecording, OutputRecording
+
+ROOT = Path(__file__).parents[2]
+RUNTIME = ROOT / "firmware" / "softsensor"
+WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
+SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceCase:
+    """A network and a unit as files, the float model they stand for, and the unit's recording."""
+
+    network: Network
+    unit_map: AffineMap
+    network_file: NetworkFile
+    unit_file: UnitFile
+    recording: OutputRecording
+
+    @property
+    def codes(self) -> np.ndarray:
+        return self.unit_file.scale.codes(self.recording.output)
+
+    def write(self, folder: Path) -> tuple[Path, Path]:
+        network, unit = folder / "network.ssc", folder / "unit.ssc"
+        network.write_bytes(self.network_file.to_bytes())
+        unit.write_bytes(self.unit_file.to_bytes())
+        return network, unit
+
+
+@pytest.fixture(scope="session")
+def real_case(measured_data: Path) -> DeviceCase:
+    """The paper's network on its own first sensor, and the second one mapped to it; 10-bit codes as recorded."""
+    from softcal.core.training import NetworkConfig, fit_network
+
+    source, target = (_recording(measured_data / "egain_pair" / f"{name}.csv", name) for name in ("S1", "S2"))
+    network = fit_network(source, NetworkConfig(max_epochs=60)).network
+    unit_map = Affine().fit(FitProblem(source, network, target.unlabelled))
+    network_file = build_network_file(network, source)
+    estimate = network.evaluate(unit_map.apply(target.windows))
+    facts = UnitFacts("S2", 1, "pass", 0, unit_map, target.unlabelled, estimate - 0.4, estimate + 0.5, 0.3)
+    options = DeviceOptions(InputScale.of_converter(10, 5.0), adapt_gain=0.1, adapt_offset=0.3)
+    unit_file = build_unit_file(facts, network, network_file, options).file
+    return DeviceCase(network, unit_map, network_file, unit_file, target.unlabelled)
+
+
+def _recording(path: Path, serial: str) -> LabelledRecording:
+    table = pd.read_csv(path)
+    t_s = np.arange(len(table)) / 50.0
+    return LabelledRecording(
+        OutputRecording(serial, t_s, table["output_V"].to_numpy(), 50.0), table["force_N"].to_numpy()
+    )
+
+
+@pytest.fixture(scope="session")
+def runtime() -> Path:
+    """The folder of softsensor.h."""
+    return RUNTIME
+
+
+@pytest.fixture(scope="session")
+def examples() -> Path:
+    """The folder of the example programs."""
+    return ROOT / "firmware" / "examples"
+
+
+@pytest.fixture(scope="session")
+def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """`build(source, *options)`: compile one C file for this machine with warnings as errors; returns the program."""
+
+    def compile_for_host(source: Path, *options: str) -> Path:
+        program = tmp_path_factory.mktemp("host") / source.stem
+        command = ["gcc", *WARNINGS, *options, f"-I{RUNTIME}", str(source), "-o", str(program)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return program
+
+    return compile_for_host
+
+
+@pytest.fixture(scope="session")
+def build_checked(build: Callable[..., Path]) -> Callable[..., Path]:
+    """`build` with address and undefined-behaviour sanitizers that stop at the first finding."""
+    return lambda source, *options: build(source, "-O1", "-g", *SANITIZERS, *options)

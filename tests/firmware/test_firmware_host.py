@@ -1,0 +1,157 @@
+"""The runtime on this machine, under the sanitizers: NumPy's integers, and no number from a bad file."""
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softcal.core.export.c_text import network_header, unit_header
+from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE, WARM_UP, DeviceStream, open_sensor
+from softcal.core.export.quantise import evaluate_float64
+
+Build = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def program(build_checked: Build, examples: Path) -> Path:
+    return build_checked(examples / "pc" / "softsensor_pc.c")
+
+
+def _run(program: Path, network: Path, unit: Path, samples: list[tuple[int, int]], *serial: str) -> tuple[int, Any]:
+    text = "".join(f"{t_ms} {code}\n" for t_ms, code in samples)
+    command = [str(program), str(network), str(unit), *serial]
+    done = subprocess.run(command, input=text, capture_output=True, text=True)
+    assert "runtime error" not in done.stderr and "Sanitizer" not in done.stderr
+    return done.returncode, np.array([line.split() for line in done.stdout.splitlines()], dtype=int)
+
+
+def _reference(case: Any, samples: list[tuple[int, int]]) -> np.ndarray:
+    stream = DeviceStream(open_sensor(case.network_file.to_bytes(), case.unit_file.to_bytes()))
+    rows = []
+    for t_ms, code in samples:
+        stream.push(code, t_ms)
+        rows.append(stream.read(t_ms))
+    return np.array(rows)
+
+
+def test_every_sample_of_a_real_recording_gives_the_integers_of_numpy(
+    program: Path, real_case: Any, tmp_path: Path
+) -> None:
+    samples = [(1000 + 20 * k, int(code)) for k, code in enumerate(real_case.codes)]
+    code, found = _run(program, *real_case.write(tmp_path), samples, "S2")
+    assert code == 0
+    assert np.array_equal(found, _reference(real_case, samples))
+    # All at once gives the same as one by one.
+    sensor = open_sensor(real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
+    at_once = sensor.estimate(real_case.unit_file.scale.codes(real_case.recording.windows))
+    assert np.array_equal(found[14:, 0], at_once.value)
+
+
+def test_integers_are_within_3_mN_of_float64_on_the_real_recording(real_case: Any) -> None:
+    sensor = open_sensor(real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
+    windows = real_case.recording.windows
+    estimate, *_ = sensor.estimate_output(windows)
+    exact = evaluate_float64(real_case.network, real_case.unit_map.apply(windows))
+    assert np.abs(estimate - exact).max() <= 0.003
+    assert np.sqrt(np.mean((estimate - exact) ** 2)) <= 0.001
+
+
+def test_gaps_noise_and_codes_out_of_range_are_flagged_alike(
+    program: Path, real_case: Any, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    t_ms = np.cumsum(rng.choice([0, 20, 20, 20, 30, 31, 2000], 3000)) + 2**32 - 20_000  # across the wrap of millis()
+    codes = rng.integers(0, 65_536, 3000)
+    codes[::3] = rng.choice(real_case.codes, 1000)
+    samples = [(int(t) % 2**32, int(code)) for t, code in zip(t_ms, codes, strict=True)]
+    code, found = _run(program, *real_case.write(tmp_path), samples)
+    assert code == 0
+    assert np.array_equal(found, _reference(real_case, samples))
+    flags = set(found[:, 3].tolist())
+    assert {WARM_UP, OUT_OF_RANGE} <= flags and any(flag & CLAMPED for flag in flags)
+
+
+def test_an_affine_map_gives_the_same_integers(program: Path, tmp_path: Path, rng: np.random.Generator) -> None:
+    released = Path(__file__).parent / "released"
+    network, unit = released / "network-1.0.ssc", released / "affine-1.0.ssc"
+    stream = DeviceStream(open_sensor(network.read_bytes(), unit.read_bytes()))
+    expected = []
+    samples = [(20 * k, int(code)) for k, code in enumerate(rng.integers(0, 65_536, 500))]
+    for t_ms, sample in samples:
+        stream.push(sample, t_ms)
+        expected.append(stream.read(t_ms))
+    code, found = _run(program, network, unit, samples, "A1")
+    assert code == 0
+    assert np.array_equal(found, np.array(expected))
+
+
+def test_each_refusal_ends_with_its_own_status(program: Path, real_case: Any, tmp_path: Path) -> None:
+    network, unit = real_case.write(tmp_path)
+    released = Path(__file__).parent / "released" / "unit-1.0.ssc"
+    damaged = tmp_path / "damaged.ssc"
+    damaged.write_bytes(unit.read_bytes()[:60] + b"\xff" + unit.read_bytes()[61:])
+    cut = tmp_path / "cut.ssc"
+    cut.write_bytes(unit.read_bytes()[:-8])
+    assert _run(program, network, network, [])[0] == 6
+    assert _run(program, network, released, [])[0] == 7
+    assert _run(program, network, unit, [], "S3")[0] == 8
+    assert _run(program, network, damaged, [])[0] == 5
+    assert _run(program, network, cut, [])[0] == 4
+    assert _run(program, Path("/dev/null"), unit, [])[0] == 4
+
+
+def test_a_network_wider_than_the_buffers_is_refused(
+    build_checked: Build, examples: Path, real_case: Any, tmp_path: Path
+) -> None:
+    narrow = build_checked(examples / "pc" / "softsensor_pc.c", "-DSS_WIDTH=64")
+    assert _run(narrow, *real_case.write(tmp_path), [])[0] == 9
+
+
+def test_of_a_hundred_thousand_damaged_files_none_gives_a_number(
+    build_checked: Build, real_case: Any, tmp_path: Path
+) -> None:
+    fuzz = build_checked(Path(__file__).parent / "fuzz.c")
+    released = Path(__file__).parent / "released"
+    network, unit = real_case.write(tmp_path)
+    rounds = [
+        (network, unit, "3000", "300", "300"),
+        (released / "network-1.0.ssc", released / "unit-1.0.ssc", "60000", "20000", "10000"),
+        (released / "network-1.0.ssc", released / "affine-1.0.ssc", "20000", "2000", "10000"),
+    ]
+    tried = 0
+    for a, b, *counts in rounds:
+        done = subprocess.run([str(fuzz), str(a), str(b), *counts, "7"], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr + done.stdout
+        words = done.stdout.split()
+        assert words[2:4] == ["accepted", "0"]
+        tried += int(words[1])
+    assert tried >= 100_000
+
+
+def test_exported_headers_compile_and_give_the_same_number(
+    build_checked: Build, runtime: Path, real_case: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "network.h").write_text(network_header(real_case.network_file))
+    (tmp_path / "unit.h").write_text(unit_header(real_case.unit_file))
+    codes = ", ".join(map(str, real_case.codes[100:115]))
+    (tmp_path / "main.c").write_text(f"""
+#include <stdio.h>
+#include "network.h"
+#include "unit.h"
+#include "softsensor.h"
+static ss_sensor sensor;
+static const uint16_t codes[] = {{{codes}}};
+int main(void) {{
+  unsigned k;
+  if (ss_open(&sensor, SS_NETWORK, SS_NETWORK_BYTES, SS_UNIT, SS_UNIT_BYTES, SS_UNIT_SERIAL) != SS_OK) return 1;
+  for (k = 0; k < 15; k++) ss_push(&sensor, codes[k], 20 * k);
+  printf("%d", ss_read(&sensor, 280).value);
+  return ss_exponent(&sensor) == -3 ? 0 : 2;
+}}
+""")
+    done = subprocess.run([str(build_checked(tmp_path / "main.c"))], capture_output=True, text=True)
+    sensor = open_sensor(real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
+    assert done.returncode == 0
+    assert int(done.stdout) == sensor.estimate(real_case.codes[None, 100:115]).value[0]
