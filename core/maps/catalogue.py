@@ -8,9 +8,25 @@ from numpy.typing import NDArray
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
 from softcal.core.maps.affine import Affine, Identity
+from softcal.core.maps.anchors import AnchoredMap
+from softcal.core.maps.exact import Exact
 from softcal.core.maps.interface import MapFamily, UnitMap
+from softcal.core.maps.joint import Joint
+from softcal.core.maps.label_shift import LabelShift
+from softcal.core.maps.monotone import Monotone
+from softcal.core.maps.phase import Phase
+from softcal.core.maps.synchronous import Synchronous
 
-_LISTED: tuple[MapFamily, ...] = (Identity(), Affine())
+_LISTED: tuple[MapFamily, ...] = (
+    Identity(),
+    Affine(),
+    LabelShift(),
+    Monotone(),
+    Synchronous(),
+    Phase(),
+    Exact(),
+    Joint(),
+)
 
 FAMILIES: Mapping[str, MapFamily] = {family.name: family for family in _LISTED}
 
@@ -35,4 +51,7 @@ def map_from_arrays(family_name: str, arrays: Mapping[str, NDArray[np.generic]],
     Raises:
         InputError: the family is unknown to this version.
     """
-    return family(family_name).from_arrays(arrays, settings)
+    unit_map = family(family_name).from_arrays(arrays, settings)
+    if "anchor_gain" not in arrays:
+        return unit_map
+    return AnchoredMap(unit_map, float(arrays["anchor_gain"]), float(arrays["anchor_offset"]))

@@ -3,8 +3,27 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from softcal.core.maps.catalogue import DEFAULT, FAMILIES, family
+import numpy as np
+
+from softcal.core.errors import UnitRefused
+from softcal.core.maps.anchors import refine
+from softcal.core.maps.catalogue import DEFAULT, family
+from softcal.core.maps.crossing import LevelPath
 from softcal.core.maps.interface import FitProblem, UnitMap
+from softcal.core.maps.label_shift import level_weights, matched, paths
+from softcal.core.maps.synchrony import find_synchrony
+
+SAME_PROGRAMME = 0.08
+"""Units that spend their time alike up to this total variation distance ran one programme: samples can be matched."""
+
+UNLIKE_RATE = 6.0
+"""A unit that swings this many times more often per second than the source shows noise or another use."""
+
+CLEAR = 2.0
+"""A gain or level this many standard errors from the source's is worth correcting."""
+
+RESAMPLES = 40
+FEWEST_SWINGS = 8
 
 
 @dataclass(frozen=True)
@@ -38,12 +57,97 @@ class ChosenMap:
 
 
 def choose_map(problem: FitProblem, config: MapConfig = MapConfig()) -> ChosenMap:  # noqa: B008 - frozen
-    """Fit the candidates and take the one the evidence supports.
+    """Fit the candidates, take the one the evidence supports, and refine it by anchors where there are any.
+
+    Order of trust: pairs under one load at equal time, then pairs at equal stage position, then matched distributions,
+    of which the dwell-blind one is taken unless the units spend their time alike; the identity where no difference
+    from the source can be shown.
 
     Raises:
         UnitRefused: the recording allows no map; the message says why.
     """
-    name = "affine" if config.family == DEFAULT else config.family
-    unit_map = family(name).fit(problem)
-    others = {other: FAMILIES[other].fit(problem) for other in FAMILIES if other != name}
-    return ChosenMap(unit_map, {"decision": f"{name}: two robust extremes"}, others)
+    evidence: Mapping[str, float | str]
+    if config.family != DEFAULT:
+        candidates = {config.family: family(config.family).fit(problem)} | _fitted(problem, ("identity", "label_shift"))
+        name, evidence = config.family, {"decision": f"{config.family}, as configured"}
+    else:
+        candidates = _fitted(problem, ("identity", "affine", "label_shift", "monotone"))
+        name, evidence = _decide(problem, candidates)
+    chosen = candidates.pop(name)
+    if problem.anchors is not None:
+        anchored = refine(problem, chosen, problem.anchors)
+        chosen = anchored
+        evidence = {**evidence, "anchor_gain": anchored.gain, "anchor_offset": anchored.offset}
+    return ChosenMap(chosen, evidence, candidates)
+
+
+def _fitted(problem: FitProblem, names: tuple[str, ...]) -> dict[str, UnitMap]:
+    fits = {}
+    for name in names:
+        try:
+            fits[name] = family(name).fit(problem)
+        except UnitRefused:
+            continue
+    return fits
+
+
+def _decide(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, dict[str, float | str]]:
+    """Name the candidate to take and why; paired candidates are added where pairs are to be had."""
+    if "label_shift" not in candidates:
+        # Raises the reason in words: the output makes no swing.
+        family("label_shift").fit(problem)
+    synchrony = find_synchrony(problem.source.unlabelled, problem.target)
+    evidence: dict[str, float | str] = {
+        "rank_correlation": synchrony.rank_correlation,
+        "synchrony_sigma": synchrony.sigma,
+    }
+    for name, is_offered, why in (
+        ("synchronous", synchrony.is_synchronous, "pressed by the source's load at the same time: windows paired"),
+        ("phase", problem.target.stage_mm is not None, "windows paired at equal stage position and history"),
+    ):
+        paired = _fitted(problem, (name,)) if is_offered else {}
+        if paired:
+            candidates |= paired
+            return name, evidence | {"decision": why, "lag_s": synchrony.lag_s if name == "synchronous" else 0.0}
+    name, numbers = _without_pairs(problem, candidates)
+    return name, evidence | numbers
+
+
+def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, dict[str, float | str]]:
+    source, target = paths(problem)
+    rate = _swing_rate(target, len(problem.target)) / _swing_rate(source, len(problem.source))
+    gain, offset = matched(source, target)
+    gain_error, level_error, level_shift = _standard_errors(problem, source, target)
+    mapped = candidates["label_shift"].apply(problem.target.windows)
+    dwell, _ = level_weights(problem.source.windows, mapped)
+    numbers: dict[str, float | str] = {
+        "swing_rate_ratio": rate,
+        "gain": gain,
+        "gain_error": gain_error,
+        "level_error": level_error,
+        "dwell_distance": dwell,
+    }
+    if rate > UNLIKE_RATE:
+        why = "swings far more often than the source: only rest level and hardest presses are matched; abstain"
+        return "affine", numbers | {"decision": why}
+    is_same_gain = abs(gain - 1.0) < CLEAR * gain_error and abs(level_shift) < CLEAR * level_error
+    if is_same_gain and min(source.swings, target.swings) >= FEWEST_SWINGS:
+        return "identity", numbers | {"decision": "no difference from the source that the recording could show"}
+    if dwell < SAME_PROGRAMME:
+        return "monotone", numbers | {"decision": "time is spent as in the source: sample quantiles matched"}
+    why = f"shift estimated: {dwell:.0%} of the time is spent at other loads; level crossings matched instead"
+    return "label_shift", numbers | {"decision": why}
+
+
+def _swing_rate(path: LevelPath, samples: int) -> float:
+    return path.swings / samples
+
+
+def _standard_errors(problem: FitProblem, source: LevelPath, target: LevelPath) -> tuple[float, float, float]:
+    """Standard errors of gain and of the level at mid-range by resampling presses, and that level's shift."""
+    rng = np.random.default_rng(problem.seed)
+    middle = float(np.mean(target.quantiles(np.array([0.1, 0.5, 0.9]))))
+    fits = np.array([matched(source.resampled(rng), target.resampled(rng)) for _ in range(RESAMPLES)])
+    levels = fits[:, 0] * middle + fits[:, 1]
+    gain, offset = matched(source, target)
+    return float(fits[:, 0].std()), float(levels.std()), gain * middle + offset - middle

@@ -1,0 +1,86 @@
+"""A few known loads on the unit refine any map."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from softcal.core.identity import Settings
+from softcal.core.maps.crossing import ROBUST_RANGE
+from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
+from softcal.core.recording import Array
+from softcal.core.windows import TAPS
+
+GAIN_SPREAD = 0.1
+"""How far the gain of a map may be off before any anchor is seen (one standard deviation)."""
+
+LEVEL_SPREAD = 0.03
+"""The same for its level at rest, as a share of the source's output range."""
+
+LOAD_ERROR = 0.01
+"""Error of f at rest under a known load, as a share of the reference's spread."""
+
+
+@dataclass(frozen=True, eq=False)
+class AnchoredMap:
+    """A map followed by a gain and an offset that known loads asked for.
+
+    Args:
+        inner: the map fitted without them.
+        gain, offset: applied to what `inner` gives, in the source's output unit.
+    """
+
+    inner: UnitMap
+    gain: float
+    offset: float
+
+    @property
+    def family(self) -> str:
+        return self.inner.family
+
+    def apply(self, windows: Array) -> Array:
+        """Carry (n, taps) target windows into the source's window space."""
+        return self.offset + self.gain * self.inner.apply(windows)
+
+    def apply_signal(self, signal: Array) -> Array:
+        """Carry every full window of a gap-free signal: (n - taps + 1, taps)."""
+        return self.offset + self.gain * self.inner.apply_signal(signal)
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return the arrays of the inner map with gain and offset."""
+        own = {"anchor_gain": np.array(self.gain), "anchor_offset": np.array(self.offset)}
+        return self.inner.arrays() | own
+
+    def settings(self) -> Settings:
+        """Return the settings of the inner map."""
+        return self.inner.settings()
+
+
+def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> AnchoredMap:
+    """Correct gain and level of a map so that f reads the known loads.
+
+    Minimises sum ((f(window at rest under load k) - load_k) / sigma)^2 + (dgain / 0.1)^2 + (dlevel / 0.03 range)^2:
+    one anchor moves what it can see, several fix both numbers. The gain turns about the source's rest level.
+
+    Args:
+        problem: source and network.
+        unit_map: fitted without anchors.
+        anchors: outputs at rest under known loads.
+    """
+    network = problem.network
+    low, high = np.quantile(problem.source.unlabelled.output, ROBUST_RANGE)
+    sigma = LOAD_ERROR * network.reference_scale
+    resting = unit_map.apply(np.repeat(np.asarray(anchors.output, np.float64)[:, None], TAPS, axis=1))
+
+    def corrected(theta: Array) -> tuple[float, float]:
+        gain = 1.0 + GAIN_SPREAD * float(theta[0])
+        return gain, float(low * (1.0 - gain) + LEVEL_SPREAD * (high - low) * theta[1])
+
+    def residuals(theta: Array) -> Array:
+        gain, offset = corrected(theta)
+        misread = (network.gradient(offset + gain * resting)[0] - anchors.reference) / sigma
+        return np.concatenate([misread, theta])
+
+    gain, offset = corrected(least_squares(residuals, np.zeros(2), loss="linear", diff_step=1e-3).x)
+    return AnchoredMap(unit_map, gain, offset)

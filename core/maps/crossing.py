@@ -1,0 +1,136 @@
+"""What a recording shows whatever time is spent at each level: its turning points and how often it crosses a level.
+
+Rates and dwell times change the distribution of the samples but not the path between turning points, so the measure of
+level crossings is what two recordings under differently timed programmes still share.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from softcal.core.recording import Array, Indices, OutputRecording
+
+THRESHOLD = 0.1
+"""Smallest swing that counts, as a share of the robust range: noise and ripple make no turning points."""
+
+AVERAGES = (1, 3, 5, 9, 15, 27, 51)
+PRESS_SHARE = 0.3
+"""The median swing of presses spans at least this share of the robust range."""
+
+ROBUST_RANGE = (0.02, 0.99)
+
+
+@dataclass(frozen=True, eq=False)
+class LevelPath:
+    """A recording reduced to the swings between its turning points.
+
+    Args:
+        low, high: (k,) lower and upper end of every swing, in the output unit.
+    """
+
+    low: Array
+    high: Array
+
+    @property
+    def swings(self) -> int:
+        return len(self.low)
+
+    @cached_property
+    def _grid(self) -> Array:
+        return np.linspace(float(self.low.min()), float(self.high.max()), 2048)
+
+    @cached_property
+    def _cumulative(self) -> Array:
+        started = np.searchsorted(np.sort(self.low), self._grid, side="right")
+        ended = np.searchsorted(np.sort(self.high), self._grid, side="left")
+        crossings = (started - ended).astype(np.float64)
+        total = np.concatenate([[0.0], np.cumsum((crossings[1:] + crossings[:-1]) / 2)])
+        return np.asarray(total / total[-1])
+
+    def quantiles(self, shares: Array) -> Array:
+        """Return the levels below which the given shares of the path lie, in the output unit."""
+        return np.interp(shares, self._cumulative, self._grid)
+
+    def resampled(self, rng: np.random.Generator) -> "LevelPath":
+        """Return as many swings drawn with replacement: what another recording of the kind could have shown."""
+        rows = rng.integers(0, self.swings, self.swings)
+        return LevelPath(self.low[rows], self.high[rows])
+
+
+def level_path(recording: OutputRecording, average: int) -> LevelPath | None:
+    """Reduce a recording to its swings; None where its output makes none.
+
+    Args:
+        recording: the unit's output.
+        average: samples averaged against noise before turning points are sought (`averaging_length`).
+    """
+    threshold = THRESHOLD * robust_range(recording.output)
+    low, high = [], []
+    for part in recording.segments:
+        signal = moving_mean(recording.output[part], average)[:: max(1, average // 3)]
+        levels = signal[turning_points(signal, threshold)]
+        low.append(np.minimum(levels[1:], levels[:-1]))
+        high.append(np.maximum(levels[1:], levels[:-1]))
+    path = LevelPath(np.concatenate(low), np.concatenate(high))
+    return path if path.swings and path.high.max() > path.low.min() else None
+
+
+def turning_points(signal: Array, threshold: float) -> Indices:
+    """Return where a signal turns by more than a threshold, ends included (the rainflow filter of ASTM E1049).
+
+    Args:
+        signal: (n,) in time order.
+        threshold: smallest swing, same unit, > 0.
+    """
+    candidates = _local_extremes(signal)
+    levels = signal[candidates].tolist()
+    found, extreme, rising = [0], 0, None
+    for k, level in enumerate(levels):
+        away = level - levels[extreme]
+        if rising is None:
+            if abs(level - levels[0]) >= threshold:
+                rising, extreme = level > levels[0], k
+        elif (away > 0) == rising:
+            extreme = k if away else extreme
+        elif abs(away) >= threshold:
+            found.append(extreme)
+            extreme, rising = k, not rising
+    if extreme != found[-1]:
+        found.append(extreme)
+    return candidates[found]
+
+
+def _local_extremes(signal: Array) -> Indices:
+    """Ends and local extremes; a plateau counts once, where it ends."""
+    moves = np.flatnonzero(np.diff(signal))
+    turns = moves[1:][np.diff(signal[moves + 1] > signal[moves])]
+    return np.unique(np.concatenate([[0], turns, [len(signal) - 1]])).astype(np.int64)
+
+
+def averaging_length(recording: OutputRecording) -> int:
+    """Return the fewest samples to average so that presses, not noise, make the turning points.
+
+    Swings of noise stand just above the threshold; those of presses span a good part of the range.
+    """
+    spread = robust_range(recording.output)
+    for average in AVERAGES:
+        path = level_path(recording, average)
+        if path is not None and np.median(path.high - path.low) >= PRESS_SHARE * spread:
+            return average
+    return AVERAGES[-1]
+
+
+def robust_range(values: Array) -> float:
+    """Return the span between the level at rest and the level of the hardest presses."""
+    low, high = np.quantile(values, ROBUST_RANGE)
+    return float(high - low)
+
+
+def moving_mean(signal: Array, length: int) -> Array:
+    """Return the mean of every `length` neighbouring samples: (n - length + 1,); short signals as one mean."""
+    length = min(length, len(signal))
+    if length <= 1:
+        return signal
+    total = np.concatenate([[0.0], np.cumsum(signal)])
+    return np.asarray((total[length:] - total[:-length]) / length)

@@ -1,0 +1,59 @@
+"""Monotone transport sample by sample: equal quantiles of the two outputs (one-dimensional optimal transport)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softcal.core.errors import UnitRefused
+from softcal.core.identity import Settings
+from softcal.core.maps.curve import CurveMap, monotone_curve
+from softcal.core.maps.interface import FitProblem
+from softcal.core.recording import Array
+
+KNOTS = 33
+END_SHARE = 0.005
+"""Quantiles nearer to the ends than this are single samples, not a distribution."""
+
+
+@dataclass(frozen=True)
+class Monotone:
+    """Carry each quantile of the target's samples onto the source's: exact where both ran the same programme.
+
+    The monotone rearrangement is the optimal transport in one dimension for every convex cost (Santambrogio 2015,
+    section 2.2). Quantiles of quantised outputs are taken between the steps of the converter, so that the steps of one
+    unit do not become steps of the map.
+    """
+
+    name: str = "monotone"
+
+    def fit(self, problem: FitProblem) -> CurveMap:
+        """Fit the curve.
+
+        Raises:
+            UnitRefused: the target's output does not move.
+        """
+        # Chebyshev spacing: the ends, where rest and peak levels lie, are resolved best.
+        shares = END_SHARE + (1 - 2 * END_SHARE) * (1 - np.cos(np.linspace(0, np.pi, KNOTS))) / 2
+        target = between_steps(problem.target.output, shares)
+        if np.ptp(target) <= 0:
+            level, unit = float(target[0]), problem.target.output_unit
+            raise UnitRefused(f"output stays at {level:.6g} {unit}; press the unit and record again")
+        return monotone_curve(target, between_steps(problem.source.unlabelled.output, shares), self.name)
+
+    def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> CurveMap:
+        """Rebuild a curve from its arrays."""
+        return CurveMap.from_arrays(arrays, self.name)
+
+
+def between_steps(samples: Array, shares: Array) -> Array:
+    """Return quantiles of quantised samples, interpolated between neighbouring steps.
+
+    Args:
+        samples: (n,) outputs, often on the few levels of an analogue-to-digital converter.
+        shares: (k,) in 0 ... 1.
+    """
+    levels, counts = np.unique(samples, return_counts=True)
+    middles = (np.cumsum(counts) - counts / 2) / len(samples)
+    return np.interp(shares, middles, levels)

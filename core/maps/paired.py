@@ -1,0 +1,215 @@
+"""Fit a map to pairs of windows under equal load, through the network that will read it.
+
+With pairs the transport plan is known; what is left is its regression. The error that counts is that of the estimate,
+so the map minimises sum (f(map(x_i)) - f(y_i))^2 over pairs (target window x_i, source window y_i), by Gauss-Newton
+steps with Marquardt's damping (Marquardt 1963).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
+
+from softcal.core.identity import Settings
+from softcal.core.maps.curve import CurveMap
+from softcal.core.network import Network
+from softcal.core.recording import Array, Indices
+from softcal.core.windows import TAPS, windows
+
+KNOTS = 12
+SHAPES = 5
+"""Orthonormal window shapes the dynamic part mixes: level, slope, curvature and two more."""
+
+PAIRS = 3000
+"""Pairs used at most, spread over the recording: the cost of a fit does not grow with its length."""
+
+STIFFNESS = 1e-3
+TETHER = 1e-3
+STEPS = 8
+BLOCKS = 8
+NEEDED_GAIN = 0.97
+"""The dynamic part stays only if it brings the held-out error below this share."""
+
+
+@dataclass(frozen=True, eq=False)
+class DynamicMap:
+    """A monotone curve on every sample, then a small linear mix of window shapes.
+
+    map(x) = P B P' curve(x), with P the first orthonormal polynomials over the taps: the
+    curve carries the static response, B the difference in lag and creep. Faster wiggles than P holds are noise.
+
+    Args:
+        curve: static part.
+        mix: (SHAPES, SHAPES) matrix B; the identity changes no shape.
+        family: name under which the catalogue rebuilds it.
+    """
+
+    curve: CurveMap
+    mix: Array
+    family: str
+
+    def apply(self, windows: Array) -> Array:
+        """Carry (n, taps) target windows into the source's window space."""
+        return np.asarray(self.curve(windows) @ self.matrix)
+
+    @property
+    def matrix(self) -> Array:
+        """(taps, taps) linear part, applied from the right to a window after the curve."""
+        shapes = window_shapes(len(self.mix))
+        return np.asarray(shapes @ self.mix.T @ shapes.T)
+
+    def apply_signal(self, signal: Array) -> Array:
+        """Carry every full window of a gap-free signal: (n - taps + 1, taps)."""
+        return np.asarray(windows(self.curve(signal)) @ self.matrix)
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return the curve's knots and values and the mix."""
+        return self.curve.arrays() | {"mix": self.mix}
+
+    def settings(self) -> Settings:
+        """Nothing beside the arrays."""
+        return {}
+
+
+PairedMap = CurveMap | DynamicMap
+
+
+def paired_map_from_arrays(arrays: Mapping[str, NDArray[np.generic]], family: str) -> PairedMap:
+    """Rebuild a map fitted to pairs, with or without its dynamic part."""
+    curve = CurveMap.from_arrays(arrays, family)
+    return DynamicMap(curve, np.asarray(arrays["mix"], np.float64), family) if "mix" in arrays else curve
+
+
+def window_shapes(count: int) -> Array:
+    """Return the first orthonormal polynomials over the taps: (TAPS, count)."""
+    tap = np.linspace(-1.0, 1.0, TAPS)
+    return np.asarray(np.linalg.qr(np.vander(tap, count, increasing=True))[0])
+
+
+def fit_pairs(network: Network, source: Array, target: Array, family: str) -> PairedMap:
+    """Fit a map to pairs of windows; a dynamic part is kept only where it helps on held-out stretches.
+
+    Args:
+        network: f.
+        source: (n, taps) source windows, in time order.
+        target: (n, taps) target windows under the same loads.
+        family: name the map carries.
+    """
+    rows = np.linspace(0, len(target) - 1, min(PAIRS, len(target))).astype(np.int64)
+    problem = _Pairs(network, target[rows], source[rows], family)
+    block = np.arange(len(rows)) * BLOCKS // len(rows)
+    held, kept = np.flatnonzero(block % 4 == 1), np.flatnonzero(block % 4 != 1)
+    static, dynamic = problem.fit(kept, 0), problem.fit(kept, SHAPES)
+    has_dynamics = problem.error(dynamic, held) < NEEDED_GAIN * problem.error(static, held)
+    everything = np.arange(len(rows))
+    return problem.fit(everything, SHAPES if has_dynamics else 0)
+
+
+class _Pairs:
+    """Paired windows with what every fit to some of them shares: knots, start and labels."""
+
+    def __init__(self, network: Network, target: Array, source: Array, family: str) -> None:
+        self._network, self._family = network, family
+        self._target = target
+        self._label = network.gradient(source)[0] / network.reference_scale
+        self._knots = _knots(target)
+        self._start = _static_regression(target, source, self._knots)
+        self._bend = np.diff(np.eye(len(self._knots)), 2, axis=0) / network.output_scale
+
+    def error(self, unit_map: PairedMap, rows: Indices) -> float:
+        """Return the root mean square difference of the estimates over some pairs, in standard deviations."""
+        estimate = self._network.gradient(unit_map.apply(self._target[rows]))[0] / self._network.reference_scale
+        return float(np.sqrt(np.mean((estimate - self._label[rows]) ** 2)))
+
+    def fit(self, rows: Indices, shapes: int) -> PairedMap:
+        """Fit the curve, and the mix of `shapes` window shapes where it is not 0."""
+        theta = np.concatenate([self._start, np.eye(shapes).ravel()])
+        cost, damping = self._cost(theta, rows, shapes), 1e-3
+        for _ in range(STEPS):
+            hessian, descent = self._normal_equations(theta, rows, shapes)
+            for _ in range(6):
+                damped = hessian + damping * np.diag(np.diag(hessian) + 1e-9)
+                trial = self._monotone(theta + np.linalg.solve(damped, descent))
+                trial_cost = self._cost(trial, rows, shapes)
+                if trial_cost < cost:
+                    break
+                damping *= 5
+            else:
+                break
+            is_settled = trial_cost > 0.999 * cost
+            theta, cost, damping = trial, trial_cost, max(damping / 5, 1e-6)
+            if is_settled:
+                break
+        return self._map(theta, shapes)
+
+    def _map(self, theta: Array, shapes: int) -> PairedMap:
+        curve = CurveMap(self._knots, theta[: len(self._knots)], self._family)
+        if not shapes:
+            return curve
+        return DynamicMap(curve, theta[len(self._knots) :].reshape(shapes, shapes), self._family)
+
+    def _monotone(self, theta: Array) -> Array:
+        count = len(self._knots)
+        return np.concatenate([isotonic_regression(theta[:count]).x, theta[count:]])
+
+    def _cost(self, theta: Array, rows: Indices, shapes: int) -> float:
+        count = len(self._knots)
+        bend = STIFFNESS * float(np.sum((self._bend @ theta[:count]) ** 2))
+        pull = TETHER * float(np.sum((theta[count:] - np.eye(shapes).ravel()) ** 2))
+        return self.error(self._map(theta, shapes), rows) ** 2 + bend + pull
+
+    def _normal_equations(self, theta: Array, rows: Indices, shapes: int) -> tuple[Array, Array]:
+        """Gauss-Newton matrix and descent direction of the cost."""
+        count, target = len(self._knots), self._target[rows]
+        unit_map = self._map(theta, shapes)
+        estimate, slope = self._network.gradient(unit_map.apply(target))
+        residual = estimate / self._network.reference_scale - self._label[rows]
+        slope = slope / self._network.reference_scale
+        per_sample = slope @ unit_map.matrix.T if isinstance(unit_map, DynamicMap) else slope
+        jacobian = np.empty((len(rows), len(theta)))
+        jacobian[:, :count] = _hat_gradient(target, self._knots, per_sample)
+        if shapes:
+            basis = window_shapes(shapes)
+            curved = CurveMap(self._knots, theta[:count], self._family)(target)
+            jacobian[:, count:] = ((slope @ basis)[:, :, None] * (curved @ basis)[:, None, :]).reshape(len(rows), -1)
+        hessian = jacobian.T @ jacobian / len(rows)
+        gradient = jacobian.T @ residual / len(rows)
+        hessian[:count, :count] += STIFFNESS * self._bend.T @ self._bend
+        gradient[:count] += STIFFNESS * self._bend.T @ (self._bend @ theta[:count])
+        hessian[count:, count:] += TETHER * np.eye(shapes * shapes)
+        gradient[count:] += TETHER * (theta[count:] - np.eye(shapes).ravel())
+        return hessian, -gradient
+
+
+def _knots(target: Array) -> Array:
+    low, high = np.quantile(target, [0.001, 0.999])
+    return np.linspace(low, high, KNOTS)
+
+
+def _place(samples: Array, knots: Array) -> tuple[Indices, Array]:
+    segment = np.clip(np.searchsorted(knots, samples) - 1, 0, len(knots) - 2)
+    return segment.astype(np.int64), (samples - knots[segment]) / (knots[segment + 1] - knots[segment])
+
+
+def _hat_gradient(target: Array, knots: Array, per_sample: Array) -> Array:
+    """Sum, window by window, how the estimate answers to each knot's value: (n, k)."""
+    segment, share = _place(target, knots)
+    row = np.broadcast_to(np.arange(len(target))[:, None] * len(knots), segment.shape)
+    size = len(target) * len(knots)
+    left = np.bincount((row + segment).ravel(), (per_sample * (1 - share)).ravel(), size)
+    right = np.bincount((row + segment + 1).ravel(), (per_sample * share).ravel(), size)
+    return np.asarray((left + right).reshape(len(target), len(knots)))
+
+
+def _static_regression(target: Array, source: Array, knots: Array) -> Array:
+    """Values at the knots that carry mean window levels onto mean window levels, smooth and monotone."""
+    segment, share = _place(target.mean(axis=1), knots)
+    hats = np.zeros((len(target), len(knots)))
+    hats[np.arange(len(target)), segment] = 1 - share
+    hats[np.arange(len(target)), segment + 1] += share
+    bend = np.diff(np.eye(len(knots)), 2, axis=0)
+    normal = hats.T @ hats / len(target) + STIFFNESS * bend.T @ bend + 1e-9 * np.eye(len(knots))
+    values = np.linalg.solve(normal, hats.T @ source.mean(axis=1) / len(target))
+    return np.asarray(isotonic_regression(values).x)

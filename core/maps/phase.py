@@ -1,0 +1,73 @@
+"""Pairs at equal stage position: the station knows where both units stood even though the load is unknown."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from softcal.core.errors import UnitRefused
+from softcal.core.identity import Settings
+from softcal.core.maps.interface import FitProblem
+from softcal.core.maps.paired import PAIRS, PairedMap, fit_pairs, paired_map_from_arrays
+from softcal.core.recording import Array, OutputRecording
+
+HISTORY = (0, 4, 14, 45, 150)
+"""Samples back at which the stage must have stood alike: position, direction, speed and what creep remembers."""
+
+HISTORY_WEIGHT = (1.0, 1.0, 0.7, 0.3, 0.1)
+NEAR_SHARE = 0.02
+"""Two stage histories are alike within this share of the travel."""
+
+MIN_PAIRS = 200
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Pair windows whose stage histories agree and regress the source's on the target's.
+
+    Assumes that equal travel means equal load: true for pads from one mould, not for units of different stiffness.
+    """
+
+    name: str = "phase"
+
+    def fit(self, problem: FitProblem) -> PairedMap:
+        """Fit the map.
+
+        Raises:
+            UnitRefused: a recording has no stage position, or the two share too few positions.
+        """
+        source, target = problem.source.unlabelled, problem.target
+        source_rows, target_rows = paired_by_stage(source, target)
+        return fit_pairs(problem.network, source.windows[source_rows], target.windows[target_rows], self.name)
+
+    def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> PairedMap:
+        """Rebuild a map from its arrays."""
+        return paired_map_from_arrays(arrays, self.name)
+
+
+def paired_by_stage(source: OutputRecording, target: OutputRecording) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the windows of both recordings at equal stage position, direction and recent history.
+
+    Returns:
+        Row numbers into `source.windows` and `target.windows`, equal lengths, in the target's time order.
+
+    Raises:
+        UnitRefused: a recording has no stage position, or too few positions are shared.
+    """
+    if source.stage_mm is None or target.stage_mm is None:
+        raise UnitRefused("stage position is not in both recordings; windows cannot be paired by it")
+    known, asked = _histories(source, source.stage_mm), _histories(target, target.stage_mm)
+    travel_mm = float(np.ptp(target.stage_mm))
+    rows = np.linspace(0, len(asked) - 1, min(2 * PAIRS, len(asked))).astype(np.int64)
+    distance_mm, nearest = cKDTree(known).query(asked[rows])
+    alike = distance_mm <= NEAR_SHARE * travel_mm
+    if travel_mm <= 0 or alike.sum() < MIN_PAIRS:
+        raise UnitRefused(f"{alike.sum()} windows at equal stage positions; at least {MIN_PAIRS} are needed")
+    return nearest[alike].astype(np.int64), rows[alike]
+
+
+def _histories(recording: OutputRecording, stage_mm: Array) -> Array:
+    rows = recording.window_rows[:, None] - np.array(HISTORY)[None, :]
+    return np.asarray(stage_mm[np.maximum(rows, 0)] * np.array(HISTORY_WEIGHT))

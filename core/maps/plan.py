@@ -1,0 +1,86 @@
+"""A discrete transport plan between windows, and the map it gives to windows it has not seen."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import ot
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from softcal.core.identity import Settings
+from softcal.core.recording import Array
+from softcal.core.windows import windows
+
+MOST_WINDOWS = 1500
+"""Windows per side of an exact plan; the cost matrix grows with their product, the solver faster still."""
+
+NEIGHBOURS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class TransportMap:
+    """Stored target windows and how far the plan moved each; unseen windows move with their neighbours.
+
+    map(x) = x + sum_k w_k (T(x_k) - x_k) over the nearest stored windows x_k, w_k proportional to the inverse squared
+    distance. The paper's nearest neighbour alone would repeat a stored window; its displacement carries what is new.
+
+    Args:
+        stored: (m, taps) target windows of the plan.
+        displacement: (m, taps) T(x_k) - x_k.
+        family: name under which the catalogue rebuilds it.
+    """
+
+    stored: Array
+    displacement: Array
+    family: str
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.stored)
+
+    def apply(self, windows: Array) -> Array:
+        """Carry (n, taps) target windows into the source's window space."""
+        distance, row = self._tree.query(windows, k=min(NEIGHBOURS, len(self.stored)))
+        distance, row = distance.reshape(len(windows), -1), row.reshape(len(windows), -1)
+        closeness = 1.0 / (distance**2 + 1e-12 * (1.0 + float(np.ptp(self.stored)) ** 2))
+        share = closeness / closeness.sum(axis=1, keepdims=True)
+        return np.asarray(windows + np.einsum("nk,nkt->nt", share, self.displacement[row]))
+
+    def apply_signal(self, signal: Array) -> Array:
+        """Carry every full window of a gap-free signal: (n - taps + 1, taps)."""
+        return self.apply(windows(signal))
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return the stored windows and their displacements."""
+        return {"stored": self.stored, "displacement": self.displacement}
+
+    def settings(self) -> Settings:
+        """Nothing beside the arrays."""
+        return {}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], family: str) -> "TransportMap":
+        """Rebuild a map from its arrays."""
+        return cls(np.asarray(arrays["stored"], np.float64), np.asarray(arrays["displacement"], np.float64), family)
+
+
+def solve_exact(cost: Array) -> Array:
+    """Return the plan of least total cost between uniform weights (Kantorovich; POT's network simplex).
+
+    Args:
+        cost: (m, n) cost of carrying target window i to source window j.
+    """
+    rows, columns = cost.shape
+    return np.asarray(ot.emd(np.full(rows, 1 / rows), np.full(columns, 1 / columns), cost, numItermax=2_000_000))
+
+
+def barycentric(plan: Array, source: Array) -> Array:
+    """Return where the plan sends each target window on average: (m, taps)."""
+    return np.asarray(plan @ source / plan.sum(axis=1, keepdims=True))
+
+
+def spread_rows(count: int, most: int = MOST_WINDOWS) -> NDArray[np.int64]:
+    """Return at most `most` row numbers spread evenly over `count`."""
+    return np.linspace(0, count - 1, min(most, count)).astype(np.int64)

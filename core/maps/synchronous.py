@@ -1,0 +1,44 @@
+"""Pairs at equal time: source and target were pressed by the same load at once."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softcal.core.errors import UnitRefused
+from softcal.core.identity import Settings
+from softcal.core.maps.interface import FitProblem
+from softcal.core.maps.paired import PairedMap, fit_pairs, paired_map_from_arrays
+from softcal.core.maps.synchrony import find_synchrony, paired_rows
+
+MIN_PAIRS = 200
+
+
+@dataclass(frozen=True)
+class Synchronous:
+    """Pair windows taken at the same time and regress the source's on the target's."""
+
+    name: str = "synchronous"
+
+    def fit(self, problem: FitProblem) -> PairedMap:
+        """Fit the map.
+
+        Raises:
+            UnitRefused: the outputs show no common load at equal time.
+        """
+        source, target = problem.source.unlabelled, problem.target
+        synchrony = find_synchrony(source, target)
+        if not synchrony.is_synchronous:
+            raise UnitRefused(
+                f"outputs of source and unit agree with rank correlation {synchrony.rank_correlation:.2f} at equal "
+                "time; they were not pressed by one load at once"
+            )
+        source_rows, target_rows = paired_rows(source, target, synchrony.lag_s)
+        if len(target_rows) < MIN_PAIRS:
+            raise UnitRefused(f"{len(target_rows)} windows at equal times; at least {MIN_PAIRS} are needed")
+        return fit_pairs(problem.network, source.windows[source_rows], target.windows[target_rows], self.name)
+
+    def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> PairedMap:
+        """Rebuild a map from its arrays."""
+        return paired_map_from_arrays(arrays, self.name)
