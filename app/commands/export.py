@@ -126,7 +126,7 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
 def _row(serial: str, revision: int, verdict: str, device: object, files: tuple[str, ...]) -> list[object]:
     facts = device if isinstance(device, dict) else {}
     numbers = [facts.get(name) for name in ("unit_bytes", "map_rms_deviation", "rms_error", "max_error")]
-    return [serial, revision, verdict, *numbers, ", ".join(files)]
+    return [serial, revision, verdict, *numbers, len(files)]
 
 
 def _options(options: argparse.Namespace) -> "ExportOptions":

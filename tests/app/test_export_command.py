@@ -1,0 +1,258 @@
+"""`softcal export` and `inspect` on a small calibrated lot: every format, the manifest, and all that is refused."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from softcal.app.cli import main
+from softcal.app.workflow.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.workflow.export import export_units
+from softcal.core.errors import InputError
+from softcal.core.export.loader import open_sensor
+from softcal.db.connection import open_registry
+
+FORMATS = ("json", "c", "blob", "hex", "onnx", "pdf", "dcc")
+Run = Callable[..., int]
+
+
+@pytest.fixture(scope="module")
+def calibrated(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """URL of a registry in which the three units of the small lot are calibrated."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    shutil.copytree(trained_lot / "lot", folder / "lot")
+    shutil.copy(trained_lot / "registry.db", folder / "registry.db")
+    url = f"sqlite:///{folder / 'registry.db'}"
+    assert main(["batch", str(folder / "lot"), "--registry", url, "--hidden", "16,8", "--no-own"]) in (0, 1)
+    return url
+
+
+@pytest.fixture
+def run(calibrated: str, tmp_path: Path) -> Run:
+    """`run(*arguments)`: `softcal export` into tmp_path/out."""
+    return lambda *arguments: main(["export", "--registry", calibrated, "--out", str(tmp_path / "out"), *arguments])
+
+
+def _all_formats() -> list[str]:
+    return [word for name in FORMATS for word in ("--format", name)]
+
+
+def test_every_format_is_written_and_reads_back(run: Run, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    assert run("--serial", "A1", *_all_formats(), "--check", "--json", str(report)) == 0
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    endings = ("ssc", "json", "h", "hex", "onnx")
+    assert {f"unit-A1.{end}" for end in endings} | {"certificate-A1.pdf", "certificate-A1.xml"} <= names
+    assert {"softsensor.h", "manifest.json"} <= names
+    assert (tmp_path / "out" / "unit-A1.ssc").stat().st_size <= 256
+    found = json.loads(report.read_text())
+    assert found["check"]["problems"] == []
+    (unit,) = found["units"]
+    assert unit["device"]["rms_error"] <= unit["device"]["limit"]
+
+
+def test_the_same_calibration_gives_the_same_bytes(run: Run, tmp_path: Path) -> None:
+    run("--serial", "A1", *_all_formats())
+    first = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    shutil.rmtree(tmp_path / "out")
+    run("--serial", "A1", *_all_formats())
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == first
+
+
+def test_no_file_names_the_machine_it_was_made_on(run: Run, tmp_path: Path) -> None:
+    run("--serial", "A1", *_all_formats())
+    for path in (tmp_path / "out").iterdir():
+        content = path.read_bytes()
+        assert str(tmp_path).encode() not in content
+        assert str(Path.home()).encode() + b"/" not in content
+
+
+def test_the_device_file_estimates_what_the_float_model_does(run: Run, calibrated: str, tmp_path: Path) -> None:
+    run("--serial", "A1", "--format", "blob")
+    out = tmp_path / "out"
+    (network,) = out.glob("network-*.ssc")
+    sensor = open_sensor(network.read_bytes(), (out / "unit-A1.ssc").read_bytes(), "A1")
+    with open_registry(calibrated) as registry:
+        unit = UnitLoader(registry, ExportOptions()).load("A1")
+    windows = unit.recording.windows
+    exact = unit.network.evaluate(unit.calibration.unit_map.apply(windows))
+    estimate, lower, upper, flags = sensor.estimate_output(windows)
+    assert not flags.any()
+    assert np.abs(estimate - exact).max() < 0.01
+    assert np.all(lower < estimate) and np.all(estimate < upper)
+
+
+def test_onnx_agrees_with_the_float_model_and_carries_its_facts(run: Run, calibrated: str, tmp_path: Path) -> None:
+    run("--serial", "A2", "--format", "onnx")
+    path = tmp_path / "out" / "unit-A2.onnx"
+    session = onnxruntime.InferenceSession(path)
+    with open_registry(calibrated) as registry:
+        unit = UnitLoader(registry, ExportOptions()).load("A2")
+    windows = unit.recording.windows
+    mapped = unit.calibration.unit_map.apply(windows)
+    estimate, source_window = session.run(None, {"window": windows.astype(np.float32)})
+    assert np.abs(estimate - unit.network.evaluate(mapped)).max() < 1e-4
+    assert np.abs(source_window - mapped).max() < 1e-5
+    facts = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
+    assert (facts["serial"], facts["network_id"]) == ("A2", unit.network.id)
+    assert facts["map_sha256"] == unit.stored.record.map_sha256
+
+
+def test_the_json_holds_the_calibration_without_loss(run: Run, calibrated: str, tmp_path: Path) -> None:
+    run("--serial", "A1", "--format", "json")
+    values = json.loads((tmp_path / "out" / "unit-A1.json").read_text())["calibration"]
+    with open_registry(calibrated) as registry:
+        record = registry.calibration("A1").record
+    for name, array in record.arrays.items():
+        stored = values["arrays"][name]
+        back = np.array(stored["values"], dtype=stored["dtype"]).reshape(stored["shape"])
+        assert np.array_equal(back, array)
+    assert values["settings"] == record.settings
+
+
+def test_a_lot_shares_one_network_and_one_manifest(run: Run, tmp_path: Path) -> None:
+    assert run("--lot", "small", "--format", "blob", "--format", "json", "--check") == 0
+    out = tmp_path / "out"
+    assert len(list(out.glob("network-*.ssc"))) == 1
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert sorted(manifest["units"]) == ["A1", "A2", "A3"]
+    assert {row["name"] for row in manifest["files"]} == {path.name for path in out.iterdir()} - {"manifest.json"}
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda path: path.write_bytes(path.read_bytes()[:-1] + b"\0"), "SHA-256 differs"),
+        (lambda path: path.unlink(), "No such file"),
+    ],
+)
+def test_check_names_a_file_that_is_not_what_was_exported(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: Callable[[Path], None], said: str
+) -> None:
+    run("--serial", "A1", "--format", "blob")
+    damage(tmp_path / "out" / "unit-A1.ssc")
+    assert run("--check") == 2
+    assert f"unit-A1.ssc: {said}" in capsys.readouterr().err.replace("is not what was exported (", "")
+
+
+def test_a_signature_holds_for_this_manifest_alone(run: Run, tmp_path: Path) -> None:
+    key = Ed25519PrivateKey.generate()
+    encoding, raw = serialization.Encoding.PEM, serialization.NoEncryption()
+    (tmp_path / "key.pem").write_bytes(key.private_bytes(encoding, serialization.PrivateFormat.PKCS8, raw))
+    public = key.public_key().public_bytes(encoding, serialization.PublicFormat.SubjectPublicKeyInfo)
+    (tmp_path / "key.pub").write_bytes(public)
+    assert run("--serial", "A1", "--format", "blob", "--sign", str(tmp_path / "key.pem")) == 0
+    assert run("--check", "--public-key", str(tmp_path / "key.pub")) == 0
+    manifest = tmp_path / "out" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"pass"', '"fail"').replace("conditional", "pass"))
+    assert run("--check", "--public-key", str(tmp_path / "key.pub")) == 2
+    assert run("--serial", "A2", "--format", "blob") == 0
+    assert not (tmp_path / "out" / "manifest.sig").exists()
+
+
+def _with_verdict(calibrated: str, folder: Path, verdict: str) -> str:
+    """A copy of the registry in which A1's newest calibration has another verdict."""
+    from dataclasses import replace
+
+    copy = folder / "failed.db"
+    shutil.copy(calibrated.removeprefix("sqlite:///"), copy)
+    with open_registry(f"sqlite:///{copy}") as registry:
+        stored = registry.calibration("A1")
+        record = replace(stored.record, verdict=verdict, reasons=("bent in the press",))
+        registry.add_calibration(stored.lot_id, record, reason="test")
+    return f"sqlite:///{copy}"
+
+
+def test_a_unit_that_failed_gets_no_file_that_gives_numbers(
+    calibrated: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, url = tmp_path / "out", _with_verdict(calibrated, tmp_path, "fail")
+    arguments = ["export", "--registry", url, "--out", str(out), "--serial", "A1"]
+    assert main([*arguments, "--revision", "1", "--format", "blob", "--format", "c"]) == 0
+    assert main([*arguments, *_all_formats()]) == 2
+    assert "verdict fail (bent in the press)" in capsys.readouterr().err
+    names = {path.name for path in out.iterdir() if "A1" in path.name}
+    assert names == {"unit-A1.json", "certificate-A1.pdf", "certificate-A1.xml"}  # the older blob is gone as well
+    assert json.loads((out / "unit-A1.json").read_text())["device"] is None
+    assert main([*arguments, "--format", "blob", "--failed-too", "--check"]) == 0
+    assert (out / "unit-A1.ssc").read_bytes()[7] == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--serial", "NOBODY", "--format", "blob"], "NOBODY"),
+        (["--serial", "A1", "--serial", "NOBODY"], "NOBODY"),
+        (["--serial", "A1", "--serial", "A1"], "look the same"),
+        (["--serial", "A1", "--serial", "a1"], "look the same"),
+        (["--lot", "other"], "other"),
+        (["--serial", "A1", "--revision", "7"], "revision 7"),
+        (["--serial", "A1", "--format", "blob", "--adc-bits", "10"], "both its bits and its full scale"),
+        (["--serial", "A1", "--format", "blob", "--adc-bits", "40", "--adc-full-scale", "5"], "1 ... 16 bits"),
+        (["--serial", "A1", "--format", "blob", "--adc-bits", "10", "--adc-full-scale", "0.1"], "full scale"),
+        (["--serial", "A1", "--format", "hex", "--unit-address", "3"], "multiple of 4"),
+        (["--serial", "A1", "--adapt-gain", "7"], "adapt-gain"),
+        (["--serial", "A1", "--format", "pdf", "--laboratory", "nowhere.toml"], "nowhere.toml"),
+        (["--serial", "A1", "--sign", "nowhere.pem"], "nowhere.pem"),
+        (["--check"], "no manifest.json"),
+        ([], "nothing to do"),
+    ],
+)
+def test_wrong_use_ends_in_one_line_and_exit_code_2(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
+    assert run(*arguments) == 2
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert said in told
+    assert not list((tmp_path / "out").glob("*.ssc"))
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "manifest.json").write_text('{"schema": "of somebody else"}')
+    assert run("--serial", "A1") == 2
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["manifest.json"]
+
+
+def test_the_use_case_returns_what_it_wrote(calibrated: str, tmp_path: Path) -> None:
+    told = []
+    with open_registry(calibrated) as registry:
+        done = export_units(registry, ["A1", "A2"], ("blob",), tmp_path, on_unit=told.append)
+        with pytest.raises(InputError, match="format png"):
+            export_units(registry, ["A1"], ("png",), tmp_path)
+    assert [unit.serial for unit in done] == ["A1", "A2"] == [unit.serial for unit in told]
+    assert done[0].files[0] == "unit-A1.ssc"
+
+
+def test_inspect_shows_a_file_and_runs_its_self_tests(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("--serial", "A1", "--format", "blob", "--format", "json")
+    out = tmp_path / "out"
+    (network,) = out.glob("network-*.ssc")
+    capsys.readouterr()
+    assert main(["inspect", str(out / "unit-A1.ssc"), "--network", str(network)]) == 0
+    shown = capsys.readouterr().out
+    assert "4 of 4 give what they must" in shown
+    assert main(["inspect", str(network)]) == 0
+    assert "15-16-8-1" in capsys.readouterr().out
+    assert main(["inspect", str(out / "unit-A1.ssc"), "--json", "-"]) == 0
+    blob = json.loads(capsys.readouterr().out)
+    assert main(["inspect", str(out / "unit-A1.json"), "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out) == blob
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"[]", b"{}", b"SSCF", bytes(300)])
+def test_inspect_refuses_what_is_no_calibration_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes
+) -> None:
+    (tmp_path / "junk.ssc").write_bytes(content)
+    assert main(["inspect", str(tmp_path / "junk.ssc")]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
