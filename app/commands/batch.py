@@ -35,6 +35,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes (default 1)")
     parser.add_argument("--engine", choices=("local", "dask"), default="local")
     parser.add_argument("--scheduler", metavar="ADDR", help="a running Dask scheduler; default: one for this run")
+    parser.add_argument("--anchors", type=Path, metavar="FILE", help="known loads: columns serial, output, reference")
     parser.add_argument("--no-own", action="store_true", help="do not train own calibrations on audits for comparison")
     parser.add_argument("--refit", action="store_true", help="fit again what the registry already has")
     add_network(parser)
@@ -44,6 +45,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 def run(options: argparse.Namespace) -> int:
     """Run the batch, print the table, write the report."""
+    from softcal.app.anchors import read_anchors
     from softcal.app.engine import EngineChoice
     from softcal.app.lot_folder import open_lot_folder
     from softcal.app.workflow.batch import TABLE_HEADER, BatchConfig, report_json, run_batch, table_row
@@ -51,7 +53,9 @@ def run(options: argparse.Namespace) -> int:
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:
         say(f"note: {remark}")
+    anchors = {} if options.anchors is None else read_anchors(options.anchors, folder.unit_paths)
     config = BatchConfig(
+        anchors=anchors,
         network=network_config(options),
         engine=EngineChoice(options.engine, options.jobs, options.scheduler),
         score_own=not options.no_own,

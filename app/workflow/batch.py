@@ -1,8 +1,8 @@
 """Calibrate a whole lot without a screen: train or reuse f, fit every unit, verdicts, registry, exports; resumable."""
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 
 from softcal.app.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.lot_folder import LotFolder
@@ -12,7 +12,7 @@ from softcal.core.calibration import CalibrationRecord
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
-from softcal.core.maps.interface import FitProblem
+from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.scoring import score_map
 from softcal.core.source_model import SourceModel, make_source_model
@@ -32,6 +32,7 @@ class BatchConfig:
         chunk: units per work item; fits take milliseconds, so a chunk amortises sending them to a worker.
         score_own: whether own calibrations are trained on audit recordings, for comparison.
         refit: whether units are fitted again although the registry has their result.
+        anchors: known loads by serial, where someone took them.
         actor: who asks, for the audit trail; None is the user the registry was opened by.
     """
 
@@ -41,6 +42,7 @@ class BatchConfig:
     chunk: int = 8
     score_own: bool = True
     refit: bool = False
+    anchors: Mapping[str, Anchors] = field(default_factory=dict)
     actor: str | None = None
 
 
@@ -96,6 +98,7 @@ class _Task:
 
     recording: OutputRecording
     audit: LabelledRecording | None
+    anchors: Anchors | None
     input_sha256: str
 
 
@@ -189,15 +192,17 @@ def _read_task(folder: LotFolder, registry: Registry, serial: str, shared: _Shar
     with registry.transaction():
         sha256 = registry.add_recording(lot_id, recording, "unit", actor=actor)
         audit_sha256 = None if audit is None else registry.add_recording(lot_id, audit, "audit", actor=actor)
+    anchors = shared.config.anchors.get(serial)
     settings = {
         "recording": sha256,
         "audit": audit_sha256,
         "network": shared.source.network.id,
         "calibration": asdict(shared.config.calibration),
         "own": asdict(shared.config.network) if shared.config.score_own and audit is not None else None,
+        "anchors": None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()],
         "limit": None if shared.limit is None else asdict(shared.limit),
     }
-    return _Task(recording, audit, content_sha256({}, settings))
+    return _Task(recording, audit, anchors, content_sha256({}, settings))
 
 
 def _fit_chunk(shared: _Shared, tasks: list[_Task]) -> list[CalibrationRecord | Refusal]:
@@ -207,7 +212,7 @@ def _fit_chunk(shared: _Shared, tasks: list[_Task]) -> list[CalibrationRecord | 
 def _fit_unit(shared: _Shared, task: _Task) -> CalibrationRecord | Refusal:
     start_s = time.perf_counter()
     try:
-        problem = FitProblem(shared.source.source, shared.source.network, task.recording)
+        problem = FitProblem(shared.source.source, shared.source.network, task.recording, task.anchors)
         calibration = calibrate_unit(problem, shared.limit, shared.config.calibration, shared.source)
     except UnitRefused as error:
         return Refusal(task.recording.serial, "fail", str(error))

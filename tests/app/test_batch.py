@@ -168,3 +168,18 @@ def test_a_recording_that_cannot_be_used_leaves_no_estimate(
 
 def test_a_registry_that_cannot_be_opened_ends_with_its_own_code(lot_folder: Path) -> None:
     assert main(["batch", str(lot_folder), "--registry", "sqlite:////nonexistent-folder/x.db"]) == 4
+
+
+def test_anchors_of_a_unit_the_lot_does_not_have_are_refused(
+    lot_folder: Path, url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "anchors.csv").write_text("serial,output,reference\nA1,0.54,0\nA9,0.6,1\n")
+    assert _batch(lot_folder, url, "--anchors", str(tmp_path / "anchors.csv"))[0] == 2
+    assert "line 3: the lot has no unit 'A9'" in capsys.readouterr().err
+
+
+def test_anchors_are_part_of_what_a_result_depends_on(lot_folder: Path, url: str, tmp_path: Path) -> None:
+    _batch(lot_folder, url, "--no-own")
+    (tmp_path / "anchors.csv").write_text("serial,output,reference\nA1,0.54,0\n")
+    _, report = _batch(lot_folder, url, "--no-own", "--anchors", str(tmp_path / "anchors.csv"))
+    assert [unit["is_new"] for unit in report["units"]] == [True, False, False]
