@@ -19,7 +19,12 @@ TOLERANCE = np.array([0.10, 0.15, 0.25])
 """Least tolerance of an activity for a cycle's quantiles (RMS, in scales), its log speed and its log duration."""
 
 NOISE_FLOOR = np.array([0.01, 0.01, 0.01])
-"""Smallest standard deviation of one cycle's rest, level and log scale."""
+"""Smallest standard deviation of one cycle's rest, level and log scale; of its shift and log gain, the first two."""
+
+FEW = 2.0
+"""Few cycles may differ by less than usual: their covariance is widened by this over their number less two."""
+
+SMALLEST_GAIN = 1e-3
 
 REST_SCATTER = 0.10
 """An activity whose unloaded turning points differ by less than this, in scales, returns to a known rest."""
@@ -38,9 +43,10 @@ class Activity:
         log_speed, log_duration: of its cycles.
         rest: level of the unloaded turning point.
         rest_scatter: how much it differs.
-        noise: (3, 3) covariance of one cycle's rest, level and log scale.
+        features: (3, 3) covariance of one cycle's rest, level and scale about their trend.
+        bias, noise: (2,) mean and (2, 2) covariance of the drift that `drift_of` sees in its own cycles.
         tolerance: (3,) largest differences in shape, log speed and log duration.
-        anchor: (2, 2) covariance of the drift when the activity was first seen; 0 for the calibration recording.
+        anchor: (2, 2) covariance of what was taken for no drift when the activity was learnt.
     """
 
     level: float
@@ -51,24 +57,23 @@ class Activity:
     log_duration: float
     rest: float
     rest_scatter: float
+    features: Array
+    bias: Array
     noise: Array
     tolerance: Array
     anchor: Array
 
-    def drift_of(self, cycle: Cycle, rest_is_low: bool) -> tuple[Array, Array]:
-        """Return the (2,) shift and log gain under which a cycle is one of this activity, and their (2, 2) covariance.
+    def drift_of(self, cycle: Cycle, rest_is_low: bool) -> Array:
+        """Return the (2,) shift and log gain under which a cycle is one of this activity.
 
         Weighted least squares of three equations in mu and g = exp(lambda): rest, level and scale of the cycle are
         mu + g rest, mu + g level and g scale of the activity. A sure rest pins the shift however presses differ.
         """
-        seen_gain = cycle.scale / np.exp(self.log_scale)
         design = np.array([[1.0, self.rest], [1.0, self.level], [0.0, 1.0]])
-        seen = np.array([cycle.low if rest_is_low else cycle.high, cycle.level, seen_gain])
-        weight = np.linalg.inv(self.noise * seen_gain**2)
-        covariance = np.linalg.inv(design.T @ weight @ design)
-        shift, gain = covariance @ design.T @ weight @ seen
-        to_log = np.array([1.0, 1.0 / max(gain, 1e-3)])
-        return np.array([shift, np.log(max(gain, 1e-3))]), covariance * np.outer(to_log, to_log)
+        seen = np.array([cycle.rest(rest_is_low), cycle.level, cycle.scale / np.exp(self.log_scale)])
+        weighted = np.linalg.solve(self.features, design)
+        shift, gain = np.linalg.solve(design.T @ weighted, weighted.T @ seen)
+        return np.array([shift, np.log(max(gain, SMALLEST_GAIN))]) - self.bias
 
     @property
     def has_rest(self) -> bool:
@@ -127,7 +132,7 @@ def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, anchor: Array) ->
     """
     if len(cycles) < MIN_CYCLES:
         return Lesson(None, f"{len(cycles)} cycles of use, {MIN_CYCLES} are needed to compare with", np.zeros(2))
-    rests = np.array([c.low if rest_is_low else c.high for c in cycles])
+    rests = np.array([c.rest(rest_is_low) for c in cycles])
     position = np.array([[c.level, np.log(c.scale)] for c in cycles])
     trend, scatter = _trend(position)
     if scatter.max() > STEADY_SCATTER or np.abs(trend).max() > STEADY_TREND:
@@ -136,10 +141,8 @@ def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, anchor: Array) ->
     shapes = np.array([c.shape for c in cycles])
     shape = shapes.mean(axis=0)
     speed, duration = np.log([c.speed for c in cycles]), np.log([c.duration_s for c in cycles])
-    # Differences of neighbours: a drift under the cycles is no noise of theirs.
-    steps = np.diff(np.column_stack([rests, position]), axis=0)
     spread = np.array([np.sqrt(np.mean((shapes - shape) ** 2)), speed.std(), duration.std()])
-    activity = Activity(
+    blank = Activity(
         level=float(position[:, 0].mean()),
         log_scale=float(position[:, 1].mean()),
         shape=shape,
@@ -148,11 +151,24 @@ def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, anchor: Array) ->
         log_duration=float(duration.mean()),
         rest=float(rests.mean()),
         rest_scatter=float(_trend(rests[:, None])[1][0]),
-        noise=steps.T @ steps / (2 * len(steps)) + np.diag(NOISE_FLOOR**2),
+        features=_covariance(np.column_stack([rests, position])) + np.diag(NOISE_FLOOR**2),
+        bias=np.zeros(2),
+        noise=np.zeros((2, 2)),
         tolerance=np.maximum(TOLERANCE, 3 * spread),
         anchor=anchor,
     )
+    drifts = np.array([blank.drift_of(cycle, rest_is_low) for cycle in cycles])
+    noise = _covariance(drifts) + np.diag(NOISE_FLOOR[:2] ** 2)
+    activity = replace(blank, bias=drifts.mean(axis=0), noise=noise, anchor=anchor + noise / len(cycles))
     return Lesson(activity, "", trend)
+
+
+def _covariance(values: Array) -> Array:
+    """Return the (k, k) covariance of (n, k) values about a straight line over their index: a drift is no noise."""
+    slope, _ = _trend(values)
+    time = np.linspace(-0.5, 0.5, len(values))
+    left = values - values.mean(axis=0) - np.outer(time, slope)
+    return np.asarray(left.T @ left / (len(values) - 2) * (1 + FEW / (len(values) - 2)))
 
 
 def _trend(values: Array) -> tuple[Array, Array]:

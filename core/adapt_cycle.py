@@ -53,6 +53,10 @@ class Cycle:
     end_s: float
     is_complete: bool
 
+    def rest(self, is_low: bool) -> float:
+        """Return the unloaded turning point."""
+        return self.low if is_low else self.high
+
     def standardised(self, mean: float, scale: float) -> "Cycle":
         """Return the cycle of the output (output - mean) / scale, scale > 0."""
         moved = {name: (getattr(self, name) - mean) / scale for name in ("level", "low", "high")}

@@ -247,8 +247,7 @@ class Adapter:
         """Return the standard deviation that doubt about the drift leaves in an estimate, in the reference unit."""
         if self._config.mode == "none" or now_s is None:
             return 0.0
-        variance = float(np.trace(self._tracker.covariance_at(now_s)))
-        return self._error_per_scale * float(np.sqrt(variance + self._tracker.unresolved**2))
+        return self._error_per_scale * self._tracker.doubt_at(now_s)
 
     def _predicted_rmse(self, drift_error: float) -> float:
         return float(np.hypot(self._calibrated_rmse, drift_error))

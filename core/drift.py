@@ -31,6 +31,9 @@ STEADY_MEMORY = 20
 BIAS_WEIGHT = 0.1
 """Weight of the newest cycle in the mean surprise, which tells a drift under way from chance."""
 
+PACE = 12.0
+"""A mean surprise is chance while its squared distance from zero is below this; 2 is its mean without a drift."""
+
 FASTEST = 400.0
 """A drift under way is followed with up to this many times the variance of one at rest."""
 
@@ -57,7 +60,7 @@ MAX_ACTIVITIES = 3
 REFRESH = 0.05
 """Weight of the newest cycle in the moving shape of an activity (improved mode)."""
 
-SHRINK = (2.0, 4.0)
+SHRINK = (3.0, 5.0)
 """A drift of fewer standard deviations than the first is not applied, of more than the second in full."""
 
 FOLLOWED, HELD, JUMPED = "followed", "held", "jumped"
@@ -142,11 +145,36 @@ class DriftTracker:
 
     def correction(self) -> tuple[float, float]:
         """Return gain and offset that carry the output now to the output at calibration, as far as evidence goes."""
-        sigmas = np.sqrt(self._drift @ np.linalg.solve(self._covariance, self._drift))
-        weight = np.clip((sigmas - SHRINK[0]) / (SHRINK[1] - SHRINK[0]), 0, 1)
-        shift, log_gain = weight * self._drift
+        shift, log_gain = self._applied()
         gain = float(np.exp(-log_gain))
         return gain, self._use.mean - gain * float(self._use.mean + self._use.scale * shift)
+
+    def doubt_at(self, t_s: float) -> float:
+        """Return the standard deviation of the drift left in the corrected output, in scales of the calibrated use.
+
+        It holds what was seen but not applied, the doubt about what was applied, what a jump left open, and what may
+        have come since the last cycle.
+        """
+        applied = self._applied()
+        left = self._drift - applied
+        share = float(np.linalg.norm(applied) / max(np.linalg.norm(self._drift), 1e-12))
+        since = self.covariance_at(t_s) - self._covariance
+        return float(
+            np.sqrt(left @ left + share**2 * np.trace(self._covariance) + np.trace(since) + self.unresolved**2)
+        )
+
+    def _applied(self) -> Array:
+        """Return the part of the drift that is sure enough.
+
+        A log gain turns the output about the level where it is known best; the shift there and the log gain are
+        independent, and each is judged by itself.
+        """
+        (shift_variance, mixed), (_, gain_variance) = self._covariance
+        pivot = -mixed / gain_variance
+        about_pivot = self._drift[0] + pivot * self._drift[1]
+        shift = about_pivot * _sureness(about_pivot, shift_variance - mixed**2 / gain_variance)
+        log_gain = self._drift[1] * _sureness(self._drift[1], gain_variance)
+        return np.array([shift - pivot * log_gain, log_gain])
 
     def _recognise(self, cycle: Cycle) -> int:
         strangeness = [activity.strangeness(cycle) for activity in self._activities]
@@ -155,8 +183,8 @@ class DriftTracker:
 
     def _compare(self, cycle: Cycle, index: int) -> Observation:
         activity = self._activities[index]
-        measured, noise = activity.drift_of(cycle, self._use.rest_is_low)
-        surprise = measured - self._drift
+        noise = activity.noise
+        surprise = activity.drift_of(cycle, self._use.rest_is_low) - self._drift
         expected = self._covariance + noise + activity.anchor
         sigma = np.sqrt(np.diag(expected))
         if np.any(np.abs(surprise) > np.maximum(JUMP_SIGMAS * sigma, JUMP_FLOOR)):
@@ -184,13 +212,13 @@ class DriftTracker:
         """Return how many times faster than at rest the drift is, from surprises that keep one sign."""
         self._bias = self._bias + BIAS_WEIGHT * (surprise - self._bias)
         chance = BIAS_WEIGHT / (2 - BIAS_WEIGHT) * expected
-        return float(np.clip(self._bias @ np.linalg.solve(chance, self._bias) / 8, 1, FASTEST))
+        return float(np.clip(self._bias @ np.linalg.solve(chance, self._bias) / PACE, 1, FASTEST))
 
     def _meet_jump(self, cycle: Cycle, index: int) -> Observation:
         activity = self._activities[index]
-        measured, noise = activity.drift_of(cycle, self._use.rest_is_low)
-        before = [activity.drift_of(c, self._use.rest_is_low)[0] for c in self._jumps[-MOST_JUMPS + 1 :]]
-        apart = JUMP_SIGMAS * np.sqrt(2 * np.diag(noise))
+        measured = activity.drift_of(cycle, self._use.rest_is_low)
+        before = [activity.drift_of(c, self._use.rest_is_low) for c in self._jumps[-MOST_JUMPS + 1 :]]
+        apart = JUMP_SIGMAS * np.sqrt(2 * np.diag(activity.noise))
         if before and np.any(np.abs(measured - np.mean(before, axis=0)) > apart):
             self._jumps.clear()
             before = []
@@ -213,15 +241,14 @@ class DriftTracker:
         return self._held(cycle, "the rest is where it was: the use changed, not the sensor", index)
 
     def _has_rest_moved(self, activity: Activity) -> bool:
-        rests = [c.low if self._use.rest_is_low else c.high for c in self._jumps]
+        rests = [c.rest(self._use.rest_is_low) for c in self._jumps]
         expected = self._drift[0] + np.exp(self._drift[1]) * activity.rest
         return bool(abs(np.mean(rests) - expected) > max(REST_MOVED, 4 * activity.rest_scatter))
 
     def _follow_jump(self, cycle: Cycle, index: int, step: Array) -> Observation:
         activity = self._activities[index]
         self._drift = self._drift + step
-        _, noise = activity.drift_of(cycle, self._use.rest_is_low)
-        self._covariance = activity.anchor + noise / len(self._jumps)
+        self._covariance = activity.anchor + activity.noise / len(self._jumps)
         self._bias = np.zeros(2)
         self._jumps.clear()
         self.alarm, self.unresolved = "", 0.0
@@ -283,3 +310,9 @@ class DriftTracker:
         self._strangers = [Cycle.from_state(cycle) for cycle in state["strangers"]]
         self._jumps = [Cycle.from_state(cycle) for cycle in state["jumps"]]
         self.alarm, self.unresolved = str(state["alarm"]), float(state["unresolved"])
+
+
+def _sureness(value: float, variance: float) -> float:
+    """Return how much of a value is applied, from 0 where it may be chance to 1."""
+    sigmas = abs(value) / np.sqrt(max(variance, 1e-12))
+    return float(np.clip((sigmas - SHRINK[0]) / (SHRINK[1] - SHRINK[0]), 0, 1))

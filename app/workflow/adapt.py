@@ -93,7 +93,7 @@ def source_calibration(source: LabelledRecording, network: Network) -> Calibrati
         network_id=network.id,
         unit_map=AffineMap(1.0, 0.0, "identity"),
         interval=model.interval,
-        output_limits=output_limits(source.unlabelled, source.unlabelled),
+        output_limits=output_limits(source.unlabelled, source.unlabelled, model.interval.slope_limit > 0),
         forecast=ErrorForecast(error, error, error),
         verdict=Verdict("pass", "pass", (REASON,)),
         evidence={},
