@@ -155,3 +155,38 @@ int main(void) {{
     sensor = open_sensor(real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
     assert done.returncode == 0
     assert int(done.stdout) == sensor.estimate(real_case.codes[None, 100:115]).value[0]
+
+
+ARDUINO_H = """
+#include <stdint.h>
+static const uint8_t A0 = 14;
+struct SerialPort {
+  void begin(long) {}
+  void print(const char *) {}
+  void print(int) {}
+  void print(char) {}
+  void println(int) {}
+};
+static SerialPort Serial;
+inline int analogRead(uint8_t) { return 512; }
+inline void analogReadResolution(int) {}
+inline uint32_t millis() { static uint32_t now; return now += 7; }
+"""
+
+
+def test_the_arduino_sketch_compiles_as_cpp_and_runs(
+    runtime: Path, examples: Path, real_case: Any, tmp_path: Path
+) -> None:
+    sketch = (examples / "arduino" / "softsensor_arduino" / "softsensor_arduino.ino").read_text()
+    (tmp_path / "network-0123456789abcdef.h").write_text(network_header(real_case.network_file))
+    (tmp_path / "unit-A1.h").write_text(unit_header(real_case.unit_file))
+    (tmp_path / "Arduino.h").write_text(ARDUINO_H)
+    (tmp_path / "main.cpp").write_text(
+        f'#include "Arduino.h"\n{sketch}\n'
+        "int main() {\n  setup();\n  for (int k = 0; k < 500; k++) loop();\n"
+        "  return ss_read(&sensor, millis()).flags & SS_NO_NUMBER;\n}\n"
+    )
+    program = tmp_path / "sketch"
+    flags = ["-std=c++11", "-Wall", "-Wextra", "-Werror", f"-I{tmp_path}", f"-I{runtime}"]
+    subprocess.run(["g++", *flags, str(tmp_path / "main.cpp"), "-o", str(program)], check=True)
+    assert subprocess.run([str(program)]).returncode == 0
