@@ -3,7 +3,7 @@
 import hashlib
 import json
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -175,12 +175,7 @@ def score_challenge(folder: Path, reports: Path, seal_file: Path) -> ScoreSheet:
     read = {name: _json(path) for name, path in found.items() if path.exists()}
     if not read:
         raise InputError(f"{reports}: no report of this challenge; expected files such as {labels[0].case.name}.json")
-    return score_reports(labels, read, _realised)
-
-
-def _realised(label: Label, report: Mapping[str, Any]) -> float:
-    twin = report.get("twin")
-    return realised_shrink(label.case, twin) if twin else float("nan")
+    return score_reports(labels, read, lambda label, report: realised_shrink(label.case, report))
 
 
 def _text(path: Path) -> str:

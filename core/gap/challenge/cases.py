@@ -58,6 +58,8 @@ class SealedCase:
         plans: the runs handed over.
         withheld: columns taken out of every run.
         kept_back: a run of a protocol that is not among `plans`.
+        turns_between_samples: the stage turns between two samples, so the pad goes up to 50 µm beyond the recorded
+            path; otherwise the pad sees the recorded path, as the written model has it.
     """
 
     name: str
@@ -68,6 +70,7 @@ class SealedCase:
     plans: tuple[RunPlan, ...]
     kept_back: RunPlan
     withheld: tuple[str, ...] = ()
+    turns_between_samples: bool = False
 
     @property
     def depth_mm(self) -> float:
@@ -89,6 +92,7 @@ class SealedCase:
         rng = np.random.default_rng([plan.seed, 1])
         kind = plan.protocol if plan.protocol in (*SPECIAL, REST) else PRESS
         path, known_force = self._path(plan)
+        path = path if self.turns_between_samples else _as_recorded(path, self.rig.sample_rate_Hz)
         temperature = _temperature(np.random.default_rng([plan.seed, 2]), plan.protocol, path.duration_s)
         dummy_ohm = self.rig.r0_ohm * (1.0 + plan.seed % 3) if kind == DUMMY_RESISTOR else None
         measured = record(self.rig, Rack(self.causes, EQUATIONS), path, temperature, rng, kind, dummy_ohm, known_force)
@@ -133,7 +137,14 @@ class SealedCase:
             plans=tuple(RunPlan(**plan) for plan in record["plans"]),
             kept_back=RunPlan(**record["kept_back"]),
             withheld=tuple(record["withheld"]),
+            turns_between_samples=record["turns_between_samples"],
         )
+
+
+def _as_recorded(path: Path, sample_rate_Hz: float) -> Path:
+    """Return the straight lines between the positions at the sampling instants."""
+    sample_s: Array = np.arange(int(path.duration_s * sample_rate_Hz) + 1, dtype=np.float64) / sample_rate_Hz
+    return Path(path.name, sample_s, path.position_mm(sample_s))
 
 
 def _still(name: str, duration_s: float) -> Path:

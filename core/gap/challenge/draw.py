@@ -97,9 +97,10 @@ LINES: Mapping[str, Callable[[Rng, Scope], tuple[Cause, ...]]] = {
     "no_load_cell": _single_or_none(_SEEN_WITHOUT_CELL),
     "no_stage": _single_or_none(_SEEN_WITHOUT_STAGE),
     "ten_bit": _single_or_none(),
+    "turning": _single(1.0),
 }
 """The strata: singles at a rig's usual size and at 0.3 and 0.1 of it, the same causes by other equations, pairs,
-triples, none, effects outside the catalogue, and poor recordings."""
+triples, none, effects outside the catalogue, poor recordings, and singles on a stage that turns between samples."""
 
 _SHARES = {"usual": 6, "third": 4, "tenth": 4, "form": 4, "pair": 5, "triple": 2, "none": 5, "outside": 5}
 """The mix of a challenge; every poor line counts 1."""
@@ -131,6 +132,7 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
         plans=plans,
         kept_back=RunPlan("kept_back", int(rng.integers(SEED_LIMIT))),
         withheld=(*_WITHHELD.get(line, ()), *unlogged),
+        turns_between_samples=line == "turning",
     )
 
 

@@ -13,11 +13,15 @@ from scipy.optimize import least_squares
 
 from softcal.core.gap.challenge.cases import SealedCase
 from softcal.core.gap.challenge.catalogue_equations import CATALOGUE_FORM
+from softcal.core.gap.challenge.judge import NAMED
 from softcal.core.gap.challenge.rig import Cause, Measured, Rig
 from softcal.core.recording import Array
 
 PER_RUN = ("intermittent_contact", "dropped_samples", "mains_hum")
 """Effects whose places or phases belong to one recording: nothing about another one follows from them."""
+
+LEAST_GAP = 0.05
+"""Below this, in units of the noise, the bare base leaves no gap whose shrink could be told from the noise."""
 
 BASE = ("u0_mm", "k1_N_mm", "k3_N_mm3", "r0_ohm", "kappa_per_N")
 
@@ -54,30 +58,31 @@ UNFITTED: Mapping[str, Mapping[str, float]] = {
 """Parameters that a report does not fit; another capacity of the cell is a change of λ and of the gain."""
 
 
-def realised_shrink(case: SealedCase, twin: Mapping[str, Any]) -> float:
-    """Return 1 − (after − 1)/(before − 1), both RMS over all channels of the kept-back run in units of the noise.
+def realised_shrink(case: SealedCase, report: Mapping[str, Any]) -> float:
+    """Return 1 − (after − floor)/(before − floor) on the kept-back run; channels add in units of their noise.
 
     Args:
         case: the opened case.
-        twin: `base` and `effects` of the report: parameter values by name.
+        report: a record of schema `softcal.gap/1` with the fitted `base`; its named causes are the twin's effects.
 
     Returns:
-        NaN where a cause belongs to one recording only, or where the bare base leaves no gap on that run.
+        NaN where the report names no twin, a cause belongs to one recording only, or the bare base leaves no gap.
     """
-    if any(effect in PER_RUN for effect in twin["effects"]):
+    named = {c["effect"]: c["parameters"] for c in report["causes"] if c["probability"] >= NAMED}
+    if "base" not in report or not named or any(effect in PER_RUN for effect in named):
         return float("nan")
     measured = case.measure(case.kept_back)
-    before = _misfit(case, measured, refitted_base(case), ())
-    after = _misfit(case, measured, *_explained(case.rig, twin))
-    return float("nan") if before < 1.05 else 1.0 - (after - 1.0) / (before - 1.0)
+    before = _gap(case, measured, refitted_base(case), ())
+    after = _gap(case, measured, with_base(case.rig, report["base"]), _causes(named))
+    return float("nan") if before < LEAST_GAP else 1.0 - after / before
 
 
-def _explained(rig: Rig, twin: Mapping[str, Any]) -> tuple[Rig, tuple[Cause, ...]]:
+def _causes(named: Mapping[str, Mapping[str, Any]]) -> tuple[Cause, ...]:
     causes = []
-    for effect, values in twin["effects"].items():
-        own = {ours: float(values[theirs]) for theirs, ours in PARAMETERS[effect]}
+    for effect, fitted in named.items():
+        own = {ours: float(fitted[theirs]["value"]) for theirs, ours in PARAMETERS[effect] if theirs in fitted}
         causes.append(Cause(effect, CATALOGUE_FORM, {**UNFITTED.get(effect, {}), **own}))
-    return with_base(rig, twin["base"]), tuple(causes)
+    return tuple(causes)
 
 
 def with_base(rig: Rig, base: Mapping[str, float]) -> Rig:
@@ -86,11 +91,12 @@ def with_base(rig: Rig, base: Mapping[str, float]) -> Rig:
     return replace(rig, u0_mm=u0_mm, k1_N_mm=k1_N_mm, k3_N_mm3=k3_N_mm3, r0_ohm=r0_ohm, kappa_per_N=kappa_per_N)
 
 
-def _misfit(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> float:
-    """RMS of measured − predicted over the noise of each channel."""
+def _gap(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> float:
+    """Sum over channels of (RMS residual − floor)/floor, where it is above zero."""
     model = replace(case, rig=replace(rig, noise_V=0.0, noise_N=0.0), causes=causes)
     predicted = model.measure(case.kept_back).columns
-    return float(np.sqrt(np.mean(np.concatenate(_residuals(case.rig, measured.columns, predicted)) ** 2)))
+    residuals = _residuals(case.rig, measured.columns, predicted)
+    return sum(max(0.0, float(np.sqrt(np.mean(residual**2))) - 1.0) for residual in residuals)
 
 
 def _residuals(rig: Rig, measured: Mapping[str, Array], predicted: Mapping[str, Array]) -> list[Array]:

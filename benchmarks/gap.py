@@ -1,0 +1,241 @@
+"""The diagnosis of the sim-to-real gap on withheld cases, drawn by a generator that shares no code with it.
+
+    python benchmarks/gap.py --quick                      a few cases of every line
+    python benchmarks/gap.py --cases 200                  the full tables
+    python benchmarks/gap.py --cases 50 --lines usual form --seed 9000
+    python benchmarks/gap.py --tables experiments speed   proposed experiments; seconds per case
+
+Prints Markdown. `--write FILE` also writes it there; `--log FILE` appends one line per case that is not right.
+"""
+
+import argparse
+import secrets
+import sys
+import time
+import traceback
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softcal.core.gap.case import Case, Run
+from softcal.core.gap.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
+from softcal.core.gap.challenge.draw import LINES, draw_case
+from softcal.core.gap.challenge.judge import Judged, read_answer
+from softcal.core.gap.challenge.realised import realised_shrink
+from softcal.core.gap.challenge.seal import Label
+from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.score import POOR, ScoreSheet, score_reports
+from softcal.core.twin.parameters import ReadoutMetadata
+
+TABLES = ("lines", "detection", "sureness", "experiments", "speed")
+TARGETS = {
+    ("usual", "cause first"): 99,
+    ("usual", "stage"): 99,
+    ("third", "cause first"): 97,
+    ("tenth", "right or honest set or below noise"): 90,
+    ("form", "cause first"): 95,
+    ("pair", "right or honest set or below noise"): 95,
+    ("triple", "right or honest set or below noise"): 85,
+    ("none", "right"): 99,
+    ("outside", "right or honest set or below noise"): 95,
+    ("outside", "stage"): 90,
+    **{(line, "right or abstaining"): 95 for line in POOR},
+}
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """One case of the benchmark with its report, None where the diagnosis broke down, and what it took."""
+
+    label: Label
+    report: Mapping[str, Any] | None
+    seconds: float
+
+
+def as_case(sealed: SealedCase, plans: Sequence[RunPlan]) -> Case:
+    """Return the recordings of a sealed case as the diagnosis takes them, rounded like their files."""
+    rig = sealed.rig
+    readout = ReadoutMetadata(rig.vref_V, rig.adc_bits, rig.r_series_ohm, rig.sample_rate_Hz)
+    runs = []
+    for number, plan in enumerate(plans, start=1):
+        measured = sealed.measure(plan)
+        columns = {name: np.round(values, 6) for name, values in measured.columns.items()}
+        special = {"kind": measured.kind, "profile": measured.profile, "dummy_ohm": measured.dummy_ohm}
+        runs.append(Run(name=f"runs/{number}", readout=readout, **special, **columns))
+    return Case(sealed.name, tuple(runs))
+
+
+def diagnosed(sealed: SealedCase, plans: Sequence[RunPlan] | None = None) -> Diagnosed:
+    """Diagnose a sealed case, with other runs than its own where given."""
+    case = as_case(sealed, plans or sealed.plans)
+    start = time.perf_counter()
+    report: Mapping[str, Any] | None = None
+    try:
+        report = diagnose(case).report()
+    except Exception:
+        traceback.print_exc()
+    return Diagnosed(Label(sealed, "", distance_sigma(sealed)), report, time.perf_counter() - start)
+
+
+def realised(label: Label, report: Mapping[str, Any]) -> float:
+    return realised_shrink(label.case, report) if label.case.line not in POOR else float("nan")
+
+
+def run_lines(lines: Sequence[str], count: int, seed: int, log: Path | None) -> tuple[list[Diagnosed], ScoreSheet]:
+    """Diagnose `count` fresh cases of every line and score them."""
+    done: list[Diagnosed] = []
+    for line in lines:
+        for number in range(count):
+            done.append(diagnosed(draw_case(seed + number, f"{line}-{seed + number}", line)))
+            print(f"\r{line} {number + 1}/{count} ", end="", file=sys.stderr, flush=True)
+            _log(done[-1], log)
+    print(file=sys.stderr)
+    reports = {d.label.case.name: d.report for d in done if d.report is not None}
+    return done, score_reports([d.label for d in done], reports, realised)
+
+
+def _log(found: Diagnosed, log: Path | None) -> None:
+    if log is None or found.report is None:
+        return
+    judged = Judged(found.label, read_answer(found.label.case.name, found.report))
+    if judged.outcome in ("right", "below noise"):
+        return
+    likely = {c["effect"]: round(c["probability"], 2) for c in found.report["causes"] if c["probability"] > 0.02}
+    truth = " + ".join(f"{cause.effect} ({cause.form})" for cause in found.label.case.causes) or "none"
+    with log.open("a") as file:
+        file.write(
+            f"{found.label.case.name}: {judged.outcome}; truth {truth}, {found.label.distance_sigma:.0f} sigma; said "
+            f"{found.report['verdict']} {likely} {found.report['ambiguous_with']}; {found.seconds:.1f} s\n"
+        )
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    return "\n".join([*lines, *("| " + " | ".join(map(str, row)) + " |" for row in rows)])
+
+
+def line_table(sheet: ScoreSheet) -> str:
+    """Every measure of every line with its 95 % interval and its target."""
+    rows = []
+    for row in (*sheet.rows, *sheet.shrink.rows):
+        low, high = row.interval
+        target = TARGETS.get((row.line, row.measure))
+        aim = "" if target is None else f"≥ {target} %"
+        rows.append(
+            (
+                row.line,
+                row.measure,
+                f"{row.hits}/{row.count}",
+                f"{100 * row.share:.1f} %",
+                f"{100 * low:.0f}–{100 * high:.0f} %",
+                aim,
+            )
+        )
+    return table(("line", "measure", "hits", "share", "95 % interval", "target"), rows)
+
+
+def detection_table(sheet: ScoreSheet) -> str:
+    """Named / cases by distance from the noise after a base refit, per effect."""
+    edges = sorted({(d.from_sigma, d.to_sigma) for d in sheet.detection})
+    cells = {(d.effect, d.from_sigma): f"{d.named}/{d.count}" for d in sheet.detection}
+    header = ("effect", *(f"{low:g}–{high:g} σ" for low, high in edges))
+    effects = sorted({d.effect for d in sheet.detection})
+    return table(header, [(effect, *(cells.get((effect, low), "") for low, _ in edges)) for effect in effects])
+
+
+def sureness_table(done: Sequence[Diagnosed], sheet: ScoreSheet) -> str:
+    """Calibration of the probabilities, the shrink, and the seconds of the runs above."""
+    sure, seconds = sheet.probabilities, [d.seconds for d in done]
+    rows = [
+        ("expected calibration error, all effects of all cases (target ≤ 0.03)", f"{sure.ece:.4f}"),
+        ("expected calibration error, first cause", f"{sure.ece_first:.3f}"),
+        ("Brier score", f"{sure.brier:.4f}"),
+        ("mean probability on the true single cause", f"{sure.on_truth:.3f}"),
+        (
+            f"median realised shrink on the run kept back, {sheet.shrink.count} cases",
+            f"{sheet.shrink.median_realised:.3f}",
+        ),
+        ("seconds per case, median and 90th percentile", f"{np.median(seconds):.1f}, {np.quantile(seconds, 0.9):.1f}"),
+    ]
+    return table(("measure", "value"), rows)
+
+
+def experiment_table(count: int, seed: int) -> str:
+    """Ask the sealed rig for what an ambiguous report proposes, diagnose again, and compare with a random choice."""
+    tally = {"proposed": [0, 0], "random": [0, 0]}
+    rng = np.random.default_rng(seed)
+    for line in (*POOR, "tenth"):
+        for number in range(count):
+            sealed = draw_case(seed + 50_000 + number, f"{line}-{number}", line)
+            first = diagnosed(sealed)
+            if first.report is None or first.report["verdict"] != "ambiguous":
+                continue
+            proposal = str(first.report["next_experiment"]["profile"])
+            if proposal not in EXPERIMENTS:
+                continue
+            for word, experiment in (("proposed", proposal), ("random", str(rng.choice(EXPERIMENTS)))):
+                more = diagnosed(sealed, (*sealed.plans, RunPlan(experiment, seed + number)))
+                tally[word][0] += is_resolved(more)
+                tally[word][1] += 1
+    rows = [(word, f"{hits}/{total}") for word, (hits, total) in tally.items()]
+    return table(("experiment added to an ambiguous case", "resolved to the right cause"), rows)
+
+
+def is_resolved(found: Diagnosed) -> bool:
+    """Whether the right causes are named and nothing is ambiguous any more."""
+    if found.report is None or found.report["verdict"] not in ("explained", "no_gap"):
+        return False
+    return Judged(found.label, read_answer(found.label.case.name, found.report)).outcome == "right"
+
+
+def speed_table(count: int, seed: int) -> str:
+    """Seconds against samples, for singles and pairs; the same rigs with more runs."""
+    rows = []
+    for line in ("usual", "pair"):
+        for copies in (1, 2, 4):
+            cases = [replace(draw_case(seed + k, f"{line}-{k}", line)) for k in range(count)]
+            times, samples = [], []
+            for sealed in cases:
+                plans = [RunPlan(p.protocol, p.seed + c) for c in range(copies) for p in sealed.plans]
+                times.append(diagnosed(sealed, plans).seconds)
+                samples.append(sum(len(sealed.measure(plan).columns["t_s"]) for plan in plans))
+            rows.append((line, 4 * copies, f"{np.median(samples):.0f}", f"{np.median(times):.1f}"))
+    return table(("line", "runs", "samples, median", "seconds, median (target ≤ 5 s at 8,000)"), rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=200, help="cases per line")
+    parser.add_argument("--quick", action="store_true", help="four cases per line")
+    parser.add_argument("--seed", type=int, default=None, help="first seed (default: chosen now)")
+    parser.add_argument("--lines", nargs="+", choices=tuple(LINES), default=tuple(LINES))
+    parser.add_argument("--tables", nargs="+", choices=TABLES, default=TABLES)
+    parser.add_argument("--write", type=Path, help="write the tables into this file as well")
+    parser.add_argument("--log", type=Path, help="append one line per case that is not right")
+    options = parser.parse_args()
+    count = 4 if options.quick else options.cases
+    seed = secrets.randbits(24) if options.seed is None else options.seed
+    parts = [f"Seeds {seed} to {seed + count - 1}, {count} cases per line."]
+    if {"lines", "detection", "sureness"} & set(options.tables):
+        done, sheet = run_lines(options.lines, count, seed, options.log)
+        made = {
+            "lines": line_table(sheet),
+            "detection": detection_table(sheet),
+            "sureness": sureness_table(done, sheet),
+        }
+        parts += [made[name] for name in options.tables if name in made]
+    if "experiments" in options.tables:
+        parts.append(experiment_table(count, seed))
+    if "speed" in options.tables:
+        parts.append(speed_table(max(3, count // 10), seed))
+    text = "\n\n".join(parts) + "\n"
+    print(text)
+    if options.write:
+        options.write.write_text(text)
+
+
+if __name__ == "__main__":
+    main()
