@@ -251,6 +251,7 @@ class _Run:
             )
         path = Trapezoid(self._stage.position_mm, to_mm, speed_mm_s, self._stage.acceleration_mm_s2)
         began_s = self._clock.now_s()
+        self._force_watch.braking_s = 0.5 * path.peak_mm_s / path.acceleration_mm_s2
         self._stage.begin(Move(to_mm, speed_mm_s))
         while self._stage.is_moving:
             self._tick()

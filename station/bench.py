@@ -127,6 +127,20 @@ def simulated_config(station: SimulatedStation) -> StationConfig:
     )
 
 
+@contextmanager
+def open_force(config: ForceConfig, clock: Clock) -> Iterator[ForceReader]:
+    """Open the load cell alone.
+
+    Raises:
+        DeviceError: it is missing.
+    """
+    reader = _open_force(config, clock)
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
 def _open_stage(config: StageConfig, clock: Clock) -> Stage:
     with _link(config, clock, "stage") as link:
         if config.kind == "zaber":

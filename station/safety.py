@@ -7,7 +7,7 @@ from softcal.station.config import SafetyConfig
 from softcal.station.interfaces import ForceReader, Readout, Sample
 
 REACTION_S = 0.03
-"""From a sample being read to the stage braking: the force is judged as it will be then."""
+"""From the force being there to the stage beginning to brake: sampling, line, reading, stop byte."""
 
 FROZEN_MM = 0.6
 """A channel whose value does not change while the stage presses this much deeper is frozen."""
@@ -15,7 +15,7 @@ FROZEN_MM = 0.6
 PRESSED_MM, MISSING_S = 0.8, 0.15
 """A unit pressed this deep for so long must show a force."""
 
-SLOPE_SAMPLES = 5
+SLOPE_SAMPLES = 4
 RATE_SAMPLES = 16
 RAIL_S = 0.3
 
@@ -26,10 +26,14 @@ class ForceWatch:
     Args:
         bounds: the station's safety bounds.
         zero_N: reading of the unloaded cell, subtracted from every sample.
+
+    `braking_s` is to be set for every move: speed / (2 · acceleration), the time in which the force still grows at its
+    present rate while the stage brakes.
     """
 
     def __init__(self, bounds: SafetyConfig, zero_N: float = 0.0) -> None:
         self._bounds, self.zero_N = bounds, zero_N
+        self.braking_s = 0.0
         self._recent: deque[tuple[float, float]] = deque(maxlen=SLOPE_SAMPLES)
 
     def check(self, sample: Sample) -> None:
@@ -37,7 +41,7 @@ class ForceWatch:
         force_N = sample.values[0] - self.zero_N
         time_s = sample.host_s if sample.device_s is None else sample.device_s
         self._recent.append((time_s, force_N))
-        coming_N = force_N + max(0.0, self._slope_N_s()) * REACTION_S
+        coming_N = force_N + max(0.0, self._slope_N_s()) * (REACTION_S + self.braking_s)
         if max(coming_N, -force_N) > self._bounds.force_N:
             raise SafetyStop(
                 f"force {force_N:.2f} N, {coming_N:.2f} N by the time the stage can brake: the limit is "

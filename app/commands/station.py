@@ -1,11 +1,13 @@
 """`softcal station`: find and test the rig, press the source unit or a target unit and record it."""
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.commands.options import add_json
 from softcal.app.output import print_table, say, write_json
+from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.app.workflow.station import Recovered
@@ -20,6 +22,7 @@ EXAMPLES = """examples:
   softcal station unit --station station.toml --serial A1 --out lot-1/units/A1.csv
   softcal station unit --simulated --serial A1 --out A1.csv   the same on the simulated rig
 
+  softcal station calibrate-cell --station station.toml --weights 0 0.2 0.5 1
   softcal station recover --out recovered                     after a power cut in mid-run
 
 Exit code 3: a device is missing or failed; the stage was stopped and no file was written.
@@ -41,6 +44,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     _add_check(actions)
     for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
         _add_press(actions, kind, what)
+    _add_calibrate_cell(actions)
     _add_recover(actions)
 
 
@@ -79,6 +83,22 @@ def _add_press(actions: "argparse._SubParsersAction[argparse.ArgumentParser]", k
     press.set_defaults(run=run_press, kind=kind)
 
 
+def _add_calibrate_cell(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    calibrate = actions.add_parser(
+        "calibrate-cell",
+        help="find the scale of the load cell with dead weights",
+        description="Asks for one weight after the other, reads the cell, and writes its scale into the station file.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    calibrate.add_argument("--station", type=Path, required=True, metavar="FILE", help="station file; it is updated")
+    calibrate.add_argument(
+        "--weights", type=_weight, nargs="+", required=True, metavar="KG", help="weights in kg, 0 for the unloaded cell"
+    )
+    add_json(calibrate)
+    calibrate.set_defaults(run=run_calibrate_cell)
+
+
 def _add_recover(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     recover = actions.add_parser(
         "recover",
@@ -105,6 +125,13 @@ def _positive(text: str) -> float:
     value = float(text)
     if not 0 < value < 1e5:
         raise argparse.ArgumentTypeError(f"{text}: a number above 0 was expected")
+    return value
+
+
+def _weight(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < 1000:
+        raise argparse.ArgumentTypeError(f"{text}: a weight in kg, 0 or more, was expected")
     return value
 
 
@@ -144,6 +171,28 @@ def run_press(options: argparse.Namespace) -> int:
         say(f"{path}: {len(run.recording.t_s)} samples in {run.seconds:.0f} s of station time")
     if options.json:
         write_json(options.json, run_json(run))
+    return 0
+
+
+def run_calibrate_cell(options: argparse.Namespace) -> int:
+    """Ask for weights, fit, write the station file."""
+    from softcal.app.files import write_text
+    from softcal.app.workflow.station import calibrate_cell
+    from softcal.station.config import read_station_file, station_toml
+
+    def wait_for(mass_kg: float) -> None:
+        say(f"put {mass_kg:g} kg on the load cell and press Enter" if mass_kg else "unload the cell and press Enter")
+        if not sys.stdin.readline():
+            raise InputError("no Enter came; the station file is as it was")
+
+    found, config = calibrate_cell(read_station_file(options.station), options.weights, wait_for)
+    rows = zip(found.mass_kg.tolist(), found.reading.tolist(), found.noise.tolist(), strict=True)
+    print_table(("weight, kg", "reading", "noise"), list(rows))
+    write_text(options.station, station_toml(config))
+    say(f"{options.station}: {found.per_N:.6g} counts per N, off by {found.largest_error_N:.3g} N at most")
+    if options.json:
+        values = {"per_N": found.per_N, "zero": found.zero, "largest_error_N": found.largest_error_N}
+        write_json(options.json, {"schema": "softcal.station-cell/1", **values})
     return 0
 
 

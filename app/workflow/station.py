@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -17,7 +17,8 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.twin.simulate import Twin
 from softcal.core.twin.spread import draw_lot
 from softcal.station.acquisition import OnProgress, record
-from softcal.station.bench import Bench, open_bench, open_simulated_bench
+from softcal.station.bench import Bench, open_bench, open_force, open_simulated_bench
+from softcal.station.cell_calibration import CellCalibration, fit_cell, read_steady
 from softcal.station.clock import HostClock
 from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
 from softcal.station.identify import Identity, identify
@@ -211,6 +212,32 @@ def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float) ->
     if kind == "source":
         return source_profile(rng, seconds or 170.0, depth_mm)
     return unit_profile(rng, seconds or 25.0, depth_mm)
+
+
+def calibrate_cell(
+    config: StationConfig, masses_kg: Sequence[float], wait_for: Callable[[float], None]
+) -> tuple[CellCalibration, StationConfig]:
+    """Read the load cell with each weight on it and return its scale, and the station with that scale.
+
+    Args:
+        config: the station; only its load cell is opened.
+        masses_kg: weights in the order they are put on; 0 is the unloaded cell.
+        wait_for: called before each reading, returns when the weight lies still.
+
+    Raises:
+        InputError: the station has no raw load cell, or too few weights.
+        DeviceError: the cell does not answer, or does not follow the weights.
+    """
+    if config.force is None or config.force.kind != "hx711":
+        raise InputError("the station has no HX711 load cell; other gauges carry their own scale")
+    raw = replace(config.force, counts_per_N=1.0, zero_counts=0.0)
+    readings, clock = [], HostClock()
+    with open_force(raw, clock) as reader:
+        for mass_kg in masses_kg:
+            wait_for(mass_kg)
+            readings.append(read_steady(reader, clock))
+    found = fit_cell(masses_kg, [mean for mean, _ in readings], [noise for _, noise in readings])
+    return found, replace(config, force=replace(config.force, counts_per_N=found.per_N, zero_counts=found.zero))
 
 
 @dataclass(frozen=True)

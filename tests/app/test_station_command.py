@@ -88,3 +88,34 @@ def test_recover_writes_what_a_run_that_was_cut_off_had_read(softcal, tmp_path):
     assert lines[0] == "device_s,output_0,aborted"
     assert len(lines) == 51
     assert lines[1].endswith("cut off")
+
+
+def test_calibrate_cell_writes_the_scale_into_the_station_file(softcal, tmp_path, monkeypatch):
+    import io
+
+    import numpy as np
+
+    from softcal.core.twin.simulate import Twin
+    from softcal.station.bench import simulated_config
+    from softcal.station.config import read_station_file, station_toml
+    from softcal.station.simulated.station import SimulatedStation
+
+    station = SimulatedStation(Twin(), np.random.default_rng(3))
+    station.axis.position_mm = 0.0
+    weights_kg = iter((0.0, 0.5))
+
+    class Enter(io.StringIO):
+        """Presses Enter after putting the next weight on."""
+
+        def readline(self, *_: object) -> str:
+            mass_kg = next(weights_kg)
+            station.rig.force_fault = lambda now_s, force_N: force_N + mass_kg * 9.80665
+            return "\n"
+
+    path = tmp_path / "station.toml"
+    path.write_text(station_toml(simulated_config(station)).replace("9870.0", "1234.0"))
+    monkeypatch.setattr("sys.stdin", Enter())
+    with station.world.in_background():
+        assert softcal("calibrate-cell", "--station", path, "--weights", 0, 0.5) == 0
+    station.close()
+    assert read_station_file(path).force.counts_per_N == pytest.approx(station.counts_per_N, rel=0.01)

@@ -1,0 +1,55 @@
+"""Break the simulated station in every known way and print what became of stage and record.
+
+python benchmarks/station_faults.py [--quick] [--write FILE]
+"""
+
+import argparse
+import math
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from softcal.station.simulated.faults import FAULTS
+from softcal.station.simulated.trial import Outcome, run_with_fault
+
+HEADER = (
+    "| fault | error | seen after, s | stage stands after, s | largest force, N | recorded | what the operator reads |"
+)
+
+
+def main() -> None:
+    """Run all faults and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="every fourth fault")
+    parser.add_argument("--write", type=Path, metavar="FILE", help="write the table into this file as well")
+    options = parser.parse_args()
+    outcomes = [_run(fault) for fault in FAULTS[:: 4 if options.quick else 1]]
+    stops = np.array([outcome.stopped_s for outcome in outcomes if math.isfinite(outcome.stopped_s)])
+    lines = [
+        f"{len(outcomes)} faults, each on the wire of a running station; {sum(o.record == 'good' for o in outcomes)} "
+        f"recorded as good. The stage stood after {np.median(stops):.3f} s (median), {np.max(stops):.3f} s (largest).",
+        "",
+        HEADER,
+        "|" + "---|" * 7,
+        *[_row(outcome) for outcome in outcomes],
+    ]
+    print("\n".join(lines))
+    if options.write:
+        options.write.write_text("\n".join(lines) + "\n")
+
+
+def _run(fault) -> Outcome:  # type: ignore[no-untyped-def]
+    with tempfile.TemporaryDirectory() as folder:
+        return run_with_fault(fault, Path(folder))
+
+
+def _row(o: Outcome) -> str:
+    message = o.message.replace("|", "/")
+    record = "yes" if o.record == "good" else f"no, spool says {o.spool.split(':')[0]}"
+    times = (f"{value:.3f}" if math.isfinite(value) else "before the run" for value in (o.detected_s, o.stopped_s))
+    return f"| {o.fault} | {o.error} | {' | '.join(times)} | {o.largest_force_N:.1f} | {record} | {message} |"
+
+
+if __name__ == "__main__":
+    main()
