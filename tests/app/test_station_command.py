@@ -119,3 +119,29 @@ def test_calibrate_cell_writes_the_scale_into_the_station_file(softcal, tmp_path
         assert softcal("calibrate-cell", "--station", path, "--weights", 0, 0.5) == 0
     station.close()
     assert read_station_file(path).force.counts_per_N == pytest.approx(station.counts_per_N, rel=0.01)
+
+
+def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
+    import signal
+    import subprocess
+    import sys
+    import time
+
+    from softcal.station.spool import read_spool
+
+    words = ["station", "unit", "--simulated", "--serial", "A1", "--out", str(tmp_path / "A1.csv")]
+    words += ["--seconds", "3000", "--spool", str(tmp_path / "spool")]
+    code = (
+        "import argparse; from softcal.app.commands import station; parser = argparse.ArgumentParser(); "
+        f"station.add_parser(parser.add_subparsers()); options = parser.parse_args({words!r}); options.run(options)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
+    while process.poll() is None and sum(p.stat().st_size for p in tmp_path.glob("spool/*")) < 20_000:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    (spool,) = tmp_path.glob("spool/*.spool")
+    run = read_spool(spool)
+    assert run.end == "cut off"
+    assert len(run.output) > 20
+    assert not (tmp_path / "A1.csv").exists()

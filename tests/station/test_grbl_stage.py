@@ -1,0 +1,168 @@
+"""The GRBL driver on the simulated controller: refusals send nothing, stops do not wait, a dead host moves nothing."""
+
+import pytest
+
+from softcal.core.errors import CommandRefused, DeviceError, NoReply
+from softcal.station.drivers.grbl import AHEAD_S, PIECE_S, GrblStage
+from softcal.station.interfaces import Move
+from softcal.station.link import Link
+from softcal.station.simulated.grbl import SimulatedGrbl
+from softcal.station.simulated.motion import Axis
+from softcal.station.simulated.wire import Wire
+from softcal.station.simulated.world import World
+
+
+@pytest.fixture
+def far_end(rng):
+    world, wire = World(), Wire(rng)
+    controller = SimulatedGrbl(wire, Axis(200.0))
+    controller.axis.position_mm = 3.0
+    world.add(controller)
+    yield world, controller
+    wire.close()
+
+
+@pytest.fixture
+def homed(far_end):
+    world, controller = far_end
+    stage = GrblStage(Link(controller.wire.port, world))
+    stage.home()
+    return stage, world, controller
+
+
+def poll_until_done(stage, world):
+    positions = []
+    while stage.is_moving:
+        world.sleep_s(0.005)
+        positions += stage.poll()
+    return positions
+
+
+def test_settings_are_read_from_the_controller(homed):
+    stage, _, controller = homed
+    assert (stage.travel_mm, stage.max_speed_mm_s, stage.acceleration_mm_s2) == (40.0, 25.0, 200.0)
+    assert stage.is_position_known
+    assert stage.position_mm == pytest.approx(controller.axis.position_mm, abs=1e-3)
+
+
+def test_a_move_in_pieces_is_one_smooth_stroke(homed):
+    stage, world, controller = homed
+    began_s = world.now_s()
+    stage.begin(Move(11.0, 5.0))
+    poll_until_done(stage, world)
+    assert controller.axis.position_mm == pytest.approx(11.0, abs=1e-4)
+    # 10 mm at 5 mm/s with 200 mm/s²: a stop between pieces would cost far more than the line's delays.
+    assert world.now_s() - began_s == pytest.approx(10 / 5 + 5 / 200, abs=0.06)
+
+
+def test_positions_are_stamped_between_question_and_answer(homed):
+    stage, world, controller = homed
+    stage.begin(Move(21.0, 10.0))
+    truth = []
+    while stage.is_moving:
+        world.sleep_s(0.005)
+        controller.axis.advance(world.now_s())
+        truth.append((world.now_s(), controller.axis.position_mm))
+        for position in stage.poll():
+            nearest = min(truth, key=lambda point: abs(point[0] - position.host_s))
+            assert position.position_mm == pytest.approx(nearest[1], abs=0.08)
+
+
+@pytest.mark.parametrize(
+    ("move", "message"),
+    [
+        (Move(40.1, 5.0), r"40.1 mm is outside \[0, 40\] mm; nothing was sent"),
+        (Move(-0.1, 5.0), "nothing was sent"),
+        (Move(10.0, 26.0), r"26 mm/s is outside \(0, 25\] mm/s; nothing was sent"),
+        (Move(10.0, 0.0), "nothing was sent"),
+    ],
+)
+def test_out_of_range_sends_nothing(homed, move, message):
+    stage, world, controller = homed
+    with pytest.raises(CommandRefused, match=message):
+        stage.begin(move)
+    world.sleep_s(0.1)
+    assert not controller.axis.is_moving
+
+
+def test_a_stage_that_was_not_homed_does_not_move(far_end):
+    world, controller = far_end
+    stage = GrblStage(Link(controller.wire.port, world))
+    with pytest.raises(CommandRefused, match="not homed"):
+        stage.begin(Move(1.0, 1.0))
+
+
+def test_stop_brakes_at_once_and_keeps_the_position(homed):
+    stage, world, controller = homed
+    stage.begin(Move(30.0, 20.0))
+    for _ in range(100):
+        world.sleep_s(0.005)
+        stage.poll()
+    controller.axis.advance(world.now_s())
+    at_mm = controller.axis.position_mm
+    stage.stop()
+    assert not controller.axis.is_moving
+    assert controller.axis.position_mm - at_mm < 20.0**2 / (2 * 200.0) + 20.0 * 0.01
+    assert stage.is_position_known
+    assert stage.position_mm == pytest.approx(controller.axis.position_mm, abs=2e-3)
+
+
+def test_when_the_host_dies_the_stage_soon_stops_by_itself(homed):
+    stage, world, controller = homed
+    stage.begin(Move(39.0, 10.0))
+    for _ in range(100):
+        world.sleep_s(0.005)
+        stage.poll()
+    died_s = world.now_s()
+    world.sleep_s(5.0)
+    assert not controller.axis.is_moving
+    assert controller.axis.position_mm < 15.0
+    assert controller.axis.standstills_s[-1] - died_s < AHEAD_S + PIECE_S + 0.1
+
+
+def test_a_host_that_comes_back_after_a_stall_finishes_the_move(homed):
+    stage, world, controller = homed
+    stage.begin(Move(21.0, 10.0))
+    world.sleep_s(1.0)
+    poll_until_done(stage, world)
+    assert controller.axis.position_mm == pytest.approx(21.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "message"), [(22, 0.0, "homing is disabled"), (13, 1.0, "reported in inches")]
+)
+def test_a_controller_that_is_not_set_up_is_refused(far_end, setting, value, message):
+    world, controller = far_end
+    controller.settings[setting] = value
+    with pytest.raises(CommandRefused, match=message):
+        GrblStage(Link(controller.wire.port, world))
+
+
+def test_a_silent_port_is_no_controller(far_end):
+    world, controller = far_end
+    controller.wire.is_silent = True
+    with pytest.raises(NoReply, match="no GRBL controller|no answer"):
+        GrblStage(Link(controller.wire.port, world))
+
+
+def test_a_reset_in_mid_run_makes_the_position_unknown_until_homed_again(homed):
+    stage, world, controller = homed
+    stage.begin(Move(21.0, 10.0))
+    world.at(world.now_s() + 0.3, controller.dip_power)
+    with pytest.raises(DeviceError, match="started again by itself"):
+        poll_until_done(stage, world)
+    stage.stop()
+    assert not stage.is_position_known
+    with pytest.raises(CommandRefused, match="not homed"):
+        stage.begin(Move(1.0, 1.0))
+    stage.home()
+    assert stage.position_mm == pytest.approx(controller.axis.position_mm, abs=1e-3)
+
+
+def test_a_port_has_one_owner_and_the_other_is_named(far_end):
+    world, controller = far_end
+    first = Link(controller.wire.port, world)
+    with pytest.raises(NoReply, match="cannot be opened|in use"):
+        Link(controller.wire.port, world)
+    first.close()
+    Link(controller.wire.port, world).close()

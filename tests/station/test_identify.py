@@ -1,0 +1,59 @@
+"""What answers at a port, and a self-test that names every fault at once."""
+
+import pytest
+
+from softcal.station.bench import open_simulated_bench
+from softcal.station.identify import identify
+from softcal.station.self_test import self_test
+from softcal.station.simulated.station import SimulatedStation
+
+
+@pytest.fixture
+def station(rng):
+    from softcal.core.twin.simulate import Twin
+
+    station = SimulatedStation(Twin(), rng)
+    yield station
+    station.close()
+
+
+def test_each_device_is_known_by_what_it_says(station):
+    found = {
+        device.role: device
+        for device in (
+            identify(wire.port, station.world)
+            for wire in (station.stage_wire, station.force_wire, station.readout_wire)
+        )
+    }
+    assert (found["stage"].kind, found["force"].kind, found["readout"].kind) == ("grbl", "hx711", "arduino")
+    assert found["force"].rate_Hz == pytest.approx(80.0, rel=0.1)
+    assert found["readout"].rate_Hz == pytest.approx(50.0)
+
+
+def test_a_device_that_says_nothing_is_no_device(station):
+    station.stage_wire.is_silent = True
+    assert identify(station.stage_wire.port, station.world).role == ""
+
+
+def test_a_good_station_has_only_good_findings():
+    with open_simulated_bench(seed=1) as (bench, _):
+        assert all(finding.is_good for finding in self_test(bench))
+
+
+def test_all_faults_are_named_at_once():
+    with open_simulated_bench(seed=1) as (bench, station):
+        station.stage.switch = "stuck"
+        station.readout.rate_factor = 0.5
+        station.rig.force_fault = lambda now_s, force_N: force_N + 5.0
+        cures = [finding.cure for finding in self_test(bench) if not finding.is_good]
+    assert len(cures) == 3
+    assert any("stuck" in cure for cure in cures)
+    assert any("50 Hz were expected" in cure for cure in cures)
+    assert any("zero it" in cure for cure in cures)
+
+
+def test_without_motion_nothing_moves():
+    with open_simulated_bench(seed=1) as (bench, station):
+        at_mm = station.axis.position_mm
+        self_test(bench, may_move=False)
+        assert station.axis.position_mm == at_mm
