@@ -10,7 +10,7 @@ from softcal.core.maps.anchors import refine
 from softcal.core.maps.catalogue import DEFAULT, family
 from softcal.core.maps.crossing import LevelPath
 from softcal.core.maps.interface import FitProblem, UnitMap
-from softcal.core.maps.label_shift import level_weights, matched, paths
+from softcal.core.maps.label_shift import ALL_SHARES, level_weights, matched, paths
 from softcal.core.maps.synchrony import find_synchrony
 
 SAME_PROGRAMME = 0.08
@@ -144,10 +144,17 @@ def _swing_rate(path: LevelPath, samples: int) -> float:
 
 
 def _standard_errors(problem: FitProblem, source: LevelPath, target: LevelPath) -> tuple[float, float, float]:
-    """Standard errors of gain and of the level at mid-range by resampling presses, and that level's shift."""
+    """Uncertainty of gain and of the level at mid-range, and that level's shift.
+
+    Resampled presses show what chance does; what the whole path asks for instead of its ends shows what a difference
+    in depth may do.
+    """
     rng = np.random.default_rng(problem.seed)
     middle = float(np.mean(target.quantiles(np.array([0.1, 0.5, 0.9]))))
-    fits = np.array([matched(source.resampled(rng), target.resampled(rng)) for _ in range(RESAMPLES)])
-    levels = fits[:, 0] * middle + fits[:, 1]
     gain, offset = matched(source, target)
-    return float(fits[:, 0].std()), float(levels.std()), gain * middle + offset - middle
+    draws = np.array([matched(source.resampled(rng), target.resampled(rng)) for _ in range(RESAMPLES)])
+    whole = np.array(matched(source, target, ALL_SHARES))
+    chance = np.std(draws @ np.array([[1.0, middle], [0.0, 1.0]]), axis=0)
+    depth = np.abs((whole - np.array([gain, offset])) @ np.array([[1.0, middle], [0.0, 1.0]]))
+    errors = np.hypot(chance, depth)
+    return float(errors[0]), float(errors[1]), gain * middle + offset - middle

@@ -13,7 +13,11 @@ from softcal.core.maps.crossing import LevelPath, averaging_length, level_path
 from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import Array
 
-SHARES = np.linspace(0.02, 0.98, 49)
+SHARES = np.array([0.005, 0.01, 0.02, 0.05, 0.1, 0.9, 0.95, 0.98, 0.99, 0.995, 1.0])
+"""Shares of the path at which levels are matched: near rest and near the peaks, which units share most."""
+
+ALL_SHARES = np.linspace(0.02, 0.98, 49)
+"""Shares over the whole path: where they ask for another gain than its ends, the depths of the presses differ."""
 
 
 @dataclass(frozen=True)
@@ -21,9 +25,9 @@ class LabelShift:
     """Match the crossing measures of the two outputs by a gain and an offset.
 
     With N(x) the number of times the output crosses level x, both recordings hold the same N up to a factor when the
-    units are pressed between the same rest and peaks, however the time between is spent. Gain and offset minimise the
-    squared distance between the quantiles of the two measures, the transport cost in one dimension; the weight of each
-    source sample follows afterwards as the ratio of the time spent (`level_weights`).
+    units are pressed between the same rest and peaks, however the time between is spent. Gain and offset match the
+    quantiles of the two measures near both ends in their first two moments, the affine transport of one dimension; the
+    weight of each source sample follows afterwards as the ratio of the time spent (`level_weights`).
     """
 
     name: str = "label_shift"
@@ -57,9 +61,9 @@ def paths(problem: FitProblem) -> tuple[LevelPath, LevelPath]:
     return source_path, target_path
 
 
-def matched(source: LevelPath, target: LevelPath) -> tuple[float, float]:
-    """Return gain and offset that carry the target's crossing measure onto the source's."""
-    source_levels, target_levels = source.quantiles(SHARES), target.quantiles(SHARES)
+def matched(source: LevelPath, target: LevelPath, shares: Array = SHARES) -> tuple[float, float]:
+    """Return gain and offset that carry the target's crossing measure onto the source's at some shares of the path."""
+    source_levels, target_levels = source.quantiles(shares), target.quantiles(shares)
     gain = float(np.std(source_levels) / np.std(target_levels))
     return gain, float(source_levels.mean() - gain * target_levels.mean())
 

@@ -16,8 +16,8 @@ from softcal.core.recording import Array, OutputRecording
 HISTORY = (0, 4, 14, 45, 150)
 """Samples back at which the stage must have stood alike: position, direction, speed and what creep remembers."""
 
-HISTORY_WEIGHT = (1.0, 1.0, 0.7, 0.3, 0.1)
-NEAR_SHARE = 0.02
+HISTORY_WEIGHT = (1.0, 1.0, 0.5, 0.15, 0.05)
+NEAR_SHARE = 0.04
 """Two stage histories are alike within this share of the travel."""
 
 MIN_PAIRS = 200

@@ -1,0 +1,164 @@
+"""The choice among families: by evidence of the outputs alone, explained, and better with a few known loads."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.core.errors import UnitRefused
+from softcal.core.maps.anchors import AnchoredMap
+from softcal.core.maps.catalogue import map_from_arrays
+from softcal.core.maps.choose import MapConfig, choose_map
+from softcal.core.maps.interface import Anchors, FitProblem
+from softcal.core.maps.synchrony import find_synchrony
+from softcal.core.metrics import rmse
+from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.training import NetworkConfig, TrainedNetwork, fit_network
+
+GAIN, OFFSET = 1.3, 0.04
+NOISE_V = 0.0005
+
+
+def presses(seed: int, count: int, dwell: float = 0.0) -> np.ndarray:
+    rng, parts, length = np.random.default_rng(seed), [np.zeros(10)], 10
+    while length < count:
+        peak, up, down = rng.uniform(1.0, 3.0), rng.integers(10, 40), rng.integers(10, 40)
+        rest = np.zeros(5 + int(rng.exponential(dwell)) if dwell else 5)
+        parts += [np.linspace(0, peak, up), np.linspace(peak, 0, down), rest]
+        length += up + down + len(rest)
+    return np.concatenate(parts)[:count]
+
+
+def recording(
+    serial: str, force_N: np.ndarray, gain: float = 1.0, offset: float = 0.0, seed: int = 0, stage: bool = False
+):  # type: ignore[no-untyped-def]
+    noise = np.random.default_rng(seed).normal(0, NOISE_V, len(force_N))
+    output = (0.5 + 0.1 * force_N + 0.02 * force_N**2 - offset) / gain + noise
+    return OutputRecording(
+        serial, np.arange(len(output)) / 50.0, output, 50.0, stage_mm=force_N.copy() if stage else None
+    )
+
+
+@pytest.fixture(scope="module")
+def source() -> LabelledRecording:
+    force_N = presses(1, 3000)
+    return LabelledRecording(recording("S", force_N, stage=True), force_N)
+
+
+@pytest.fixture(scope="module")
+def trained(source: LabelledRecording) -> TrainedNetwork:
+    return fit_network(source, NetworkConfig(hidden=(32, 16), max_epochs=25))
+
+
+def unit(source: LabelledRecording, trained: TrainedNetwork, force_N: np.ndarray, **settings) -> FitProblem:  # type: ignore[no-untyped-def]
+    settings = {"gain": GAIN, "offset": OFFSET, "seed": 9} | settings
+    return FitProblem(source, trained.network, recording("T", force_N, **settings))
+
+
+def after(problem: FitProblem, chosen, seed: int = 33) -> tuple[float, float]:  # type: ignore[no-untyped-def]
+    load_N = presses(seed, 800)
+    test = LabelledRecording(recording("T", load_N, GAIN, OFFSET, 5), load_N)
+    mapped = problem.network.evaluate(chosen.unit_map.apply(test.windows))
+    raw = problem.network.evaluate(test.windows)
+    return rmse(mapped, test.window_reference), rmse(raw, test.window_reference)
+
+
+def test_one_load_at_once_is_found_and_paired(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    problem = unit(source, trained, source.reference)
+    chosen = choose_map(problem)
+    mapped, raw = after(problem, chosen)
+    assert chosen.family == "synchronous"
+    assert mapped < 1.5 * trained.validation_rmse < raw / 3
+
+
+def test_late_clock_is_found_and_undone(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    late = unit(source, trained, np.concatenate([np.zeros(12), source.reference[:-12]])).target
+    assert find_synchrony(source.unlabelled, late).lag_s == pytest.approx(0.24, abs=0.011)
+
+
+def test_stage_position_pairs_another_programme(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    problem = unit(source, trained, 0.6 * presses(8, 2000), stage=True)
+    chosen = choose_map(problem)
+    assert chosen.family == "phase"
+    assert (
+        after(problem, chosen)[0] < 0.5 * after(problem, choose_map(unit(source, trained, 0.6 * presses(8, 2000))))[0]
+    )
+
+
+def test_other_dwell_is_matched_by_crossings(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    problem = unit(source, trained, presses(4, 5000, dwell=80.0))
+    chosen = choose_map(problem)
+    mapped, raw = after(problem, chosen)
+    assert chosen.family == "label_shift"
+    assert mapped < raw / 3
+    assert float(chosen.evidence["dwell_distance"]) > 0.2
+    assert "shift estimated" in str(chosen.evidence["decision"])
+
+
+def test_unit_like_the_source_is_left_alone(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    problem = unit(source, trained, presses(4, 3000), gain=1.0, offset=0.0)
+    assert choose_map(problem).family == "identity"
+
+
+def test_noise_instead_of_presses_makes_the_choice_abstain(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    hiss = np.random.default_rng(2).uniform(0, 3, 2000)
+    chosen = choose_map(unit(source, trained, hiss))
+    assert chosen.family == "affine" and "abstain" in str(chosen.evidence["decision"])
+
+
+def test_still_unit_is_refused(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    problem = unit(source, trained, np.zeros(600))
+    still = replace(problem, target=replace(problem.target, output=np.full(600, 0.5)))
+    with pytest.raises(UnitRefused, match="press the unit"):
+        choose_map(still)
+
+
+def test_equal_input_gives_equal_maps_and_later_labels_change_nothing(
+    source: LabelledRecording, trained: TrainedNetwork
+) -> None:
+    problem = unit(source, trained, presses(4, 2000))
+    first, again = choose_map(problem).unit_map.arrays(), choose_map(problem).unit_map.arrays()
+    assert all(np.array_equal(first[name], again[name]) for name in first)
+
+
+def test_configured_family_is_obeyed(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    chosen = choose_map(unit(source, trained, presses(4, 2000)), MapConfig("monotone"))
+    assert chosen.family == "monotone" and "as configured" in str(chosen.evidence["decision"])
+
+
+def test_more_anchors_never_hurt_much_and_three_repair_half_a_range(
+    source: LabelledRecording, trained: TrainedNetwork
+) -> None:
+    problem = unit(source, trained, 0.5 * presses(8, 2500))
+    errors = []
+    for loads in ([], [0.0], [0.0, 2.5], [0.0, 1.25, 2.5]):
+        output = (0.5 + 0.1 * np.array(loads) + 0.02 * np.array(loads) ** 2 - OFFSET) / GAIN
+        anchors = Anchors(output, np.array(loads)) if loads else None
+        errors.append(after(problem, choose_map(replace(problem, anchors=anchors)))[0])
+    assert errors[3] < 0.4 * errors[0]
+    assert errors[2] < 0.5 * errors[0]
+    assert errors[1] < 1.1 * errors[0]
+
+
+def test_anchored_map_survives_its_arrays(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    problem = unit(source, trained, presses(4, 2000))
+    chosen = choose_map(replace(problem, anchors=Anchors(np.array([0.4]), np.array([0.1]))))
+    again = map_from_arrays(chosen.family, chosen.unit_map.arrays(), chosen.unit_map.settings())
+    assert isinstance(chosen.unit_map, AnchoredMap)
+    assert np.array_equal(chosen.unit_map.apply(problem.target.windows), again.apply(problem.target.windows))
+
+
+def test_measured_taxels_under_one_pressure_are_found_synchronous_and_other_days_are_not(measured_data: Path) -> None:
+    day, other = (
+        pd.read_parquet(measured_data / "insole_lot" / f"{name}.parquet") for name in ("calibration", "validation_1")
+    )
+
+    def taxel(frame: pd.DataFrame, name: str) -> OutputRecording:
+        return OutputRecording(name, frame["t_s"].to_numpy(), frame[name].to_numpy(np.float64), 48.9)
+
+    source = taxel(day, "taxel_001")
+    for name in ("taxel_030", "taxel_060"):
+        assert find_synchrony(source, taxel(day, name)).is_synchronous
+        assert not find_synchrony(source, taxel(other, name)).is_synchronous
