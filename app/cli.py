@@ -21,14 +21,19 @@ COMMANDS = (
     "export",
     "inspect_",
     "registry",
+    "quality",
     "gap",
     "ui",
+    "doctor",
 )
 """Modules of `softcal.app.commands`, in the order of `softcal --help`; each has `add_parser` and sets `run`."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command and return its exit code (0 done, 1 some unit did not pass, 2 use, 3 rig, 4 registry)."""
+    """Run one command and return its exit code (0 done, 1 some unit did not pass, 2 use, 3 rig, 4 registry).
+
+    A defect of softcal itself is one line for the person, too; its traceback goes to the log.
+    """
     options = _parser().parse_args(arguments)
     try:
         return int(options.run(options))
@@ -45,6 +50,10 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return DONE
+    except Exception as error:
+        from softcal.app.logs import log_crash
+
+        return _say(log_crash(error, str(options.run.__module__)), WRONG_USE)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -39,6 +39,17 @@ class UnitEntry:
     is_conflict: bool = False
 
 
+@dataclass(frozen=True)
+class RunEntry:
+    """One result of one unit, good or not, in the order they were made; rollbacks are none."""
+
+    serial: str
+    made_at: datetime
+    verdict: str
+    reasons: tuple[str, ...]
+    predicted_rmse: float | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class StoredCalibration:
     """One revision in the history of a serial.

@@ -7,7 +7,7 @@ from sqlalchemy import Connection, RowMapping, Select, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.db.entries import LimitEntry, UnitEntry
+from softcal.db.entries import LimitEntry, RunEntry, UnitEntry
 from softcal.db.registry_base import RegistryBase
 from softcal.db.tables import calibrations, limits, lots, refusals, units
 
@@ -76,6 +76,19 @@ class LotTables(RegistryBase):
             if serial is not None:
                 self._known_serial(connection, serial)
             return unit_entries(connection, lot_id, serial)
+
+    def runs(self, lot_id: str) -> list[RunEntry]:
+        """Return every result of a lot's units in time order, with units that got no map; rollbacks are left out."""
+        c, r = calibrations.c, refusals.c
+        made = select(c.serial, c.made_at, c.verdict, c.reasons, c.predicted_rmse).where(
+            c.lot_id == lot_id, c.rolled_back_to.is_(None)
+        )
+        refused = select(r.serial, r.made_at, r.verdict, r.reasons).where(r.lot_id == lot_id)
+        with self.database.reading() as connection:
+            self._lot_row(connection, lot_id)
+            rows = [dict(row) for query in (made, refused) for row in connection.execute(query).mappings()]
+        runs = [RunEntry(**row | {"reasons": tuple(row["reasons"])}) for row in rows]
+        return sorted(runs, key=lambda run: (run.made_at, run.serial))
 
     def limit(self, lot_id: str) -> LimitEntry | None:
         """Return the newest version of a lot's limit, or None where none was ever stated."""

@@ -1,0 +1,83 @@
+"""What support needs to know of an installation, without secrets."""
+
+import os
+import platform
+import shutil
+import sys
+import zipfile
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from softcal.app.bootstrap import data_folder, open_chosen_registry, registry_url
+from softcal.app.files import whole_file
+from softcal.app.logs import log_folder, masked
+from softcal.core.errors import SoftcalError
+
+PACKAGES = ("softcal", "numpy", "scipy", "numba", "torch", "pot", "sqlalchemy", "alembic", "psycopg", "pyserial",
+            "streamlit", "distributed", "onnx")  # fmt: skip
+LEAST_FREE_GB = 2.0
+Facts = dict[str, object]
+
+
+def examine(url_option: str | None) -> tuple[Facts, list[str]]:
+    """Return what is known of this installation, and what is wrong with it in words."""
+    problems: list[str] = []
+    facts: Facts = {
+        "python": sys.version.split()[0],
+        "system": platform.platform(),
+        "cores": os.cpu_count(),
+        "packages": {name: _version(name) for name in PACKAGES},
+        "environment": {k: masked(v) for k, v in sorted(os.environ.items()) if k.startswith("SOFTCAL_")},
+    }
+    for name, look in (("folders", _folders), ("registry", lambda found: _registry(url_option, found))):
+        facts[name] = _looked_at(look, problems)
+    return facts, problems
+
+
+def collect(path: Path, report: str) -> int:
+    """Write the report and the logs into a zip file, whole or not at all; return how many logs went in."""
+    logs = sorted(log_folder().glob("softcal-*.jsonl"))
+    with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as bundle:
+        bundle.writestr("report.json", report)
+        for log in logs:
+            bundle.writestr(f"logs/{log.name}", masked(log.read_text(encoding="utf-8", errors="replace")))
+    return len(logs)
+
+
+def _looked_at(look: Callable[[list[str]], Facts], problems: list[str]) -> Facts:
+    try:
+        return look(problems)
+    except (SoftcalError, OSError) as error:
+        problems.append(masked(str(error)))
+        return {"error": masked(str(error))}
+
+
+def _folders(problems: list[str]) -> Facts:
+    data, logs = data_folder(), log_folder()
+    free_GB = shutil.disk_usage(data).free / 1e9
+    if free_GB < LEAST_FREE_GB:
+        problems.append(f"{data}: only {free_GB:.1f} GB are free; at least {LEAST_FREE_GB:g} GB are wanted")
+    if not os.access(data, os.W_OK):
+        problems.append(f"{data}: cannot be written")
+    return {"data": str(data), "logs": str(logs), "free_GB": round(free_GB, 1)}
+
+
+def _registry(url_option: str | None, problems: list[str]) -> Facts:
+    facts: Facts = {"url": masked(registry_url(url_option))}
+    with open_chosen_registry(url_option, create=False) as registry:
+        units = registry.units()
+        stations = {beat.station: f"{beat.state}, last seen {beat.at:%Y-%m-%d %H:%M:%S} UTC"
+                    for beat in registry.order_queue.stations()}  # fmt: skip
+        faults = registry.verify()
+        facts |= {"origin": registry.origin, "lots": len(registry.lots()), "units": len(units)}
+        facts |= {"work_items": registry.work_queue.counts(), "stations": stations, "faults": faults}
+    problems += [f"registry: {fault}" for fault in faults[:5]]
+    return facts
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None

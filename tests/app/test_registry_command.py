@@ -1,0 +1,163 @@
+"""`softcal registry`, `quality` and `doctor` from the command line: what they print, and their exit codes."""
+
+import csv
+import json
+import zipfile
+
+import numpy as np
+import openpyxl
+import pytest
+
+from softcal.app import logs
+from softcal.app.cli import main
+from softcal.app.spreadsheet import write_table
+from softcal.core.calibration import CalibrationRecord
+from softcal.core.errors import InputError
+from softcal.core.identity import content_sha256
+from softcal.core.lot import Lot
+from softcal.core.network import Network
+from softcal.db.connection import open_registry
+
+
+@pytest.fixture
+def url(tmp_path, monkeypatch):
+    """A registry with a lot of 30 units, A7 calibrated twice and B1 refused."""
+    monkeypatch.setenv("SOFTCAL_LOGS", str(tmp_path / "logs"))
+    url = f"sqlite:///{tmp_path / 'registry.db'}"
+    errors = np.random.default_rng(9).normal(0.1, 0.01, 31)
+    with open_registry(url) as registry, registry.transaction():
+        registry.add_lot(Lot("L1", "S0", 50.0, limit_rmse=0.2))
+        network = Network((np.zeros((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
+        network_id = registry.add_network("L1", network, {}, {}, "a" * 64)
+        for number, serial in enumerate([*(f"A{k}" for k in range(30)), "A7"]):
+            arrays = {"map.gain": np.array([float(number)])}
+            sha256 = content_sha256(arrays, {})
+            record = CalibrationRecord(
+                serial,
+                network_id,
+                "affine",
+                sha256,
+                arrays,
+                {},
+                float(errors[number]),
+                "pass",
+                ("fine",),
+                sha256,
+                sha256,
+            )
+            registry.add_calibration("L1", record, actor="kim")
+        registry.add_refusal("L1", "B1", "retest", ("=cmd|calc",))
+    return url
+
+
+def run(capsys, *arguments):
+    code = main([str(argument) for argument in arguments])
+    output = capsys.readouterr()
+    return code, output.out, output.err
+
+
+def test_list_names_units_and_verdicts(url, capsys):
+    code, out, _ = run(capsys, "registry", "list", "--registry", url)
+    assert code == 0 and "A7" in out and "pass" in out and "retest" in out
+
+
+def test_list_as_json_and_csv(url, capsys, tmp_path):
+    table = tmp_path / "units.csv"
+    code, out, _ = run(capsys, "registry", "list", "--registry", url, "--json", "-", "--csv", table)
+    units = {unit["serial"]: unit for unit in json.loads(out)["units"]}
+    assert code == 0 and units["A7"]["revision"] == 2 and units["B1"]["verdict"] == "retest"
+    reasons = [row[-1] for row in csv.reader(table.read_text().splitlines())]
+    assert "'=cmd|calc" in reasons, "a spreadsheet must not run what a file said"
+
+
+def test_history_names_every_revision(url, capsys):
+    run(capsys, "registry", "rollback", "--registry", url, "--serial", "A7", "--to", 1, "--reason", "remounted")
+    code, out, _ = run(capsys, "registry", "history", "--registry", url, "--serial", "A7", "--json", "-")
+    revisions = json.loads(out)["revisions"]
+    assert code == 0 and [r["rolled_back_to"] for r in revisions] == [None, None, 1]
+    assert revisions[2]["reason"] == "remounted" and revisions[2]["is_current"]
+
+
+def test_verify_tells_a_whole_registry_from_an_edited_one(url, capsys):
+    assert run(capsys, "registry", "verify", "--registry", url)[0] == 0
+    with open_registry(url) as registry, registry.database.writing() as connection:
+        connection.exec_driver_sql("DROP TRIGGER calibrations_no_update")
+        connection.exec_driver_sql("UPDATE calibrations SET verdict = 'fail' WHERE serial = 'A3'")
+    code, _, err = run(capsys, "registry", "verify", "--registry", url)
+    assert code == 4 and 'calibrations ["A3",1' in err and "Traceback" not in err
+
+
+def test_backup_restore_and_sync_go_round(url, capsys, tmp_path):
+    copy = f"sqlite:///{tmp_path / 'copy.db'}"
+    assert run(capsys, "registry", "backup", tmp_path / "b.db", "--registry", url)[0] == 0
+    assert run(capsys, "registry", "restore", tmp_path / "b.db", "--registry", copy)[0] == 0
+    run(capsys, "registry", "rollback", "--registry", copy, "--serial", "A7", "--to", 1, "--reason", "x")
+    code, out, _ = run(capsys, "registry", "sync", "--registry", url, "--with", copy, "--json", "-")
+    assert code == 0 and json.loads(out) == {
+        "schema": "softcal.registry.sync/1", "sent": 0, "received": 1, "conflicts": []
+    }  # fmt: skip
+    assert run(capsys, "registry", "verify", "--registry", url)[0] == 0
+
+
+def test_upgrade_of_today_s_registry_says_so(url, capsys):
+    code, out, _ = run(capsys, "registry", "upgrade", "--registry", url)
+    assert code == 0 and "nothing to do" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["list", "--registry", "sqlite:////nonexistent-folder/x.db"], 4),
+        (["list", "--lot", "nowhere"], 2),
+        (["history", "--serial", "nobody"], 2),
+        (["rollback", "--serial", "A7", "--to", "9", "--reason", "x"], 2),
+        (["restore", "/nonexistent/backup.db"], 4),
+    ],
+)
+def test_what_cannot_be_done_is_one_line_and_its_code(url, capsys, arguments, expected):
+    if "--registry" not in arguments:
+        arguments = [*arguments, "--registry", url]
+    code, _, err = run(capsys, "registry", *arguments)
+    assert code == expected and err.count("\n") == 1
+
+
+def test_yields_and_capability_of_a_lot(url, capsys):
+    code, out, _ = run(capsys, "quality", "yield", "--registry", url, "--lot", "L1", "--json", "-")
+    assert code == 0 and json.loads(out)["first_pass"]["count"] == 30 and json.loads(out)["first_pass"]["of"] == 31
+    code, out, _ = run(capsys, "quality", "capability", "--registry", url, "--lot", "L1", "--json", "-")
+    assert code == 0 and 2.0 < json.loads(out)["capability"]["cpk"] < 6.0
+
+
+def test_a_gauge_study_with_a_hole_names_it(tmp_path, capsys):
+    study = tmp_path / "study.csv"
+    study.write_text("unit,station,trial,value\na,s,1,0.1\na,s,2,0.2\na,t,1,0.1\n")
+    code, _, err = run(capsys, "quality", "grr", study)
+    assert code == 2 and "unit a on station t has no trial 2" in err
+
+
+def test_doctor_collects_without_secrets(url, capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("SOFTCAL_REGISTRY", "postgresql://line:hush@127.0.0.1:1/softcal")
+    logs.start_logging(command="test").info("opened", url="postgresql://line:hush@db/x", pin="2580")
+    bundle = tmp_path / "support.zip"
+    code, out, err = run(capsys, "doctor", "--out", bundle)
+    with zipfile.ZipFile(bundle) as content:
+        everything = out + err + "".join(content.read(name).decode() for name in content.namelist())
+        assert code == 0 and any(name.startswith("logs/") for name in content.namelist())
+    assert "hush" not in everything and "2580" not in everything and "line:***@" in everything
+    assert "problem:" in err, "a registry that does not answer is a problem"
+
+
+def test_a_defect_is_one_line_and_its_traceback_is_in_the_log(url, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("softcal.app.commands.registry.print_table", lambda *_: 1 / 0)
+    code, _, err = run(capsys, "registry", "list", "--registry", url)
+    assert code == 2 and "a defect of softcal" in err and "Traceback" not in err
+    (log,) = (tmp_path / "logs").glob("*.jsonl")
+    assert "ZeroDivisionError" in json.loads(log.read_text())["traceback"]
+
+
+def test_excel_cells_cannot_run(tmp_path):
+    write_table(tmp_path / "t.xlsx", ["name", "value"], [["=1+1", -3.5], ["@x", None], ["fine", 2]])
+    rows = list(openpyxl.load_workbook(tmp_path / "t.xlsx").active.iter_rows(values_only=True))
+    assert rows == [("name", "value"), ("'=1+1", -3.5), ("'@x", None), ("fine", 2)]
+    with pytest.raises(InputError, match="suffix"):
+        write_table(tmp_path / "t.ods", [], [])

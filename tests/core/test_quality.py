@@ -1,0 +1,171 @@
+"""Gauge study, control chart, capability and yields against published worked examples and closed forms."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from softcal.core.control_chart import RULES, capability, control_chart
+from softcal.core.errors import InputError
+from softcal.core.gauge_study import study_by_anova, study_by_ranges
+from softcal.core.yields import Run, Share, rolled_throughput, yields
+
+# AIAG, Measurement Systems Analysis, 4th edition, chapter III section B: 3 appraisers, 3 trials, 10 parts.
+AIAG = """
+0.29 -0.56 1.34 0.47 -0.80 0.02 0.59 -0.31 2.26 -1.36
+0.41 -0.68 1.17 0.50 -0.92 -0.11 0.75 -0.20 1.99 -1.25
+0.64 -0.58 1.27 0.64 -0.84 -0.21 0.66 -0.17 2.01 -1.31
+0.08 -0.47 1.19 0.01 -0.56 -0.20 0.47 -0.63 1.80 -1.68
+0.25 -1.22 0.94 1.03 -1.20 0.22 0.55 0.08 2.12 -1.62
+0.07 -0.68 1.34 0.20 -1.28 0.06 0.83 -0.34 2.19 -1.50
+0.04 -1.38 0.88 0.14 -1.46 -0.29 0.02 -0.46 1.77 -1.49
+-0.11 -1.13 1.09 0.20 -1.07 -0.67 0.01 -0.56 1.45 -1.77
+-0.15 -0.96 0.67 0.11 -1.45 -0.49 0.21 -0.49 1.87 -2.16
+"""
+MEASURED = np.array(AIAG.split(), dtype=float).reshape(3, 3, 10).transpose(2, 0, 1)
+
+
+def test_average_and_range_study_matches_the_published_one():
+    study = study_by_ranges(MEASURED)
+    found = (study.repeatability, study.reproducibility, study.grr, study.parts, study.total)
+    # The book goes on from a mean range rounded to 0.3417.
+    assert found == pytest.approx((0.20188, 0.22963, 0.30575, 1.10456, 1.14610), abs=5e-5)
+    assert study.grr_percent == pytest.approx(26.68, abs=0.01)
+    assert (study.categories, study.word) == (5, "conditional")
+
+
+def test_anova_study_matches_the_published_one():
+    study = study_by_anova(MEASURED)
+    found = (study.repeatability, study.reproducibility, study.interaction, study.grr, study.parts)
+    assert found == pytest.approx((0.199933, 0.226838, 0.0, 0.302373, 1.042327), abs=2e-6)
+    assert study.grr_percent == pytest.approx(27.9, abs=0.05)
+    assert study.interaction_p == pytest.approx(stats.f.sf(0.434, 18, 60), abs=2e-4)
+
+
+def test_a_study_recovers_the_variances_it_was_made_from(rng):
+    parts, stations, trials = 200, 40, 4
+    measured = rng.normal(0, 2.0, (parts, 1, 1)) + rng.normal(0, 0.5, (1, stations, 1))
+    measured = measured + rng.normal(0, 0.3, (parts, stations, 1)) + rng.normal(0, 0.2, (parts, stations, trials))
+    study = study_by_anova(measured)
+    found = (study.parts, study.reproducibility, study.interaction, study.repeatability)
+    assert found == pytest.approx((2.0, 0.5, 0.3, 0.2), rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("measured", "message"),
+    [
+        (np.zeros((3, 2, 2)), "all measurements are equal"),
+        (np.ones((1, 2, 2)), "at least 2 units"),
+        (np.full((3, 2, 2), np.nan), "some value is missing"),
+    ],
+)
+def test_a_study_that_says_nothing_is_refused(measured, message):
+    with pytest.raises(InputError, match=message):
+        study_by_anova(measured)
+
+
+def test_a_study_outside_the_tables_points_to_anova():
+    with pytest.raises(InputError, match="use ANOVA"):
+        study_by_ranges(np.random.default_rng(0).normal(size=(11, 2, 2)))
+
+
+def test_control_limits_match_the_published_ones():
+    # NIST/SEMATECH e-Handbook of Statistical Methods, 6.3.2.2: flow rates of ten batches.
+    chart = control_chart(np.array([49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]))
+    assert chart.moving_ranges.mean() == pytest.approx(1.8778, abs=5e-5)
+    assert (chart.centre, chart.upper, chart.lower) == pytest.approx((50.81, 55.8041, 45.8159), abs=1e-3)
+    assert chart.is_stable
+
+
+PATTERNS = {
+    1: [0, 0, 3.5],
+    2: [0.5] * 9,
+    3: [-0.9, -0.5, -0.1, 0.3, 0.6, 0.9],
+    4: [0.4, -0.4] * 7,
+    5: [2.5, 0.0, 2.5],
+    6: [1.5, 1.5, 0.2, 1.5, 1.5],
+    7: [0.5, -0.5, 0.1] * 5,
+    8: [1.5, -1.5, 1.6, 1.4, -1.3, 1.5, -1.6, -1.5],
+}
+
+
+@pytest.mark.parametrize("rule", PATTERNS)
+def test_each_pattern_is_found_by_its_rule_at_its_last_point(rule):
+    text, length, find = RULES[rule - 1]
+    z = np.array(PATTERNS[rule], dtype=float)
+    found = find(np.lib.stride_tricks.sliding_window_view(z, length))
+    assert found[-1], text
+    assert not find(np.lib.stride_tricks.sliding_window_view(np.zeros(length) + 0.01, length)).any() or rule in (2, 7)
+
+
+def test_chance_alone_breaks_rule_one_as_often_as_the_normal_tail_says(rng):
+    chart = control_chart(rng.normal(size=200_000))
+    share = sum(signal.rule == 1 for signal in chart.signals) / 200_000
+    assert share == pytest.approx(2 * stats.norm.sf(3), rel=0.15)
+
+
+def test_limits_from_a_baseline_show_a_later_shift(rng):
+    values = np.concatenate([rng.normal(size=30), rng.normal(4.0, 1.0, size=5)])
+    chart = control_chart(values, baseline=30)
+    assert any(signal.index >= 30 for signal in chart.signals) and not chart.is_stable
+
+
+def stable_chart(rng):
+    return next(c for c in (control_chart(rng.normal(size=30)) for _ in range(50)) if c.is_stable)
+
+
+def test_capability_matches_its_closed_form(rng):
+    # NIST/SEMATECH e-Handbook 6.1.6: limits 8 and 20, mean 16, sigma 2 give Cp 1.0 and Cpk 0.6667.
+    chart = stable_chart(rng)
+    values = 16 + 2 * (chart.values - chart.centre) / chart.sigma
+    found = capability(control_chart(values), 8.0, 20.0)
+    assert (found.cp, found.cpk) == pytest.approx((1.0, 0.6667), abs=1e-4)
+    assert (found.pp, found.ppk) == pytest.approx((2 / values.std(ddof=1), 4 / (3 * values.std(ddof=1))))
+
+
+def test_the_interval_of_cpk_is_the_one_of_bissell(rng):
+    chart = stable_chart(rng)
+    maximum = float(chart.values.mean()) + 3 * 1.33 * chart.sigma
+    found = capability(chart, None, maximum)
+    half = 1.959964 * np.sqrt(1 / (9 * 30) + 1.33**2 / (2 * 29))
+    assert (found.cp, found.cpk) == (None, pytest.approx(1.33))
+    assert (found.cpk_lower, found.cpk_upper) == pytest.approx((1.33 - half, 1.33 + half))
+
+
+@pytest.mark.parametrize(
+    ("values", "limits", "message"),
+    [
+        (np.r_[np.sin(np.arange(29.0) ** 2), 40.0], (None, 50.0), "process is not stable"),
+        (np.resize([0.0, 1.0, 0.3], 20), (None, 50.0), "at least 25"),
+        (np.resize([0.0, 1.0, 0.3], 30), (2.0, 1.0), "not below maximum"),
+        (np.resize([0.0, 1.0, 0.3], 30), (None, None), "minimum or a maximum"),
+    ],
+)
+def test_capability_is_refused_where_it_would_promise_too_much(values, limits, message):
+    with pytest.raises(InputError, match=message):
+        capability(control_chart(values), *limits)
+
+
+def test_a_chart_of_too_few_or_broken_values_is_refused():
+    with pytest.raises(InputError, match="at least 8"):
+        control_chart(np.arange(5.0))
+    with pytest.raises(InputError, match="value 3 .* not a number"):
+        control_chart(np.array([0, 1, 2, np.nan, 4, 5, 6, 7, 8.0]))
+
+
+def test_yields_count_each_unit_once_and_leave_golden_units_out():
+    good, bad, again = Run("pass"), Run("fail", ("dead",)), Run("retest", ("short",))
+    found = yields({"A": [good], "B": [bad, good], "C": [again, bad], "D": [], "G": [bad]}, golden={"G"})
+    assert (found.first_pass.count, found.second_pass.count, found.last_pass.count) == (1, 2, 2)
+    assert found.first_pass.of == 3 and (found.runs.count, found.runs.of) == (2, 5)
+    assert found.reasons == (("dead", 1),)
+
+
+def test_the_interval_of_a_share_is_wilson_s():
+    expected = stats.binomtest(18, 20).proportion_ci(method="wilson")
+    assert Share(18, 20).interval == pytest.approx((expected.low, expected.high))
+    assert Share(0, 0).value is None
+
+
+def test_rolled_throughput_is_the_product():
+    assert rolled_throughput([Share(9, 10), Share(8, 10)]) == pytest.approx(0.72)
+    assert rolled_throughput([Share(9, 10), Share(0, 0)]) is None
