@@ -130,8 +130,8 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     if rate > UNLIKE_RATE:
         why = "swings far more often than the source: only rest level and hardest presses are matched; abstain"
         return "affine", numbers | {"decision": why}
-    is_same_gain = abs(gain - 1.0) < CLEAR * gain_error and abs(level_shift) < CLEAR * level_error
-    if is_same_gain and min(source.swings, target.swings) >= FEWEST_SWINGS:
+    is_alike = abs(gain - 1.0) < CLEAR * gain_error and abs(level_shift) < CLEAR * level_error
+    if is_alike and min(source.swings, target.swings) >= FEWEST_SWINGS:
         return "identity", numbers | {"decision": "no difference from the source that the recording could show"}
     if dwell < SAME_PROGRAMME:
         return "monotone", numbers | {"decision": "time is spent as in the source: sample quantiles matched"}
@@ -144,17 +144,17 @@ def _swing_rate(path: LevelPath, samples: int) -> float:
 
 
 def _standard_errors(problem: FitProblem, source: LevelPath, target: LevelPath) -> tuple[float, float, float]:
-    """Uncertainty of gain and of the level at mid-range, and that level's shift.
+    """Uncertainty of gain and of the level at rest, and that level's shift.
 
     Resampled presses show what chance does; what the whole path asks for instead of its ends shows what a difference
     in depth may do.
     """
     rng = np.random.default_rng(problem.seed)
-    middle = float(np.mean(target.quantiles(np.array([0.1, 0.5, 0.9]))))
+    rest = float(target.quantiles(np.array([0.01]))[0])
     gain, offset = matched(source, target)
     draws = np.array([matched(source.resampled(rng), target.resampled(rng)) for _ in range(RESAMPLES)])
     whole = np.array(matched(source, target, ALL_SHARES))
-    chance = np.std(draws @ np.array([[1.0, middle], [0.0, 1.0]]), axis=0)
-    depth = np.abs((whole - np.array([gain, offset])) @ np.array([[1.0, middle], [0.0, 1.0]]))
+    chance = np.std(draws @ np.array([[1.0, rest], [0.0, 1.0]]), axis=0)
+    depth = np.abs((whole - np.array([gain, offset])) @ np.array([[1.0, rest], [0.0, 1.0]]))
     errors = np.hypot(chance, depth)
-    return float(errors[0]), float(errors[1]), gain * middle + offset - middle
+    return float(errors[0]), float(errors[1]), gain * rest + offset - rest
