@@ -152,16 +152,15 @@ class DriftTracker:
     def doubt_at(self, t_s: float) -> float:
         """Return the standard deviation of the drift left in the corrected output, in scales of the calibrated use.
 
-        It holds what was seen but not applied, the doubt about what was applied, what a jump left open, and what may
-        have come since the last cycle.
+        It holds what was seen beyond chance but not applied, the doubt about what was applied, what a jump left open,
+        and what may have come since the last cycle.
         """
         applied = self._applied()
-        left = self._drift - applied
+        chance = float(np.trace(self._covariance))
+        left = max(0.0, float(np.sum((self._drift - applied) ** 2)) - chance)
         share = float(np.linalg.norm(applied) / max(np.linalg.norm(self._drift), 1e-12))
-        since = self.covariance_at(t_s) - self._covariance
-        return float(
-            np.sqrt(left @ left + share**2 * np.trace(self._covariance) + np.trace(since) + self.unresolved**2)
-        )
+        since = float(np.trace(self.covariance_at(t_s) - self._covariance))
+        return float(np.sqrt(left + share**2 * chance + since + self.unresolved**2))
 
     def _applied(self) -> Array:
         """Return the part of the drift that is sure enough.

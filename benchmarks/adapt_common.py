@@ -1,0 +1,58 @@
+"""What the long-term benchmarks share: a unit that is its own source, a stream followed, a table."""
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from softcal.app.workflow.adapt import source_calibration
+from softcal.core.adaptation import AdaptConfig, Adapter, MapUpdate
+from softcal.core.calibration import Calibration
+from softcal.core.metrics import rmse
+from softcal.core.network import Network
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.training import NetworkConfig, fit_network
+
+DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """A unit calibrated against its own reference."""
+
+    source: LabelledRecording
+    network: Network
+    calibration: Calibration
+
+    def adapter(self, mode: str) -> Adapter:
+        """Return a fresh adapter."""
+        return Adapter(self.network, self.calibration, self.source.unlabelled, AdaptConfig(mode))
+
+
+def calibrate(t_s: Array, output: Array, reference: Array, rate_Hz: float, config: NetworkConfig) -> Unit:
+    """Train f on a labelled stretch and give the unit the identity as its map."""
+    source = LabelledRecording(OutputRecording("unit", t_s, output, rate_Hz), reference)
+    network = fit_network(source, config).network
+    return Unit(source, network, source_calibration(source, network))
+
+
+def follow(unit: Unit, mode: str, t_s: Array, output: Array) -> tuple[Array, list[MapUpdate]]:
+    """Return the estimates of a stream and what happened to the map."""
+    adapter = unit.adapter(mode)
+    return adapter.advance(t_s, output).estimate, adapter.take_updates()
+
+
+def part_rmse(estimate: Array, reference: Array, parts: int) -> list[float]:
+    """Return the RMSE of equal parts of a stream."""
+    edges = np.linspace(0, len(reference), parts + 1).astype(int)
+    return [rmse(estimate[a:b], reference[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+def print_markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Print a Markdown table."""
+    print("| " + " | ".join(header) + " |")
+    print("|" + "---|" * len(header))
+    for row in rows:
+        print("| " + " | ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row) + " |", flush=True)

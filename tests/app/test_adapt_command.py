@@ -1,0 +1,175 @@
+"""`softcal adapt` on files: the columns, the registry's course, resuming, the source unit, and inputs that are none."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.cli import main
+from softcal.db.connection import open_registry
+
+NETWORK = ("--hidden", "16,8")
+
+
+@pytest.fixture(scope="module")
+def bench(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a lot of one unit and a registry in which it is calibrated."""
+    folder = tmp_path_factory.mktemp("adapt") / "small"
+    shutil.copytree(trained_lot, folder)
+    shutil.rmtree(folder / "lot/audit")
+    for serial in ("A2", "A3"):
+        (folder / f"lot/units/{serial}.csv").unlink()
+    assert main(["batch", str(folder / "lot"), "--registry", url(folder), *NETWORK]) in (0, 1)
+    return folder
+
+
+def url(folder: Path) -> str:
+    return f"sqlite:///{folder / 'registry.db'}"
+
+
+def adapt(folder: Path, source: Path, target: Path, *more: str, serial: str = "A1") -> int:
+    return main(["adapt", "--registry", url(folder), "--serial", serial, str(source), "--out", str(target), *more])
+
+
+@pytest.fixture
+def stream(bench: Path) -> Path:
+    return bench / "lot/units/A1.csv"
+
+
+def test_one_row_for_each_row_of_the_stream(bench: Path, stream: Path, tmp_path: Path) -> None:
+    assert adapt(bench, stream, tmp_path / "out.csv") == 0
+
+    rows, given = pd.read_csv(tmp_path / "out.csv"), pd.read_csv(stream)
+    assert list(rows.columns) == ["t_s", "estimate", "lower", "upper", "flag"]
+    np.testing.assert_allclose(rows["t_s"], given["t_s"])
+    known = rows.dropna(subset=["estimate"])
+    assert len(known) == len(given) - 14
+    assert ((known["lower"] <= known["estimate"]) & (known["estimate"] <= known["upper"])).all()
+
+
+def test_a_shorter_file_has_the_same_first_rows(bench: Path, stream: Path, tmp_path: Path) -> None:
+    pd.read_csv(stream).head(700).to_csv(tmp_path / "half.csv", index=False)
+
+    adapt(bench, stream, tmp_path / "whole-out.csv")
+    adapt(bench, tmp_path / "half.csv", tmp_path / "half-out.csv")
+
+    whole = (tmp_path / "whole-out.csv").read_text().splitlines()
+    assert (tmp_path / "half-out.csv").read_text().splitlines() == whole[:701]
+
+
+def test_a_reference_in_the_stream_is_never_read(bench: Path, stream: Path, tmp_path: Path) -> None:
+    pd.read_csv(stream).assign(reference="not a number").to_csv(tmp_path / "with.csv", index=False)
+
+    assert adapt(bench, tmp_path / "with.csv", tmp_path / "with-out.csv") == 0
+    adapt(bench, stream, tmp_path / "out.csv")
+
+    assert (tmp_path / "with-out.csv").read_bytes() == (tmp_path / "out.csv").read_bytes()
+
+
+def test_parquet_goes_in_and_out(bench: Path, stream: Path, tmp_path: Path) -> None:
+    pd.read_csv(stream).to_parquet(tmp_path / "in.parquet")
+
+    assert adapt(bench, tmp_path / "in.parquet", tmp_path / "out.parquet") == 0
+    adapt(bench, stream, tmp_path / "out.csv")
+
+    first, second = pd.read_parquet(tmp_path / "out.parquet"), pd.read_csv(tmp_path / "out.csv")
+    np.testing.assert_allclose(first["estimate"], second["estimate"])
+
+
+def test_missing_values_and_a_line_cut_off_are_rows_with_a_flag(bench: Path, stream: Path, tmp_path: Path) -> None:
+    lines = stream.read_text().splitlines()
+    lines[100] = lines[100].split(",")[0] + ","
+    lines[200] = lines[200].split(",")[0] + ",nan"
+    lines[300] = lines[299]
+    cut = "\n".join(lines)[:-12]
+    (tmp_path / "in.csv").write_text(cut + "1e")
+
+    assert adapt(bench, tmp_path / "in.csv", tmp_path / "out.csv") == 0
+
+    flags = pd.read_csv(tmp_path / "out.csv")["flag"]
+    assert len(flags) == len(lines) - 1
+    assert flags[[99, 199, 299, len(flags) - 1]].tolist() == ["invalid"] * 4
+
+
+def test_source_of_the_lot_has_the_identity_as_its_map(bench: Path, tmp_path: Path) -> None:
+    source = bench / "lot/source/A0.csv"
+
+    assert adapt(bench, source, tmp_path / "out.csv", serial="A0") == 0
+
+    estimate, reference = pd.read_csv(tmp_path / "out.csv")["estimate"], pd.read_csv(source)["reference"]
+    assert np.sqrt(np.nanmean((estimate - reference) ** 2)) < 0.3
+    with open_registry(url(bench)) as registry:
+        assert registry.calibration("A0").record.family == "identity"
+
+
+def test_registry_keeps_every_map_once_however_often_a_file_is_run(bench: Path, stream: Path, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    adapt(bench, stream, tmp_path / "first.csv", "--json", str(report))
+    name = json.loads(report.read_text())["stream"]
+    with open_registry(url(bench)) as registry:
+        first = registry.adaptations("A1", name)
+
+    adapt(bench, stream, tmp_path / "second.csv")
+
+    with open_registry(url(bench)) as registry:
+        assert registry.adaptations("A1", name) == first
+        assert registry.verify() == []
+    assert first[0]["event"] == "start"
+    assert first[-1]["event"] == "checkpoint"
+
+
+def test_next_file_goes_on_where_the_last_one_ended(bench: Path, stream: Path, tmp_path: Path) -> None:
+    for name in ("monday", "tuesday"):
+        more = ("--stream", "hall-3", "--resume", "--json", str(tmp_path / f"{name}.json"))
+        assert adapt(bench, stream, tmp_path / f"{name}.csv", *more) == 0
+
+    with open_registry(url(bench)) as registry:
+        kept = registry.last_adaptation("A1", 1, "hall-3")
+    assert kept is not None
+    assert kept["sample"] >= 2 * len(pd.read_csv(stream))
+    assert (tmp_path / "monday.csv").read_text().count("\n") == (tmp_path / "tuesday.csv").read_text().count("\n")
+
+
+def test_figure_stands_alone(bench: Path, stream: Path, tmp_path: Path) -> None:
+    assert adapt(bench, stream, tmp_path / "out.csv", "--html", str(tmp_path / "drift.html")) == 0
+
+    page = (tmp_path / "drift.html").read_text()
+    assert "Predicted error" in page
+    assert 'src="http' not in page
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "the file is empty"),
+        (b"t_s,output\n", "no row of data"),
+        (b"a,b\n1,2\n", "'t_s'"),
+        (b"t_s,output\n" + b"0.0,abc\n" * 40, "line 2, column 'output'"),
+        (b"t_s,output\n0.0,0.5\n0.02,0.5\n", "at least 15"),
+        (bytes(range(256)) * 20, "not a text file"),
+    ],
+)
+def test_what_is_no_recording_is_refused_in_one_line(
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, said: str
+) -> None:
+    (tmp_path / "in.csv").write_bytes(content)
+
+    code = adapt(bench, tmp_path / "in.csv", tmp_path / "out.csv")
+
+    error = capsys.readouterr().err
+    assert code == 2
+    assert said in error and error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [tmp_path / "in.csv"]
+
+
+def test_unknown_serial_and_missing_file_are_refused(
+    bench: Path, stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert adapt(bench, stream, tmp_path / "out.csv", serial="NOBODY") == 2
+    assert "NOBODY" in capsys.readouterr().err
+    assert adapt(bench, tmp_path / "nowhere.csv", tmp_path / "out.csv") == 2
+    assert "no such file" in capsys.readouterr().err
+    assert not (tmp_path / "out.csv").exists()

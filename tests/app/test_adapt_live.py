@@ -1,0 +1,194 @@
+"""The live form of `softcal adapt`: pipes, sockets, a simulated sensor over its serial protocol, and their faults."""
+
+import io
+import shutil
+import socket
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.cli import main
+from softcal.app.live_sink import open_sink
+from softcal.app.live_source import SILENCE_S, lines_of, readings
+from softcal.app.live_view import WIDTH, bar
+from softcal.core.errors import BadReply, InputError, NoReply
+from softcal.db.connection import open_registry
+from softcal.station.interfaces import Sample
+
+
+@pytest.fixture(scope="module")
+def bench(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("live") / "small"
+    shutil.copytree(trained_lot, folder)
+    return folder
+
+
+def adapt(bench: Path, source: str, target: str, *more: str) -> int:
+    registry = f"sqlite:///{bench / 'registry.db'}"
+    return main(["adapt", "--registry", registry, "--serial", "A0", source, "--out", target, *more])
+
+
+@pytest.fixture
+def piped(bench: Path, monkeypatch: pytest.MonkeyPatch) -> pd.DataFrame:
+    """The source's recording on standard input, one line damaged, the last one cut off."""
+    table = pd.read_csv(bench / "lot/source/A0.csv").head(400)[["t_s", "output"]]
+    lines = table.to_csv(index=False).splitlines()
+    lines[100] = "gar\x00bage"
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(lines) + "\n7.9"))
+    return table
+
+
+def test_lines_from_a_pipe_become_lines_on_standard_output(
+    bench: Path, piped: pd.DataFrame, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert adapt(bench, "-", "-", "--stream", "pipe") == 0
+
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "t_s,estimate,lower,upper,flag"
+    assert len(lines) == 1 + len(piped) + 1
+    assert lines[100].endswith("invalid") and lines[-1].endswith("invalid")
+    assert float(lines[300].split(",")[1]) == pytest.approx(float(lines[300].split(",")[1]))
+
+
+def test_estimates_go_to_whoever_listens(bench: Path, piped: pd.DataFrame) -> None:
+    received: list[bytes] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def listen() -> None:
+            connection, _ = server.accept()
+            with connection:
+                while content := connection.recv(65536):
+                    received.append(content)
+
+        listener = threading.Thread(target=listen)
+        listener.start()
+        assert adapt(bench, "-", f"tcp://127.0.0.1:{server.getsockname()[1]}", "--stream", "socket") == 0
+        listener.join(10)
+
+    assert b"".join(received).count(b"\n") == 1 + len(piped) + 1
+
+
+def test_simulated_sensor_is_read_over_its_serial_protocol(bench: Path, tmp_path: Path) -> None:
+    target = tmp_path / "live.csv"
+
+    assert adapt(bench, "simulated:40", str(target), "--duration", "8", "--view", "--stream", "sim") == 0
+
+    rows = pd.read_csv(target)
+    assert len(rows) > 300
+    assert np.median(np.diff(rows["t_s"])) == pytest.approx(0.02, rel=0.05)
+    with open_registry(f"sqlite:///{bench / 'registry.db'}") as registry:
+        kept = registry.last_adaptation("A0", 1, "sim")
+    assert kept is not None and kept["event"] == "checkpoint"
+
+
+def test_a_live_file_is_not_overwritten(bench: Path, tmp_path: Path, piped: pd.DataFrame) -> None:
+    target = tmp_path / "live.csv"
+    target.write_text("precious\n")
+
+    assert adapt(bench, "-", str(target)) == 2
+    assert target.read_text() == "precious\n"
+
+
+@pytest.mark.parametrize("source", ["serial:/dev/nowhere", "serial:"])
+def test_port_that_does_not_exist_is_the_rigs_fault(
+    bench: Path, tmp_path: Path, source: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert adapt(bench, source, str(tmp_path / "live.csv")) == 3
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("target", ["tcp://127.0.0.1:1", "tcp://nothing", "live.xlsx"])
+def test_target_that_cannot_be_used_is_refused(bench: Path, target: str, piped: pd.DataFrame) -> None:
+    assert adapt(bench, "-", target) == 2
+
+
+def test_listener_that_goes_loses_rows_but_not_the_stream(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        with open_sink(f"tcp://127.0.0.1:{server.getsockname()[1]}", append=False) as sink:
+            server.accept()[0].close()
+            for _ in range(2000):
+                sink.write("1,2,3,4,\n")
+
+    assert "listener is gone" in capsys.readouterr().err
+
+
+class Clock:
+    """Time that passes when it is waited for."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def now_s(self) -> float:
+        return self.now
+
+    def sleep_s(self, seconds: float) -> None:
+        self.now += max(seconds, 0.5)
+
+
+class ScriptedReadout:
+    """Answers a list of polls, then is silent."""
+
+    name, unit, rate_Hz, channels, range = "sensor readout", "V", 50.0, 1, (0.0, 5.0)
+
+    def __init__(self, polls: Sequence[object]) -> None:
+        self.polls = list(polls)
+        self.starts = 0
+
+    def start(self) -> None:
+        self.starts += 1
+
+    def poll(self) -> list[Sample]:
+        answer = self.polls.pop(0) if self.polls else []
+        if isinstance(answer, Exception):
+            raise answer
+        return answer  # type: ignore[return-value]
+
+    def close(self) -> None: ...
+
+
+def test_silent_sensor_ends_the_stream_with_what_to_do() -> None:
+    clock = Clock()
+    stream = readings(ScriptedReadout([[Sample(0.0, 0.02, (1.0,))]]), clock)
+
+    assert next(stream) == [(0.02, 1.0)]
+    with pytest.raises(NoReply, match="--resume"):
+        for _ in stream:
+            pass
+    assert clock.now > SILENCE_S
+
+
+def test_device_that_starts_again_is_listened_to_again() -> None:
+    readout = ScriptedReadout([BadReply("started again"), [Sample(1.0, 0.02, (1.5,))]])
+
+    pieces = [piece for _, piece in zip(range(2), readings(readout, Clock()), strict=False)]
+
+    assert pieces == [[], [(0.02, 1.5)]]
+    assert readout.starts == 2
+
+
+def test_header_of_a_pipe_says_which_columns_count() -> None:
+    file = io.StringIO("force,output,t_s\n9,0.5,1.0\n9,,1.02\n")
+
+    samples = [sample for piece in lines_of(file) for sample in piece]
+
+    assert samples[0] == (1.0, 0.5)
+    assert samples[1][0] == 1.02 and np.isnan(samples[1][1])
+
+
+def test_bar_shows_interval_and_estimate() -> None:
+    line = bar(1.0, 0.5, 1.5, (0.0, 2.0))
+
+    assert len(line) == WIDTH
+    assert line.index("-") == WIDTH // 4 and line[WIDTH // 2] == "█"
+    assert bar(float("nan"), 0, 0, (0, 1)).strip() == ""
+
+
+def test_live_source_must_be_of_a_known_kind(bench: Path, tmp_path: Path) -> None:
+    assert adapt(bench, "simulated:fast", str(tmp_path / "live.csv")) == 2
+    with pytest.raises(InputError), open_sink("tcp://", append=False):
+        pass

@@ -1,0 +1,266 @@
+"""Following one unit in use: causality, faults in the stream, resuming, alarms. f is exact and known in closed form."""
+
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from softcal.core.adapt_intake import CLOCK_ROWS, WRONG_RATE
+from softcal.core.adaptation import RECALIBRATE, AdaptConfig, Adapter
+from softcal.core.calibration import Calibration
+from softcal.core.estimate import GAP, INVALID, STUCK, WARM_UP, estimate
+from softcal.core.health import output_limits
+from softcal.core.maps.affine import AffineMap
+from softcal.core.network import Network
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.source_model import make_source_model
+from softcal.core.uncertainty import ErrorForecast
+from softcal.core.verdict import Verdict
+from softcal.core.windows import TAPS
+
+RATE_HZ = 50.0
+REST_V, GAIN_V_N = 0.8, 0.25
+
+
+def exact_network() -> Network:
+    """f(window) = (newest sample - 0.8 V) / 0.25 V/N, as relu(x) - relu(-x)."""
+    first, second = np.zeros((TAPS, 2)), np.array([[1.0], [-1.0]])
+    first[-1] = [1.0, -1.0]
+    return Network((first, second), (np.zeros(2), np.zeros(1)), REST_V, GAIN_V_N, 0.0, 1.0)
+
+
+def walk_N(seconds: float, seed: int) -> Array:
+    """Presses of 0 to about 2 N, one every 1.5 s, never twice the same."""
+    rng = np.random.default_rng(seed)
+    t_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    heights = 2 * (1 + 0.03 * rng.normal(size=int(seconds / 1.5) + 1))
+    return np.asarray(heights[(t_s / 1.5).astype(int)] * np.sin(np.pi * t_s / 1.5) ** 2)
+
+
+def read_V(force_N: Array, seed: int) -> Array:
+    return REST_V + GAIN_V_N * force_N + 0.002 * np.random.default_rng(seed).normal(size=len(force_N))
+
+
+@pytest.fixture(scope="module")
+def make_adapter() -> Callable[..., Adapter]:
+    force_N = walk_N(90.0, 0)
+    recording = OutputRecording("A1", np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 1), RATE_HZ)
+    network = exact_network()
+    interval = make_source_model(LabelledRecording(recording, force_N), network, np.arange(0, 4000, 7)).interval
+    calibration = Calibration(
+        serial="A1",
+        network_id=network.id,
+        unit_map=AffineMap(1.0, 0.0, "identity"),
+        interval=interval,
+        output_limits=output_limits(recording, recording, True),
+        forecast=ErrorForecast(0.01, 0.01, 0.01),
+        verdict=Verdict("pass", "pass", ()),
+        evidence={},
+        config={},
+    )
+
+    def make(mode: str = "improved") -> Adapter:
+        return Adapter(network, calibration, recording, AdaptConfig(mode))
+
+    make.calibration, make.network = calibration, network  # type: ignore[attr-defined]
+    return make
+
+
+def stream(seconds: float = 120.0, seed: int = 3) -> tuple[Array, Array, Array]:
+    force_N = walk_N(seconds, seed)
+    return np.arange(len(force_N)) / RATE_HZ, read_V(force_N, seed + 100), force_N
+
+
+def drifted(output_V: Array, gain: float = 0.85, offset_V: float = 0.08) -> Array:
+    share = np.linspace(0, 1, len(output_V))
+    return np.asarray(output_V * (1 + share * (gain - 1)) + share * offset_V)
+
+
+def rmse(values: Array, reference: Array) -> float:
+    return float(np.sqrt(np.nanmean((values - reference) ** 2)))
+
+
+def test_one_by_one_and_in_pieces_give_the_same_rows(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, _ = stream(30.0)
+    output_V = drifted(output_V)
+    whole = make_adapter().advance(t_s, output_V)
+    single, pieces = make_adapter(), make_adapter()
+
+    rows = [single.step(t, v) for t, v in zip(t_s, output_V, strict=True)]
+    parts = [pieces.advance(t_s[k : k + 77], output_V[k : k + 77]) for k in range(0, len(t_s), 77)]
+
+    for name in ("estimate", "lower", "upper"):
+        column = getattr(whole, name)
+        np.testing.assert_array_equal([getattr(row, name) for row in rows], column)
+        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]), column)
+    assert [row.flag for row in rows] == whole.flag.tolist()
+
+
+def test_a_row_does_not_depend_on_later_rows(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, _ = stream()
+    changed = drifted(output_V).copy()
+    cut = 3333
+    changed[cut:] = np.random.default_rng(0).normal(1, 0.3, len(changed) - cut)
+
+    before = make_adapter().advance(t_s, drifted(output_V))
+    after = make_adapter().advance(t_s, changed)
+    short = make_adapter().advance(t_s[:cut], changed[:cut])
+
+    for other in (after, short):
+        np.testing.assert_array_equal(other.estimate[:cut], before.estimate[:cut])
+        np.testing.assert_array_equal(other.upper[:cut], before.upper[:cut])
+        assert other.flag[:cut].tolist() == before.flag[:cut].tolist()
+
+
+def test_without_drift_it_is_the_plain_estimate(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, force_N = stream(300.0)
+    recording = OutputRecording("A1", t_s, output_V, RATE_HZ)
+    plain = estimate(make_adapter.network, make_adapter.calibration, recording)  # type: ignore[attr-defined]
+
+    adapted = make_adapter().advance(t_s, output_V)
+    unmoved = make_adapter("none").advance(t_s, output_V)
+
+    np.testing.assert_allclose(unmoved.estimate, plain.estimate, atol=1e-6)
+    assert rmse(adapted.estimate, force_N) <= 1.02 * rmse(plain.estimate, force_N)
+
+
+@pytest.mark.parametrize("mode", ["basic", "improved"])
+def test_drift_is_followed(make_adapter: Callable[..., Adapter], mode: str) -> None:
+    t_s, output_V, force_N = stream(600.0)
+    last = slice(len(t_s) // 2, None)
+
+    raw = make_adapter("none").advance(t_s, drifted(output_V)).estimate
+    followed = make_adapter(mode).advance(t_s, drifted(output_V)).estimate
+
+    assert rmse(raw[last], force_N[last]) > 0.1
+    assert rmse(followed[last], force_N[last]) < 0.025
+
+
+def test_interval_holds_the_truth_under_drift(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, force_N = stream(600.0)
+
+    rows = make_adapter().advance(t_s, drifted(output_V))
+
+    inside = (rows.lower <= force_N) & (force_N <= rows.upper)
+    assert inside[TAPS - 1 :].mean() > 0.85
+
+
+def test_faulty_rows_are_flagged_and_move_nothing(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, _ = stream(240.0)
+    clean = make_adapter()
+    clean.advance(t_s, drifted(output_V))
+    faulty_t_s, faulty_V = t_s.copy(), drifted(output_V)
+    faulty_V[1000] = np.nan
+    faulty_V[2000] = np.inf
+    faulty_t_s[3000] = faulty_t_s[2999]
+    faulty_t_s[4000] = faulty_t_s[3000]
+    adapter = make_adapter()
+
+    rows = adapter.advance(faulty_t_s, faulty_V)
+
+    assert rows.flag[[1000, 2000, 3000, 4000]].tolist() == [INVALID] * 4
+    assert set(rows.flag[1001 : 1000 + TAPS]) == {GAP}
+    assert np.isnan(rows.estimate[[1000, 1001, 2000, 3000, 4000]]).all()
+    assert adapter.current.gain == pytest.approx(clean.current.gain, abs=0.01)
+    assert adapter.current.offset == pytest.approx(clean.current.offset, abs=0.01)
+
+
+def test_dropped_samples_and_long_gaps_leave_estimates_out_until_a_window_is_full(
+    make_adapter: Callable[..., Adapter],
+) -> None:
+    t_s, output_V, _ = stream(60.0)
+    kept = np.ones(len(t_s), dtype=bool)
+    kept[500] = kept[1000:1700] = False
+
+    rows = make_adapter().advance(t_s[kept], output_V[kept])
+
+    assert set(rows.flag[: TAPS - 1]) == {WARM_UP}
+    assert set(rows.flag[500 : 500 + TAPS - 1]) == {GAP}
+    assert set(rows.flag[999 : 999 + TAPS - 1]) == {GAP}
+    assert rows.flag[999 + TAPS - 1] == ""
+
+
+def test_change_of_rate_is_flagged(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, _ = stream(60.0)
+    t_s = np.concatenate([t_s[:1000], t_s[999] + (1 + np.arange(2000)) / 80.0])
+    adapter = make_adapter()
+
+    rows = adapter.advance(t_s, output_V)
+
+    assert set(rows.flag[1000 + TAPS :]) == {WRONG_RATE}
+    assert adapter.current.gain == 1.0
+
+
+def test_clock_that_restarts_goes_on_after_a_stated_number_of_rows(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, _ = stream(60.0)
+    t_s = np.concatenate([1000 + t_s[:1500], t_s[1500:] - t_s[1500]])
+
+    rows = make_adapter().advance(t_s, output_V)
+
+    assert set(rows.flag[1500 : 1500 + CLOCK_ROWS - 1]) == {INVALID}
+    assert rows.flag[1500 + CLOCK_ROWS + TAPS] == ""
+
+
+def test_stuck_sensor_is_held_and_alarmed(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, _ = stream(120.0)
+    output_V[3000:] = output_V[3000]
+    adapter = make_adapter()
+
+    rows = adapter.advance(t_s, output_V)
+
+    assert rows.flag[-1] == STUCK
+    assert "no usable samples" in adapter.current.alarm
+    assert (adapter.current.gain, adapter.current.offset) == (1.0, 0.0)
+
+
+def test_unsafe_drift_flags_the_rows_as_due_for_recalibration(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, _ = stream(120.0)
+    adapter = make_adapter()
+    adapter.advance(t_s, output_V)
+
+    rows = adapter.advance(120.0 + t_s, output_V + 0.6)
+
+    assert adapter.current.alarm
+    assert adapter.current.predicted_rmse > 0.1
+    assert RECALIBRATE in rows.flag[-200:] or "out of range" in rows.flag[-200:]
+
+
+def test_restart_from_the_kept_state_gives_the_same_rows(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, _ = stream(120.0)
+    output_V = drifted(output_V)
+    cut = 2345
+    first, second = make_adapter(), make_adapter()
+    whole = make_adapter().advance(t_s, output_V)
+    first.advance(t_s[:cut], output_V[:cut])
+
+    second.restore(json.loads(json.dumps(first.state())))
+
+    rows = second.advance(t_s[cut:], output_V[cut:])
+    np.testing.assert_array_equal(rows.estimate, whole.estimate[cut:])
+    np.testing.assert_array_equal(rows.lower, whole.lower[cut:])
+
+
+def test_state_does_not_grow(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, _ = stream(400.0)
+    adapter = make_adapter()
+    sizes = []
+
+    for k in range(0, len(t_s), 4000):
+        adapter.advance(t_s[k : k + 4000], output_V[k : k + 4000])
+        sizes.append(len(json.dumps(adapter.state())))
+
+    assert sizes[-1] < 1.5 * sizes[1]
+
+
+def test_updates_say_what_was_seen_and_are_handed_over_once(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, _ = stream(300.0)
+    adapter = make_adapter()
+    adapter.advance(t_s, drifted(output_V))
+
+    updates = adapter.take_updates()
+
+    assert updates[0].verdict == "start"
+    assert updates[-1].gain > 1.05
+    assert [update.row for update in updates] == sorted(update.row for update in updates)
+    assert adapter.take_updates() == []
