@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from softcal.app.workflow.station_gate import check_golden
 from softcal.core.errors import InputError, RegistryError, SoftcalError
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -109,11 +110,14 @@ class StationHost:
             self._late.pop(0)
 
     def _stored(self, order: Order, recording: StationRecording) -> Progress:
-        sha256 = ""
+        sha256, message = "", "recorded"
         if order.lot_id:
             kind, value = _kind_and_value(order, recording)
             sha256 = self.registry.add_recording(order.lot_id, value, kind, actor=order.actor or None)
-        return Progress(order.order_id, RunState.DONE, "done", 1.0, message="recorded", recording_sha256=sha256)
+        if order.kind is OrderKind.GOLDEN:
+            run = check_golden(self.registry, self.station, recording.labelled_recording(), order.actor)
+            message = "golden unit within its limits" if run.passed else "; ".join(run.reasons)
+        return Progress(order.order_id, RunState.DONE, "done", 1.0, message=message, recording_sha256=sha256)
 
     def _report(self, progress: Progress) -> None:
         """Write progress at most a few times a second; the end of a run and a new phase at once."""

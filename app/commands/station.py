@@ -1,16 +1,17 @@
 """`softcal station`: find and test the rig, press the source unit or a target unit and record it."""
 
 import argparse
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.commands.options import add_json
+from softcal.app.commands.options import add_json, add_registry
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from softcal.app.workflow.station import Recovered
+    from softcal.app.workflow.station_recover import Recovered
     from softcal.station.acquisition import OnProgress
     from softcal.station.self_test import Finding
 
@@ -23,6 +24,7 @@ EXAMPLES = """examples:
   softcal station unit --simulated --serial A1 --out A1.csv   the same on the simulated rig
 
   softcal station calibrate-cell --station station.toml --weights 0 0.2 0.5 1
+  softcal station serve --station station.toml --name line-1  own the ports for screens and programs
   softcal station recover --out recovered                     after a power cut in mid-run
 
 Exit code 3: a device is missing or failed; the stage was stopped and no file was written.
@@ -46,6 +48,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         _add_press(actions, kind, what)
     _add_calibrate_cell(actions)
     _add_recover(actions)
+    _add_serve(actions)
 
 
 def _add_check(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -97,6 +100,25 @@ def _add_calibrate_cell(actions: "argparse._SubParsersAction[argparse.ArgumentPa
     )
     add_json(calibrate)
     calibrate.set_defaults(run=run_calibrate_cell)
+
+
+def _add_serve(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    serve = actions.add_parser(
+        "serve",
+        help="own the ports and perform what screens and programs order through the registry",
+        description="The resident service of one station. Ctrl-C gives the ports back; nothing resumes by itself.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    serve.add_argument("--name", required=True, metavar="NAME", help="name of the station, as orders call it")
+    serve.add_argument("--spool", type=Path, metavar="DIR", help=SPOOL_HELP)
+    serve.add_argument("--warm-up", type=float, default=15.0, metavar="MIN", help="of the load cell (default 15 min)")
+    serve.add_argument("--shift", type=float, default=8.0, metavar="H", help="a golden unit each so many h (default 8)")
+    serve.add_argument("--override", metavar="REASON", help="run in spite of a closed gate for 8 h; it is audited")
+    serve.add_argument("--depth", type=_positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
+    _add_station(serve)
+    add_registry(serve)
+    serve.set_defaults(run=run_serve)
 
 
 def _add_recover(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -177,7 +199,7 @@ def run_press(options: argparse.Namespace) -> int:
 def run_calibrate_cell(options: argparse.Namespace) -> int:
     """Ask for weights, fit, write the station file."""
     from softcal.app.files import write_text
-    from softcal.app.workflow.station import calibrate_cell
+    from softcal.app.workflow.station_cell import calibrate_cell
     from softcal.station.config import read_station_file, station_toml
 
     def wait_for(mass_kg: float) -> None:
@@ -198,7 +220,8 @@ def run_calibrate_cell(options: argparse.Namespace) -> int:
 
 def run_recover(options: argparse.Namespace) -> int:
     """Write what the spools hold."""
-    from softcal.app.workflow.station import recover, spool_folder
+    from softcal.app.workflow.station import spool_folder
+    from softcal.app.workflow.station_recover import recover
 
     found = recover(spool_folder(options.spool), options.out)
     print_table(("serial", "profile", "ended", "samples", "file"), [_recovered_row(run) for run in found])
@@ -206,6 +229,38 @@ def run_recover(options: argparse.Namespace) -> int:
         runs = [vars(run) | {"spool": str(run.spool), "file": str(run.file)} for run in found]
         write_json(options.json, {"schema": "softcal.station-recover/1", "runs": runs})
     say(f"{len(found)} spool(s) read; they were left where they are")
+    return 0
+
+
+def run_serve(options: argparse.Namespace) -> int:
+    """Serve until Ctrl-C or a terminate signal."""
+    from datetime import UTC, datetime, timedelta
+
+    from softcal.app.bootstrap import current_user, open_chosen_registry
+    from softcal.app.workflow.station import spool_folder
+    from softcal.app.workflow.station_gate import GateRules
+    from softcal.app.workflow.station_serve import Serving, serve
+    from softcal.core.station_gate import Override
+
+    override = None
+    if options.override:
+        override = Override(current_user(), options.override, datetime.now(UTC) + timedelta(hours=8))
+    rules = GateRules(timedelta(minutes=options.warm_up), timedelta(hours=options.shift))
+    serving = Serving(
+        options.name, options.station, options.simulated, depth_mm=options.depth, rules=rules, override=override
+    )
+    is_wanted = True
+
+    def end(signal_number: int, frame: object) -> None:
+        nonlocal is_wanted
+        is_wanted = False
+
+    signal.signal(signal.SIGTERM, end)
+    signal.signal(signal.SIGINT, end)
+    say(f"station {options.name}: serving; Ctrl-C ends it after the order in progress")
+    with open_chosen_registry(options.registry) as registry:
+        serve(registry, serving, spool_folder(options.spool), lambda: is_wanted)
+    say(f"station {options.name}: ports given back")
     return 0
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -17,15 +17,14 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.twin.simulate import Twin
 from softcal.core.twin.spread import draw_lot
 from softcal.station.acquisition import OnProgress, record
-from softcal.station.bench import Bench, open_bench, open_force, open_simulated_bench
-from softcal.station.cell_calibration import CellCalibration, fit_cell, read_steady
+from softcal.station.bench import Bench, open_bench, open_simulated_bench
 from softcal.station.clock import HostClock
 from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
 from softcal.station.identify import Identity, identify
 from softcal.station.link import available_ports
-from softcal.station.recording import StationRecording, restore
+from softcal.station.recording import StationRecording
 from softcal.station.self_test import Finding, self_test
-from softcal.station.spool import Spool, read_spool
+from softcal.station.spool import Spool
 
 LOOKED_FOR = "a GRBL stage, a load-cell stream and a sensor readout"
 
@@ -212,81 +211,6 @@ def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float) ->
     if kind == "source":
         return source_profile(rng, seconds or 170.0, depth_mm)
     return unit_profile(rng, seconds or 25.0, depth_mm)
-
-
-def calibrate_cell(
-    config: StationConfig, masses_kg: Sequence[float], wait_for: Callable[[float], None]
-) -> tuple[CellCalibration, StationConfig]:
-    """Read the load cell with each weight on it and return its scale, and the station with that scale.
-
-    Args:
-        config: the station; only its load cell is opened.
-        masses_kg: weights in the order they are put on; 0 is the unloaded cell.
-        wait_for: called before each reading, returns when the weight lies still.
-
-    Raises:
-        InputError: the station has no raw load cell, or too few weights.
-        DeviceError: the cell does not answer, or does not follow the weights.
-    """
-    if config.force is None or config.force.kind != "hx711":
-        raise InputError("the station has no HX711 load cell; other gauges carry their own scale")
-    raw = replace(config.force, counts_per_N=1.0, zero_counts=0.0)
-    readings, clock = [], HostClock()
-    with open_force(raw, clock) as reader:
-        for mass_kg in masses_kg:
-            wait_for(mass_kg)
-            readings.append(read_steady(reader, clock))
-    found = fit_cell(masses_kg, [mean for mean, _ in readings], [noise for _, noise in readings])
-    return found, replace(config, force=replace(config.force, counts_per_N=found.per_N, zero_counts=found.zero))
-
-
-@dataclass(frozen=True)
-class Recovered:
-    """One spool that was found.
-
-    Args:
-        spool: its file.
-        serial, profile: of the run.
-        end: "done", or how it ended.
-        samples: how many samples of the output it holds.
-        file: what was written from it.
-    """
-
-    spool: Path
-    serial: str
-    profile: str
-    end: str
-    samples: int
-    file: Path
-
-
-def recover(folder: Path, out: Path) -> list[Recovered]:
-    """Write what the spools of a folder hold: finished runs as recordings, all others marked as aborted.
-
-    Spools stay where they are; deleting them is a decision of a person.
-
-    Raises:
-        InputError: no such folder, or a file in it that is no spool.
-    """
-    if not folder.is_dir():
-        raise InputError(f"{folder}: there is no such folder of spools")
-    return [_recover(path, out) for path in sorted(folder.glob("*.spool"))]
-
-
-def _recover(path: Path, out: Path) -> Recovered:
-    run = read_spool(path)
-    serial, profile = check_serial(run.header.get("serial", "unknown")), run.header.get("profile", "")
-    if run.is_whole and run.facts:
-        recording = restore(run)
-        file = out / f"{serial}.csv"
-        write_columns(file, columns(recording))
-        return Recovered(path, serial, profile, run.end, len(recording.t_s), file)
-    file = out / f"{path.stem}.aborted.csv"
-    channels = len(run.output[0].values) if run.output else 0
-    device_s = [sample.host_s if sample.device_s is None else sample.device_s for sample in run.output]
-    outputs = [(f"output_{c}", np.array([s.values[c] for s in run.output])) for c in range(channels)]
-    write_columns(file, [("device_s", np.array(device_s)), *outputs, ("aborted", [run.end] * len(device_s))])
-    return Recovered(path, serial, profile, run.end, len(run.output), file)
 
 
 @dataclass(frozen=True)

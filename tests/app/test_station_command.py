@@ -145,3 +145,24 @@ def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
     assert run.end == "cut off"
     assert len(run.output) > 20
     assert not (tmp_path / "A1.csv").exists()
+
+
+def test_serve_performs_an_order_and_gives_the_ports_back(tmp_path):
+    from softcal.app.workflow.station_serve import Serving, serve
+    from softcal.core.lot import Lot
+    from softcal.core.orders import Order, OrderKind, RunState, StationState
+    from softcal.db.connection import open_registry
+
+    with open_registry(f"sqlite:///{tmp_path / 'r.db'}") as registry:
+        registry.add_lot(Lot("L1", "A0", 50.0))
+        queue = registry.order_queue
+
+        def goes_on() -> bool:
+            if not queue.runs("s1"):
+                queue.place(Order("o1", "s1", OrderKind.UNIT, "A1", "L1"))
+            return queue.progress("o1").state.is_active
+
+        serve(registry, Serving("s1", None, 3), tmp_path / "spool", goes_on)
+        assert queue.progress("o1").state is RunState.DONE
+        assert queue.heartbeat("s1").state is StationState.OFF
+        assert [entry.serial for entry in registry.recordings("L1", kind="unit")] == ["A1"]

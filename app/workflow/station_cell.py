@@ -1,0 +1,36 @@
+"""The load cell's scale, found with dead weights and written back into the station."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from softcal.core.errors import InputError
+from softcal.station.bench import open_force
+from softcal.station.cell_calibration import CellCalibration, fit_cell, read_steady
+from softcal.station.clock import HostClock
+from softcal.station.config import StationConfig
+
+
+def calibrate_cell(
+    config: StationConfig, masses_kg: Sequence[float], wait_for: Callable[[float], None]
+) -> tuple[CellCalibration, StationConfig]:
+    """Read the load cell with each weight on it and return its scale, and the station with that scale.
+
+    Args:
+        config: the station; only its load cell is opened.
+        masses_kg: weights in the order they are put on; 0 is the unloaded cell.
+        wait_for: called before each reading, returns when the weight lies still.
+
+    Raises:
+        InputError: the station has no raw load cell, or too few weights.
+        DeviceError: the cell does not answer, or does not follow the weights.
+    """
+    if config.force is None or config.force.kind != "hx711":
+        raise InputError("the station has no HX711 load cell; other gauges carry their own scale")
+    raw = replace(config.force, counts_per_N=1.0, zero_counts=0.0)
+    readings, clock = [], HostClock()
+    with open_force(raw, clock) as reader:
+        for mass_kg in masses_kg:
+            wait_for(mass_kg)
+            readings.append(read_steady(reader, clock))
+    found = fit_cell(masses_kg, [mean for mean, _ in readings], [noise for _, noise in readings])
+    return found, replace(config, force=replace(config.force, counts_per_N=found.per_N, zero_counts=found.zero))
