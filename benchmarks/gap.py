@@ -120,7 +120,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 def line_table(sheet: ScoreSheet) -> str:
     """Every measure of every line with its 95 % interval and its target."""
     rows = []
-    for row in (*sheet.rows, *sheet.shrink.rows):
+    for row in (row for row in (*sheet.rows, *sheet.shrink.rows) if row.count):
         low, high = row.interval
         target = TARGETS.get((row.line, row.measure))
         aim = "" if target is None else f"≥ {target} %"

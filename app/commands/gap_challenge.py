@@ -115,7 +115,7 @@ def _print(sheet: "ScoreSheet") -> None:
     from softcal.app.output import print_table
 
     header = ("line", "measure", "hits", "of", "share", "95 % interval")
-    print_table(header, [_cells(row) for row in (*sheet.rows, *sheet.shrink.rows)])
+    print_table(header, [_cells(row) for row in (*sheet.rows, *sheet.shrink.rows) if row.count])
     sure = sheet.probabilities
     print()
     print_table(

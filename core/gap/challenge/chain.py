@@ -29,7 +29,10 @@ BLOCK_COMPLIANCE_MM_PER_N = 2e-4
 """Compliance of the rigid block and its seat."""
 
 FORCE_TOLERANCE_N = 1e-9
-ROUNDS = 200
+ROUNDS = 400
+RELAXED = 0.6
+"""Share of each correction that is taken; the plain iteration would swing for a frame nearly as soft as the pad."""
+
 NARROWEST = 0.05
 """Smallest 1 − κ·F a rig may reach; beyond it the channel is shut and the model has no answer."""
 
@@ -178,9 +181,9 @@ def _press(rack: Rack, moment: Moment, kind: str, known_force: Callable[[Array],
     for _ in range(ROUNDS):
         squeezed = _squeeze(rack, moment, reach_mm)
         change_N = squeezed.force_N - moment.force_N
-        moment = squeezed
         if not rack.has("yielding") or float(np.max(np.abs(change_N))) < FORCE_TOLERANCE_N:
-            return moment
+            return squeezed
+        moment = replace(moment, force_N=moment.force_N + RELAXED * change_N)
     raise ValueError("the frame is softer than the pad; its compression has no fixed point")
 
 

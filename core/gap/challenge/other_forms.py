@@ -23,10 +23,9 @@ def _square_root_shift(contact_mm: Array, at: Moment, shift_mm: float, tau_s: fl
 
 
 def _hertzian_frame(yielding_mm: Array, at: Moment, compliance_mm_per_N: float) -> Array:
-    """A frame with a joint that closes like F^(2/3), equal to the linear one at 3 N."""
-    return np.asarray(
-        yielding_mm + compliance_mm_per_N * 3.0 ** (1.0 / 3.0) * np.maximum(0.0, at.force_N) ** (2.0 / 3.0)
-    )
+    """A frame with a joint that closes about like F^(2/3), equal to the linear one at 3 N."""
+    force_N = np.maximum(0.0, at.force_N)
+    return np.asarray(yielding_mm + compliance_mm_per_N * force_N * (3.05 / (force_N + 0.05)) ** (1.0 / 3.0))
 
 
 def _toe(compression_mm: Array, at: Moment, length_mm: float) -> Array:
