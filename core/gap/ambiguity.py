@@ -23,7 +23,11 @@ def rivals(fits: Mapping[tuple[str, ...], Fit], best: Fit, dispersion: float) ->
     kept: list[Fit] = [best]
     for found in near:
         ids = set(found.hypothesis.ids)
-        if found is best or not ids or any(ids > set(other.hypothesis.ids) for other in kept):
+        if (
+            found.hypothesis.ids == best.hypothesis.ids
+            or not ids
+            or any(ids > set(other.hypothesis.ids) for other in kept)
+        ):
             continue
         kept.append(found)
     return tuple(kept[:MOST_RIVALS])

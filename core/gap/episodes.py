@@ -8,6 +8,7 @@ import numpy as np
 from softcal.core.gap.candidates import Extent
 from softcal.core.gap.case import Mask
 from softcal.core.gap.fit import Block, Episodes, Fit, Hypothesis, fit, start_coordinates
+from softcal.core.gap.forms import CLIPPED_BELOW
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
@@ -249,25 +250,34 @@ def _hum(flow: Flow, values: Sequence[float], _: Memory) -> None:
     flow.output_V = flow.output_V + sine * np.sin(angle) + cosine * np.cos(angle)
 
 
-def with_clipping(found: Fit, extent: Extent) -> Fit | None:
-    """Add `adc_saturation`: fit the rest without the flat tops first, then set the level at the tops."""
+def with_clipping(found: Fit, extent: Extent, side: int = 1) -> Fit | None:
+    """Add `adc_saturation`: fit the rest without the flat tops first, then set the level at the tops.
+
+    Args:
+        side: 1 for a ceiling, −1 for a floor.
+    """
     problem = found.problem
     blocks = [b for b in _output_blocks(found) if problem.case.runs[b.run].kind == "press"]
     if not blocks:
         return None
-    margin_V = max(3 * problem.sigma["output_V"], 1.5 * problem.case.readout.step_V)
+    # Noise on a flat top reaches 3.5 σ above it and as far below.
+    margin_V = 7 * problem.sigma["output_V"] + problem.case.readout.step_V
     near = np.zeros(len(problem.measured), dtype=np.bool_)
     for block in blocks:
-        near[block.place] = problem.measured[block.place] > extent.highest_V - margin_V
-    if not 8 <= np.count_nonzero(near) < 0.4 * len(near):
+        if side > 0:
+            near[block.place] = problem.measured[block.place] > extent.highest_V - margin_V
+        else:
+            near[block.place] = problem.measured[block.place] < extent.lowest_V + margin_V
+    if not 8 <= np.count_nonzero(near) < 0.7 * len(near):
         return None
     open_use = ~near if problem.use is None else problem.use * ~near
     rest = fit(problem.seeing(open_use.astype(np.float64)), found.hypothesis, found.coordinates)
-    over = near & (rest.predicted > problem.measured)
-    excess = ((rest.predicted - problem.measured) / problem.noise)[over]
+    excess = side * (rest.predicted - problem.measured) / problem.noise
+    over = near & (excess > 0)
+    excess = excess[over]
     if np.count_nonzero(excess > 3) < 3:
         return None
     level_V = float(np.median(problem.measured[over]))
-    effect = EFFECTS["adc_saturation"]
+    effect = EFFECTS["adc_saturation"] if side > 0 else CLIPPED_BELOW
     start = np.concatenate([rest.coordinates, start_coordinates([effect], [[level_V]])])
     return fit(problem, found.hypothesis.adding(effect), start)

@@ -24,6 +24,9 @@ BASE = (
 DIFFERENCE = 2e-4
 """Step of a numerical derivative, in units of the parameter's usual size: above the corners of play and clipping."""
 
+EPISODE_COST = 5
+"""Parameters an episode counts as in Schwarz's criterion: two times, a size, and the places it was not found in."""
+
 Episodes = tuple[Mapping[str, Array], ...]
 
 
@@ -74,7 +77,7 @@ class Hypothesis:
 
     @property
     def episode_count(self) -> int:
-        """How many episodes were placed; each costs as much as two parameters."""
+        """How many episodes were placed."""
         return sum(len(rows) for run in self.episodes for rows in run.values())
 
     def split(self, coordinates: Array) -> tuple[BaseParameters, list[list[float]]]:
@@ -240,9 +243,9 @@ class Fit:
 
     @property
     def parameter_count(self) -> int:
-        """Free parameters, an episode counted as two."""
+        """Free parameters; an episode counts as many, for it was searched for all over the runs."""
         added = sum(len(effect.parameters) for effect in self.hypothesis.effects)
-        return int(self.problem.is_free.sum()) + added + 2 * self.hypothesis.episode_count
+        return int(self.problem.is_free.sum()) + added + EPISODE_COST * self.hypothesis.episode_count
 
     @property
     def bic(self) -> float:

@@ -3,10 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from softcal.core.gap.candidates import Extent, probes, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.episodes import with_bad_contacts, with_clipping, with_hum, with_lost_samples
-from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit, start_coordinates
+from softcal.core.gap.forms import FORMS, Form
+from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import screen
 from softcal.core.gap.start import base_fit, noise_levels, with_driving_noise
 
@@ -22,12 +26,22 @@ class SearchConfig:
         beam: hypotheses of one, two effects that are grown further.
         gain: a lead must promise this drop of χ² to be fitted (a third of it for the first effect).
         relative_gain: and this share of the χ² that the best lead promises.
+        with_forms: single causes whose other realisations are tried where the catalogue's leave structure.
+        enough: share of the gap that one cause must explain to be named although structure is left.
+        clean: share of the gap beyond which what one cause leaves does not matter, however significant it is.
+        several_clean: the same for several causes, which are more flexible.
+        patch: share of the gap that steps placed freely in time must take away.
     """
 
     leads: tuple[int, ...] = (9, 6, 4)
     beam: tuple[int, ...] = (3, 3)
     gain: float = 14.0
     relative_gain: float = 0.02
+    with_forms: int = 3
+    enough: float = 0.85
+    clean: float = 0.998
+    several_clean: float = 0.9995
+    patch: float = 0.005
 
 
 class Search:
@@ -42,6 +56,8 @@ class Search:
         self._probes = probes(case, self._extent)
         self._visible = set(visible_effects(case))
         self.fits: dict[tuple[str, ...], Fit] = {(): self.base}
+        self.best = self.base
+        self.considered = self.fits
 
     def run(self) -> None:
         """Grow the hypotheses until no effect promises anything more."""
@@ -51,11 +67,51 @@ class Search:
             grown = [child for parent in parents for child in self._grow(parent, leads)]
             if not grown:
                 break
-            self._settle_noise(self.best)
-            if size == len(self._config.leads) or not self._is_wanting(self.best):
+            self._settle_noise(self._leader)
+            if size == len(self._config.leads) or not self._is_wanting(self._leader):
                 break
             ranked = sorted((f for f in self.fits.values() if len(f.hypothesis.ids) == size), key=lambda f: f.bic)
             parents = ranked[: self._config.beam[size - 1]]
+        self._conclude()
+
+    def _conclude(self) -> None:
+        """Choose among catalogue equations and other realisations; nothing that leaves structure by several causes.
+
+        Several causes that together still leave structure are a sign of a cause that acts by another equation, or of
+        one outside the catalogue: then a single cause that explains most of the gap is named, or none.
+        """
+        self.best, self.considered = self._leader, self.fits
+        if len(self.best.hypothesis.ids) < 2 and self.is_clean(self.best):
+            return
+        self._say("fitting other realisations of the likely causes")
+        self._try_forms()
+        self.best = self._leader
+        if len(self.best.hypothesis.ids) < 2 or self.is_clean(self.best):
+            return
+        singles = {i: f for i, f in self.fits.items() if len(i) < 2 and not self._is_patchwork(f)}
+        one = min((f for ids, f in singles.items() if ids), key=lambda f: f.bic)
+        if self.share(one) >= self._config.enough:
+            self.best, self.considered = one, singles
+
+    def _is_worth_patching(self, parent: Fit, steps: Fit) -> bool:
+        """Steps placed freely in time take a little off any structure; they must take a visible part of the gap."""
+        excess = max(self.base.chi2 - self.base.problem.count, 0.0)
+        return parent.chi2 - steps.chi2 > self._config.patch * excess
+
+    def _is_patchwork(self, found: Fit) -> bool:
+        """Whether steps placed freely in time stand for a structure they do not end."""
+        return "intermittent_contact" in found.hypothesis.ids and not self.is_clean(found)
+
+    def share(self, found: Fit) -> float:
+        """Return which share of the excess of the base over the noise a hypothesis takes away."""
+        excess = self.base.chi2 - self.base.problem.count
+        return 1.0 - (found.chi2 - found.problem.count) / excess if excess > 0 else 1.0
+
+    def is_clean(self, found: Fit) -> bool:
+        """Whether nothing is left that matters: no structure, or hardly any of what there was."""
+        several = len(found.hypothesis.ids) > 1
+        enough = self._config.several_clean if several else self._config.clean
+        return not structure(found).is_significant or self.share(found) > enough
 
     @property
     def depth_mm(self) -> float:
@@ -68,8 +124,22 @@ class Search:
         return self._extent.force_N
 
     @property
-    def best(self) -> Fit:
+    def _leader(self) -> Fit:
         return min(self.fits.values(), key=lambda f: f.bic)
+
+    def _try_forms(self) -> None:
+        """Fit the other realisations of the best single causes."""
+        singles = sorted((f for ids, f in self.fits.items() if len(ids) == 1), key=lambda f: f.bic)
+        likely = [f for f in singles if self.share(f) > 0.4 * self.share(singles[0])] if singles else []
+        for found in likely[: self._config.with_forms]:
+            for form in FORMS.get(found.hypothesis.ids[0], ()):
+                self.keep(self._in_form(found, form))
+        self._settle_noise(self._leader)
+
+    def _in_form(self, found: Fit, form: Form) -> Fit:
+        start = start_coordinates([form.effect], [form.start(found.effect_values[0])])
+        hypothesis = Hypothesis((form.effect,), found.hypothesis.episodes)
+        return fit(found.problem, hypothesis, np.concatenate([found.coordinates[: len(BASE)], start]), steps=30)
 
     def _is_wanting(self, found: Fit) -> bool:
         """Whether any further effect promises enough, or must be placed to know."""
@@ -105,11 +175,12 @@ class Search:
         if "dropped_samples" in missing:
             found.append(with_lost_samples(parent))
         if "intermittent_contact" in missing:
-            found.append(with_bad_contacts(parent))
+            steps = with_bad_contacts(parent)
+            found.append(steps if steps is not None and self._is_worth_patching(parent, steps) else None)
         if "mains_hum" in missing:
             found.append(with_hum(parent))
         if "adc_saturation" in missing:
-            found.append(with_clipping(parent, self._extent))
+            found += [with_clipping(parent, self._extent, side) for side in (1, -1)]
         return [f for f in found if f is not None]
 
     def _settle_noise(self, best: Fit) -> None:

@@ -11,6 +11,12 @@ TRIMMED = 0.02
 """Share of the largest squared differences left out of a noise estimate: steps and drop-outs are not noise."""
 
 
+COARSE = 0.3
+"""Share of rounding in the variance of the output above which the ADC is coarse."""
+
+LONGEST_PLATEAU = 25.0
+
+
 def base_fit(case: Case) -> Fit:
     """Fit the base alone to all runs, with noise levels taken from its own residual."""
     problem = Problem(case, _first_noise(case))
@@ -39,9 +45,24 @@ def noise_levels(found: Fit) -> dict[str, float]:
         variance = float(np.mean(kept)) / 0.873
         if channel == "output_V" and problem.extra_variance is not None:
             variance = max(0.0, variance - float(np.mean(_of_channel(problem, problem.extra_variance, channel))))
-        floor = problem.case.readout.step_V / np.sqrt(12) if channel == "output_V" else 1e-6
-        levels[channel] = max(float(np.sqrt(variance)), floor)
+        if channel == "output_V":
+            variance = _with_rounding(problem, variance)
+        levels[channel] = max(float(np.sqrt(variance)), 1e-6)
     return levels
+
+
+def _with_rounding(problem: Problem, variance: float) -> float:
+    """Return the effective variance of an output whose ADC is coarse against its noise.
+
+    The error of rounding stays the same while the code stays the same: its share of the variance counts as many times
+    as samples stand on one code, up to `LONGEST_PLATEAU`.
+    """
+    rounding = problem.case.readout.step_V**2 / 12
+    variance = max(variance, rounding)
+    outputs = [problem.measured[b.place] for b in problem.blocks if b.channel == "output_V"]
+    changes = sum(int(np.count_nonzero(np.diff(v))) for v in outputs)
+    plateau = min(sum(len(v) for v in outputs) / (changes + 1), LONGEST_PLATEAU)
+    return variance + rounding * (plateau - 1.0) if rounding > COARSE * variance else variance
 
 
 def with_driving_noise(problem: Problem, found: Fit) -> Problem:
