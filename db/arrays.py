@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
-from sqlalchemy import Connection, insert, select
+from sqlalchemy import Connection, bindparam, insert, select
 
 from softcal.core.errors import RegistryError
 from softcal.db.tables import blobs
 
 Arrays = Mapping[str, NDArray[np.generic]]
 
+KNOWN_BLOB = select(blobs.c.size).where(blobs.c.sha256 == bindparam("sha"))
 LARGEST_BYTES = 512 * 1024 * 1024
 """Far above any recording or map of a line, below what both databases take as one value."""
 
@@ -42,9 +43,15 @@ def put_bytes(connection: Connection, kind: str, content: bytes) -> str:
     if len(content) > LARGEST_BYTES:
         raise RegistryError(f"{len(content)} bytes are too many for one value; at most {LARGEST_BYTES} are kept")
     sha256 = hashlib.sha256(content).hexdigest()
-    if connection.execute(select(blobs.c.size).where(blobs.c.sha256 == sha256)).first() is None:
-        connection.execute(insert(blobs).values(sha256=sha256, kind=kind, size=len(content), data=content))
+    if not has_blob(connection, sha256):
+        row = {"sha256": sha256, "kind": kind, "size": len(content), "data": content}
+        connection.execute(insert(blobs), row)
     return sha256
+
+
+def has_blob(connection: Connection, sha256: str) -> bool:
+    """Whether bytes of this hash are stored, without reading them."""
+    return connection.execute(KNOWN_BLOB, {"sha": sha256}).first() is not None
 
 
 def get_bytes(connection: Connection, sha256: str) -> bytes:

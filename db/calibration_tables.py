@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import Connection, RowMapping, func, select
+from sqlalchemy import Connection, RowMapping, bindparam, func, select
 
 from softcal.core.calibration import CalibrationRecord
 from softcal.core.errors import InputError
@@ -33,6 +33,11 @@ PLAIN_FIELDS = (
 NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), calibrations.c.origin.desc())
 """The rule for the calibration in use: the newest. No registry writes a revision older than the one it follows."""
 
+KNOWN_NETWORK = select(networks.c.id).where(networks.c.id == bindparam("network"))
+LAST_REVISION = select(
+    func.max(calibrations.c.revision).label("revision"), func.max(calibrations.c.made_at).label("made_at")
+).where(calibrations.c.serial == bindparam("unit"))
+
 
 class CalibrationTables(RegistryBase):
     """The part of the registry that knows calibrations."""
@@ -47,7 +52,7 @@ class CalibrationTables(RegistryBase):
         """
         with self.database.writing() as connection:
             self._lot_row(connection, lot_id)
-            if connection.execute(select(networks.c.id).where(networks.c.id == record.network_id)).first() is None:
+            if connection.execute(KNOWN_NETWORK, {"network": record.network_id}).first() is None:
                 raise InputError(f"network {record.network_id[:12]} is not in the registry; add it before its maps")
             self._add_unit(connection, lot_id, record.serial, "target", actor)
             values = {field: getattr(record, field) for field in PLAIN_FIELDS} | {
@@ -141,9 +146,7 @@ class CalibrationTables(RegistryBase):
         reason: str,
         before: Mapping[str, object] | None = None,
     ) -> int:
-        c = calibrations.c
-        query = select(func.max(c.revision).label("revision"), func.max(c.made_at).label("made_at"))
-        newest = connection.execute(query.where(c.serial == values["serial"])).one()
+        newest = connection.execute(LAST_REVISION, {"unit": values["serial"]}).one()
         revision = (newest.revision or 0) + 1
         new = {
             "revision": revision,

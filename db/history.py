@@ -8,7 +8,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from datetime import date, datetime
 
-from sqlalchemy import Connection, Table, insert, select
+from sqlalchemy import Connection, Table, bindparam, insert, select
 
 from softcal.core.errors import RegistryError
 from softcal.db.entries import AuditRow
@@ -16,6 +16,10 @@ from softcal.db.tables import TOLD_BY_HASH, audit, canonical_json
 
 FIRST_HASH = "0" * 64
 Values = Mapping[str, object]
+NEWEST = (
+    select(audit.c.seq, audit.c.hash).where(audit.c.origin == bindparam("chain")).order_by(audit.c.seq.desc()).limit(1)
+)
+"""Built once, as every write needs it: building a statement takes longer than running it."""
 
 
 def append(
@@ -48,7 +52,7 @@ def append(
         hash="",
     )
     row = row.with_hash(row_hash(row))
-    connection.execute(insert(audit).values(**vars(row)))
+    connection.execute(insert(audit), vars(row))
     return row
 
 
@@ -91,8 +95,7 @@ def chain_faults(trail: Iterator[AuditRow]) -> Iterator[str]:
 
 def head(connection: Connection, origin: str) -> tuple[int, str]:
     """Return number and hash of the newest row of a chain."""
-    query = select(audit.c.seq, audit.c.hash).where(audit.c.origin == origin).order_by(audit.c.seq.desc()).limit(1)
-    newest = connection.execute(query).first()
+    newest = connection.execute(NEWEST, {"chain": origin}).first()
     return (0, FIRST_HASH) if newest is None else (newest.seq, newest.hash)
 
 

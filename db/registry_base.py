@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Any, Protocol
 
-from sqlalchemy import Connection, RowMapping, Table, insert, select
+from sqlalchemy import Connection, RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import InputError
 from softcal.db import history
@@ -13,6 +13,8 @@ from softcal.db.database import Database
 from softcal.db.tables import lots, registry_info, units
 
 TICK = timedelta(microseconds=1)
+KNOWN_LOT = select(lots).where(lots.c.id == bindparam("lot"))
+KNOWN_UNIT = select(units.c.role).where(units.c.lot_id == bindparam("lot"), units.c.serial == bindparam("unit"))
 
 
 class Clock(Protocol):
@@ -60,7 +62,7 @@ class RegistryBase:
         before: Mapping[str, object] | None = None,
     ) -> None:
         """Insert one row together with the row of the audit trail that tells of it."""
-        connection.execute(insert(table).values(**values))
+        connection.execute(insert(table), dict(values))
         key = history.row_key(table, values)
         at, who, after = self.settings.clock(), self._actor(actor), history.told(table, values)
         history.append(
@@ -76,15 +78,14 @@ class RegistryBase:
         return now if previous is None else max(now, previous + TICK)
 
     def _lot_row(self, connection: Connection, lot_id: str) -> RowMapping:
-        row = connection.execute(select(lots).where(lots.c.id == lot_id)).mappings().first()
+        row = connection.execute(KNOWN_LOT, {"lot": lot_id}).mappings().first()
         if row is None:
             known = connection.execute(select(lots.c.id).order_by(lots.c.id).limit(6)).scalars().all()
             raise InputError(f"lot {lot_id!r} is not in the registry; it holds {_some(known)}")
         return row
 
     def _add_unit(self, connection: Connection, lot_id: str, serial: str, role: str, actor: str | None) -> None:
-        where = (units.c.lot_id == lot_id, units.c.serial == serial)
-        if connection.execute(select(units.c.role).where(*where)).first() is None:
+        if connection.execute(KNOWN_UNIT, {"lot": lot_id, "unit": serial}).first() is None:
             values = {"lot_id": lot_id, "serial": serial, "role": role, "added_at": self.settings.clock()}
             self._store(connection, units, values, "add", actor)
 

@@ -15,7 +15,7 @@ from sqlalchemy import Connection, Date, Table, and_, func, insert, select
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.db import history
-from softcal.db.arrays import get_bytes
+from softcal.db.arrays import get_bytes, has_blob, put_bytes
 from softcal.db.entries import AuditRow
 from softcal.db.registry import Registry
 from softcal.db.tables import AUDITED, UtcTime, audit, blobs, calibrations, limits, metadata
@@ -71,7 +71,7 @@ def _send(source: Registry, target: Registry) -> int:
                     if entry.entity in AUDITED:
                         table = metadata.tables[entry.entity]
                         _copy(rows, connection, table, _key_values(table, entry.key))
-                    connection.execute(insert(audit).values(**vars(entry)))
+                connection.execute(insert(audit), [vars(entry) for entry in chunk])
             sent += len(chunk)
     return sent
 
@@ -111,18 +111,15 @@ def _copy(source: Connection, target: Connection, table: Table, key: dict[str, A
         parent = {element.column.name: row[element.parent.name] for element in constraint.elements}
         if None not in parent.values():
             _copy_parent(source, target, constraint.referred_table, parent)
-    target.execute(insert(table).values(**row))
+    target.execute(insert(table), dict(row))
 
 
 def _copy_parent(source: Connection, target: Connection, table: Table, key: dict[str, Any]) -> None:
     if table is not blobs:
         _copy(source, target, table, key)
         return
-    sha256 = key["sha256"]
-    if target.execute(select(blobs.c.size).where(blobs.c.sha256 == sha256)).first() is None:
-        kind = source.execute(select(blobs.c.kind).where(blobs.c.sha256 == sha256)).scalar_one_or_none()
-        content = get_bytes(source, sha256)
-        target.execute(insert(blobs).values(sha256=sha256, kind=kind, size=len(content), data=content))
+    if not has_blob(target, key["sha256"]):
+        put_bytes(target, "synced", get_bytes(source, key["sha256"]))
 
 
 def _key_values(table: Table, key: str) -> dict[str, Any]:

@@ -1,0 +1,69 @@
+"""How long a person waits for a registry of 10,000 units: list, one unit, verify, backup, first synchronisation.
+
+python benchmarks/registry_list.py [--quick]
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from registry_common import DATABASES, begin_lot, fresh_url, print_markdown, record
+
+from softcal.db.backup import back_up
+from softcal.db.connection import open_registry
+from softcal.db.registry import Registry
+from softcal.db.sync import synchronise
+
+CHUNK = 100
+
+
+def timed(action: Callable[[], object], times: int = 1) -> float:
+    """Return the median of a few runs in seconds."""
+    seconds = []
+    for _ in range(times):
+        start_s = time.perf_counter()
+        action()
+        seconds.append(time.perf_counter() - start_s)
+    return statistics.median(seconds)
+
+
+def fill(registry: Registry, units: int) -> None:
+    """Register calibrated units, a hundred per transaction as `batch` does."""
+    network_id = begin_lot(registry)
+    for start in range(0, units, CHUNK):
+        with registry.transaction():
+            for number in range(start, min(start + CHUNK, units)):
+                registry.add_calibration("bench", record(f"U{number:06d}", number, network_id))
+
+
+def measure(kind: str, units: int) -> tuple[object, ...]:
+    """Fill a registry and measure what a person waits for."""
+    with fresh_url(kind) as url, open_registry(url) as registry, tempfile.TemporaryDirectory() as folder:
+        fill_s = timed(lambda: fill(registry, units))
+        list_s = timed(lambda: registry.units("bench"), 5)
+        unit_s = timed(lambda: registry.calibration(f"U{units // 2:06d}"), 21)
+        verify_s = timed(registry.verify)
+        backup = Path(folder) / "backup.db"
+        backup_s = timed(lambda: back_up(registry.database, backup))
+        with fresh_url("PostgreSQL") as other_url, open_registry(other_url) as other:
+            sync_s = timed(lambda: synchronise(registry, other))
+            again_s = timed(lambda: synchronise(registry, other))
+        size_MB = backup.stat().st_size / 1e6
+    return kind, units, units / fill_s, 1e3 * list_s, 1e3 * unit_s, verify_s, backup_s, size_MB, sync_s, again_s
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="500 units instead of 1,000 and 10,000")
+    options = parser.parse_args()
+    header = ("database", "units", "registered/s", "list ms", "one unit ms", "verify s", "backup s", "backup MB",
+              "first sync to PostgreSQL s", "sync with nothing new s")  # fmt: skip
+    sizes = (500,) if options.quick else (1_000, 10_000)
+    print_markdown(header, [measure(kind, units) for kind in DATABASES for units in sizes])
+
+
+if __name__ == "__main__":
+    main()
