@@ -1,0 +1,63 @@
+"""The paper's two eGaIn sensors, both directions: f and map from rows 0-799, tested on rows 800-1199.
+
+python benchmarks/maps_egain.py [--quick]
+"""
+
+import argparse
+
+import numpy as np
+from map_methods import METHODS, egain, own_error, print_table
+from scipy.optimize import minimize
+
+from softcal.core.maps.affine import AffineMap
+from softcal.core.maps.interface import FitProblem
+from softcal.core.metrics import rmse
+from softcal.core.network import Network
+from softcal.core.recording import LabelledRecording
+from softcal.core.training import NetworkConfig, fit_network
+
+FIT, TEST = (0, 800), (800, 1200)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="one seed instead of five")
+    seeds = range(1 if parser.parse_args().quick else 5)
+    columns = {direction: run(*direction, seeds) for direction in (("S1", "S2"), ("S2", "S1"))}
+    first, second = columns.values()
+    rows = [(name, *first[name], *second[name]) for name in first]
+    print_table(("method", "S1 to S2, N", "after / own", "S2 to S1, N", "after / own"), rows)
+
+
+def run(source: str, target: str, seeds: range) -> dict[str, tuple[float, float]]:
+    """Median error over seeds and its ratio to own calibration, per method."""
+    train, unit, test = egain(source).part(*FIT), egain(target).part(*FIT), egain(target).part(*TEST)
+    errors: dict[str, list[float]] = {}
+    for seed in seeds:
+        network = fit_network(train, NetworkConfig(seed=seed)).network
+        problem = FitProblem(train, network, unit.unlabelled, seed=seed)
+        errors.setdefault("own calibration", []).append(own_error(unit, test, NetworkConfig(seed=seed)))
+        errors.setdefault("affine, with the unit's labels", []).append(labelled_affine(network, unit, test))
+        for name, method in METHODS.items():
+            errors.setdefault(name, []).append(rmse(method(problem, test), test.window_reference))
+    own = float(np.median(errors["own calibration"]))
+    return {name: (float(np.median(values)), float(np.median(values)) / own) for name, values in errors.items()}
+
+
+def labelled_affine(network: Network, unit: LabelledRecording, test: LabelledRecording) -> float:
+    """Error of the affine map that is best on the fit rows when their labels are looked at: a floor, not a method."""
+    rest = float(np.quantile(unit.unlabelled.output, 0.02))
+
+    def mapped(theta: np.ndarray, recording: LabelledRecording) -> np.ndarray:
+        return AffineMap(theta[0], network.output_mean + theta[1] - theta[0] * rest).apply(recording.windows)
+
+    def error(theta: np.ndarray) -> float:
+        return rmse(network.evaluate(mapped(theta, unit)), unit.window_reference)
+
+    starts = [(g, -network.output_scale) for g in (0.6, 1.0, 1.7)]
+    best = min((minimize(error, start, method="Nelder-Mead") for start in starts), key=lambda found: found.fun)
+    return rmse(network.evaluate(mapped(best.x, test)), test.window_reference)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""Simulated lots whose units were pressed otherwise than the source: lighter, harder, half the range, other dwell.
+
+python benchmarks/maps_shift.py [--quick] [--units N]
+"""
+
+import argparse
+
+from map_methods import METHODS, own_error, print_table, summary
+
+from softcal.core.maps.choose import choose_map
+from softcal.core.maps.interface import FitProblem
+from softcal.core.metrics import rmse
+from softcal.core.simulated_lot import SHIFTS, LotDesign, simulate_lot
+from softcal.core.training import NetworkConfig, fit_network
+
+NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, batch=128)
+"""Smaller than the paper's for f and own calibrations alike, so that hundreds of units fit in minutes."""
+
+SHOWN = ("before (no map)", "softcal default", "monotone", "ot.da.EMDTransport", "ot.da.LinearTransport")
+UNITS_PER_LOT = 5
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="one lot of five units per line")
+    parser.add_argument("--units", type=int, default=100)
+    options = parser.parse_args()
+    lots = 1 if options.quick else max(1, options.units // UNITS_PER_LOT)
+    for has_stage in (True, False):
+        rows = [(shift, *line(shift, has_stage, lots)) for shift in SHIFTS]
+        print(f"Stage position {'known' if has_stage else 'unknown'}, after / own, median (95 %):\n")
+        print_table(("load of the units", *SHOWN, "families taken"), rows)
+
+
+def line(shift: str, has_stage: bool, lots: int) -> list[str]:
+    """One kind of shift: median and 95th percentile per method, and what the default chose."""
+    ratios: dict[str, list[float]] = {}
+    taken: dict[str, int] = {}
+    for seed in range(lots):
+        lot = simulate_lot(seed, LotDesign(good=UNITS_PER_LOT, shift=shift, has_stage=has_stage))
+        network = fit_network(lot.source, NETWORK).network
+        for unit in lot.units:
+            cut = 3 * len(unit.audit) // 4
+            train, test = unit.audit.part(0, cut), unit.audit.part(cut, len(unit.audit))
+            problem, own = FitProblem(lot.source, network, unit.recording), own_error(train, test, NETWORK)
+            for name in SHOWN:
+                ratios.setdefault(name, []).append(rmse(METHODS[name](problem, test), test.window_reference) / own)
+            chosen = choose_map(problem).family
+            taken[chosen] = taken.get(chosen, 0) + 1
+    cells = [summary(ratios[name]) for name in SHOWN]
+    return [f"{m:.2f} ({p:.2f})" for m, p, _ in cells] + [", ".join(f"{k} {v}" for k, v in sorted(taken.items()))]
+
+
+if __name__ == "__main__":
+    main()
