@@ -106,8 +106,8 @@ def column(table: "pd.DataFrame", name: str, path: Path) -> Array:
         row = int(bad[0])
         more = f" ({len(bad)} such rows)" if len(bad) > 1 else ""
         raise InputError(
-            f"{path}: line {row + 2}, column {name!r}: {shown(raw.iloc[row])} where a finite number was expected{more}; "
-            "measure again, or remove the row if it was never a sample"
+            f"{path}: line {row + 2}, column {name!r}: {shown(raw.iloc[row])} where a finite number was expected"
+            f"{more}; measure again, or remove the row if it was never a sample"
         )
     return values
 
