@@ -55,7 +55,7 @@ class StationHost:
             InputError: another process serves this station.
         """
         queue = self.registry.order_queue
-        self._beat(force=True)
+        self._beat(at_once=True)
         queue.interrupt(self.station, "the station's service was started again; press the unit again")
         try:
             self._service.start()
@@ -63,7 +63,7 @@ class StationHost:
                 self._turn()
         finally:
             self._service.close()
-            self._beat(force=True)
+            self._beat(at_once=True)
 
     def _turn(self) -> None:
         """Do one order, or wait a moment for one."""
@@ -150,8 +150,8 @@ class StationHost:
         self._say(Progress(order.order_id, RunState.DONE, message=message))
         return is_stop
 
-    def _beat(self, force: bool = False) -> None:
-        if not force and time.monotonic() - self._beaten_s < BEAT_S:
+    def _beat(self, at_once: bool = False) -> None:
+        if not at_once and time.monotonic() - self._beaten_s < BEAT_S:
             return
         self._beaten_s = time.monotonic()
         service = self._service

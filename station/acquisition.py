@@ -220,9 +220,9 @@ class _Run:
             gone_s = now_s - self._began_s
             self._tell(min(0.99, gone_s / self._total_s), max(0.0, self._total_s - gone_s))
 
-    def _check(self, output: Sequence[Sample], force: Sequence[Sample]) -> None:
+    def _check(self, output: Sequence[Sample], cell: Sequence[Sample]) -> None:
         pressed_mm = self._pressed_mm()
-        for sample in force:
+        for sample in cell:
             self._force_watch.check(sample)
             self._follow_watch.check(sample.values[0] - self._force_watch.zero_N, pressed_mm, sample.host_s)
             self._watches["force"].check(sample, pressed_mm)

@@ -20,16 +20,16 @@ class Search:
     Args:
         fixture: what counts as contact.
         has_force: whether a load cell reads.
-        force, output: everything read so far; both lists grow while the search goes on.
+        cell, output: everything read so far; both lists grow while the search goes on.
     """
 
     def __init__(
-        self, fixture: FixtureConfig, has_force: bool, force: Sequence[Sample], output: Sequence[Sample]
+        self, fixture: FixtureConfig, has_force: bool, cell: Sequence[Sample], output: Sequence[Sample]
     ) -> None:
         self._fixture, self._has_force = fixture, has_force
-        self._force, self._output = force, output
-        self._seen_force, self._seen_output = len(force), len(output)
-        self._free_N, self._free_output = _unloaded(force), _unloaded(output)
+        self._cell, self._output = cell, output
+        self._seen_cell, self._seen_output = len(cell), len(output)
+        self._free_N, self._free_output = _unloaded(cell), _unloaded(output)
 
     def contact_s(self) -> float | None:
         """Return the host time of the first sample that shows contact, None while there is none.
@@ -37,7 +37,7 @@ class Search:
         Raises:
             BadReply: the output shows contact, the load cell does not.
         """
-        new, self._seen_force = self._force[self._seen_force :], len(self._force)
+        new, self._seen_cell = self._cell[self._seen_cell :], len(self._cell)
         for sample in new:
             if abs(sample.values[0] - self._free_N) > self._fixture.contact_N:
                 return sample.host_s

@@ -154,7 +154,7 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
     moves = [DrivenMove(Trapezoid(*row[:4]), *row[4:]) for row in facts.moves]
     track = reconstruct([poll for poll in raw.polls if poll.host_s >= moves[0].begun_s], moves)
     stage_mm = track.at(host_s) - facts.zero_mm
-    force_N, force = _force_at(host_s, raw.force, facts.zero_N)
+    force_N, cell = _force_at(host_s, raw.force, facts.zero_N)
     return StationRecording(
         facts.serial,
         facts.profile,
@@ -168,7 +168,7 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
         facts.zero_N,
         facts.zero_return_N,
         lost,
-        _alignment(sensor, force, track, output[:, 0], stage_mm, force_N, facts.sample_rate_Hz),
+        _alignment(sensor, cell, track, output[:, 0], stage_mm, force_N, facts.sample_rate_Hz),
     )
 
 
@@ -220,7 +220,7 @@ def _force_at(host_s: Array, samples: Sequence[Sample], zero_N: float) -> tuple[
 
 def _alignment(
     sensor: ClockFit,
-    force: ClockFit | None,
+    cell: ClockFit | None,
     track: StageTrack,
     output: Array,
     stage_mm: Array,
@@ -229,9 +229,9 @@ def _alignment(
 ) -> Alignment:
     return Alignment(
         sensor.rate - 1,
-        float("nan") if force is None else force.rate - 1,
+        float("nan") if cell is None else cell.rate - 1,
         sensor.late_s,
-        float("nan") if force is None else force.late_s,
+        float("nan") if cell is None else cell.late_s,
         float("nan") if force_N is None else residual_offset_s(force_N, output, rate_Hz),
         residual_offset_s(np.maximum(stage_mm, 0.0), output, rate_Hz),
         track.residual_mm,

@@ -87,18 +87,18 @@ class Spool:
         if error is None:
             self._check()
 
-    def append(self, output: Sequence[Sample], force: Sequence[Sample], polls: Sequence[StagePosition]) -> None:
+    def append(self, output: Sequence[Sample], cell: Sequence[Sample], polls: Sequence[StagePosition]) -> None:
         """Add what was read since the last call.
 
         Raises:
             DeviceError: an earlier line could not be written (disk full, disk gone).
         """
         self._check()
-        if output or force or polls:
+        if output or cell or polls:
             self._put(
                 {
                     "output": [(s.host_s, s.device_s, *s.values) for s in output],
-                    "force": [(s.host_s, s.device_s, *s.values) for s in force],
+                    "force": [(s.host_s, s.device_s, *s.values) for s in cell],
                     "polls": [(p.host_s, p.position_mm) for p in polls],
                 }
             )

@@ -54,12 +54,8 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
     if serving.override is not None:
         facts = {"until": serving.override.until.isoformat()}
         registry.add_event("override", "station_gate", (serving.station,), facts, reason=serving.override.reason)
-    profiles = {
-        kind: profile_for(
-            "source" if kind is OrderKind.SOURCE else "unit", serving.profile_seed, None, serving.depth_mm
-        )
-        for kind in (OrderKind.SOURCE, OrderKind.UNIT, OrderKind.GOLDEN)
-    }
+    source, unit = (profile_for(kind, serving.profile_seed, None, serving.depth_mm) for kind in ("source", "unit"))
+    profiles = {OrderKind.SOURCE: source, OrderKind.UNIT: unit, OrderKind.GOLDEN: unit}
 
     def make_service(hooks: Hooks) -> StationService:
         opened = partial(chosen_bench, serving.station_file, serving.simulated_seed)

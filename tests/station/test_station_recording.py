@@ -1,8 +1,11 @@
 """A whole run on the simulated rig: what is recorded is what happened."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from softcal.core.errors import CommandRefused
 from softcal.core.profiles import ramps, unit_profile
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.station.acquisition import record
@@ -70,3 +73,35 @@ def test_every_dialect_records_the_same_unit(stage, force):
     force_N, output_V = simulate(Twin(), recording.t_s, recording.stage_mm + surface_mm)
     assert np.sqrt(np.mean((recording.force_N - force_N) ** 2)) < 0.06
     assert np.sqrt(np.mean((recording.output[:, 0] - output_V) ** 2)) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("profile", "message"),
+    [(ramps([2.0], 11.0), "11 mm/s, the station allows 10 mm/s"), (ramps([9.0], 2.0), "goes to 9 mm")],
+)
+def test_a_profile_beyond_the_bounds_moves_nothing(profile, message):
+    with open_simulated_bench(seed=1) as (bench, station):
+        at_mm = station.axis.position_mm
+        with pytest.raises(CommandRefused, match=message):
+            record(bench, "A0", profile, with_reference=True)
+        station.world.sleep_s(1.0)
+        assert station.axis.position_mm == at_mm
+
+
+def test_a_unit_is_found_without_a_load_cell():
+    with open_simulated_bench(seed=1) as (bench, station):
+        blind = replace(bench, force=None)
+        recording = record(blind, "A0", ramps([2.0], 4.0, rest_s=0.5), with_reference=False)
+        assert recording.contact_mm == pytest.approx(station.rig.clearance_mm + 0.3, abs=0.4)
+        with pytest.raises(CommandRefused, match="needs the load cell"):
+            record(blind, "A0", ramps([2.0], 4.0), with_reference=True)
+
+
+def test_bursts_lost_and_repeated_lines_and_a_wrap_do_no_harm():
+    with open_simulated_bench(seed=5) as (bench, station):
+        station.readout_wire.loss = station.readout_wire.repeat = 0.005
+        station.readout.device_ms = 2.0**32 - 15_000
+        recording = record(bench, "A0", ramps([2.0, 3.0], 3.0), with_reference=True)
+    assert np.all(np.diff(recording.t_s) > 0)
+    assert recording.t_s[-1] < 60.0
+    assert recording.labelled_recording().unlabelled.windows.shape[1] == 15
