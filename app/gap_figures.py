@@ -123,8 +123,10 @@ def map_figure(runs: Sequence[RunView], channel: str) -> go.Figure | None:
 
 
 def ranking_figure(report: Mapping[str, Any], shown: int) -> go.Figure:
-    """Draw the effects by probability of being present, the likeliest on top."""
-    ranked = sorted(report["causes"], key=lambda cause: -cause["probability"])[:shown][::-1]
+    """Draw the effects by probability of being present, the likeliest on top; at least three, however unlikely."""
+    every = sorted(report["causes"], key=lambda cause: -cause["probability"])
+    likely = sum(cause["probability"] >= 0.005 for cause in every)
+    ranked = every[: min(shown, max(3, likely))][::-1]
     names = [cause["effect"].replace("_", " ") for cause in ranked]
     chances = [cause["probability"] for cause in ranked]
     colours = [AFTER if chance >= 0.5 else BEFORE for chance in chances]

@@ -220,8 +220,8 @@ def _hidden_words(report: Mapping[str, Any]) -> str:
 
 
 def _next(experiment: Mapping[str, Any] | None) -> str:
-    if not experiment or not experiment.get("profile"):
-        return "<p>No further experiment is needed.</p>"
+    if not experiment or experiment.get("profile") in (None, "", "none"):
+        return f"<p>No further run is proposed. {escape(str((experiment or {}).get('why', '')).capitalize())}</p>"
     return (
         f"<div class='next'><b>{escape(_words(str(experiment['profile'])))}</b>"
         f"<p>{escape(str(experiment.get('why', '')))}</p></div>"

@@ -67,7 +67,7 @@ def test_every_verdict_has_its_page(run: RunView, verdict: str) -> None:
     empty = {"causes": [], "where": [], "ambiguous_with": [], "hidden_fraction": {}, "next_experiment": {}}
     nothing = {"predicted": None, "low": None, "high": None, "held_out": None}
     page = gap_page({**REPORT, **empty, "verdict": verdict, "shrink": nothing}, [run], "A17")
-    assert "No further experiment" in page and "No forecast" in page
+    assert "No further run" in page and "No forecast" in page
 
 
 def test_the_residual_map_counts_in_units_of_the_noise(run: RunView) -> None:
