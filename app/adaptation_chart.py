@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 BLUE, ORANGE, GREY, RED = "#1f5fa8", "#d0730f", "#8a8f98", "#b3261e"
-BAND = "rgba(31, 95, 168, 0.18)"
+BANDS = {BLUE: "rgba(31, 95, 168, 0.18)", ORANGE: "rgba(208, 115, 15, 0.18)"}
 
 Course = Sequence[Mapping[str, Any]]
 
@@ -40,17 +40,20 @@ def adaptation_figure(
     _drift(figure, seen, times)
     _line(figure, 3, times, [step["gain"] for step in seen], "gain", BLUE, step=True)
     _line(figure, 3, times, [step["offset"] for step in seen], f"offset [{output_unit}]", ORANGE, step=True)
-    _band(figure, 4, trace.t_s, trace.lower, trace.upper)
+    _band(figure, 4, trace.t_s, trace.lower, trace.upper, "90 % interval", BLUE)
     _line(figure, 4, trace.t_s, trace.estimate, "estimate", BLUE)
     _line(figure, 5, trace.t_s, trace.predicted_rmse, "predicted error", BLUE, step=True)
     _alarms(figure, seen)
     figure.update_layout(title=title, template="plotly_white", height=1150, hovermode="x unified", margin={"t": 90})
     figure.update_xaxes(title_text="time [s]", row=5, col=1)
+    figure.update_yaxes(rangemode="tozero", row=5, col=1)
     return figure
 
 
 def _drift(figure: "Figure", seen: Course, times: list[float]) -> None:
     for name, shown, colour in (("shift", "shift", BLUE), ("log_gain", "log gain", ORANGE)):
+        lower, upper = ([step[name] + sign * step[f"{name}_sd"] for step in seen] for sign in (-1, 1))
+        _band(figure, 2, times, lower, upper, f"{shown} ± sd", colour)
         _line(figure, 2, times, [step[name] for step in seen], shown, colour)
     held = [step for step in seen if step["verdict"] == "held"]
     for verdict, steps, symbol in (
@@ -92,9 +95,9 @@ def _line(
     figure.add_scatter(x=x, y=y, mode="lines", line=line, name=name, row=row, col=1)
 
 
-def _band(figure: "Figure", row: int, x: list[float], lower: list[float], upper: list[float]) -> None:
-    blank = {"width": 0}
-    figure.add_scatter(x=x, y=lower, mode="lines", line=blank, showlegend=False, hoverinfo="skip", row=row, col=1)
-    figure.add_scatter(
-        x=x, y=upper, mode="lines", line=blank, fill="tonexty", fillcolor=BAND, name="90 % interval", row=row, col=1
-    )
+def _band(
+    figure: "Figure", row: int, x: list[float], lower: list[float], upper: list[float], name: str, colour: str
+) -> None:
+    edge = {"mode": "lines", "line": {"width": 0}, "row": row, "col": 1}
+    figure.add_scatter(x=x, y=lower, showlegend=False, hoverinfo="skip", **edge)
+    figure.add_scatter(x=x, y=upper, fill="tonexty", fillcolor=BANDS[colour], name=name, **edge)
