@@ -7,7 +7,8 @@ from pathlib import Path
 
 from softcal.app.workflow.manifest import FileEntry, Manifest, check_signature, read_manifest
 from softcal.core.errors import InputError
-from softcal.core.export.blob import NetworkFile, UnitFile, read_network, read_unit, serial_field
+from softcal.core.export.blob import NetworkFile, UnitFile, serial_field
+from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.json_text import network_from_values, unit_from_values
 from softcal.core.export.loader import open_sensor
 

@@ -12,10 +12,8 @@ from softcal.core.export.blob import (
     MAGIC,
     NetworkFile,
     UnitFile,
-    read_network,
-    read_unit,
 )
-from softcal.core.export.integer_network import PiecewiseMap
+from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.json_text import network_from_values, network_values, unit_from_values, unit_values
 from softcal.core.export.loader import open_sensor
 
@@ -93,7 +91,8 @@ def _unit_rows(file: UnitFile) -> list[tuple[str, str]]:
     form = file.device_map
     words = {0: "passed", CONDITIONAL: "passed conditionally", FAILED: "DID NOT PASS, exported on demand"}
     made = datetime.fromtimestamp(file.time_s, UTC).isoformat() if file.time_s else "unknown"
-    shape = f"per sample, {len(form.codes)} knots" if isinstance(form, PiecewiseMap) else "affine in the window"
+    parts = [] if form.curve is None else [f"curve of {len(form.curve.codes)} knots on every sample"]
+    parts += [] if form.layer is None else ["linear part on every window"]
     bands = ", ".join(f"up to {b.level}: -{b.minus} +{b.plus}" for b in file.bands)
     return [
         ("kind", "unit, format 1.0"),
@@ -102,7 +101,7 @@ def _unit_rows(file: UnitFile) -> list[tuple[str, str]]:
         ("revision", f"{file.revision}, calibrated {made}"),
         ("verdict", words.get(file.flags, f"unknown flags {file.flags}")),
         ("bytes", f"{len(file.to_bytes())}"),
-        ("map", shape),
+        ("map", ", then ".join(parts)),
         ("code", f"output = {file.scale.zero:.6g} + {file.scale.lsb:.6g} × code"),
         ("codes of the calibration", f"{file.code_min} ... {file.code_max}"),
         ("estimates are clamped to", f"{file.out_min} ... {file.out_max} counts"),

@@ -6,7 +6,6 @@ The layout, byte by byte, and what a reader has to check are written down in doc
 import hashlib
 import struct
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -15,14 +14,10 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.integer_network import (
-    ACTIVATION_MAX,
-    CODE_MAX,
     MAX_KNOTS,
-    AffineMap,
     DeviceMap,
     IntegerLayer,
     IntegerNetwork,
-    PiecewiseMap,
 )
 from softcal.core.windows import TAPS
 
@@ -37,6 +32,7 @@ NETWORK_FIXED = struct.Struct("<BBBb8HHHIff8s8s32s")
 UNIT_FIXED = struct.Struct("<BBBBHHhhffhhHH")
 BAND, SELF_TEST, KNOT, ROW = struct.Struct("<hHH"), struct.Struct("<Hhh"), struct.Struct("<Hh"), struct.Struct("<iHBB")
 CONDITIONAL, FAILED = 1, 2
+HAS_CURVE, HAS_LAYER = 1, 2
 MAX_LAYERS, MAX_WIDTH, MAX_BANDS, MAX_SELF_TESTS = 7, 1024, 4, 4
 
 
@@ -177,7 +173,7 @@ class UnitFile:
     adapt: AdaptLimits
 
     def to_bytes(self) -> bytes:
-        """Return the file: at most 256 bytes for a per-sample map."""
+        """Return the file: at most 256 bytes for a map without a linear part."""
         body = _unit_body(self)
         return _sealed(Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body)
 
@@ -230,163 +226,19 @@ def _layer_bytes(layer: IntegerLayer) -> bytes:
 
 def _unit_body(file: UnitFile) -> bytes:
     form, adapt = file.device_map, file.adapt
-    knots = len(form.codes) if isinstance(form, PiecewiseMap) else 0
+    knots = 0 if form.curve is None else len(form.curve.codes)
+    parts = (HAS_CURVE if form.curve is not None else 0) | (HAS_LAYER if form.layer is not None else 0)
     fixed = UNIT_FIXED.pack(
-        1 if knots else 2, knots, len(file.bands), len(file.self_tests), file.code_min, file.code_max, file.out_min,
+        parts, knots, len(file.bands), len(file.self_tests), file.code_min, file.code_max, file.out_min,
         file.out_max, file.scale.zero, file.scale.lsb, adapt.low, adapt.high, adapt.gain, adapt.offset,
     )  # fmt: skip
     tables = b"".join(BAND.pack(b.level, b.minus, b.plus) for b in file.bands)
     tables += b"".join(SELF_TEST.pack(t.start, t.step, t.expected) for t in file.self_tests)
     tables += b"\0" * (-len(tables) % 4)
-    if isinstance(form, PiecewiseMap):
-        return (
-            fixed + tables + b"".join(KNOT.pack(int(c), int(v)) for c, v in zip(form.codes, form.values, strict=True))
-        )
-    return fixed + tables + _layer_bytes(form.layer)
-
-
-@dataclass(frozen=True)
-class _Opened:
-    """A file whose header and CRC are good."""
-
-    flags: int
-    minor: int
-    network_id: bytes
-    revision: int
-    time_s: int
-    serial: str
-    body: bytes
-
-
-def _open(data: bytes, kind: Kind) -> _Opened:
-    name = f"{kind.name.lower()} file"
-    if len(data) < HEADER.size + 4:
-        raise FileRefused(Cause.LENGTH, f"{name} of {len(data)} bytes is shorter than its header; copy it again")
-    magic, found, major, minor, flags, length, network_id, revision, time_s, serial = HEADER.unpack_from(data)
-    if magic != MAGIC:
-        raise FileRefused(Cause.MAGIC, f"this is no calibration file: it starts with 0x{magic:08x}")
-    if major != MAJOR:
-        raise FileRefused(Cause.VERSION, f"{name} has format {major}.{minor}, this version of softcal reads {MAJOR}.x")
-    if length != len(data) or length % 4:
-        raise FileRefused(Cause.LENGTH, f"{name} says {length} bytes and has {len(data)}; copy it again")
-    if zlib.crc32(data[:-4]) != struct.unpack_from("<I", data, length - 4)[0]:
-        raise FileRefused(Cause.CRC, f"{name} is damaged: its CRC-32 does not match; copy or export it again")
-    if found != kind:
-        raise FileRefused(Cause.KIND, f"a {name} was expected, this one is of kind {found}")
-    return _Opened(flags, minor, network_id, revision, time_s, _text(serial), data[HEADER.size : -4])
-
-
-def _text(field: bytes) -> str:
-    return field.rstrip(b"\0").decode("utf-8", errors="replace")
-
-
-def _layout(name: str, problem: object) -> FileRefused:
-    return FileRefused(Cause.LAYOUT, f"{name} file contradicts itself: {problem}; export it again")
-
-
-def read_network(data: bytes) -> NetworkFile:
-    """Read a network file and check everything in it, the overflow proof included.
-
-    Raises:
-        FileRefused: the first check that fails.
-    """
-    opened = _open(data, Kind.NETWORK)
-    try:
-        file, end = _parse_network(opened)
-    except (ValueError, struct.error, IndexError) as error:
-        raise _layout("network", error) from error
-    _check_end("network", opened, end)
-    if hashlib.sha256(opened.body).digest()[:8] != opened.network_id:
-        raise FileRefused(Cause.NETWORK, "network file: its id is not the hash of its body; export it again")
-    return file
-
-
-def _parse_network(opened: _Opened) -> tuple[NetworkFile, int]:
-    count, weight_type, taps, exponent, *rest = NETWORK_FIXED.unpack_from(opened.body)
-    sizes, (_, _, period_us, zero, lsb, output_unit, reference_unit, sha256) = rest[:8], rest[8:]
-    if weight_type != WEIGHTS_INT16 or taps != TAPS or not 1 <= count <= MAX_LAYERS or period_us == 0:
-        raise ValueError(f"weight type {weight_type}, {taps} taps, {count} layers, period {period_us} µs")
-    if max(sizes) > MAX_WIDTH or min(sizes[: count + 1]) < 1 or not (np.isfinite(zero) and lsb > 0):
-        raise ValueError(f"sizes {sizes}, input scale {zero}, {lsb}")
-    layers, at = [], NETWORK_FIXED.size
-    for columns, rows in zip(sizes[:count], sizes[1 : count + 1], strict=True):
-        layer, at = _parse_layer(opened.body, at, rows, columns)
-        layers.append(layer)
-    network = IntegerNetwork(tuple(layers), zero, lsb, exponent)
-    units = _text(output_unit), _text(reference_unit)
-    return NetworkFile(network, sha256.hex(), opened.serial, period_us, *units), at
-
-
-def _parse_layer(body: bytes, at: int, rows: int, columns: int) -> tuple[IntegerLayer, int]:
-    padded = rows + -rows % 4
-    records = [ROW.unpack_from(body, at + i * ROW.size) for i in range(padded)][:rows]
-    start = at + padded * ROW.size
-    end = start + padded * columns * 2
-    if end > len(body):
-        raise ValueError(f"a layer of {rows} × {columns} ends after the file")
-    blocks = np.frombuffer(body[start:end], dtype="<i2").reshape(-1, columns, 4)
-    weights = blocks.transpose(0, 2, 1).reshape(padded, columns)[:rows].astype(np.int64)
-    bias, multiplier, shift1, shift2 = np.array(records, dtype=np.int64).T
-    return IntegerLayer(weights, bias, multiplier, shift1, shift2), end
-
-
-def read_unit(data: bytes) -> UnitFile:
-    """Read a unit file and check everything that needs no network.
-
-    Raises:
-        FileRefused: the first check that fails.
-    """
-    opened = _open(data, Kind.UNIT)
-    try:
-        file, end = _parse_unit(opened)
-    except (ValueError, struct.error, IndexError) as error:
-        raise _layout("unit", error) from error
-    _check_end("unit", opened, end)
-    return file
-
-
-def _parse_unit(opened: _Opened) -> tuple[UnitFile, int]:
-    body = opened.body
-    form, knots, bands, tests, code_min, code_max, out_min, out_max, *rest = UNIT_FIXED.unpack_from(body)
-    zero, lsb, low, high, gain, offset = rest
-    if form not in (1, 2) or not 1 <= bands <= MAX_BANDS or not 1 <= tests <= MAX_SELF_TESTS:
-        raise ValueError(f"form {form}, {bands} bands, {tests} self-tests")
-    if code_min >= code_max or out_min >= out_max:
-        raise ValueError(f"codes {code_min} ... {code_max}, estimates {out_min} ... {out_max}")
-    at = UNIT_FIXED.size
-    band_rows = tuple(Band(*BAND.unpack_from(body, at + i * BAND.size)) for i in range(bands))
-    at += bands * BAND.size
-    test_rows = tuple(SelfTest(*SELF_TEST.unpack_from(body, at + i * SELF_TEST.size)) for i in range(tests))
-    at += tests * SELF_TEST.size
-    at += -at % 4
-    device_map: DeviceMap
-    if form == 1:
-        pairs = np.array([KNOT.unpack_from(body, at + i * KNOT.size) for i in range(knots)], dtype=np.int64)
-        device_map, at = PiecewiseMap(*pairs.reshape(-1, 2).T), at + knots * KNOT.size
-    else:
-        layer, at = _parse_layer(body, at, TAPS, TAPS)
-        device_map = AffineMap(layer)
-    _check_tables(band_rows, test_rows)
-    return UnitFile(
-        opened.serial, opened.network_id, opened.revision, opened.time_s, opened.flags, device_map,
-        InputScale(zero, lsb), code_min, code_max, out_min, out_max, band_rows, test_rows,
-        AdaptLimits(low, high, gain, offset),
-    ), at  # fmt: skip
-
-
-def _check_tables(bands: Sequence[Band], tests: Sequence[SelfTest]) -> None:
-    levels = [band.level for band in bands]
-    if levels != sorted(levels):
-        raise ValueError(f"band levels {levels} do not rise")
-    for test in tests:
-        if not 0 <= test.start + (TAPS - 1) * test.step <= CODE_MAX or abs(test.expected) > ACTIVATION_MAX:
-            raise ValueError(f"self-test {test} leaves the range of codes")
-
-
-def _check_end(name: str, opened: _Opened, end: int) -> None:
-    """A later minor version may append; this one ends where it says."""
-    if len(opened.body) < end or (opened.minor == MINOR and len(opened.body) != end):
-        raise _layout(name, f"its contents end at byte {end} of a body of {len(opened.body)}")
+    curve, layer = form.curve, form.layer
+    points = [] if curve is None else zip(curve.codes, curve.values, strict=True)
+    map_bytes = b"".join(KNOT.pack(int(code), int(value)) for code, value in points)
+    return fixed + tables + map_bytes + (b"" if layer is None else _layer_bytes(layer))
 
 
 MAX_UNIT_BYTES = (

@@ -1,11 +1,11 @@
-"""Any map γ as one of two small forms an end device can hold: sample by sample with few knots, or affine per window.
+"""Any map γ in a small form an end device can hold: a curve on samples with few knots, a linear part on windows.
 
 The form is judged where it matters: by what it changes in the estimate on the unit's own recording.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from scipy.optimize import isotonic_regression
@@ -23,6 +23,8 @@ FINE_KNOTS = 256
 GRID = 1024
 MARGIN = 0.25
 """A map is compiled this share of the unit's output span beyond it; beyond that it stays constant."""
+
+CLEAR = 0.25
 
 RIDGE = 1e-6
 """Keeps the affine fit near γ's mean gain where the recording never moved a tap alone."""
@@ -74,7 +76,7 @@ def _round_up(value: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class PerSampleForm:
+class Curve:
     """γ sample by sample: monotone and piecewise linear between knots, constant beyond them.
 
     Args:
@@ -86,12 +88,12 @@ class PerSampleForm:
     values: Array
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, TAPS) windows into the source's window space."""
+        """Carry outputs of any shape."""
         return np.interp(windows, self.outputs, self.values)
 
 
 @dataclass(frozen=True, eq=False)
-class AffineForm:
+class Linear:
     """γ window by window: offset + matrix @ window, the window newest sample last.
 
     Args:
@@ -103,11 +105,21 @@ class AffineForm:
     offset: Array
 
     def apply(self, windows: Array) -> Array:
-        """Carry (n, TAPS) windows into the source's window space."""
+        """Carry (n, TAPS) windows."""
         return windows @ self.matrix.T + self.offset
 
 
-MapForm: TypeAlias = PerSampleForm | AffineForm
+@dataclass(frozen=True, eq=False)
+class MapForm:
+    """A map as a curve on samples, a linear part on windows, or the one after the other."""
+
+    curve: Curve | None
+    linear: Linear | None = None
+
+    def apply(self, windows: Array) -> Array:
+        """Carry (n, TAPS) windows into the source's window space."""
+        curved = windows if self.curve is None else self.curve.apply(windows)
+        return curved if self.linear is None else self.linear.apply(curved)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,14 +139,17 @@ class CompiledMap:
 def compile_map(
     unit_map: UnitMap, network: Network, recording: OutputRecording, limit: float, knots: int = MAX_KNOTS
 ) -> CompiledMap:
-    """Compile γ: per sample where that is within the limit, else affine, else refuse.
+    """Compile γ: a curve on samples, a linear part on windows, or both, whichever is the smallest that clearly will do.
+
+    Clearly means a quarter of the limit: a form that is only about right on this recording may be worse on the next.
+    Where none is that good, the nearest one within the limit is taken.
 
     Args:
         unit_map: γ as fitted.
         network: the shared network f.
         recording: the unit's own recording; the deviation is measured on its windows.
         limit: largest rms deviation of the estimate, in the network's reference unit.
-        knots: most knots of a per-sample form.
+        knots: most knots of a curve.
 
     Raises:
         UnitRefused: no form stays within the limit; the message states the best one's deviation.
@@ -142,22 +157,36 @@ def compile_map(
     windows = recording.windows
     mapped = unit_map.apply(windows)
     exact = network.evaluate(mapped)
-    tried: dict[str, CompiledMap] = {}
-    for name, form in (
-        ("per sample", _from_constant_windows(unit_map, windows, knots)),
-        ("per sample, regressed", _from_regression(windows, mapped, knots)),
-        ("affine in the window", _affine(windows, mapped)),
-    ):
+    best: CompiledMap | None = None
+    for form in _forms(unit_map, windows, mapped, knots):
         compiled = _judged(form, network, windows, exact)
-        if compiled.rms_deviation <= limit:
+        if compiled.rms_deviation <= CLEAR * limit:
             return compiled
-        tried[name] = compiled
-    best = min(tried, key=lambda name: tried[name].rms_deviation)
+        if best is None or compiled.rms_deviation < best.rms_deviation:
+            best = compiled
+    if best is not None and best.rms_deviation <= limit:
+        return best
+    smallest = np.inf if best is None else best.rms_deviation
     raise UnitRefused(
-        f"map of family {unit_map.family} of unit {recording.serial} has no device form: the best one ({best}) changes "
-        f"the estimate by {tried[best].rms_deviation:.3g} {network.reference_unit} rms, {limit:.3g} is allowed; "
-        "calibrate with another map family or allow more"
+        f"map of family {unit_map.family} of unit {recording.serial} has no device form: the best one changes the "
+        f"estimate by {smallest:.3g} {network.reference_unit} rms, {limit:.3g} is allowed; calibrate with another map "
+        "family or allow more"
     )
+
+
+def _forms(unit_map: UnitMap, windows: Array, mapped: Array, knots: int) -> Iterator[MapForm]:
+    """Give the forms from the smallest to the largest."""
+    curve = _from_constant_windows(unit_map, windows, knots)
+    yield MapForm(curve)
+    yield MapForm(_from_regression(windows, mapped, knots))
+    yield MapForm(None, _linear(windows, mapped))
+    # The linear part takes up any gain and offset of the curve: draw it to the source's range, where integers are fine.
+    curved = curve.apply(windows)
+    if np.ptp(curved) <= 1e-9 * np.ptp(mapped):
+        return
+    gain, offset = np.polyfit(curved.ravel(), mapped.ravel(), 1)
+    fitted = Curve(curve.outputs, offset + gain * curve.values)
+    yield MapForm(fitted, _linear(fitted.apply(windows), mapped))
 
 
 def _judged(form: MapForm, network: Network, windows: Array, exact: Array) -> CompiledMap:
@@ -165,14 +194,14 @@ def _judged(form: MapForm, network: Network, windows: Array, exact: Array) -> Co
     return CompiledMap(form, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
 
 
-def _from_constant_windows(unit_map: UnitMap, windows: Array, knots: int) -> PerSampleForm:
+def _from_constant_windows(unit_map: UnitMap, windows: Array, knots: int) -> Curve:
     """Read γ off constant windows: exact for every family that works sample by sample."""
     grid = _grid(windows)
     values = unit_map.apply(np.repeat(grid[:, None], TAPS, axis=1))[:, -1]
     return _with_few_knots(grid, _monotone(values, np.ones(len(grid))), windows, knots)
 
 
-def _from_regression(windows: Array, mapped: Array, knots: int) -> PerSampleForm:
+def _from_regression(windows: Array, mapped: Array, knots: int) -> Curve:
     """Regress mapped on raw samples: the best per-sample form of a γ that looks at more than one sample."""
     grid = _grid(windows)
     cell = np.clip(np.searchsorted(grid, windows.ravel()), 0, len(grid) - 1)
@@ -198,7 +227,7 @@ def _monotone(values: Array, weights: Array) -> Array:
     return min(fits, key=lambda fit: float(np.sum(weights * (fit - values) ** 2)))
 
 
-def _with_few_knots(grid: Array, values: Array, windows: Array, knots: int) -> PerSampleForm:
+def _with_few_knots(grid: Array, values: Array, windows: Array, knots: int) -> Curve:
     """Thin a dense curve: add the knot where the error, weighted by how often it is met, is largest."""
     density = np.histogram(windows, bins=np.concatenate([grid - (grid[1] - grid[0]) / 2, [np.inf]]))[0]
     weight = 1.0 + np.minimum(density / max(1.0, float(np.quantile(density, 0.9))), 4.0)
@@ -210,10 +239,10 @@ def _with_few_knots(grid: Array, values: Array, windows: Array, knots: int) -> P
         if error[worst] <= 1e-7 * span:
             break
         chosen = sorted([*chosen, worst])
-    return PerSampleForm(grid[chosen], values[chosen])
+    return Curve(grid[chosen], values[chosen])
 
 
-def _affine(windows: Array, mapped: Array) -> AffineForm:
+def _linear(windows: Array, mapped: Array) -> Linear:
     """Least squares over the recording, drawn to the mean gain of all samples along unseen directions."""
     gain, offset = np.polyfit(windows.ravel(), mapped.ravel(), 1)
     centre = windows.mean(axis=0)
@@ -222,4 +251,4 @@ def _affine(windows: Array, mapped: Array) -> AffineForm:
     ridge = RIDGE * float(np.mean(moved**2)) * len(windows) * np.eye(TAPS)
     correction = np.linalg.solve(moved.T @ moved + ridge, moved.T @ (residual - residual.mean(axis=0))).T
     matrix = gain * np.eye(TAPS) + correction
-    return AffineForm(matrix, offset + residual.mean(axis=0) - correction @ centre)
+    return Linear(matrix, offset + residual.mean(axis=0) - correction @ centre)

@@ -13,9 +13,8 @@ from softcal.core.export.integer_network import (
     DeviceMap,
     IntegerNetwork,
     Integers,
-    PiecewiseMap,
 )
-from softcal.core.export.loader import map_codes, open_sensor, run_self_test
+from softcal.core.export.loader import open_sensor, run_self_test
 from softcal.core.export.quantise import code_range, evaluate_float64, quantise_map, quantise_network
 from softcal.core.maps.interface import UnitMap
 from softcal.core.network import Network
@@ -125,7 +124,7 @@ def build_unit_file(
     _check_scale(scale, facts)
     compiled = compile_map(facts.unit_map, network, facts.recording, limit)
     integers = network_file.network
-    device_map = quantise_map(compiled, scale, integers)
+    device_map = quantise_map(compiled.form, scale, integers)
     codes = scale.codes(windows)
     counts = integers.evaluate(device_map.apply(codes))
     error = counts * 10.0**integers.output_exponent - exact
@@ -221,9 +220,9 @@ def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, c
 
 
 def _adapt_limits(device_map: DeviceMap, codes: Integers, options: DeviceOptions) -> AdaptLimits:
-    if not isinstance(device_map, PiecewiseMap):
+    if device_map.curve is None:
         return AdaptLimits(0, 0, 0, 0)
-    low, high = _anchors(map_codes(device_map, codes[:, -1]))
+    low, high = _anchors(device_map.on_samples(codes[:, -1]))
     gain = min(2**14, round(options.adapt_gain * 2**15))
     return AdaptLimits(low, high, gain, min(ACTIVATION_MAX, round(options.adapt_offset * abs(high - low))))
 

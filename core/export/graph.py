@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.core.export.compile_map import AffineForm, MapForm, PerSampleForm
+from softcal.core.export.compile_map import Curve, Linear, MapForm
 from softcal.core.export.quantise import folded_layers
 from softcal.core.network import Network
 from softcal.core.windows import TAPS
@@ -32,20 +32,19 @@ class Graph:
 
 
 def compose(form: MapForm, network: Network) -> Graph:
-    """Join a compiled map and f in float32.
-
-    Args:
-        form: γ per sample (a sum of rectified ramps between its knots) or affine per window.
-        network: the shared network f.
-    """
-    map_nodes, map_constants = _per_sample(form) if isinstance(form, PerSampleForm) else _affine(form)
+    """Join a compiled map and f in float32: the curve is a sum of rectified ramps between its knots."""
+    curve_nodes, curve_constants = _curve(form.curve, "source_window" if form.linear is None else "curved")
+    linear_nodes, linear_constants = _linear(form.linear, "window" if form.curve is None else "curved")
     net_nodes, net_constants = _network(network)
-    return Graph((*map_nodes, *net_nodes), {**map_constants, **net_constants})
+    nodes = (*curve_nodes, *linear_nodes, *net_nodes)
+    return Graph(nodes, {**curve_constants, **linear_constants, **net_constants})
 
 
-def _per_sample(form: PerSampleForm) -> tuple[list[Node], dict[str, Constant]]:
+def _curve(curve: Curve | None, result: str) -> tuple[list[Node], dict[str, Constant]]:
+    if curve is None:
+        return [], {}
     # value = values[0] + Σ (change of slope at knot i) relu(x - knot i); constant beyond the end knots.
-    slopes = np.diff(form.values) / np.diff(form.outputs)
+    slopes = np.diff(curve.values) / np.diff(curve.outputs)
     changes = np.diff(np.concatenate([[0.0], slopes, [0.0]]))
     nodes = [
         Node("Unsqueeze", ("window", "last_axis"), "samples"),
@@ -53,22 +52,24 @@ def _per_sample(form: PerSampleForm) -> tuple[list[Node], dict[str, Constant]]:
         Node("Relu", ("beyond_knots",), "ramps"),
         Node("MatMul", ("ramps", "slope_changes"), "risen"),
         Node("Squeeze", ("risen", "last_axis"), "rise"),
-        Node("Add", ("rise", "first_value"), "source_window"),
+        Node("Add", ("rise", "first_value"), result),
     ]
     return nodes, {
         "last_axis": np.array([2], dtype=np.int64),
-        "knots": form.outputs.astype(np.float32),
+        "knots": curve.outputs.astype(np.float32),
         "slope_changes": changes[:, None].astype(np.float32),
-        "first_value": np.array(form.values[0], dtype=np.float32),
+        "first_value": np.array(curve.values[0], dtype=np.float32),
     }
 
 
-def _affine(form: AffineForm) -> tuple[list[Node], dict[str, Constant]]:
+def _linear(linear: Linear | None, entering: str) -> tuple[list[Node], dict[str, Constant]]:
+    if linear is None:
+        return [], {}
     nodes = [
-        Node("MatMul", ("window", "map_matrix"), "map_product"),
+        Node("MatMul", (entering, "map_matrix"), "map_product"),
         Node("Add", ("map_product", "map_offset"), "source_window"),
     ]
-    return nodes, {"map_matrix": form.matrix.T.astype(np.float32), "map_offset": form.offset.astype(np.float32)}
+    return nodes, {"map_matrix": linear.matrix.T.astype(np.float32), "map_offset": linear.offset.astype(np.float32)}
 
 
 def _network(network: Network) -> tuple[list[Node], dict[str, Constant]]:

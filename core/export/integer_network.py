@@ -133,25 +133,39 @@ CODE_CENTRE = 32_768
 
 
 @dataclass(frozen=True, eq=False)
-class AffineMap:
-    """γ window by window: one integer layer of 15 rows over 15 centred codes.
+class DeviceMap:
+    """γ as the device holds it: a curve on every new sample, then a linear layer on every window; either may be absent.
 
     Args:
-        layer: (TAPS, TAPS); it is not rectified.
+        curve: maps each code as it comes; without it the code is centred.
+        layer: (TAPS, TAPS), never rectified; without it the window stays as it is.
+
+    Raises:
+        ValueError: neither is there, or the layer is not (TAPS, TAPS).
     """
 
-    layer: IntegerLayer
+    curve: PiecewiseMap | None
+    layer: IntegerLayer | None = None
 
     def __post_init__(self) -> None:
-        if self.layer.shape != (TAPS, TAPS):
-            raise ValueError(f"the affine map has shape {self.layer.shape}, ({TAPS}, {TAPS}) was expected")
+        if self.curve is None and self.layer is None:
+            raise ValueError("a map needs a curve, a layer, or both")
+        if self.layer is not None and self.layer.shape != (TAPS, TAPS):
+            raise ValueError(f"the layer of the map has shape {self.layer.shape}, ({TAPS}, {TAPS}) was expected")
+
+    def on_samples(self, codes: Integers) -> Integers:
+        """Return what enters the device's ring for each code."""
+        if self.curve is not None:
+            return self.curve.apply(codes)
+        return np.maximum(codes - CODE_CENTRE, -ACTIVATION_MAX)
+
+    def on_windows(self, ring: Integers) -> Integers:
+        """Carry (n, TAPS) windows of the ring into source-space counts."""
+        return ring if self.layer is None else self.layer.apply(ring, is_rectified=False)
 
     def apply(self, codes: Integers) -> Integers:
         """Carry (n, TAPS) windows of codes into source-space counts."""
-        return self.layer.apply(np.maximum(codes - CODE_CENTRE, -ACTIVATION_MAX), is_rectified=False)
-
-
-DeviceMap: TypeAlias = PiecewiseMap | AffineMap
+        return self.on_windows(self.on_samples(codes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.export.blob import AdaptLimits, Band, NetworkFile, SelfTest, UnitFile
 from softcal.core.export.compile_map import InputScale
-from softcal.core.export.integer_network import AffineMap, DeviceMap, IntegerLayer, IntegerNetwork, PiecewiseMap
+from softcal.core.export.integer_network import DeviceMap, IntegerLayer, IntegerNetwork, PiecewiseMap
 
 NETWORK_SCHEMA, UNIT_SCHEMA = "softcal.network-file/1", "softcal.unit-file/1"
 LAYER_FIELDS = ("weights", "bias", "multiplier", "shift1", "shift2")
@@ -118,16 +118,19 @@ def _layer_from(values: Mapping[str, Any]) -> IntegerLayer:
 
 
 def _map_values(device_map: DeviceMap) -> dict[str, object]:
-    if isinstance(device_map, PiecewiseMap):
-        knots = [[int(c), int(v)] for c, v in zip(device_map.codes, device_map.values, strict=True)]
-        return {"form": "per sample", "knots": knots}
-    return {"form": "affine in the window", **_layer_values(device_map.layer)}
+    curve, layer = device_map.curve, device_map.layer
+    knots = None
+    if curve is not None:
+        knots = [[int(c), int(v)] for c, v in zip(curve.codes, curve.values, strict=True)]
+    return {"knots": knots, "layer": None if layer is None else _layer_values(layer)}
 
 
 def _map_from(values: Mapping[str, Any]) -> DeviceMap:
-    if values["form"] == "per sample":
-        return PiecewiseMap(*np.array(values["knots"], dtype=np.int64).reshape(-1, 2).T)
-    return AffineMap(_layer_from(values))
+    knots, layer = values["knots"], values["layer"]
+    return DeviceMap(
+        None if knots is None else PiecewiseMap(*np.array(knots, dtype=np.int64).reshape(-1, 2).T),
+        None if layer is None else _layer_from(layer),
+    )
 
 
 def json_text(value: object) -> str:

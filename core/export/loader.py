@@ -14,17 +14,14 @@ from softcal.core.export.blob import (
     NetworkFile,
     SelfTest,
     UnitFile,
-    read_network,
-    read_unit,
     serial_field,
 )
+from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.integer_network import (
     ACTIVATION_MAX,
-    CODE_CENTRE,
     DeviceMap,
     IntegerNetwork,
     Integers,
-    PiecewiseMap,
 )
 from softcal.core.recording import Array
 from softcal.core.windows import TAPS
@@ -62,14 +59,14 @@ class DeviceSensor:
             codes: (n, TAPS) windows of 16-bit codes, newest last.
         """
         return self.estimate_mapped(
-            map_codes(self.unit_file.device_map, codes),
+            self.unit_file.device_map.on_samples(codes),
             (codes < self.unit_file.code_min) | (codes > self.unit_file.code_max),
         )
 
     def estimate_mapped(self, ring: Integers, outside: NDArray[np.bool_]) -> DeviceEstimate:
         """Estimate for (n, TAPS) windows as they stand in the device's ring, and which samples were out of range."""
         unit = self.unit_file
-        raw = estimate_ring(self.network_file.network, unit.device_map, ring)
+        raw = self.network_file.network.evaluate(unit.device_map.on_windows(ring))
         value = np.clip(raw, unit.out_min, unit.out_max)
         flags = OUT_OF_RANGE * outside.any(axis=1) + CLAMPED * (raw != value)
         levels = np.array([band.level for band in unit.bands[:-1]], dtype=np.int64)
@@ -92,24 +89,10 @@ class DeviceSensor:
         return value, lower, upper, found.flags
 
 
-def map_codes(device_map: DeviceMap, codes: Integers) -> Integers:
-    """Return what enters the device's ring for each code: a mapped sample, or a centred code for an affine map."""
-    if isinstance(device_map, PiecewiseMap):
-        return device_map.apply(codes)
-    return np.maximum(codes - CODE_CENTRE, -ACTIVATION_MAX)
-
-
-def estimate_ring(network: IntegerNetwork, device_map: DeviceMap, ring: Integers) -> Integers:
-    """Return the estimates of (n, TAPS) windows of the ring, before any clamp."""
-    if not isinstance(device_map, PiecewiseMap):
-        ring = device_map.layer.apply(ring, is_rectified=False)
-    return network.evaluate(ring)
-
-
 def run_self_test(network: IntegerNetwork, device_map: DeviceMap, test: SelfTest) -> int:
     """Return the estimate of a self-test's window."""
     codes = test.start + test.step * np.arange(TAPS, dtype=np.int64)
-    return int(estimate_ring(network, device_map, map_codes(device_map, codes[None, :]))[0])
+    return int(network.evaluate(device_map.apply(codes[None, :]))[0])
 
 
 def open_sensor(network: bytes, unit: bytes, serial: str | None = None) -> DeviceSensor:
@@ -156,7 +139,7 @@ class DeviceStream:
         if (t_ms - self._last_ms) % 2**32 > self._sensor.network_file.gap_ms:
             self._filled = 0
         self._last_ms = t_ms
-        self._ring = np.append(self._ring[1:], map_codes(unit.device_map, np.array([code]))[0])
+        self._ring = np.append(self._ring[1:], unit.device_map.on_samples(np.array([code]))[0])
         self._outside = np.append(self._outside[1:], not unit.code_min <= code <= unit.code_max)
         self._filled = min(self._filled + 1, TAPS)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.export.compile_map import AffineForm, CompiledMap, InputScale, PerSampleForm
+from softcal.core.export.compile_map import Curve, InputScale, Linear, MapForm
 from softcal.core.export.integer_network import (
     ACCUMULATOR_MAX,
     ACTIVATION_MAX,
@@ -15,7 +15,6 @@ from softcal.core.export.integer_network import (
     MULTIPLIER_MAX,
     MULTIPLIER_MIN,
     REDUCED_BITS,
-    AffineMap,
     DeviceMap,
     IntegerLayer,
     IntegerNetwork,
@@ -167,32 +166,47 @@ def _as_multiplier(factor: float) -> tuple[int, int]:
     return multiplier, shift
 
 
-def quantise_map(compiled: CompiledMap, scale: InputScale, network: IntegerNetwork) -> DeviceMap:
+def quantise_map(form: MapForm, scale: InputScale, network: IntegerNetwork) -> DeviceMap:
     """Cut a compiled map into integers between the unit's codes and the network's counts.
 
     Raises:
         UnitRefused: knots that fall together, or a map that needs more than 16 bits.
     """
-    form = compiled.form
     try:
-        if isinstance(form, PerSampleForm):
-            return _quantise_knots(form, scale, network)
-        return AffineMap(_affine_layer(form, scale, network))
+        curve = None if form.curve is None else _quantise_curve(form.curve, scale, network)
+        layer = None
+        if form.linear is not None:
+            entering = scale if curve is None else InputScale(network.input_zero, network.input_lsb)
+            layer = _quantise_linear(form.linear, entering, 0 if curve is not None else CODE_CENTRE, network)
+        return DeviceMap(curve, layer)
     except ValueError as error:
         raise UnitRefused(f"the map has no integer form: {error}") from error
 
 
-def _quantise_knots(form: PerSampleForm, scale: InputScale, network: IntegerNetwork) -> PiecewiseMap:
-    codes, first = np.unique(scale.codes(form.outputs), return_index=True)
-    counts = np.rint((form.values[first] - network.input_zero) / network.input_lsb)
+def _quantise_curve(curve: Curve, scale: InputScale, network: IntegerNetwork) -> PiecewiseMap:
+    held = _within_counts(curve, network)
+    codes, first = np.unique(scale.codes(held.outputs), return_index=True)
+    counts = np.rint((held.values[first] - network.input_zero) / network.input_lsb)
     return PiecewiseMap(codes, np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64))
 
 
-def _affine_layer(form: AffineForm, scale: InputScale, network: IntegerNetwork) -> IntegerLayer:
-    # output = zero + lsb * (centred + CODE_CENTRE); the layer takes the centred codes.
-    centre = scale.zero + scale.lsb * CODE_CENTRE
-    offset = form.offset + form.matrix.sum(axis=1) * centre - network.input_zero
-    return quantise_layer(form.matrix, offset, np.full(TAPS, scale.lsb), np.full(TAPS, network.input_lsb))
+def _within_counts(curve: Curve, network: IntegerNetwork) -> Curve:
+    """Cut a curve where it leaves the network's counts: to clip its knots instead would bend what lies between."""
+    outputs, values = curve.outputs, curve.values
+    reach = network.input_lsb * ACTIVATION_MAX
+    order = np.argsort(values, kind="stable")
+    bounds = [b for b in (network.input_zero - reach, network.input_zero + reach) if values.min() < b < values.max()]
+    inside = np.abs(values - network.input_zero) <= reach
+    crossings = np.interp(bounds, values[order], outputs[order])
+    kept = np.unique(np.concatenate([outputs[inside], crossings]))
+    return Curve(kept, curve.apply(kept))
+
+
+def _quantise_linear(linear: Linear, entering: InputScale, centre: int, network: IntegerNetwork) -> IntegerLayer:
+    """Quantise the linear part for counts that mean entering.zero + entering.lsb * (count + centre)."""
+    rest = entering.zero + entering.lsb * centre
+    offset = linear.offset + linear.matrix.sum(axis=1) * rest - network.input_zero
+    return quantise_layer(linear.matrix, offset, np.full(TAPS, entering.lsb), np.full(TAPS, network.input_lsb))
 
 
 def code_range(scale: InputScale, output: Array) -> tuple[int, int]:

@@ -55,12 +55,12 @@ typedef struct {
 
 typedef struct {
   const uint8_t *network, *unit; /* 0 while closed */
-  const uint8_t *map;            /* knots or rows in the unit file */
+  const uint8_t *map;            /* knots, then rows, in the unit file */
   uint32_t last_ms;
   uint16_t gap_ms, range_bits; /* bit k: the k-th newest sample was out of range */
   uint8_t filled, at;
   int16_t gain, offset;  /* what ss_adapt has changed: gain in 2^-15, offset in source counts */
-  int16_t ring[SS_TAPS]; /* mapped samples, or centred codes for an affine map */
+  int16_t ring[SS_TAPS]; /* samples as the curve mapped them, or centred codes */
   int16_t even[SS_WIDTH], odd[SS_WIDTH];
 } ss_sensor;
 
@@ -120,7 +120,7 @@ static ss_status ss_check_network(const uint8_t *p, uint32_t bytes) {
   uint32_t at = 132, i, count;
   if (bytes < 136) return SS_BAD_LAYOUT;
   count = p[48];
-  if (count < 1 || count > 7 || p[49] != 1 || p[50] != SS_TAPS) return SS_BAD_LAYOUT;
+  if (count - 1 > 6 || p[49] != 1 || p[50] != SS_TAPS) return SS_BAD_LAYOUT;
   if (ss_u16(p + 52) != SS_TAPS || ss_u16(p + 52 + 2 * count) != 1) return SS_BAD_LAYOUT;
   for (i = 0; i < count; i++) {
     uint32_t used = ss_layer_bytes(bytes - 4 - at, ss_u16(p + 54 + 2 * i), ss_u16(p + 52 + 2 * i));
@@ -133,23 +133,21 @@ static ss_status ss_check_network(const uint8_t *p, uint32_t bytes) {
 static uint32_t ss_tests_at(const uint8_t *unit) { return 76u + 6u * unit[50]; }
 static uint32_t ss_map_at(const uint8_t *unit) { return (ss_tests_at(unit) + 6u * unit[51] + 3u) & ~3u; }
 
+/* The map of a unit is a curve on every sample (bit 0), a linear layer on every window (bit 1), or both. */
 static ss_status ss_check_unit(const uint8_t *p, uint32_t bytes) {
-  uint32_t at, i, knots = p[49], used;
-  if (bytes < 100 || (p[48] != 1 && p[48] != 2)) return SS_BAD_LAYOUT;
-  if (p[50] < 1 || p[50] > 4 || p[51] < 1 || p[51] > 4) return SS_BAD_LAYOUT;
-  if (ss_u16(p + 72) > 16384 || ss_u16(p + 74) > 32767) return SS_BAD_LAYOUT; /* keeps ss_push within 32 bits */
-  at = ss_map_at(p);
-  if (at > bytes - 4) return SS_BAD_LAYOUT;
-  if (p[48] == 1) {
-    used = 4 * knots;
-    if (knots < 2 || knots > 32 || used > bytes - 4 - at) return SS_BAD_LAYOUT;
-    for (i = 1; i < knots; i++)
-      if (ss_u16(p + at + 4 * i) <= ss_u16(p + at + 4 * i - 4)) return SS_BAD_LAYOUT;
-  } else {
-    used = ss_layer_bytes(bytes - 4 - at, SS_TAPS, SS_TAPS);
+  uint32_t at, i, knots = p[49];
+  if (bytes < 100 || p[48] - 1u > 2 || (knots != 0) != (p[48] & 1)) return SS_BAD_LAYOUT;
+  if (p[50] - 1u > 3 || p[51] - 1u > 3) return SS_BAD_LAYOUT;
+  at = ss_map_at(p) + 4 * knots;
+  if (knots > 32 || at > bytes - 4) return SS_BAD_LAYOUT;
+  for (i = 1; i < knots; i++)
+    if (ss_u16(p + at - 4 * i) <= ss_u16(p + at - 4 * i - 4)) return SS_BAD_LAYOUT;
+  if (p[48] & 2) {
+    uint32_t used = ss_layer_bytes(bytes - 4 - at, SS_TAPS, SS_TAPS);
     if (!used) return SS_BAD_LAYOUT;
+    at += used;
   }
-  return at + used == bytes - 4 || p[6] ? SS_OK : SS_BAD_LAYOUT;
+  return at == bytes - 4 || p[6] ? SS_OK : SS_BAD_LAYOUT;
 }
 
 /* ---- arithmetic: the same integers as softcal.core.export.integer_network --------------------------------------- */
@@ -251,12 +249,12 @@ static int32_t ss_network(ss_sensor *s) {
   return in[0];
 }
 
-/* One code on its way into the ring: mapped sample by sample, or centred for an affine map of the whole window. */
+/* One code on its way into the ring: through the curve, or centred where there is none. */
 static int32_t ss_map_code(const ss_sensor *s, uint32_t code) {
   const uint8_t *knot = s->map, *last = knot + 4u * (s->unit[49] - 1u);
   uint32_t x0, span, rise;
   int32_t y0, y1;
-  if (s->unit[48] == 2) return ss_clip((int32_t)code - 32768);
+  if (!(s->unit[48] & 1)) return ss_clip((int32_t)code - 32768);
   if (code <= ss_u16(knot)) return ss_i16(knot + 2);
   if (code >= ss_u16(last)) return ss_i16(last + 2);
   while (ss_u16(knot + 4) <= code) knot += 4;
@@ -268,9 +266,9 @@ static int32_t ss_map_code(const ss_sensor *s, uint32_t code) {
 
 /* The estimate of the window in s->even. */
 static int32_t ss_window(ss_sensor *s) {
-  if (s->unit[48] == 2) {
+  if (s->unit[48] & 2) {
     uint32_t i;
-    ss_layer(s->map, SS_TAPS, SS_TAPS, s->even, s->odd, 0);
+    ss_layer(s->map + 4u * s->unit[49], SS_TAPS, SS_TAPS, s->even, s->odd, 0);
     for (i = 0; i < SS_TAPS; i++) s->even[i] = s->odd[i];
   }
   return ss_network(s);
@@ -342,8 +340,9 @@ static ss_estimate ss_read(ss_sensor *s, uint32_t now_ms) {
   if (value < low || value > high) e.flags |= SS_CLAMPED, value = value < low ? low : high;
   for (band = u + 76, i = u[50]; i > 1 && value > ss_i16(band); i--) band += 6;
   e.value = (int16_t)value;
-  e.lower = (int16_t)ss_clip(value - (int32_t)ss_u16(band + 2));
-  e.upper = (int16_t)ss_clip(value + (int32_t)ss_u16(band + 4));
+  low = value - (int32_t)ss_u16(band + 2), high = value + (int32_t)ss_u16(band + 4);
+  e.lower = (int16_t)(low < -32767 ? -32767 : low);
+  e.upper = (int16_t)(high > 32767 ? 32767 : high);
   return e;
 }
 
@@ -407,7 +406,8 @@ static inline ss_adapt_result ss_adapt(ss_adaptation *a, ss_sensor *s, uint16_t 
   const uint8_t *u = s->unit;
   int32_t y, low, high, seen_low, seen_high, step, gain = 0, offset;
   int is_at_bound = 0;
-  if (!u || u[48] != 1 || !(ss_u16(u + 72) | ss_u16(u + 74))) return SS_NOT_ADAPTABLE;
+  if (!u || !(u[48] & 1) || !(ss_u16(u + 72) | ss_u16(u + 74))) return SS_NOT_ADAPTABLE;
+  if (ss_u16(u + 72) > 16384 || ss_u16(u + 74) > 32767) return SS_NOT_ADAPTABLE; /* keeps ss_push within 32 bits */
   low = ss_i16(u + 68), high = ss_i16(u + 70);
   y = ss_map_code(s, code) * 64;
   step = (high - low) / 256 + 1; /* in 1/64 counts: 0.2 % of the span per sample towards an extreme, 1/31 of it back */

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import UnitRefused
-from softcal.core.export.compile_map import AffineForm, InputScale, PerSampleForm, compile_map
+from softcal.core.export.compile_map import InputScale, compile_map
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.maps.interface import FitProblem
 from softcal.core.network import Network
@@ -41,16 +41,16 @@ class _Map:
 def test_an_affine_map_needs_two_knots(linear_network: Network, press: Press) -> None:
     unit = press(2).unlabelled
     compiled = compile_map(_Map(lambda x: 0.1 + 0.8 * x), linear_network, unit, LIMIT_N)
-    assert isinstance(compiled.form, PerSampleForm)
-    assert len(compiled.form.outputs) == 2
+    assert compiled.form.linear is None and compiled.form.curve is not None
+    assert len(compiled.form.curve.outputs) == 2
     assert compiled.max_deviation < 1e-6
 
 
 def test_a_bent_map_fits_into_32_knots(linear_network: Network, press: Press) -> None:
     unit = press(2).unlabelled
     compiled = compile_map(_Map(lambda x: 0.6 + 0.2 * np.tanh(6 * (x - 0.6))), linear_network, unit, LIMIT_N)
-    assert isinstance(compiled.form, PerSampleForm)
-    assert len(compiled.form.outputs) <= 32
+    assert compiled.form.linear is None and compiled.form.curve is not None
+    assert len(compiled.form.curve.outputs) <= 32
     assert compiled.rms_deviation < 0.002
 
 
@@ -66,8 +66,8 @@ def test_the_stated_deviation_is_what_the_estimate_changes(linear_network: Netwo
 
 def test_a_falling_map_stays_falling(linear_network: Network, press: Press) -> None:
     compiled = compile_map(_Map(lambda x: 1.2 - x), linear_network, press(2).unlabelled, LIMIT_N)
-    assert isinstance(compiled.form, PerSampleForm)
-    assert np.all(np.diff(compiled.form.values) < 0)
+    assert compiled.form.curve is not None
+    assert np.all(np.diff(compiled.form.curve.values) < 0)
 
 
 def test_a_map_over_the_window_becomes_the_matrix_it_is(
@@ -76,8 +76,17 @@ def test_a_map_over_the_window_becomes_the_matrix_it_is(
     matrix = 0.9 * np.eye(TAPS) + 0.15 * np.eye(TAPS, k=-1) + 0.1 * rng.normal(size=(TAPS, TAPS)) / TAPS
     windowed = _Map(lambda x: 0.02 + x @ matrix.T)
     compiled = compile_map(windowed, linear_network, press(2).unlabelled, 0.001)
-    assert isinstance(compiled.form, AffineForm)
-    assert np.allclose(compiled.form.matrix, matrix, atol=1e-3)
+    assert compiled.form.curve is None and compiled.form.linear is not None
+    assert np.allclose(compiled.form.linear.matrix, matrix, atol=1e-3)
+
+
+def test_a_bend_and_a_lag_together_take_a_curve_and_a_linear_part(linear_network: Network, press: Press) -> None:
+    lag = 0.5 * np.eye(TAPS) + 0.5 * np.eye(TAPS, k=-6)
+    lag[:6] = np.eye(TAPS)[:6]
+    both = _Map(lambda x: (0.6 + 0.2 * np.tanh(6 * (x - 0.6))) @ lag.T)
+    compiled = compile_map(both, linear_network, press(2).unlabelled, LIMIT_N)
+    assert compiled.form.curve is not None and compiled.form.linear is not None
+    assert compiled.rms_deviation < LIMIT_N
 
 
 def test_a_map_that_has_no_small_form_is_refused_with_its_deviation(linear_network: Network, press: Press) -> None:

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softcal.core.export.blob import Cause, FileRefused, NetworkFile, UnitFile, read_network, read_unit, serial_field
-from softcal.core.export.compile_map import AffineForm, CompiledMap, InputScale, PerSampleForm
+from softcal.core.export.blob import Cause, FileRefused, NetworkFile, UnitFile, serial_field
+from softcal.core.export.blob_reader import read_network, read_unit
+from softcal.core.export.compile_map import Curve, InputScale, Linear, MapForm
 from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
-from softcal.core.export.integer_network import PiecewiseMap
+from softcal.core.export.integer_network import DeviceMap, PiecewiseMap
 from softcal.core.export.intel_hex import intel_hex
 from softcal.core.export.json_text import (
     json_text,
@@ -57,9 +58,9 @@ def test_bytes_make_the_same_file_and_the_file_the_same_bytes(network_file: Netw
     assert read_unit(unit_file.to_bytes()).scale == unit_file.scale
 
 
-def test_the_largest_per_sample_file_fills_one_flash_row(unit_file: UnitFile) -> None:
+def test_the_largest_curve_fills_one_flash_row(unit_file: UnitFile) -> None:
     knots = PiecewiseMap(np.arange(32) * 2000, np.arange(32) * 1000)
-    full = replace(unit_file, device_map=knots, bands=unit_file.bands[:4], self_tests=unit_file.self_tests * 1)
+    full = replace(unit_file, device_map=DeviceMap(knots))
     assert len(full.to_bytes()) == 256
 
 
@@ -177,11 +178,19 @@ def test_estimates_read_back_are_close_to_the_float_ones(
     assert np.allclose((upper - estimate)[inside], 0.2, atol=0.005)
 
 
-def test_an_affine_file_carries_its_matrix(
-    network_file: NetworkFile, unit_file: UnitFile, linear_network: Network, press: Press, rng: np.random.Generator
+@pytest.mark.parametrize("has_curve", [False, True])
+def test_a_linear_part_on_windows_carries_its_matrix(
+    network_file: NetworkFile,
+    unit_file: UnitFile,
+    linear_network: Network,
+    press: Press,
+    rng: np.random.Generator,
+    has_curve: bool,
 ) -> None:
-    form = AffineForm(np.eye(15) + 0.02 * rng.normal(size=(15, 15)), np.full(15, 0.01))
-    device_map = quantise_map(CompiledMap(form, 0.0, 0.0), unit_file.scale, network_file.network)
+    linear = Linear(np.eye(15) + 0.02 * rng.normal(size=(15, 15)), np.full(15, 0.01))
+    curve = Curve(np.array([0.2, 0.6, 1.2]), np.array([0.3, 0.6, 1.0])) if has_curve else None
+    form = MapForm(curve, linear)
+    device_map = quantise_map(form, unit_file.scale, network_file.network)
     tests = tuple(replace(t, expected=run_self_test(network_file.network, device_map, t)) for t in unit_file.self_tests)
     file = replace(unit_file, device_map=device_map, self_tests=tests)
     sensor = open_sensor(network_file.to_bytes(), file.to_bytes())
@@ -189,14 +198,14 @@ def test_an_affine_file_carries_its_matrix(
     estimate, *_ = sensor.estimate_output(unit_windows)
     exact = np.clip(linear_network.evaluate(form.apply(unit_windows)), file.out_min / 1000, file.out_max / 1000)
     assert np.abs(estimate - exact).max() < 0.02
-    assert len(file.to_bytes()) > 256
+    assert len(file.to_bytes()) <= 864
+    assert unit_from_values(json.loads(json_text(unit_values(file)))).to_bytes() == file.to_bytes()
 
 
 def test_knots_that_fall_on_one_code_are_merged(network_file: NetworkFile) -> None:
-    form = PerSampleForm(np.array([0.1, 0.5, 0.5000001, 0.9]), np.array([0.1, 0.5, 0.5, 0.9]))
-    device_map = quantise_map(CompiledMap(form, 0, 0), InputScale(0.0, 1e-4), network_file.network)
-    assert isinstance(device_map, PiecewiseMap)
-    assert len(device_map.codes) == 3
+    curve = Curve(np.array([0.1, 0.5, 0.5000001, 0.9]), np.array([0.1, 0.5, 0.5, 0.9]))
+    device_map = quantise_map(MapForm(curve), InputScale(0.0, 1e-4), network_file.network)
+    assert device_map.curve is not None and len(device_map.curve.codes) == 3
 
 
 @pytest.mark.parametrize("address", [0, 0x1FFF0, 0x3FF00, 0xFFFF_0000])
@@ -217,7 +226,7 @@ def test_intel_hex_decodes_to_the_bytes_at_their_address(unit_file: UnitFile, ad
 def test_files_of_format_1_0_open_for_ever() -> None:
     expected = json.loads((RELEASED / "expected-1.0.json").read_text())
     network = (RELEASED / "network-1.0.ssc").read_bytes()
-    for name in ("unit-1.0", "affine-1.0"):
+    for name in ("unit-1.0", "linear-1.0", "both-1.0"):
         sensor = open_sensor(network, (RELEASED / f"{name}.ssc").read_bytes(), "A1")
         codes = np.array(expected["codes"], dtype=np.int64)
         assert sensor.estimate(codes).value.tolist() == expected[name]

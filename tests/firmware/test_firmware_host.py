@@ -73,9 +73,12 @@ def test_gaps_noise_and_codes_out_of_range_are_flagged_alike(
     assert {WARM_UP, OUT_OF_RANGE} <= flags and any(flag & CLAMPED for flag in flags)
 
 
-def test_an_affine_map_gives_the_same_integers(program: Path, tmp_path: Path, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("name", ["unit-1.0", "linear-1.0", "both-1.0"])
+def test_every_form_of_map_gives_the_same_integers(
+    program: Path, tmp_path: Path, rng: np.random.Generator, name: str
+) -> None:
     released = Path(__file__).parent / "released"
-    network, unit = released / "network-1.0.ssc", released / "affine-1.0.ssc"
+    network, unit = released / "network-1.0.ssc", released / f"{name}.ssc"
     stream = DeviceStream(open_sensor(network.read_bytes(), unit.read_bytes()))
     expected = []
     samples = [(20 * k, int(code)) for k, code in enumerate(rng.integers(0, 65_536, 500))]
@@ -118,7 +121,7 @@ def test_of_a_hundred_thousand_damaged_files_none_gives_a_number(
     rounds = [
         (network, unit, "3000", "300", "300"),
         (released / "network-1.0.ssc", released / "unit-1.0.ssc", "60000", "20000", "10000"),
-        (released / "network-1.0.ssc", released / "affine-1.0.ssc", "20000", "2000", "10000"),
+        (released / "network-1.0.ssc", released / "both-1.0.ssc", "20000", "2000", "10000"),
     ]
     tried = 0
     for a, b, *counts in rounds:

@@ -1,0 +1,159 @@
+"""What smaller networks and integers cost in accuracy on real lots.
+
+    python benchmarks/export_accuracy.py [--quick] [--write docs/export_accuracy.md]
+
+Source and targets of egain_pair and insole_lot: f trained on the source's first three quarters, maps fitted to each
+target's first three quarters without labels, errors on the last quarter by time, in mN or mbar. `device` is the unit
+file's integers; `ONNX` is the largest difference of onnxruntime from the float model on the same windows.
+"""
+
+import argparse
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pandas as pd
+
+from softcal.app.onnx_file import onnx_bytes
+from softcal.core.errors import UnitRefused
+from softcal.core.export.compile_map import FINE_KNOTS, compile_map
+from softcal.core.export.device import UnitFacts, build_network_file, build_unit_file
+from softcal.core.export.graph import compose
+from softcal.core.export.loader import open_sensor
+from softcal.core.maps.choose import choose_map
+from softcal.core.maps.interface import FitProblem
+from softcal.core.metrics import rmse
+from softcal.core.network import Network
+from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.training import NetworkConfig, fit_network
+
+DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[2] / "shared" / "data"))
+HIDDEN = ((120, 70, 35), (48, 24), (32, 16), (16, 8), (8, 8))
+TEST_SHARE = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class LotData:
+    """One source and its targets."""
+
+    name: str
+    unit: str
+    source: LabelledRecording
+    targets: list[LabelledRecording]
+
+
+@dataclass(frozen=True)
+class UnitRow:
+    """Errors of one target on its last quarter."""
+
+    float_rmse: float
+    device_rmse: float
+    device_max: float
+    onnx_max: float
+    unit_bytes: int
+
+
+def lots(quick: bool) -> Iterator[LotData]:
+    """The pair in one direction, and one insole with every n-th taxel as a target."""
+    pair = [_pair(name) for name in ("S1", "S2")]
+    yield LotData("egain_pair", "mN", pair[0], [pair[1]])
+    table = pd.read_parquet(DATA / "insole_lot" / "calibration.parquet")
+    names = [name for name in table.columns if name.startswith("taxel")][:: 20 if quick else 4]
+    # Every fourth sample keeps a run short; 12.2 Hz, as if recorded at that rate.
+    table = table.iloc[::4]
+    taxels = [_taxel(table, name) for name in names]
+    yield LotData("insole_lot", "mbar", taxels[0], taxels[1:])
+
+
+def _pair(name: str) -> LabelledRecording:
+    table = pd.read_csv(DATA / "egain_pair" / f"{name}.csv")
+    t_s = np.arange(len(table)) / 50.0
+    return LabelledRecording(
+        OutputRecording(name, t_s, table["output_V"].to_numpy(), 50.0), table["force_N"].to_numpy()
+    )
+
+
+def _taxel(table: pd.DataFrame, name: str) -> LabelledRecording:
+    t_s = table["t_s"].to_numpy(dtype=float)
+    rate_Hz = 1 / float(np.median(np.diff(t_s)))
+    output = table[name].to_numpy(dtype=float)
+    unlabelled = OutputRecording(name, t_s, output, rate_Hz, "counts")
+    return LabelledRecording(unlabelled, table["pressure_bar"].to_numpy(dtype=float), "bar")
+
+
+def _split(recording: LabelledRecording) -> tuple[LabelledRecording, LabelledRecording]:
+    at = round(len(recording) * (1 - TEST_SHARE))
+    return recording.part(0, at), recording.part(at, len(recording))
+
+
+def measure(network: Network, source: LabelledRecording, target: LabelledRecording, forecast: float) -> UnitRow:
+    """Fit, export and score one target; its error is forecast as the source's own."""
+    train, test = _split(target)
+    chosen = choose_map(FitProblem(source, network, train.unlabelled)).unit_map
+    exact = network.evaluate(chosen.apply(train.windows))
+    facts = UnitFacts(target.serial, 1, "pass", 0, chosen, train.unlabelled, exact - 0.1, exact + 0.1, forecast)
+    network_file = build_network_file(network, source)
+    unit = build_unit_file(facts, network, network_file).file
+    estimate, *_ = open_sensor(network_file.to_bytes(), unit.to_bytes()).estimate_output(test.windows)
+    truth = network.evaluate(chosen.apply(test.windows))
+    compiled = compile_map(chosen, network, train.unlabelled, np.inf, FINE_KNOTS)
+    session = onnxruntime.InferenceSession(onnx_bytes(compose(compiled.form, network), {}))
+    onnx_estimate = session.run(["estimate"], {"window": test.windows.astype(np.float32)})[0]
+    same_form = network.evaluate(compiled.form.apply(test.windows))
+    return UnitRow(
+        1000 * rmse(truth, test.window_reference),
+        1000 * rmse(estimate, test.window_reference),
+        1000 * float(np.abs(estimate - truth).max()),
+        1000 * float(np.abs(onnx_estimate - same_form).max()),
+        len(unit.to_bytes()),
+    )
+
+
+def row(lot: LotData, hidden: tuple[int, ...], epochs: int) -> list[str]:
+    """Train one network of a lot and measure every target."""
+    train, test = _split(lot.source)
+    network = fit_network(train, NetworkConfig(hidden=hidden, max_epochs=epochs)).network
+    own = 1000 * rmse(network.evaluate(test.windows), test.window_reference)
+    found, refused = [], 0
+    for target in lot.targets:
+        try:
+            found.append(measure(network, train, target, own / 1000))
+        except UnitRefused as error:
+            refused += 1
+            print(f"refused: {error}")
+    columns = [np.array([getattr(unit, name) for unit in found]) for name in UnitRow.__dataclass_fields__]
+    medians = [float(np.median(column)) for column in columns[:2]]
+    return [
+        lot.name, "-".join(map(str, network.sizes)), f"{own:.1f} {lot.unit}", f"{medians[0]:.1f}", f"{medians[1]:.1f}",
+        f"{100 * (medians[1] / medians[0] - 1):+.2f}", f"{columns[2].max():.2f}", f"{columns[3].max():.1e}",
+        f"{columns[4].max()}", f"{len(found)} ({refused})",
+    ]  # fmt: skip
+
+
+HEADER = (
+    "lot", "network", "source, held out", "targets, float", "targets, device", "device - float, %",
+    "device - float, max", "ONNX - float, max", "largest unit file, B", "units (refused)",
+)  # fmt: skip
+
+
+def main() -> None:
+    """Print the table: medians over targets."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--write", type=Path)
+    options = parser.parse_args()
+    lines = ["| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER)]
+    for lot in lots(options.quick):
+        for hidden in HIDDEN[:: 3 if options.quick else 1]:
+            lines.append("| " + " | ".join(row(lot, hidden, 15 if options.quick else 200)) + " |")
+    text = "\n".join(lines) + "\n"
+    print(text)
+    if options.write:
+        options.write.write_text(text)
+
+
+if __name__ == "__main__":
+    main()
