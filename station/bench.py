@@ -1,6 +1,6 @@
 """The devices of one station, opened together: real ones, or simulated ones behind the same drivers."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
@@ -83,6 +83,7 @@ def open_simulated_bench(
     time_factor: float | None = None,
     stage_kind: str = "grbl",
     force_kind: str = "hx711",
+    beside: Sequence[Twin] = (),
 ) -> Iterator[tuple[Bench, SimulatedStation]]:
     """Open the same drivers on simulated far ends, each behind its own serial line.
 
@@ -91,11 +92,12 @@ def open_simulated_bench(
         seed: of noise, delays and mounting.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
         stage_kind, force_kind: dialects, as in a station file.
+        beside: more units under the same stage, each on a channel of its own.
 
     Returns:
         The bench, and the simulated station with its fault switches.
     """
-    station = SimulatedStation(unit or Twin(), np.random.default_rng(seed), time_factor, stage_kind, force_kind)
+    station = SimulatedStation(unit or Twin(), np.random.default_rng(seed), time_factor, stage_kind, force_kind, beside)
     try:
         with open_bench(simulated_config(station), station.world) as bench:
             yield bench, station
@@ -114,6 +116,7 @@ def simulated_config(station: SimulatedStation) -> StationConfig:
             adc_bits=electronics.adc_bits,
             r_series_ohm=electronics.r_series_ohm,
             rate_Hz=electronics.sample_rate_Hz,
+            channels=station.channels,
         ),
         ForceConfig(
             station.force_wire.port,

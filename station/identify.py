@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, NoReply
-from softcal.station.frames import grbl
+from softcal.station.frames import gcl2, grbl, zaber
+from softcal.station.frames.indicator import parse_N
 from softcal.station.frames.text_stream import parse as parse_stream
 from softcal.station.interfaces import Clock
 from softcal.station.link import Link
@@ -11,6 +12,8 @@ from softcal.station.link import Link
 LISTEN_S = 1.0
 ANSWER_S = 2.5
 """An Arduino that was reset by opening its port is in its boot loader for about 1.5 s."""
+
+QUICK_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,8 @@ def identify(port: str, clock: Clock) -> Identity:
     """
     link = Link(port, clock)
     try:
-        return _stream(link) or _grbl(link) or Identity(port, "", "", "answers in no dialect that softcal knows")
+        unknown = Identity(port, "", "", "answers in no dialect that softcal knows")
+        return _stream(link) or _grbl(link) or _zaber(link) or _mark10(link) or unknown
     finally:
         link.close()
 
@@ -50,7 +54,10 @@ def identify(port: str, clock: Clock) -> Identity:
 def _stream(link: Link) -> Identity | None:
     banner, lines = "", []
     link.clock.sleep_s(LISTEN_S)
-    for line in link.read_lines():
+    heard = link.read_lines()
+    if any(_is_indicator(line.text) for line in heard[1:3]):
+        return Identity(link.port, "force", "indicator", heard[1].text.decode(), len(heard) / LISTEN_S, 1)
+    for line in heard:
         if line.text.startswith(b"softcal "):
             banner = line.text.decode("ascii", "replace")
         try:
@@ -84,4 +91,38 @@ def _grbl(link: Link) -> Identity | None:
             return Identity(link.port, "stage", "grbl", reply.text)
         if isinstance(reply, grbl.Status):
             return Identity(link.port, "stage", "grbl", f"GRBL controller, {reply.state}")
+    return None
+
+
+def _is_indicator(line: bytes) -> bool:
+    try:
+        parse_N(line)
+    except BadReply as error:
+        return "overloaded" in str(error)
+    return True
+
+
+def _zaber(link: Link) -> Identity | None:
+    link.discard()
+    link.write(b"\n" + zaber.format_command(zaber.Command(1, 0, 1, "get deviceid")))  # the line of before is ended
+    try:
+        reply = zaber.parse_reply(link.next_line(QUICK_S).text)
+    except (BadReply, NoReply):
+        return None
+    return Identity(link.port, "stage", "zaber", f"Zaber device {reply.data}") if reply else None
+
+
+def _mark10(link: Link) -> Identity | None:
+    link.discard()
+    link.write(gcl2.END + gcl2.LIST)
+    end_s = link.clock.now_s() + QUICK_S
+    while link.clock.now_s() < end_s:
+        try:
+            line = link.next_line(end_s - link.clock.now_s())
+            settings = gcl2.parse_settings(line.text)
+        except BadReply:
+            continue  # The bytes of the other dialects have earned an error code first.
+        except NoReply:
+            return None
+        return Identity(link.port, "force", "mark10", f"Mark-10 gauge in {settings.unit}", 50.0, 1)
     return None

@@ -22,6 +22,7 @@ EXAMPLES = """examples:
   softcal station source --station station.toml --serial A0 --out lot-1/source/A0.csv
   softcal station unit --station station.toml --serial A1 --out lot-1/units/A1.csv
   softcal station unit --simulated --serial A1 --out A1.csv   the same on the simulated rig
+  softcal station unit --simulated --serial A1 A2 A3 --out units   several channels pressed at once
 
   softcal station calibrate-cell --station station.toml --weights 0 0.2 0.5 1
   softcal station serve --station station.toml --name line-1  own the ports for screens and programs
@@ -186,7 +187,7 @@ def run_press(options: argparse.Namespace) -> int:
     from softcal.app.workflow.station import chosen_bench, profile_for, record_to_files, run_json, spool_folder
 
     profile = profile_for(options.kind, options.profile_seed, options.seconds, options.depth)
-    with chosen_bench(options.station, options.simulated) as bench:
+    with chosen_bench(options.station, options.simulated, len(options.serial)) as bench:
         with_reference, spools = options.kind == "source", spool_folder(options.spool)
         run = record_to_files(bench, options.serial, options.out, profile, with_reference, spools, _progress())
     for path in run.files:

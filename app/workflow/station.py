@@ -26,20 +26,23 @@ from softcal.station.recording import StationRecording
 from softcal.station.self_test import Finding, self_test
 from softcal.station.spool import Spool
 
-LOOKED_FOR = "a GRBL stage, a load-cell stream and a sensor readout"
+LOOKED_FOR = "a stage (GRBL, Zaber), a load cell (HX711, Mark-10, indicator) and a sensor readout"
 
 
 @contextmanager
-def chosen_bench(station_file: Path | None, simulated_seed: int | None) -> Iterator[Bench]:
+def chosen_bench(station_file: Path | None, simulated_seed: int | None, simulated_channels: int = 1) -> Iterator[Bench]:
     """Open the simulated bench where a seed is given, else the one the station file describes.
+
+    Args:
+        simulated_channels: units under the simulated stage, one per channel.
 
     Raises:
         InputError: neither is given, or the file cannot be read.
         DeviceError: devices are missing; all of them are named.
     """
     if simulated_seed is not None:
-        twin = draw_lot(np.random.default_rng(simulated_seed), 1)[0]
-        with open_simulated_bench(twin, simulated_seed) as (bench, _):
+        twins = draw_lot(np.random.default_rng(simulated_seed), simulated_channels)
+        with open_simulated_bench(twins[0], simulated_seed, beside=twins[1:]) as (bench, _):
             yield bench
     elif station_file is None:
         raise InputError(
@@ -82,9 +85,9 @@ def station_of(devices: Sequence[Identity]) -> StationConfig:
         raise NoReply(f"not found: {' and '.join(missing)}; looked at {', '.join(d.port for d in devices)}")
     readout, force = by_role["readout"], by_role.get("force")
     return StationConfig(
-        StageConfig(by_role["stage"].port),
+        StageConfig(by_role["stage"].port, by_role["stage"].kind),
         ReadoutConfig(readout.port, rate_Hz=round(readout.rate_Hz, 1), channels=readout.channels),
-        ForceConfig(force.port, rate_Hz=round(force.rate_Hz, 1)) if force else None,
+        ForceConfig(force.port, force.kind, rate_Hz=round(force.rate_Hz, 1)) if force else None,
     )
 
 

@@ -1,6 +1,6 @@
 """The one physical rig behind all simulated devices: where the stage is decides what force and output are."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -36,27 +36,27 @@ class Rig:
         self.true_stage_mm: list[float] = []
         self.largest_force_N = 0.0
 
-    def mount(self, unit: Physics, clearance_mm: float, now_s: float) -> None:
-        """Put a unit under the stage.
+    def mount(self, units: Sequence[Physics], clearance_mm: float, now_s: float) -> None:
+        """Put a unit under the stage, or several beside each other; the load cell feels the first one.
 
         Args:
             clearance_mm: stage position that is the unit's u = 0.
             now_s: the unit's own time 0.
         """
-        self._unit, self.clearance_mm, self._mounted_s = unit, clearance_mm, now_s
-        self._read_s, self._last = -1.0, (0.0, 0.0)
+        self._units, self.clearance_mm, self._mounted_s = units, clearance_mm, now_s
+        self._read_s, self._force_N, self._outputs_V = -1.0, 0.0, (0.0,) * len(units)
 
-    def read(self, now_s: float) -> tuple[float, float]:
-        """Return force in N and output in V at this instant."""
+    def read(self, now_s: float) -> tuple[float, tuple[float, ...]]:
+        """Return force in N and the output of each unit in V at this instant."""
         self.axis.advance(now_s)
         if now_s > self._read_s:
             self._press(now_s)
-        force_N, output_V = self._last
+        force_N, outputs_V = self._force_N, self._outputs_V
         if self.force_fault:
             force_N = self.force_fault(now_s, force_N)
         if self.output_fault:
-            output_V = self.output_fault(now_s, output_V)
-        return force_N, output_V
+            outputs_V = tuple(self.output_fault(now_s, output_V) for output_V in outputs_V)
+        return force_N, outputs_V
 
     def _press(self, now_s: float) -> None:
         self._read_s = now_s
@@ -64,6 +64,8 @@ class Rig:
             self.true_t_s.append(now_s)
             self.true_stage_mm.append(self.axis.position_mm)
         u_mm = self.axis.position_mm - self.clearance_mm
-        force, output = self._unit.advance(np.array([now_s - self._mounted_s]), np.array([u_mm]))
-        self._last = float(force[0]), float(output[0])
-        self.largest_force_N = max(self.largest_force_N, self._last[0])
+        since_s = now_s - self._mounted_s
+        readings = [unit.advance(np.array([since_s]), np.array([u_mm])) for unit in self._units]
+        self._force_N = float(readings[0][0][0])
+        self._outputs_V = tuple(float(output[0]) for _, output in readings)
+        self.largest_force_N = max(self.largest_force_N, self._force_N)

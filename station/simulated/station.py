@@ -1,5 +1,7 @@
 """A whole simulated station: one rig, three devices on three serial lines, one world in which time passes."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from softcal.core.twin.parameters import BaseParameters
@@ -27,6 +29,7 @@ class SimulatedStation:
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
         stage_kind, force_kind: dialects, as in a station file. The fault switches of `stage` and `force` are those of
             GRBL and HX711.
+        beside: more units under the same stage, each on a channel of its own.
     """
 
     counts_per_N = 9870.0
@@ -39,10 +42,11 @@ class SimulatedStation:
         time_factor: float | None = None,
         stage_kind: str = "grbl",
         force_kind: str = "hx711",
+        beside: Sequence[Twin] = (),
     ) -> None:
         self.world = World(time_factor)
         self.metadata = unit.metadata
-        self._rng = rng
+        self._rng, self._beside, self.channels = rng, tuple(beside), 1 + len(beside)
         self.free_mm = FREE_MM
         self.axis = Axis(ACCELERATION_MM_S2)
         self.axis.position_mm = 2.3  # Where somebody left it: nothing is known before homing.
@@ -79,7 +83,8 @@ class SimulatedStation:
     def mount(self, unit: Twin) -> None:
         """Put a unit under the stage, a little higher or lower than the one before."""
         clearance_mm = self.free_mm + 1.0 + float(self._rng.uniform(-0.2, 0.2))
-        self.rig.mount(TwinStream(unit, self._rng.spawn(1)[0]), clearance_mm, self.world.now_s())
+        streams = [TwinStream(each, self._rng.spawn(1)[0]) for each in (unit, *self._beside)]
+        self.rig.mount(streams, clearance_mm, self.world.now_s())
 
     def mount_rigid(self, stiffness_N_mm: float = 60.0) -> None:
         """Put something hard under the stage."""
@@ -96,4 +101,4 @@ class SimulatedStation:
         return (int(np.clip(round(counts), -(2**23), 2**23 - 1)),)
 
     def _output_counts(self, now_s: float) -> tuple[int, ...]:
-        return (round(self.rig.read(now_s)[1] / self.metadata.step_V),)
+        return tuple(round(output_V / self.metadata.step_V) for output_V in self.rig.read(now_s)[1])

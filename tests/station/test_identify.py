@@ -2,6 +2,7 @@
 
 import pytest
 
+from softcal.core.twin.simulate import Twin
 from softcal.station.bench import open_simulated_bench
 from softcal.station.identify import identify
 from softcal.station.self_test import self_test
@@ -10,8 +11,6 @@ from softcal.station.simulated.station import SimulatedStation
 
 @pytest.fixture
 def station(rng):
-    from softcal.core.twin.simulate import Twin
-
     station = SimulatedStation(Twin(), rng)
     yield station
     station.close()
@@ -57,3 +56,14 @@ def test_without_motion_nothing_moves():
         at_mm = station.axis.position_mm
         self_test(bench, may_move=False)
         assert station.axis.position_mm == at_mm
+
+
+@pytest.mark.parametrize(
+    ("stage_kind", "force_kind"), [("zaber", "mark10"), ("grbl", "indicator")], ids=lambda kind: kind
+)
+def test_other_dialects_are_known_too(rng, stage_kind, force_kind):
+    station = SimulatedStation(Twin(), rng, stage_kind=stage_kind, force_kind=force_kind)
+    station.axis.position_mm = 0.0
+    assert identify(station.stage_wire.port, station.world).kind == stage_kind
+    assert identify(station.force_wire.port, station.world).kind == force_kind
+    station.close()

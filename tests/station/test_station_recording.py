@@ -8,6 +8,7 @@ import pytest
 from softcal.core.errors import CommandRefused
 from softcal.core.profiles import ramps, unit_profile
 from softcal.core.twin.simulate import Twin, simulate
+from softcal.core.twin.spread import draw_lot
 from softcal.station.acquisition import record
 from softcal.station.bench import open_simulated_bench
 
@@ -105,3 +106,17 @@ def test_bursts_lost_and_repeated_lines_and_a_wrap_do_no_harm():
     assert np.all(np.diff(recording.t_s) > 0)
     assert recording.t_s[-1] < 60.0
     assert recording.labelled_recording().unlabelled.windows.shape[1] == 15
+
+
+def test_several_units_are_pressed_at_once_each_on_its_channel():
+    units = draw_lot(np.random.default_rng(1), 3)
+    with open_simulated_bench(units[0], seed=1, beside=units[1:]) as (bench, station):
+        recording = record(bench, "SUB1", ramps([2.0], 3.0, rest_s=0.5), with_reference=True)
+        surface_mm = recording.contact_mm - 0.3 - station.rig.clearance_mm
+    assert recording.output.shape[1] == 3
+    # Contact was searched with the first unit, so the true surface is a little off for all of them alike.
+    for channel, unit in enumerate(units):
+        _, output_V = simulate(unit, recording.t_s, recording.stage_mm + surface_mm)
+        own = recording.output_recording(channel, f"U{channel}")
+        assert own.serial == f"U{channel}"
+        assert np.sqrt(np.mean((own.output - output_V) ** 2)) < 0.01
