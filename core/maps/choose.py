@@ -13,14 +13,20 @@ from softcal.core.maps.interface import FitProblem, UnitMap
 from softcal.core.maps.label_shift import ALL_SHARES, level_weights, matched, paths
 from softcal.core.maps.synchrony import find_synchrony
 
-SAME_PROGRAMME = 0.08
-"""Units that spend their time alike up to this total variation distance ran one programme: samples can be matched."""
+SAME_PROGRAMME = 0.03
+"""Units that spend their time alike up to this total variation distance ran one programme: samples can be matched.
+
+Random presses drawn from one distribution differ by 0.05 to 0.1 over a minute; matching their samples would copy that.
+"""
 
 UNLIKE_RATE = 6.0
 """A unit that swings this many times more often per second than the source shows noise or another use."""
 
 CLEAR = 2.0
 """A gain or level this many standard errors from the source's is worth correcting."""
+
+SHARP = 0.06
+"""Only a recording that fixes the gain this well can show that there is nothing to correct."""
 
 RESAMPLES = 40
 FEWEST_SWINGS = 8
@@ -130,8 +136,9 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     if rate > UNLIKE_RATE:
         why = "swings far more often than the source: only rest level and hardest presses are matched; abstain"
         return "affine", numbers | {"decision": why}
+    is_sharp = gain_error < SHARP and min(source.swings, target.swings) >= FEWEST_SWINGS
     is_alike = abs(gain - 1.0) < CLEAR * gain_error and abs(level_shift) < CLEAR * level_error
-    if is_alike and min(source.swings, target.swings) >= FEWEST_SWINGS:
+    if is_sharp and is_alike:
         return "identity", numbers | {"decision": "no difference from the source that the recording could show"}
     if dwell < SAME_PROGRAMME:
         return "monotone", numbers | {"decision": "time is spent as in the source: sample quantiles matched"}
