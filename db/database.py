@@ -3,8 +3,10 @@
 Nothing is opened at import. No message of this module contains a password.
 """
 
+import random
 import sqlite3
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +22,8 @@ from softcal.db.tables import SCHEMA
 
 SQLITE_WAIT_S = 60
 """How long a writer waits for its turn before the registry counts as locked."""
+
+LOOK_EVERY_S = (0.001, 0.005)
 
 IN_MEMORY = (None, "", ":memory:")
 STATEMENT_TIMEOUT = "120s"
@@ -213,8 +217,31 @@ def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    writes = connection.get_execution_options().get("softcal_writes", False)
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+    if connection.get_execution_options().get("softcal_writes", False):
+        _wait_for_turn(cast(sqlite3.Connection, connection.connection.driver_connection))
+    else:
+        connection.exec_driver_sql("BEGIN")
+
+
+def _wait_for_turn(connection: sqlite3.Connection) -> None:
+    """Begin a write transaction as soon as no other is open.
+
+    SQLite's own waiting slows down to a look every 100 ms, so that of many writers one may starve; looking at short
+    random intervals gives each the same chance.
+    """
+    deadline_s = time.monotonic() + SQLITE_WAIT_S
+    connection.execute("PRAGMA busy_timeout = 0")
+    try:
+        while True:
+            try:
+                connection.execute("BEGIN IMMEDIATE")
+                return
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or time.monotonic() > deadline_s:
+                    raise
+            time.sleep(random.uniform(*LOOK_EVERY_S))
+    finally:
+        connection.execute(f"PRAGMA busy_timeout = {SQLITE_WAIT_S * 1000}")
 
 
 def _postgresql_engine(url: URL) -> Engine:

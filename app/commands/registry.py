@@ -21,6 +21,7 @@ EXAMPLES = """examples:
   softcal registry backup /backup/registry-2026-05-04.db
   softcal registry restore /backup/registry-2026-05-04.db --registry sqlite:///new.db
   softcal registry sync --with postgresql://line@db/softcal
+  softcal registry grants --line line --reader office | psql softcal
   softcal registry upgrade
 
 The registry is an SQLite file or a PostgreSQL database:
@@ -54,6 +55,9 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     rollback.add_argument("--reason", required=True, help="lands in the audit trail")
     sync = _action(actions, "sync", "bring a station's registry and the line's together, both ways", _sync)
     sync.add_argument("--with", required=True, dest="other", metavar="URL", help="the other registry")
+    grants = _action(actions, "grants", "print the SQL that gives a PostgreSQL role what the line needs", _grants)
+    grants.add_argument("--line", default="softcal_line", metavar="ROLE", help="may calibrate; default softcal_line")
+    grants.add_argument("--reader", default="softcal_reader", metavar="ROLE", help="may read; default softcal_reader")
     _action(actions, "upgrade", "bring the tables to this version (SQLite: after a backup)", _upgrade)
 
 
@@ -170,6 +174,13 @@ def _sync(options: argparse.Namespace) -> int:
     value: dict[str, object] = {"schema": "softcal.registry.sync/1", "sent": report.sent, "received": report.received}
     line = f"sent {report.sent}, received {report.received} changes, {len(report.conflicts)} conflicts"
     return _answer(options, line, value | {"conflicts": list(report.conflicts)})
+
+
+def _grants(options: argparse.Namespace) -> int:
+    from softcal.db.grants import grant_statements
+
+    statements = grant_statements(options.line, options.reader)
+    return _answer(options, "\n".join(statements), {"schema": "softcal.registry.grants/1", "sql": statements})
 
 
 def _upgrade(options: argparse.Namespace) -> int:

@@ -12,6 +12,7 @@ APPEND_ONLY = ("audit", "blobs", "calibrations", "limits", "lots", "networks", "
 
 
 def upgrade() -> None:
+    """Make the tables of this step."""
     op.create_table(
         "audit",
         sa.Column("origin", sa.String(length=32), nullable=False),

@@ -12,6 +12,7 @@ APPEND_ONLY = ("adaptations", "certificates", "golden_runs")
 
 
 def upgrade() -> None:
+    """Make the tables of this step."""
     op.create_table(
         "adaptations",
         sa.Column("serial", sa.String(length=64), nullable=False),
