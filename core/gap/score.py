@@ -26,6 +26,7 @@ class Row:
 
     @property
     def share(self) -> float:
+        """Hits over count, NaN without a case."""
         return self.hits / self.count if self.count else float("nan")
 
     @property

@@ -1,5 +1,7 @@
 """Drawing, sealing and opening cases."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,8 @@ from softcal.core.gap.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, d
 from softcal.core.gap.challenge.catalogue_equations import CATALOGUE
 from softcal.core.gap.challenge.draw import LINES, draw_case, draw_challenge
 from softcal.core.gap.challenge.outside_equations import OUTSIDE
-from softcal.core.gap.challenge.realised import BASE, refitted_base
+from softcal.core.gap.challenge.realised import BASE, realised_shrink, refitted_base
+from softcal.core.gap.challenge.rig import Cause
 from softcal.core.gap.challenge.seal import open_seal, seal_labels
 from softcal.core.gap.challenge.sizes import CATALOGUE_SIZES, OUTSIDE_SIZES
 
@@ -62,11 +65,12 @@ def test_a_case_survives_its_record() -> None:
 
 
 def test_distance_is_zero_without_a_cause_and_grows_with_its_size() -> None:
-    assert distance_sigma(draw_case(1, "case", "none")) == 0.0
-    usual, tenth = (
-        np.median([distance_sigma(draw_case(s, "case", line)) for s in range(5)]) for line in ("usual", "tenth")
-    )
-    assert usual > 3.0 * tenth > 0.0
+    case = draw_case(1, "case", "none")
+    drifting = [
+        replace(case, causes=(Cause("loadcell_drift", "catalogue", {"rate_N_per_s": r}),)) for r in (2e-4, 2e-3)
+    ]
+    assert distance_sigma(case) == 0.0
+    assert distance_sigma(drifting[1]) == pytest.approx(10.0 * distance_sigma(drifting[0]), rel=1e-3)
 
 
 def test_the_refit_finds_the_base_of_a_case_without_causes() -> None:
@@ -85,3 +89,21 @@ def test_a_seal_opens_with_its_commitment_only() -> None:
     assert seal_labels(cases, contents, seed=1, nonce="b").commitment != seal.commitment
     with pytest.raises(InputError, match="seal is broken"):
         open_seal(seal.text.replace('"seed":1', '"seed":2'), seal.commitment)
+
+
+def test_the_path_stays_when_a_base_parameter_moves() -> None:
+    case = draw_case(4, "case", "one_run")
+    softer = replace(case, rig=replace(case.rig, k1_N_mm=0.5 * case.rig.k1_N_mm, u0_mm=0.1))
+    first, second = (c.measure(c.plans[0]).columns["stage_mm"] for c in (case, softer))
+    assert np.array_equal(first, second)
+
+
+def test_the_true_twin_realises_the_whole_shrink() -> None:
+    case = draw_case(6, "case", "usual")
+    case = replace(case, causes=(Cause("stress_relaxation", "catalogue", {"share": 0.1, "tau_s": 4.0}),))
+    fitted = {"g": {"value": 0.1}, "tau": {"value": 4.0}}
+    base = {name: getattr(case.rig, name) for name in BASE}
+    causes = [{"effect": "stress_relaxation", "probability": 1.0, "parameters": fitted}]
+    assert realised_shrink(case, {"base": base, "causes": causes}) > 0.95
+    fitted["g"]["value"] = 0.05
+    assert realised_shrink(case, {"base": base, "causes": causes}) < 0.9

@@ -31,7 +31,7 @@ def report(
 def label(*effects: str, line: str = "usual", sigma: float = 100.0, name: str = "case-1") -> Label:
     drawn = draw_case(1, name, "none")
     causes = tuple(Cause(effect, "outside" if effect == "slip" else "catalogue", {}) for effect in effects)
-    case = SealedCase(name, line, drawn.rig, drawn.peak_N, causes, drawn.plans, drawn.kept_back)
+    case = SealedCase(name, line, drawn.rig, drawn.peak_N, drawn.depth_mm, causes, drawn.plans, drawn.kept_back)
     return Label(case, "00", sigma)
 
 

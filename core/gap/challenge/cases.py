@@ -54,6 +54,7 @@ class SealedCase:
         line: the stratum it was drawn for.
         rig: base parameters.
         peak_N: force at full depth.
+        depth_mm: stage position at which the base model reaches the peak force.
         causes: the effects at work; empty for none.
         plans: the runs handed over.
         withheld: columns taken out of every run.
@@ -66,21 +67,12 @@ class SealedCase:
     line: str
     rig: Rig
     peak_N: float
+    depth_mm: float
     causes: tuple[Cause, ...]
     plans: tuple[RunPlan, ...]
     kept_back: RunPlan
     withheld: tuple[str, ...] = ()
     turns_between_samples: bool = False
-
-    @property
-    def depth_mm(self) -> float:
-        """Stage position at which the base model reaches the peak force."""
-        low_mm, high_mm = 0.0, self.peak_N / self.rig.k1_N_mm
-        for _ in range(60):
-            middle_mm = 0.5 * (low_mm + high_mm)
-            too_deep = float(self.rig.pad_force_N(np.array(middle_mm))) > self.peak_N
-            low_mm, high_mm = (low_mm, middle_mm) if too_deep else (middle_mm, high_mm)
-        return self.rig.u0_mm + low_mm
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -133,12 +125,23 @@ class SealedCase:
             line=record["line"],
             rig=Rig(**record["rig"]),
             peak_N=record["peak_N"],
+            depth_mm=record["depth_mm"],
             causes=tuple(Cause.from_record(cause) for cause in record["causes"]),
             plans=tuple(RunPlan(**plan) for plan in record["plans"]),
             kept_back=RunPlan(**record["kept_back"]),
             withheld=tuple(record["withheld"]),
             turns_between_samples=record["turns_between_samples"],
         )
+
+
+def full_depth_mm(rig: Rig, peak_N: float) -> float:
+    """Return the stage position at which the base model reaches a force, by bisection."""
+    low_mm, high_mm = 0.0, peak_N / rig.k1_N_mm
+    for _ in range(60):
+        middle_mm = 0.5 * (low_mm + high_mm)
+        too_deep = float(rig.pad_force_N(np.array(middle_mm))) > peak_N
+        low_mm, high_mm = (low_mm, middle_mm) if too_deep else (middle_mm, high_mm)
+    return rig.u0_mm + low_mm
 
 
 def _as_recorded(path: Path, sample_rate_Hz: float) -> Path:

@@ -96,9 +96,11 @@ class Rack:
             self._steps[equation.hook].append((equation.apply, cause.values))
 
     def has(self, hook: str) -> bool:
+        """Whether any cause acts here."""
         return bool(self._steps[hook])
 
     def pass_through(self, hook: str, value: Array, moment: Moment) -> Array:
+        """Let every cause of a hook change the value, in the order they were given."""
         for apply, values in self._steps[hook]:
             value = apply(value, moment, **values)
         return value

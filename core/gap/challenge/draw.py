@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from softcal.core.gap.challenge.cases import RunPlan, SealedCase
+from softcal.core.gap.challenge.cases import RunPlan, SealedCase, full_depth_mm
 from softcal.core.gap.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
 from softcal.core.gap.challenge.other_forms import OTHER_FORMS
 from softcal.core.gap.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
@@ -128,6 +128,7 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
         line=line,
         rig=rig,
         peak_N=peak_N,
+        depth_mm=full_depth_mm(rig, peak_N),
         causes=causes,
         plans=plans,
         kept_back=RunPlan("kept_back", int(rng.integers(SEED_LIMIT))),

@@ -100,6 +100,7 @@ class Judged:
 
     @property
     def is_visible(self) -> bool:
+        """Whether the causes stand out of the noise after a refit of the base."""
         return self.label.distance_sigma >= VISIBLE_SIGMA
 
     @property
@@ -133,6 +134,7 @@ class Judged:
 
     @property
     def is_first_right(self) -> bool:
+        """Whether the effect with the highest probability is a true cause."""
         return self.answer is not None and self.answer.verdict != "no_gap" and self.answer.first in self.truth
 
     @property

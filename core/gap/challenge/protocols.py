@@ -52,22 +52,27 @@ def _ramps(name: str, rng: Rng, depth_mm: float, speeds_mm_s: Callable[[], float
 
 
 def slow_ramps(rng: Rng, depth_mm: float) -> Path:
+    """Press and release at 0.25–0.5 mm/s."""
     return _ramps("slow ramps", rng, depth_mm, lambda: rng.uniform(0.25, 0.5))
 
 
 def fast_ramps(rng: Rng, depth_mm: float) -> Path:
+    """Press and release at 2–5 mm/s."""
     return _ramps("fast ramps", rng, depth_mm, lambda: rng.uniform(2.0, 5.0))
 
 
 def one_speed_ramps(rng: Rng, depth_mm: float) -> Path:
+    """Press and release at 1 mm/s only."""
     return _ramps("ramps at 1 mm/s", rng, depth_mm, lambda: 1.0)
 
 
 def mixed_ramps(rng: Rng, depth_mm: float) -> Path:
+    """Press and release at 0.4–4 mm/s."""
     return _ramps("ramps of mixed speed", rng, depth_mm, lambda: float(np.exp(rng.uniform(np.log(0.4), np.log(4.0)))))
 
 
 def steps_with_holds(rng: Rng, depth_mm: float, duration_s: float = RUN_S) -> Path:
+    """Step up and down a staircase and hold on every step."""
     pen = _Pen(rng.uniform(0.6, 2.0))
     while pen.now_s < duration_s:
         levels = np.sort(rng.uniform(0.2, 1.0, rng.integers(2, 5)))
@@ -80,6 +85,7 @@ def steps_with_holds(rng: Rng, depth_mm: float, duration_s: float = RUN_S) -> Pa
 
 
 def random_path(rng: Rng, depth_mm: float, duration_s: float = RUN_S) -> Path:
+    """Go to random depths at random speeds, with a rest now and then."""
     pen = _Pen(rng.uniform(0.6, 2.0))
     while pen.now_s < duration_s:
         place = 0.0 if rng.random() < 0.2 else depth_mm * rng.uniform(0.0, 1.0)
@@ -120,10 +126,12 @@ def kept_back(rng: Rng, depth_mm: float) -> Path:
 
 
 def rest(rng: Rng, depth_mm: float) -> Path:
+    """Touch nothing for two minutes."""
     return _Pen(120.0).path("rest")
 
 
 def long_hold(rng: Rng, depth_mm: float) -> Path:
+    """Hold for 150 s, then rest."""
     pen = _Pen(2.0)
     pen.go(0.8 * depth_mm, 5.0)
     pen.stay(150.0)
@@ -133,6 +141,7 @@ def long_hold(rng: Rng, depth_mm: float) -> Path:
 
 
 def rate_sweep(rng: Rng, depth_mm: float) -> Path:
+    """Press once at each speed from 0.2 to 5 mm/s."""
     pen = _Pen(2.0)
     for speed_mm_s in (0.2, 5.0, 0.5, 2.0, 1.0, 5.0):
         pen.go(0.95 * depth_mm, speed_mm_s)
@@ -142,6 +151,7 @@ def rate_sweep(rng: Rng, depth_mm: float) -> Path:
 
 
 def amplitude_ladder(rng: Rng, depth_mm: float) -> Path:
+    """Press twice to each of four growing depths, then rest."""
     pen = _Pen(2.0)
     for share in (0.3, 0.3, 0.5, 0.5, 0.7, 0.7, 0.9, 0.9, 0.5):
         pen.go(share * depth_mm, 1.0)
@@ -152,6 +162,7 @@ def amplitude_ladder(rng: Rng, depth_mm: float) -> Path:
 
 
 def slow_touch_down(rng: Rng, depth_mm: float) -> Path:
+    """Touch down twice at 0.05 mm/s."""
     pen = _Pen(2.0)
     for _ in range(2):
         pen.go(0.3 * depth_mm, 0.05)
@@ -161,6 +172,7 @@ def slow_touch_down(rng: Rng, depth_mm: float) -> Path:
 
 
 def small_reversals(rng: Rng, depth_mm: float) -> Path:
+    """Reverse by a few per cent of the depth, at three depths and two speeds."""
     pen = _Pen(2.0)
     for centre in (0.3, 0.6, 0.85):
         for speed_mm_s in (0.2, 2.0):

@@ -51,8 +51,11 @@ PARAMETERS: Mapping[str, tuple[tuple[str, str], ...]] = {
 }
 """Per effect, the report's parameter and the name of the same quantity here."""
 
+OTHER_PARAMETERS = {"adc_saturation": (("V_min", "low_V"),)}
+"""What a report names where the other side of an effect is at work."""
+
 UNFITTED: Mapping[str, Mapping[str, float]] = {
-    "adc_saturation": {"low_V": 0.0},
+    "adc_saturation": {"low_V": 0.0, "high_V": 1e3},
     "loadcell_nonlinearity": {"capacity_N": 10.0},
 }
 """Parameters that a report does not fit; another capacity of the cell is a change of λ and of the gain."""
@@ -80,7 +83,8 @@ def realised_shrink(case: SealedCase, report: Mapping[str, Any]) -> float:
 def _causes(named: Mapping[str, Mapping[str, Any]]) -> tuple[Cause, ...]:
     causes = []
     for effect, fitted in named.items():
-        own = {ours: float(fitted[theirs]["value"]) for theirs, ours in PARAMETERS[effect] if theirs in fitted}
+        names = (*PARAMETERS[effect], *OTHER_PARAMETERS.get(effect, ()))
+        own = {ours: float(fitted[theirs]["value"]) for theirs, ours in names if theirs in fitted}
         causes.append(Cause(effect, CATALOGUE_FORM, {**UNFITTED.get(effect, {}), **own}))
     return tuple(causes)
 

@@ -91,6 +91,7 @@ class Path:
 
     @property
     def duration_s(self) -> float:
+        """Time of the last corner."""
         return float(self.corner_s[-1])
 
 

@@ -21,6 +21,7 @@ class Scope:
 
     @property
     def span_V(self) -> float:
+        """Range of the output between rest and peak."""
         return self.peak_V - self.rest_V
 
 
