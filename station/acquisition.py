@@ -9,10 +9,11 @@ from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, 
 from softcal.core.profiles import Profile
 from softcal.station.bench import Bench
 from softcal.station.contact import Search
-from softcal.station.interfaces import Hold, Move, Sample, StagePosition, Step
+from softcal.station.interfaces import Move, Sample, StagePosition, Step
 from softcal.station.recording import Raw, RunFacts, StationRecording, assemble
 from softcal.station.safety import FollowWatch, ForceWatch, StreamWatch
 from softcal.station.spool import Spool
+from softcal.station.steps import check_profile, steps_of
 from softcal.station.trajectory import DrivenMove, Trapezoid
 
 TICK_S = 0.005
@@ -84,37 +85,6 @@ def record(
     except BaseException:
         run.make_safe(may_retract=False)
         raise
-
-
-def check_profile(bench: Bench, profile: Profile) -> None:
-    """Raise `CommandRefused` when a profile would leave the bounds of stage or station at any contact position."""
-    bounds, fixture = bench.config.safety, bench.config.fixture
-    fastest_mm_s = min(bounds.speed_mm_s, bench.stage.max_speed_mm_s)
-    deepest_mm = min(bounds.deepest_mm, bench.stage.travel_mm)
-    for segment in steps_of(profile):
-        if isinstance(segment, Move) and segment.speed_mm_s > fastest_mm_s * (1 + 1e-9):
-            raise CommandRefused(
-                f"profile {profile.name!r} moves at {segment.speed_mm_s:g} mm/s, the station allows {fastest_mm_s:g} "
-                "mm/s; nothing moved"
-            )
-        if isinstance(segment, Move) and not -fixture.clearance_mm <= segment.to_mm <= deepest_mm - fixture.approach_mm:
-            raise CommandRefused(
-                f"profile {profile.name!r} goes to {segment.to_mm:g} mm, the station allows "
-                f"{deepest_mm - fixture.approach_mm:g} mm below its approach; nothing moved"
-            )
-
-
-def steps_of(profile: Profile) -> list[Step]:
-    """Return a profile as moves from rest to rest and holds."""
-    steps: list[Step] = []
-    at_mm = 0.0
-    for segment in profile.segments:
-        if segment.target_mm == at_mm:
-            steps.append(Hold(segment.duration_s))
-        else:
-            steps.append(Move(segment.target_mm, abs(segment.target_mm - at_mm) / segment.duration_s))
-        at_mm = segment.target_mm
-    return steps
 
 
 class _Run:

@@ -1,5 +1,6 @@
 """The resident owner of a station: one order at a time, one sentence for every stop. No database, no page here."""
 
+import re
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
@@ -16,6 +17,7 @@ from softcal.core.errors import (
     SafetyStop,
     SoftcalError,
 )
+from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.profiles import Profile
 from softcal.core.station_gate import Gate
@@ -125,9 +127,14 @@ class StationService:
             return self._run(order)
         except Cancelled as error:
             self._stop(order, RunState.CANCELLED, "E-STOPPED", error)
-        except DeviceError as error:
+        except SoftcalError as error:
             self._stop(order, RunState.ERROR, _code(error), error)
         return None
+
+    def spool_path(self, order: Order) -> Path:
+        """Return where the samples of an order go; the host removes it once the recording is stored."""
+        name = re.sub(r"[^A-Za-z0-9-]", "_", order.order_id)[:64]
+        return self._spool_folder / f"{check_serial(order.serial)}-{name}.spool"
 
     def close(self) -> None:
         """Give the ports back."""
@@ -155,7 +162,7 @@ class StationService:
             return None
         relay = _Relay(order, self._hooks, bench.readout.unit)
         with_reference = order.kind in (OrderKind.SOURCE, OrderKind.GOLDEN)
-        path = self._spool_folder / f"{order.serial}-{order.order_id}.spool"
+        path = self.spool_path(order)
         header = {"serial": order.serial, "order": order.order_id, "station": order.station, "lot": order.lot_id}
         with Spool(path, header | {"kind": order.kind, "profile": self._profiles[order.kind].name}) as spool:
             recording = record(
@@ -168,7 +175,7 @@ class StationService:
         self.state = StationState.READY
         self.settle()
 
-    def _stop(self, order: Order, state: RunState, code: str, error: DeviceError) -> None:
+    def _stop(self, order: Order, state: RunState, code: str, error: SoftcalError) -> None:
         self.state, self.reasons = StationState.STOPPED, (str(error),)
         self._end(order, state, code, str(error))
 
@@ -206,5 +213,5 @@ class _Relay:
         return Signal(t_s, output, stage_mm, force_N if has_force else (), self._output_unit)
 
 
-def _code(error: DeviceError) -> str:
+def _code(error: SoftcalError) -> str:
     return CODES.get(type(error), CODES[DeviceError])

@@ -126,9 +126,11 @@ class GrblStage:
         Raises:
             NoReply: the controller does not answer; it was told to stop all the same.
         """
+        answers_before = 0 if self._asked_s is None else 1
         self._forget_motion()
         self._link.write(grbl.HOLD)
-        has_stopped = self._has_stopped()
+        self._link.discard()
+        has_stopped = self._has_stopped(answers_before)
         self._link.write(grbl.RESET)
         self._is_homed = self._is_homed and has_stopped
         self._wait_for_greeting(ANSWER_S)
@@ -250,8 +252,12 @@ class GrblStage:
         self._in_flight.clear()
         self._asked_s = None
 
-    def _has_stopped(self) -> bool:
-        """Poll until the controller says that it stands still; False when it does not say so in time."""
+    def _has_stopped(self, answers_before: int) -> bool:
+        """Poll until the controller says that it stands still; False when it does not say so in time.
+
+        Args:
+            answers_before: answers to polls from before the stop that may still come; they prove nothing.
+        """
         end_s = self._link.clock.now_s() + 2 * SILENCE_S
         while self._link.clock.now_s() < end_s:
             self._link.write(grbl.STATUS)
@@ -261,8 +267,11 @@ class GrblStage:
                 continue
             if isinstance(reply, grbl.Alarm) or (isinstance(reply, grbl.Status) and reply.state == "Alarm"):
                 return False
-            if isinstance(reply, grbl.Status) and (reply.state, reply.substate) in (("Hold", 0), ("Idle", 0)):
-                return True
+            if isinstance(reply, grbl.Status):
+                stands = (reply.state, reply.substate) in (("Hold", 0), ("Idle", 0))
+                if stands and answers_before <= 0:
+                    return True
+                answers_before -= 1
             self._link.clock.sleep_s(0.02)
         return False
 
@@ -281,6 +290,8 @@ class GrblStage:
                 reply = grbl.parse(line.text)
             except BadReply:
                 continue  # Replies that were on the way are cut by the reset.
+            if isinstance(reply, grbl.Alarm):
+                self._is_homed = False  # The reset cut a motion.
             if isinstance(reply, grbl.Greeting):
                 return reply.text
 

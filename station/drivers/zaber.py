@@ -1,6 +1,6 @@
 """Driver of a Zaber stage over the ASCII protocol, firmware 6 and 7 (Zaber ASCII manual)."""
 
-from softcal.core.errors import CommandRefused, DeviceError, NoReply
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
 from softcal.station.command import Control, Measurement
 from softcal.station.frames import zaber
 from softcal.station.interfaces import Move, StagePosition
@@ -31,6 +31,7 @@ class ZaberStage:
 
     name = "stage"
 
+    position = Measurement("get pos", unit="microsteps", doc="Measure the position in microsteps.")
     limit_max = Measurement("get limit.max", unit="microsteps", doc="Measure the end of the travel in microsteps.")
     acceleration = Measurement("get accel", unit="settings", doc="Measure the acceleration setting.")
     speed = Control(
@@ -46,7 +47,7 @@ class ZaberStage:
         self.travel_mm = self.limit_max * microstep_mm
         self.max_speed_mm_s = self.speed / SPEED_UNIT * microstep_mm
         self.acceleration_mm_s2 = self.acceleration / ACCELERATION_UNIT * microstep_mm
-        self.position_mm = float(self.ask("get pos")) * microstep_mm
+        self.position_mm = self.position * microstep_mm
         self._target_mm = self.position_mm
 
     @property
@@ -74,7 +75,7 @@ class ZaberStage:
                 raise NoReply(f"stage: not at home after {HOMING_S:g} s; look for what blocks it")
             self._link.clock.sleep_s(STATUS_S)
         self._check(reply)
-        self.position_mm = float(self.ask("get pos")) * self._microstep_mm
+        self.position_mm = self.position * self._microstep_mm
         self._is_homed = True
 
     def begin(self, move: Move) -> None:
@@ -112,7 +113,7 @@ class ZaberStage:
                 continue
             asked_s, self._asked = self._asked[1], None
             self._check(reply)
-            self.position_mm = float(reply.data) * self._microstep_mm
+            self.position_mm = _number(reply) * self._microstep_mm
             positions.append(StagePosition((asked_s + line.host_s) / 2, self.position_mm))
             self._is_moving = reply.is_busy
         now_s = self._link.clock.now_s()
@@ -137,7 +138,7 @@ class ZaberStage:
             self._link.clock.sleep_s(POLL_S)
             reply = self._command("")
         self._is_homed = self._is_homed and not reply.is_busy and not reply.warning.startswith("F")
-        self.position_mm = float(self.ask("get pos")) * self._microstep_mm
+        self.position_mm = self.position * self._microstep_mm
 
     def close(self) -> None:
         """Give the port back."""
@@ -177,3 +178,10 @@ class ZaberStage:
 
     def _forget(self) -> None:
         self._is_moving, self._asked = False, None
+
+
+def _number(reply: zaber.Reply) -> float:
+    try:
+        return float(reply.data)
+    except ValueError as error:
+        raise BadReply(f"stage: its position reads {reply.data[:40]!r}; a number was expected") from error
