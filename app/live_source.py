@@ -32,11 +32,6 @@ PRESS_MM, PRESS_MM_S = 3.0, 4.0
 """Depth below contact height and speed of the simulated presses."""
 
 
-def is_live(source: str) -> bool:
-    """Return whether a source is a stream rather than a file."""
-    return source == "-" or source.startswith(("serial:", "simulated"))
-
-
 @contextmanager
 def open_source(source: str, station_file: Path | None, output_unit: str) -> Iterator[Samples]:
     """Open `-`, `serial:PORT`, `simulated` or `simulated:FACTOR` (times real speed).

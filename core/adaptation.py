@@ -193,9 +193,8 @@ class Adapter:
         self._silent_batches = 0 if any(self._evidence) else self._silent_batches + 1
         self._evidence = []
         last = observations[-1] if observations else None
-        now_s = self._intake.last_s
-        proposed = self._proposed(last, now_s)
-        self._doubt = self._drift_error(now_s)
+        self._doubt, growth = self._drift_errors(self._intake.last_s)
+        proposed = self._proposed(last, growth)
         if self._is_news(proposed):
             self._updates.append(proposed)
             self._current = proposed
@@ -215,14 +214,14 @@ class Adapter:
                 observations.append(self._tracker.observe(cycle))
         return observations
 
-    def _proposed(self, last: Observation | None, now_s: float | None) -> MapUpdate:
+    def _proposed(self, last: Observation | None, growth: float) -> MapUpdate:
         """Return what holds from the next row on."""
         gain, offset = self._tracker.correction()
         ends = np.array([self._use.low, self._use.high])
         moved = (gain - self._current.gain) * ends + offset - self._current.offset
         if np.max(np.abs(moved)) < SWAP * self._use.scale:
             gain, offset = self._current.gain, self._current.offset
-        predicted_rmse = self._predicted_rmse(self._drift_error(now_s))
+        predicted_rmse = self._predicted_rmse(growth)
         seen = self._current if last is None else last
         return MapUpdate(
             row=self._row,
@@ -243,11 +242,12 @@ class Adapter:
         names = ("gain", "offset", "verdict", "reason", "alarm")
         return any(getattr(proposed, name) != getattr(self._current, name) for name in names)
 
-    def _drift_error(self, now_s: float | None) -> float:
-        """Return the standard deviation that doubt about the drift leaves in an estimate, in the reference unit."""
+    def _drift_errors(self, now_s: float | None) -> tuple[float, float]:
+        """Return what doubt about the drift adds to intervals and to the predicted error, in the reference unit."""
         if self._config.mode == "none" or now_s is None:
-            return 0.0
-        return self._error_per_scale * self._tracker.doubt_at(now_s)
+            return 0.0, 0.0
+        widening, growth = self._tracker.doubt_at(now_s)
+        return self._error_per_scale * widening, self._error_per_scale * growth
 
     def _predicted_rmse(self, drift_error: float) -> float:
         return float(np.hypot(self._calibrated_rmse, drift_error))

@@ -149,18 +149,20 @@ class DriftTracker:
         gain = float(np.exp(-log_gain))
         return gain, self._use.mean - gain * float(self._use.mean + self._use.scale * shift)
 
-    def doubt_at(self, t_s: float) -> float:
-        """Return the standard deviation of the drift left in the corrected output, in scales of the calibrated use.
+    def doubt_at(self, t_s: float) -> tuple[float, float]:
+        """Return two standard deviations of the drift left in the corrected output, in scales of the calibrated use.
 
-        It holds what was seen beyond chance but not applied, the doubt about what was applied, what a jump left open,
-        and what may have come since the last cycle.
+        Both hold the doubt about what was applied, what a jump left open, and what may have come since the last
+        cycle. The first also holds all that was seen but not applied, and is for intervals; the second only what of
+        it is beyond chance, and is for the predicted error.
         """
         applied = self._applied()
         chance = float(np.trace(self._covariance))
-        left = max(0.0, float(np.sum((self._drift - applied) ** 2)) - chance)
-        share = float(np.linalg.norm(applied) / max(np.linalg.norm(self._drift), 1e-12))
+        left = float(np.sum((self._drift - applied) ** 2))
+        share = float(np.linalg.norm(applied)) / max(float(np.linalg.norm(self._drift)), 1e-12)
         since = float(np.trace(self.covariance_at(t_s) - self._covariance))
-        return float(np.sqrt(left + share**2 * chance + since + self.unresolved**2))
+        common = share**2 * chance + since + self.unresolved**2
+        return float(np.sqrt(common + left)), float(np.sqrt(common + max(0.0, left - chance)))
 
     def _applied(self) -> Array:
         """Return the part of the drift that is sure enough.

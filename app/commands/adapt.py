@@ -75,14 +75,19 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _follow(registry: "Registry", options: argparse.Namespace, adapt: "AdaptOptions") -> "AdaptReport":
-    from softcal.app.live import LiveOptions, adapt_live
-    from softcal.app.live_source import is_live
-    from softcal.app.workflow.adapt import adapt_file
+def is_live(source: str) -> bool:
+    """Return whether IN names a stream rather than a file."""
+    return source in ("-", "simulated") or source.startswith(("serial:", "simulated:"))
 
+
+def _follow(registry: "Registry", options: argparse.Namespace, adapt: "AdaptOptions") -> "AdaptReport":
     if is_live(options.source):
+        from softcal.app.live import LiveOptions, adapt_live
+
         live = LiveOptions(options.source, options.out, options.station, options.duration, options.view)
         return adapt_live(registry, options.serial, live, adapt)
+    from softcal.app.workflow.adapt import adapt_file
+
     return adapt_file(registry, options.serial, Path(options.source), Path(options.out), adapt)
 
 
@@ -95,7 +100,7 @@ def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptRep
     unit = registry.lot(registry.calibration(report.serial, report.revision).lot_id).reference_unit
     say(f"map: {verdicts or 'never moved'}; predicted error {report.current.predicted_rmse:.3g} {unit}")
     if report.current.reason:
-        say(f"held: {report.current.reason}")
+        say(f"{report.current.verdict}: {report.current.reason}")
     if report.current.alarm:
         say(f"ALARM: {report.current.alarm}")
     if options.html is None and not options.json:

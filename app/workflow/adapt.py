@@ -149,15 +149,27 @@ class Follower:
 
     Args:
         keeper: writes to the registry while estimates go on; None writes at once.
+        is_of_content: the name of the stream comes from its content, so that a stream of this name is this one.
+
+    Raises:
+        InputError: another stream has the name, and it is not to be gone on with.
     """
 
     def __init__(
-        self, registry: Registry, unit: UnitInUse, stream: str, options: AdaptOptions, keeper: Executor | None = None
+        self,
+        registry: Registry,
+        unit: UnitInUse,
+        stream: str,
+        options: AdaptOptions,
+        keeper: Executor | None = None,
+        is_of_content: bool = False,
     ) -> None:
         self._registry, self._keeper = registry, keeper
         self._writing: Future[int] | None = None
         self._adapter = Adapter(unit.network, unit.calibration, unit.recording, options.config)
         last = registry.last_adaptation(unit.calibration.serial, unit.revision, stream)
+        if last is not None and not options.resume and not is_of_content:
+            raise InputError(f"stream {stream!r} has begun already; go on with --resume, or give --stream another name")
         # The same stream again from its first row gives the same steps; those that are kept already stay as they are.
         self._kept_until = -1 if last is None else int(last["sample"])
         if options.resume and last is not None:
@@ -232,7 +244,9 @@ def adapt_file(
     unit = unit_in_use(registry, serial, options.revision)
     stream = options.stream or _stream_of(source, options.config.mode)
     # A file that is begun again gives the same maps; its state is worth keeping at its end only.
-    follower = Follower(registry, unit, stream, replace(options, checkpoint_s=3600.0))
+    follower = Follower(
+        registry, unit, stream, replace(options, checkpoint_s=3600.0), is_of_content=options.stream is None
+    )
     with estimate_writer(target) as writer:
         for t_s, output in read_stream(source):
             writer.write(follower.advance(t_s, output))

@@ -133,6 +133,13 @@ def test_next_file_goes_on_where_the_last_one_ended(bench: Path, stream: Path, t
     assert (tmp_path / "monday.csv").read_text().count("\n") == (tmp_path / "tuesday.csv").read_text().count("\n")
 
 
+def test_another_stream_under_the_same_name_is_refused(bench: Path, stream: Path, tmp_path: Path) -> None:
+    assert adapt(bench, stream, tmp_path / "first.csv", "--stream", "hall-4") == 0
+
+    assert adapt(bench, stream, tmp_path / "second.csv", "--stream", "hall-4") == 2
+    assert not (tmp_path / "second.csv").exists()
+
+
 def test_figure_stands_alone(bench: Path, stream: Path, tmp_path: Path) -> None:
     assert adapt(bench, stream, tmp_path / "out.csv", "--html", str(tmp_path / "drift.html")) == 0
 

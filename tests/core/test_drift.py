@@ -174,7 +174,7 @@ def test_doubt_grows_while_nothing_is_seen() -> None:
     tracker = DriftTracker(use, is_improved=True)
     observe(tracker, presses(200.0, seed=3), use)
 
-    doubts = [tracker.doubt_at(t_s) for t_s in (200.0, 1000.0, 10_000.0)]
+    doubts = [tracker.doubt_at(t_s)[0] for t_s in (200.0, 1000.0, 10_000.0)]
 
     assert doubts[0] < doubts[1] < doubts[2]
 
