@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
+from softcal.core.gap.drive import DrivingForce, driving_force
 from softcal.core.recording import Array
 from softcal.core.twin.parameters import ReadoutMetadata
 
@@ -116,6 +117,13 @@ class Run:
     def elapsed_s(self) -> Array:
         """(n,) time since the first sample."""
         return np.asarray(self.t_s - self.t_s[0])
+
+    @cached_property
+    def driving_force(self) -> DrivingForce:
+        """The measured force, smoothed to drive the chain where there is no stage position."""
+        if self.force_N is None:
+            raise ValueError(f"{self.name} has no force")
+        return driving_force(self.force_N)
 
     @cached_property
     def step_s(self) -> Array:

@@ -65,13 +65,13 @@ def predict(
 
 
 def _from_force(run: Run, flow: Flow, base: BaseParameters, chain: Chain, values: Values) -> Prediction:
-    reading_N = np.asarray(run.force_N)
+    reading_N = run.driving_force.force_N
     force_N = reading_N
     for _ in range(INVERSE_STEPS):
         flow.force_N = force_N
         chain.weigh(flow, values, chain.fresh_memories())
         force_N = force_N + reading_N - flow.reading_N
-    flow.force_N = flow.deformation_mm = np.maximum(force_N, 0.0)
+    flow.force_N = flow.deformation_mm = force_N
     chain.sense(flow, base, run.readout, values, chain.fresh_memories())
     return Prediction(output_V=np.clip(flow.output_V, 0.0, run.readout.vref_V))
 

@@ -8,9 +8,6 @@ from softcal.core.gap.fit import Fit
 from softcal.core.gap.residual import structure
 from softcal.core.twin.catalogue import EFFECTS
 
-PRIOR_ODDS = 0.5 / len(EFFECTS)
-"""Prior odds of each effect being present: one effect in half of the cases."""
-
 
 def overdispersion(best: Fit) -> float:
     """Return by how much the squared residual of the best hypothesis is inflated, at least 1.
@@ -23,9 +20,8 @@ def overdispersion(best: Fit) -> float:
 
 
 def log_evidence(found: Fit, dispersion: float) -> float:
-    """Return the logarithm of prior times evidence of a hypothesis by Schwarz's criterion."""
-    penalty = found.parameter_count * np.log(found.problem.count)
-    return float(-0.5 * (found.chi2 / dispersion + penalty) + len(found.hypothesis.ids) * np.log(PRIOR_ODDS))
+    """Return the logarithm of prior times evidence of a hypothesis, by Schwarz's criterion."""
+    return -0.5 * (found.chi2 / dispersion + found.penalty)
 
 
 def probabilities(fits: Mapping[tuple[str, ...], Fit], dispersion: float) -> dict[str, float]:

@@ -12,7 +12,7 @@ from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit, start_coordinates
 from softcal.core.gap.forms import FORMS, Form
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import screen
-from softcal.core.gap.start import base_fit, noise_levels, with_driving_noise
+from softcal.core.gap.start import base_fit, is_coarse, noise_levels, with_driving_noise
 
 Progress = Callable[[str], None]
 
@@ -30,6 +30,8 @@ class SearchConfig:
         enough: share of the gap that one cause must explain to be named although structure is left.
         clean: share of the gap beyond which what one cause leaves does not matter, however significant it is.
         several_clean: the same for several causes, which are more flexible.
+        part: share of the gap that a further cause must take away; an ADC that is coarse against its noise leaves
+            structure of its own and asks for `coarse_part`.
         patch: share of the gap that steps placed freely in time must take away.
     """
 
@@ -42,6 +44,8 @@ class SearchConfig:
     clean: float = 0.998
     several_clean: float = 0.9995
     patch: float = 0.005
+    part: float = 0.0002
+    coarse_part: float = 0.005
 
 
 class Search:
@@ -125,7 +129,18 @@ class Search:
 
     @property
     def _leader(self) -> Fit:
-        return min(self.fits.values(), key=lambda f: f.bic)
+        """The hypothesis of best evidence, without causes that take away next to nothing of the gap."""
+        best = min(self.fits.values(), key=lambda f: f.bic)
+        need = self._config.coarse_part if is_coarse(best.problem) else self._config.part
+        need *= max(self.base.chi2 - self.base.problem.count, 0.0)
+        while len(best.hypothesis.ids) > 1:
+            ids = best.hypothesis.ids
+            smaller = [self.fits[s] for k in range(len(ids)) if (s := ids[:k] + ids[k + 1 :]) in self.fits]
+            nearest = min(smaller, key=lambda f: f.chi2, default=None)
+            if nearest is None or nearest.chi2 - best.chi2 > need:
+                break
+            best = nearest
+        return best
 
     def _try_forms(self) -> None:
         """Fit the other realisations of the best single causes."""

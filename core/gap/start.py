@@ -4,6 +4,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from softcal.core.gap.case import Case
+from softcal.core.gap.drive import HALF_WIDTH
 from softcal.core.gap.fit import BASE, Fit, Hypothesis, Problem, fit, to_fit
 from softcal.core.recording import Array
 
@@ -43,12 +44,17 @@ def noise_levels(found: Fit) -> dict[str, float]:
         kept = every[: max(1, int(len(every) * (1 - TRIMMED)))]
         # A Gaussian without its largest 2 % of squares keeps 0.873 of its variance.
         variance = float(np.mean(kept)) / 0.873
-        if channel == "output_V" and problem.extra_variance is not None:
-            variance = max(0.0, variance - float(np.mean(_of_channel(problem, problem.extra_variance, channel))))
         if channel == "output_V":
             variance = _with_rounding(problem, variance)
         levels[channel] = max(float(np.sqrt(variance)), 1e-6)
     return levels
+
+
+def is_coarse(problem: Problem) -> bool:
+    """Whether the rounding of the ADC rules the noise of the output."""
+    if not any(block.channel == "output_V" for block in problem.blocks):
+        return False
+    return problem.case.readout.step_V**2 / 12 > COARSE * problem.sigma["output_V"] ** 2 / LONGEST_PLATEAU
 
 
 def _with_rounding(problem: Problem, variance: float) -> float:
@@ -79,14 +85,9 @@ def with_driving_noise(problem: Problem, found: Fit) -> Problem:
         if run.kind != "press" or run.stage_mm is not None or run.force_N is None:
             continue
         slope = _slope(run.force_N, found.predicted[block.place])
-        extra[block.place] = (slope * force_noise(run.force_N)) ** 2
+        # Smoothed noise moves slowly: it counts as often as samples share it.
+        extra[block.place] = (2 * HALF_WIDTH + 1) * (slope * run.driving_force.sigma_N) ** 2
     return Problem(case, problem.sigma, problem.use, extra)
-
-
-def force_noise(force_N: Array) -> float:
-    """Return σF of a measured force from its second differences; a straight ramp does not enter."""
-    squares = np.sort(np.diff(force_N, 2) ** 2 / 6)
-    return float(np.sqrt(np.mean(squares[: max(1, int(0.8 * len(squares)))]) / 0.45))
 
 
 def _slope(force_N: Array, output_V: Array) -> Array:
@@ -96,10 +97,6 @@ def _slope(force_N: Array, output_V: Array) -> Array:
     keep = np.concatenate([[True], np.diff(x[edges]) > 1e-6])
     slopes = np.gradient(y[edges][keep], x[edges][keep]) if keep.sum() > 2 else np.zeros(int(keep.sum()))
     return np.asarray(np.interp(force_N, x[edges][keep], slopes))
-
-
-def _of_channel(problem: Problem, values: Array, channel: str) -> Array:
-    return np.concatenate([values[b.place] for b in problem.blocks if b.channel == channel])
 
 
 def _first_noise(case: Case) -> dict[str, float]:

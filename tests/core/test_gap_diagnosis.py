@@ -1,0 +1,232 @@
+"""Diagnoses of simulated cases: the planted cause is named, the rest is said honestly."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from softcal.core import profiles
+from softcal.core.errors import InputError
+from softcal.core.gap.case import Case, Run
+from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.explained import explained_twin
+from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
+from softcal.core.twin.simulate import EffectSetting, Twin, simulate
+
+READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=12, r_series_ohm=10.0, sample_rate_Hz=50.0)
+BASE = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, kappa_per_N=0.06, sigma_force_N=0.015)
+DEPTH_mm = 3.1
+SINGLES = {
+    "backlash": {"b": 0.05},
+    "stress_relaxation": {"g": 0.1, "tau": 5.0},
+    "channel_creep": {"c": 0.08, "tau": 5.0},
+    "thermal_drift": {"alpha": 0.002},
+    "readout_lag": {"tau": 0.08},
+    "mains_hum": {"A": 0.004, "f": 10.0},
+    "adc_saturation": {"V_max": 1.17},
+    "loadcell_drift": {"r": 0.001},
+    "clock_skew": {"epsilon": 0.001},
+}
+
+
+def make_case(*effects, profiles_=None, seed=1, base=BASE, readout=READOUT):
+    rng = np.random.default_rng(seed)
+    pressed = profiles_ or (
+        profiles.ramps([DEPTH_mm] * 2, 0.6),
+        profiles.ramps([DEPTH_mm] * 6, 4.0),
+        profiles.steps_with_holds([1.2, 2.4, DEPTH_mm, 1.8], hold_s=4.0),
+        profiles.random_presses(rng, 20.0, DEPTH_mm),
+    )
+    runs = []
+    for k, profile in enumerate(pressed):
+        t_s, stage_mm = profile.sample(50.0)
+        temperature_C = 22.0 + 3.0 * (1 - np.exp(-t_s / 10.0)) + 0.3 * np.sin(t_s / 3.0 + k)
+        settings = tuple(EffectSetting(e, v, ep) for e, v, ep in effects)
+        force_N, output_V = simulate(Twin(base, settings, readout), t_s, stage_mm, rng, temperature_C)
+        runs.append(Run(f"run {k}", t_s, readout, stage_mm, force_N, output_V, temperature_C, profile=profile.name))
+    return Case("G1", tuple(runs))
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return make_case()
+
+
+def test_base_data_give_no_gap(plain):
+    diagnosis = diagnose(plain)
+    assert diagnosis.verdict == "no_gap"
+    assert diagnosis.causes[0].probability < 0.5
+    assert diagnosis.places == ()
+
+
+@pytest.mark.parametrize("effect_id", SINGLES)
+def test_a_single_effect_is_named_and_closes_the_gap(effect_id):
+    diagnosis = diagnose(make_case((effect_id, SINGLES[effect_id], ())))
+    first = diagnosis.causes[0]
+    assert first.effect == effect_id and first.probability > 0.5
+    assert diagnosis.verdict in ("explained", "ambiguous")
+    assert diagnosis.places[0].stage == first.stage
+    assert diagnosis.shrink.held_out > 0.9
+    assert abs(diagnosis.shrink.held_out - diagnosis.shrink.predicted) < 0.1
+
+
+def test_fitted_values_lie_near_the_planted_ones():
+    diagnosis = diagnose(make_case(("stress_relaxation", {"g": 0.1, "tau": 5.0}, ())))
+    g, tau = (diagnosis.causes[0].parameters[name] for name in ("g", "tau"))
+    assert g.value == pytest.approx(0.1, abs=0.004) and g.low < g.value < g.high
+    assert tau.value == pytest.approx(5.0, rel=0.1)
+    assert diagnosis.best.base.k1_N_mm == pytest.approx(BASE.k1_N_mm, rel=0.01)
+
+
+def test_lost_samples_are_found_in_place_and_number():
+    diagnosis = diagnose(make_case(("dropped_samples", {}, ((6.0, 5),))))
+    assert diagnosis.causes[0].effect == "dropped_samples"
+    rows = [diagnosis.best.hypothesis.episodes_of(k)["dropped_samples"] for k in range(4)]
+    assert all(abs(r[0, 0] - 6.0) < 0.5 and r[:, 1].sum() == 5 for r in rows)
+
+
+def test_two_effects_of_different_stages_are_both_named():
+    diagnosis = diagnose(make_case(("channel_hysteresis", {}, ()), ("loadcell_creep", {}, ())))
+    assert {c.effect for c in diagnosis.causes[:2]} == {"channel_hysteresis", "loadcell_creep"}
+    assert {p.stage for p in diagnosis.places[:2]} == {"transduction", "load_cell"}
+
+
+def test_two_relaxation_times_are_still_stress_relaxation():
+    case = make_case()
+    runs = []
+    for run in case.runs:
+        drop = sum(g * _low_pass(run.force_N, tau) for g, tau in ((0.06, 0.5), (0.06, 12.0)))
+        force_N = np.maximum(0.0, run.force_N - drop)
+        resistance = 4.0 / (1 - 0.06 * force_N)
+        clean_V = 3.3 * resistance / (resistance + 10.0)
+        output_V = np.round(clean_V / READOUT.step_V) * READOUT.step_V
+        runs.append(dataclasses.replace(run, force_N=force_N, output_V=output_V))
+    diagnosis = diagnose(Case("G1", tuple(runs)))
+    assert diagnosis.causes[0].effect == "stress_relaxation"
+    assert diagnosis.verdict in ("explained", "ambiguous")
+
+
+def _low_pass(signal, tau_s):
+    out, y = [], 0.0
+    for x in signal:
+        y += (1 - np.exp(-0.02 / tau_s)) * (x - y)
+        out.append(y)
+    return np.array(out)
+
+
+def test_a_cause_outside_the_catalogue_is_unknown():
+    case = make_case()
+    pitch = [run.stage_mm + 0.03 * np.sin(2 * np.pi * run.stage_mm / 0.4) for run in case.runs]
+    runs = []
+    for run, pad_mm in zip(case.runs, pitch, strict=True):
+        force_N, output_V = simulate(Twin(BASE, (), READOUT), run.t_s, pad_mm, np.random.default_rng(3))
+        runs.append(dataclasses.replace(run, force_N=force_N, output_V=output_V))
+    diagnosis = diagnose(Case("G1", tuple(runs)))
+    assert diagnosis.verdict == "unknown"
+    assert diagnosis.places[0].stage in ("motion", "mechanics") and diagnosis.places[0].detail
+
+
+def test_drift_of_reference_and_channel_without_temperature_is_resolved_or_called_ambiguous():
+    case = make_case(("ageing_drift", {"gamma": 0.004, "tau": 60.0}, ()))
+    case = Case("G1", tuple(dataclasses.replace(run, temperature_C=None) for run in case.runs))
+    diagnosis = diagnose(case)
+    named = {i for rival in diagnosis.rivals for i in rival.hypothesis.ids}
+    assert "ageing_drift" in named
+    assert diagnosis.case.missing_channels == ("temperature_C",)
+    if diagnosis.verdict == "ambiguous":
+        assert diagnosis.ambiguous_with and diagnosis.next_experiment.why
+
+
+def test_the_report_is_the_contract(plain):
+    report = json.loads(json.dumps(diagnose(plain).report(), allow_nan=False))
+    assert {
+        "schema",
+        "verdict",
+        "gap",
+        "shrink",
+        "where",
+        "causes",
+        "ambiguous_with",
+        "hidden_fraction",
+        "next_experiment",
+        "missing_channels",
+    } <= set(report)
+    assert set(report["gap"]) == {"output", "force"} and len(report["causes"]) == 25
+    assert set(report["gap"]["force"]) == {"rmse_before", "rmse_after", "noise_floor"}
+
+
+def test_a_fit_is_the_same_again(plain):
+    assert diagnose(plain).report() == diagnose(plain).report()
+
+
+@pytest.mark.parametrize("missing", ["force_N", "stage_mm", "output_V"])
+def test_a_missing_channel_narrows_the_diagnosis(missing, plain):
+    case = Case("G1", tuple(dataclasses.replace(run, **{missing: None}) for run in plain.runs))
+    diagnosis = diagnose(case)
+    assert missing in diagnosis.case.missing_channels
+    assert diagnosis.verdict == "no_gap"
+    hidden = {"force_N": "load_cell", "stage_mm": "mechanics", "output_V": "transduction"}[missing]
+    assert all(c.probability == 0 for c in diagnosis.causes if c.stage == hidden)
+
+
+def test_one_run_is_diagnosed_on_stretches_held_back():
+    case = make_case(
+        ("backlash", {"b": 0.1}, ()), profiles_=(profiles.random_presses(np.random.default_rng(2), 30, 3),)
+    )
+    diagnosis = diagnose(case)
+    assert diagnosis.causes[0].effect == "backlash" and "stretches" in diagnosis.protocol
+
+
+def test_special_runs_join_the_fit():
+    case = make_case(("loadcell_nonlinearity", {"lambda": 0.05}, ()))
+    t_s = np.arange(500) / 50.0
+    known_N = np.floor(t_s / 2.0) * 1.5
+    read_N = known_N * (1 + 0.05 * (1 - known_N / 10.0)) + np.random.default_rng(1).normal(0, 0.015, 500)
+    weights = Run("weights", t_s, READOUT, force_N=read_N, known_force_N=known_N, kind="dead_weights")
+    dummy_V = np.full(500, round(3.3 * 5 / 15 / READOUT.step_V) * READOUT.step_V)
+    dummy = Run("dummy", t_s, READOUT, output_V=dummy_V, dummy_ohm=5.0, kind="dummy_resistor")
+    rest = Run("rest", t_s, READOUT, output_V=np.full(500, 0.9428), kind="rest")
+    diagnosis = diagnose(Case("G1", (*case.runs, weights, dummy, rest)))
+    assert diagnosis.causes[0].effect == "loadcell_nonlinearity"
+
+
+def test_the_explained_twin_foretells_an_unseen_profile():
+    planted = ("mechanical_hysteresis", {"a": 0.06, "d0": 0.4}, ())
+    twin = explained_twin(diagnose(make_case(planted)))
+    t_s, stage_mm = profiles.rate_sweep(2.8).sample(50.0)
+    truth = simulate(Twin(BASE, (EffectSetting(*planted[:2]),), READOUT), t_s, stage_mm)
+    told = simulate(twin, t_s, stage_mm)
+    assert np.sqrt(np.mean((told[0] - truth[0]) ** 2)) < 0.01
+    assert np.sqrt(np.mean((told[1] - truth[1]) ** 2)) < 0.001
+
+
+def test_runs_that_do_not_belong_together_are_refused(plain):
+    other = dataclasses.replace(plain.runs[1], readout=dataclasses.replace(READOUT, vref_V=5.0))
+    with pytest.raises(InputError, match="vref_V is 5.0, but 3.3 in run 0"):
+        Case("G1", (plain.runs[0], other))
+    with pytest.raises(InputError, match="force_N is missing, other runs have it"):
+        Case("G1", (plain.runs[0], dataclasses.replace(plain.runs[1], force_N=None)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"output_V": np.full(40, 0.5)}, "output_V is 0.5 throughout"),
+        ({"t_s": np.arange(40) / 25.0}, "time stamps show 25 Hz"),
+        ({"force_N": np.full(40, np.nan)}, "force_N is nan at sample 0"),
+        ({"kind": "dummy_resistor"}, "needs dummy_ohm"),
+        ({"stage_mm": None, "force_N": None}, "two of stage_mm, force_N, output_V"),
+    ],
+)
+def test_a_run_without_meaning_is_refused(change, message):
+    good = {
+        "name": "run",
+        "t_s": np.arange(40) / 50.0,
+        "readout": READOUT,
+        "stage_mm": np.linspace(0, 1, 40),
+        "force_N": np.linspace(0, 1, 40),
+        "output_V": np.linspace(0, 1, 40),
+    }
+    with pytest.raises(InputError, match=message):
+        Run(**(good | change))
