@@ -21,6 +21,7 @@ COMMANDS = (
     "export",
     "inspect_",
     "registry",
+    "lot",
     "quality",
     "gap",
     "ui",
