@@ -12,7 +12,7 @@ from softcal.core.estimate import Estimate, estimate
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network import Network
-from softcal.core.recording import LabelledRecording
+from softcal.core.recording import Array, LabelledRecording
 from softcal.core.simulated_lot import FAULTS, SHIFTS, LotDesign, SimulatedUnit, simulate_lot
 from softcal.core.source_model import SourceModel, make_source_model
 from softcal.core.training import NetworkConfig, fit_network
@@ -39,6 +39,8 @@ class Case:
         source_rmse: the source's own held-out RMSE, N.
         calibration: None where the unit was refused.
         result, test: estimates over the test part, and its truth.
+        network: the shared network of its lot.
+        source_half_width: the interval's table for the source itself.
     """
 
     seed: int
@@ -52,6 +54,8 @@ class Case:
     calibration: Calibration | None
     result: Estimate | None
     test: LabelledRecording
+    network: Network
+    source_half_width: Array
 
     @property
     def is_bad(self) -> bool:
@@ -66,19 +70,17 @@ class Case:
         return self.calibration.predicted_rmse / self.source_rmse
 
 
-def lot_design(seed: int, good: int = 6) -> LotDesign:
-    """Return the design of a lot: every fault once; even seeds know the stage position and see every shift in turn."""
+def lot_design(seed: int, faults: tuple[str, ...] = tuple(FAULTS)) -> LotDesign:
+    """Return the design of a lot: each fault once; even seeds know the stage position and see every shift in turn."""
     has_stage = seed % 2 == 0
     shifts = tuple(SHIFTS) if has_stage else SHIFTS_WITHOUT_STAGE
-    return LotDesign(
-        good=good, bad=dict.fromkeys(FAULTS, 1), shift=shifts[(seed // 2) % len(shifts)], has_stage=has_stage
-    )
+    return LotDesign(good=5, bad=dict.fromkeys(faults, 1), shift=shifts[(seed // 2) % len(shifts)], has_stage=has_stage)
 
 
-def cases(seeds: range) -> Iterator[Case]:
-    """Yield every unit of the lots of these seeds."""
+def cases(seeds: range, faults: tuple[str, ...] = tuple(FAULTS)) -> Iterator[Case]:
+    """Yield every unit of the lots of these seeds, with these faults planted once each."""
     for seed in seeds:
-        design = lot_design(seed)
+        design = lot_design(seed, faults)
         lot = simulate_lot(seed, design)
         trained = fit_network(lot.source, NETWORK)
         model = make_source_model(lot.source, trained.network, trained.validation_rows)
@@ -106,6 +108,8 @@ def judged(seed: int, design: LotDesign, unit: SimulatedUnit, own: float, networ
         calibration=calibration,
         result=result,
         test=test,
+        network=network,
+        source_half_width=model.interval.half_width,
     )
 
 

@@ -30,6 +30,7 @@ class CalibrationConfig:
     Args:
         map: how the map is chosen.
         parts: shares of the recording left out in turn while the chosen family is fitted again: how firm it stands.
+            Not done where the stage position is known, which tells more.
     """
 
     map: MapConfig = field(default_factory=MapConfig)
@@ -64,9 +65,9 @@ def calibrate_unit(
     check_alive(target, source)
     limits = output_limits(target, source, is_rising=model.interval.slope_limit > 0)
     chosen = choose_map(problem, config.map)
-    evidence = gather_evidence(
-        model, target, chosen.unit_map, _rivals(chosen), _refitted(problem, chosen, config.parts), limits
-    )
+    has_positions = model.stage_curve is not None and target.stage_mm is not None
+    refitted = [] if has_positions else _refitted(problem, chosen, config.parts)
+    evidence = gather_evidence(model, target, chosen.unit_map, _rivals(chosen), refitted, limits)
     forecast = forecast_error(evidence.budget)
     findings = (*health_findings(target, source, limits), *map_findings(model, target, evidence))
     return Calibration(

@@ -10,16 +10,19 @@ from softcal.core.verdict import Finding
 UNFAMILIAR_SHARE = 0.05
 COVERED_SHARE = 0.75
 ENOUGH_OVERLAP = 0.6
+SPEED_FACTOR = 1.7
 DRIFT_FACTOR = 2.0
 """A drift or creep at rest of this many times the source's own error is worth a word."""
 
 
 def map_findings(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> tuple[Finding, ...]:
     """Say in words what the mapped windows show against the unit, if anything."""
+    reversed_wiring = _reversed(model, target)
     checks = (
-        _reversed(model, target),
+        reversed_wiring,
         _unfamiliar(model, evidence),
-        _other_use(evidence),
+        # Turned upside down, the right programme looks wrong too.
+        _other_use(evidence) if reversed_wiring is None else None,
         _uncovered(model, target, evidence),
         _restless(model, target, evidence),
         _not_better(evidence),
@@ -66,14 +69,17 @@ def _reach(values: Array) -> tuple[float, float]:
 
 
 def _other_use(evidence: MapEvidence) -> Finding | None:
-    """Return a finding where the unit's mix of loads and speeds is not the source's."""
-    if evidence.overlap >= ENOUGH_OVERLAP:
+    """Return a finding where the unit's mix of loads and speeds is not the source's.
+
+    Where the stage position is known the map does not rest on that mix; else nothing firm can be said.
+    """
+    if evidence.overlap >= ENOUGH_OVERLAP and 1 / SPEED_FACTOR <= evidence.speed <= SPEED_FACTOR:
         return None
     text = (
-        f"wrong programme: the unit's mix of loads and speeds overlaps the source's by {evidence.overlap:.0%} only; "
-        "either it was pressed otherwise or it behaves otherwise"
+        f"wrong programme: the mix of loads and speeds overlaps the source's by {evidence.overlap:.0%}, fast movements "
+        f"are {evidence.speed:.2g} x as fast; press the unit as the source was pressed, or it behaves otherwise"
     )
-    return Finding("wrong programme", text)
+    return Finding("wrong programme", text, "conditional" if "stage" in evidence.budget else "retest")
 
 
 def _restless(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> Finding | None:

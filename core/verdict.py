@@ -14,7 +14,7 @@ VERDICTS = ("pass", "conditional", "fail", "retest")
 FOUR_WORDS = ("pass", "conditional pass", "conditional fail", "fail")
 """The non-binary statement of ILAC-G8:09/2019, section 4.2.3."""
 
-DEFAULT_FACTOR = 2.0
+DEFAULT_FACTOR = 3.0
 """A lot that states no limit gets this factor times the source's own held-out RMSE."""
 
 CONTRACT_WORD = {"pass": "pass", "conditional pass": "conditional", "conditional fail": "conditional", "fail": "fail"}

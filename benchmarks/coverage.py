@@ -1,0 +1,76 @@
+"""Share of samples whose force lies in the 90 % interval, on good units of simulated lots (target 87 to 93 %).
+
+python benchmarks/coverage.py [--quick] [--seeds FIRST LAST]
+python benchmarks/coverage.py --fit --seeds 1000 1016     # coverage against the share of the map's variance used
+"""
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+from simulated_cases import Case, cases, coverage
+
+from softcal.core.estimate import estimate
+from softcal.core.forecast import INTERVAL_SHARE, INTERVAL_SHARE_ON_STAGE
+from softcal.core.simulated_lot import GOOD
+from softcal.core.uncertainty import DIRECTIONS
+
+SHARES = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="four lots only")
+    parser.add_argument("--seeds", type=int, nargs=2, default=(0, 24), metavar=("FIRST", "LAST"))
+    parser.add_argument("--fit", action="store_true", help="print coverage by share instead")
+    options = parser.parse_args()
+    first, last = (0, 4) if options.quick else options.seeds
+    good = [c for c in cases(range(first, last), faults=()) if c.kind == GOOD and c.result is not None]
+    groups = {"all": good, "stage known": [], "stage unknown": []}
+    for case in good:
+        groups["stage known" if case.has_stage else "stage unknown"].append(case)
+    for name, group in groups.items():
+        if group:
+            print_shares(name, group) if options.fit else print_group(name, group)
+
+
+def print_group(name: str, group: list[Case]) -> None:
+    per_unit = [coverage(c.result, c.test) for c in group]
+    low, middle, high = np.quantile(per_unit, (0.1, 0.5, 0.9))
+    trusted = np.mean([coverage(c.result, c.test, trusted_only=True) for c in group])
+    print(f"\n**{name}**: {len(group)} units, mean {np.mean(per_unit):.1%}, unflagged rows {trusted:.1%}, ", end="")
+    print(f"units' 10/50/90 %: {low:.0%} / {middle:.0%} / {high:.0%}\n")
+    thirds = ("lower third", "middle third", "upper third")
+    print("| direction | " + " | ".join(thirds) + " |\n|---|---|---|---|")
+    for d, direction in enumerate(DIRECTIONS):
+        cells = [np.mean(np.concatenate([hits(c, d, third) for c in group])) for third in range(3)]
+        print(f"| {direction} | " + " | ".join(f"{cell:.1%}" for cell in cells) + " |")
+
+
+def hits(case: Case, direction: int, third: int) -> np.ndarray:
+    """Return which samples of one direction and third of the load range lie in their interval."""
+    force, result = case.test.reference, case.result
+    slope = np.gradient(force)
+    moving = np.quantile(np.abs(slope), 0.9) * 0.15
+    sign = 1 + (slope > moving).astype(int) - (slope < -moving)
+    level = np.clip((force - force.min()) / np.ptp(force) * 3, 0, 2).astype(int)
+    rows = np.isfinite(result.estimate) & (sign == direction) & (level == third)
+    return np.asarray((result.lower <= force) & (force <= result.upper))[rows]
+
+
+def print_shares(name: str, group: list[Case]) -> None:
+    for share in SHARES:
+        print(f"{name}, share {share:g}: {np.mean([with_share(c, share) for c in group]):.1%}")
+
+
+def with_share(case: Case, share: float) -> float:
+    """Return the coverage had this share of the map's variance been used."""
+    used = INTERVAL_SHARE_ON_STAGE if case.has_stage else INTERVAL_SHARE
+    added = case.calibration.interval.half_width**2 - case.source_half_width**2
+    half_width = np.sqrt(case.source_half_width**2 + added * share / used)
+    calibration = replace(case.calibration, interval=replace(case.calibration.interval, half_width=half_width))
+    return coverage(estimate(case.network, calibration, case.test.unlabelled), case.test)
+
+
+if __name__ == "__main__":
+    main()
