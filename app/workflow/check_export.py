@@ -10,7 +10,7 @@ from softcal.core.errors import InputError
 from softcal.core.export.blob import NetworkFile, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.json_text import network_from_values, unit_from_values
-from softcal.core.export.loader import open_sensor
+from softcal.core.export.loader import join
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def _device_problems(folder: Path, manifest: Manifest) -> tuple[list[str], int]:
             problems.append(f"unit {unit.serial}: its network file {unit.network_id.hex()} is not in the folder")
             continue
         try:
-            open_sensor(network.to_bytes(), unit.to_bytes())
+            join(network, unit)
         except InputError as error:
             problems.append(str(error))
     return problems, len({unit.serial for unit in units})

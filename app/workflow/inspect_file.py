@@ -15,7 +15,7 @@ from softcal.core.export.blob import (
 )
 from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.json_text import network_from_values, network_values, unit_from_values, unit_values
-from softcal.core.export.loader import open_sensor
+from softcal.core.export.loader import join
 
 DeviceFile = NetworkFile | UnitFile
 
@@ -63,7 +63,7 @@ def file_rows(file: DeviceFile, network: NetworkFile | None = None) -> list[tupl
         return _network_rows(file)
     rows = _unit_rows(file)
     if network is not None:
-        open_sensor(network.to_bytes(), file.to_bytes())
+        join(network, file)
         rows.append(("self-tests", f"{len(file.self_tests)} of {len(file.self_tests)} give what they must"))
     return rows
 

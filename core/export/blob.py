@@ -8,6 +8,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 
@@ -128,14 +129,18 @@ class NetworkFile:
         """Longest time between two samples of one window: 1.5 periods, rounded up to the next ms."""
         return -(-3 * self.period_us // 2000)
 
-    @property
+    @cached_property
+    def _body(self) -> bytes:
+        return _network_body(self)
+
+    @cached_property
     def id(self) -> bytes:
         """First 8 bytes of the SHA-256 of the body: what ties unit files to this file."""
-        return hashlib.sha256(_network_body(self)).digest()[:8]
+        return hashlib.sha256(self._body).digest()[:8]
 
     def to_bytes(self) -> bytes:
         """Return the file."""
-        return _sealed(Kind.NETWORK, 0, self.id, 0, 0, self.source_serial, _network_body(self))
+        return _sealed(Kind.NETWORK, 0, self.id, 0, 0, self.source_serial, self._body)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.export.blob import CONDITIONAL, FAILED, AdaptLimits, Band, NetworkFile, SelfTest, UnitFile
+from softcal.core.export.blob import (
+    CONDITIONAL,
+    FAILED,
+    MAX_LAYERS,
+    MAX_WIDTH,
+    AdaptLimits,
+    Band,
+    NetworkFile,
+    SelfTest,
+    UnitFile,
+)
+from softcal.core.export.blob_reader import read_unit
 from softcal.core.export.compile_map import CompiledMap, InputScale, compile_map
 from softcal.core.export.integer_network import (
     ACTIVATION_MAX,
@@ -14,7 +25,7 @@ from softcal.core.export.integer_network import (
     IntegerNetwork,
     Integers,
 )
-from softcal.core.export.loader import open_sensor, run_self_test
+from softcal.core.export.loader import join, run_self_test
 from softcal.core.export.quantise import code_range, evaluate_float64, quantise_map, quantise_network
 from softcal.core.maps.interface import UnitMap
 from softcal.core.network import Network
@@ -92,8 +103,13 @@ def build_network_file(network: Network, source: LabelledRecording) -> NetworkFi
     """Make the shared file of a lot from f and the source recording it was trained on; the same input, the same bytes.
 
     Raises:
-        UnitRefused: f has no integer form without overflow.
+        UnitRefused: f is too large for the format, or has no integer form without overflow.
     """
+    if max(network.sizes) > MAX_WIDTH or len(network.weights) > MAX_LAYERS:
+        raise UnitRefused(
+            f"network {'-'.join(map(str, network.sizes))} is too large for a device file: {MAX_LAYERS} layers of "
+            f"{MAX_WIDTH} are the most; train a smaller one or fewer members"
+        )
     integers = quantise_network(network, source.windows)
     held = replace(integers, input_zero=_float32(integers.input_zero), input_lsb=_float32(integers.input_lsb))
     return NetworkFile(
@@ -112,7 +128,7 @@ def build_unit_file(
     network_file: NetworkFile,
     options: DeviceOptions = DeviceOptions(),  # noqa: B008
 ) -> DeviceUnit:
-    """Compile γ, cut it into integers, measure both on the unit's own recording and open the result once.
+    """Compile γ, cut it into integers, measure both on the unit's own recording, and read the result back.
 
     Raises:
         UnitRefused: γ has no device form within the limit, or its integers are further off than allowed.
@@ -152,7 +168,7 @@ def build_unit_file(
         self_tests=_self_tests(integers, device_map, code_min, code_max),
         adapt=_adapt_limits(device_map, codes, options),
     )
-    open_sensor(network_file.to_bytes(), file.to_bytes(), facts.serial)
+    join(network_file, read_unit(file.to_bytes()), facts.serial)
     return DeviceUnit(file, compiled, rms_error, max_error, limit)
 
 

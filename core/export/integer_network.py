@@ -56,7 +56,9 @@ class IntegerLayer:
 
     def apply(self, inputs: Integers, is_rectified: bool) -> Integers:
         """Carry (n, columns) activations through the layer: (n, rows)."""
-        accumulator = inputs @ self.weights.T + self.bias
+        # Doubles hold every sum below 2^53 exactly, and unlike integers they multiply fast.
+        sums = inputs.astype(np.float64) @ self.weights.T.astype(np.float64)
+        accumulator = sums.astype(np.int64) + self.bias
         if is_rectified:
             accumulator = np.maximum(accumulator, 0)
         product = (accumulator >> self.shift1) * self.multiplier

@@ -105,7 +105,15 @@ def open_sensor(network: bytes, unit: bytes, serial: str | None = None) -> Devic
     Raises:
         FileRefused: the first check that fails; no number comes from such a file.
     """
-    network_file, unit_file = read_network(network), read_unit(unit)
+    return join(read_network(network), read_unit(unit), serial)
+
+
+def join(network_file: NetworkFile, unit_file: UnitFile, serial: str | None = None) -> DeviceSensor:
+    """Open two files that have been read: they must belong together, and every self-test must give its number.
+
+    Raises:
+        FileRefused: the first check that fails.
+    """
     if unit_file.network_id != network_file.id:
         raise FileRefused(
             Cause.NETWORK,

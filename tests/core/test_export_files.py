@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softcal.core.errors import UnitRefused
 from softcal.core.export.blob import Cause, FileRefused, NetworkFile, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.compile_map import Curve, InputScale, Linear, MapForm
@@ -200,6 +201,12 @@ def test_a_linear_part_on_windows_carries_its_matrix(
     assert np.abs(estimate - exact).max() < 0.02
     assert len(file.to_bytes()) <= 864
     assert unit_from_values(json.loads(json_text(unit_values(file)))).to_bytes() == file.to_bytes()
+
+
+def test_a_network_too_large_for_the_format_is_refused(press: Press) -> None:
+    wide = Network((np.ones((15, 1100)), np.ones((1100, 1))), (np.zeros(1100), np.zeros(1)), 0.5, 0.1, 0.0, 1.0)
+    with pytest.raises(UnitRefused, match="15-1100-1 is too large"):
+        build_network_file(wide, press(1))
 
 
 def test_knots_that_fall_on_one_code_are_merged(network_file: NetworkFile) -> None:
