@@ -23,6 +23,7 @@ RESULT_FIELDS = (
     "reasons",
     "made_at",
 )
+STATED = "stated with the lot"
 
 
 class LotTables(RegistryBase):
@@ -30,6 +31,8 @@ class LotTables(RegistryBase):
 
     def add_lot(self, lot: Lot, *, actor: str | None = None) -> None:
         """Register a lot and its source unit; the same lot again changes nothing, another limit adds a version.
+
+        A limit that somebody set in the registry stays until the lot states another one than it did before.
 
         Raises:
             InputError: a lot of this id with other facts is registered.
@@ -43,9 +46,9 @@ class LotTables(RegistryBase):
             else:
                 _check_same(lot.id, known, facts)
             self._add_unit(connection, lot.id, lot.source, "source", actor)
-            newest = self.limit(lot.id)
-            if lot.limit_rmse != (newest.rmse if newest else None):
-                self.set_limit(lot.id, lot.limit_rmse, reason="stated with the lot", actor=actor)
+            stated = [entry.rmse for entry in self.limit_versions(lot.id) if entry.reason == STATED]
+            if lot.limit_rmse != (stated[-1] if stated else None):
+                self.set_limit(lot.id, lot.limit_rmse, reason=STATED, actor=actor)
 
     def lots(self) -> list[Lot]:
         """Return every lot by id, each with its newest limit."""

@@ -136,7 +136,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     start_s = time.perf_counter()
     source = folder.read_source()
     trained = train_or_find(folder.lot, source, registry, config.network, config.actor, watch.on_epoch)
-    shared = _Shared(make_source_model(source, trained.network), config, _limit(folder.lot))
+    shared = _Shared(make_source_model(source, trained.network), config, _limit(registry.lot(folder.lot.id)))
     watch.on_start(len(folder.unit_paths))
     results: dict[str, UnitResult] = {}
     for result in _results(folder, registry, shared):

@@ -35,6 +35,14 @@ def test_another_limit_makes_a_new_version(factory):
     assert factory.registry.lot("L1").limit_rmse == 0.3
 
 
+def test_a_limit_set_in_the_registry_stays_until_the_lot_states_another(factory):
+    factory.registry.set_limit("L1", 0.1, reason="drawing C")
+    factory.registry.add_lot(Lot("L1", "S0", 50.0, limit_rmse=0.2))
+    assert factory.registry.lot("L1").limit_rmse == 0.1
+    factory.registry.add_lot(Lot("L1", "S0", 50.0, limit_rmse=0.3))
+    assert factory.registry.lot("L1").limit_rmse == 0.3
+
+
 def test_a_limit_changed_by_somebody_else_is_not_overwritten(factory):
     seen = factory.registry.limit("L1").version
     factory.registry.set_limit("L1", 0.4, reason="new customer", actor="kim", expected_version=seen)
