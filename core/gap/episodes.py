@@ -25,6 +25,9 @@ MAINS_TOLERANCE_Hz = 0.5
 LINE_GAIN = 30.0
 """χ² that the strongest line of a spectrum must take away; white noise reaches 20 in a thousand lines."""
 
+FLAT_SAMPLES = 8
+"""Samples that must lie clearly beyond a level before the output is taken as clipped there."""
+
 SLOWEST_HUM_Hz = 0.3
 """An alias below this is a drift to the eye and to every fit."""
 
@@ -275,7 +278,7 @@ def with_clipping(found: Fit, extent: Extent, side: int = 1) -> Fit | None:
     excess = side * (rest.predicted - problem.measured) / problem.noise
     over = near & (excess > 0)
     excess = excess[over]
-    if np.count_nonzero(excess > 3) < 3:
+    if np.count_nonzero(excess > 3) < FLAT_SAMPLES:
         return None
     level_V = float(np.median(problem.measured[over]))
     effect = EFFECTS["adc_saturation"] if side > 0 else CLIPPED_BELOW

@@ -117,8 +117,7 @@ def _channel_gap(folds: list[_Fold], problem: Problem, channel: str) -> ChannelG
     measured = problem.measured
     before = _pooled(folds, problem, channel, [measured - f.before.predicted for f in folds])
     after = _pooled(folds, problem, channel, [measured - f.after.predicted for f in folds])
-    floor = _pooled(folds, problem, channel, [problem.noise for _ in folds])
-    return ChannelGap(before, after, floor)
+    return ChannelGap(before, after, problem.sigma[channel])
 
 
 def _ratio(channels: list[tuple[float, float, float, float]]) -> float:
@@ -137,8 +136,7 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
     problem = best.problem
     rows, wide = [], []
     for channel in _channels(problem):
-        sigma = problem.sigma[channel]
-        floor = _pooled(folds, problem, channel, [problem.noise for _ in folds])
+        floor = sigma = problem.sigma[channel]
         left = _left_over(best, channel)
         parted = _pooled(folds, problem, channel, [f.after.predicted - f.before.predicted for f in folds])
         spread = _pooled(folds, problem, channel, [_spread(f) for f in folds])
