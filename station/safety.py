@@ -17,6 +17,9 @@ PRESSED_MM, MISSING_S = 0.8, 0.15
 
 SLOPE_SAMPLES = 4
 RATE_SAMPLES = 16
+LOSS_SAMPLES, LOST_SAMPLES = 50, 4
+"""More lost among so many received, and the wire is not fit to record."""
+
 RAIL_S = 0.3
 
 
@@ -98,7 +101,7 @@ class StreamWatch:
     ) -> None:
         self._reader, self._bounds, self._rails = reader, bounds, rails
         self._seen_s = now_s
-        self._times: deque[float] = deque(maxlen=RATE_SAMPLES)
+        self._times: deque[float] = deque(maxlen=LOSS_SAMPLES)
         self._value: tuple[float, ...] | None = None
         self._changed_at_mm = 0.0
         self._on_rail_since_s: float | None = None
@@ -149,10 +152,18 @@ class StreamWatch:
         self._times.append(device_s)
         if len(self._times) < RATE_SAMPLES:
             return
-        steps = sorted(b - a for a, b in zip(self._times, list(self._times)[1:], strict=False))
-        seen_Hz = 1.0 / steps[len(steps) // 2]
+        recent = list(self._times)[-RATE_SAMPLES:]
+        steps = sorted(later - earlier for earlier, later in zip(recent, recent[1:], strict=False))
+        usual_s = steps[len(steps) // 2]
+        seen_Hz = 1.0 / usual_s
         if not 0.9 < seen_Hz / self._reader.rate_Hz < 1.1:
             raise BadReply(
                 f"{self._reader.name}: sends {seen_Hz:.3g} samples a second, {self._reader.rate_Hz:g} were expected; "
                 "check its firmware and the station file"
+            )
+        lost = round((device_s - self._times[0]) / usual_s) + 1 - len(self._times)
+        if lost > LOST_SAMPLES:
+            raise BadReply(
+                f"{self._reader.name}: {lost} of {lost + len(self._times)} samples did not come; check its cable and "
+                "whether it still sends at its rate"
             )
