@@ -103,14 +103,14 @@ class SealedCase:
         return PROTOCOLS[name](rng, self.depth_mm), None
 
     def _block_path(self) -> Path:
-        """Press the block twice up to the peak force at 0.02 mm/s, and back."""
+        """Press the block twice up to the peak force at 0.02 mm/s, with two seconds at every turn."""
         yielding = sum(cause.values.get("compliance_mm_per_N", 0.0) for cause in self.causes)
         play_mm = sum(cause.values.get("width_mm", 0.0) for cause in self.causes)
         start_mm = max(0.0, self.rig.u0_mm - 0.02)
         deep_mm = self.rig.u0_mm + play_mm + (BLOCK_COMPLIANCE_MM_PER_N + yielding) * self.peak_N
-        places = np.array([start_mm, deep_mm, start_mm, deep_mm, start_mm])
-        times = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(places)) / 0.02 + 0.5)])
-        return Path("rigid block", times, places)
+        places = np.repeat([start_mm, deep_mm, start_mm, deep_mm, start_mm], 2)
+        travel_s = np.abs(np.diff(places)) / 0.02
+        return Path("rigid block", np.concatenate([[0.0], np.cumsum(np.where(travel_s > 0, travel_s, 2.0))]), places)
 
     def to_record(self) -> dict[str, Any]:
         """Return plain JSON values."""
