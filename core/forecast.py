@@ -126,7 +126,7 @@ def gather_evidence(
         "clipping": _clipping(model, target, limits),
         "extrapolation": _extrapolation(model, estimate),
         "overlap": (1 - overlap) ** 2 * (interval.high - interval.low),
-        "speed": np.log(speed) ** 2 * (interval.high - interval.low),
+        "speed": float(np.log(speed)) ** 2 * (interval.high - interval.low),
     }
     stage = _stage(model, target, rows, estimate, shape)
     if stage is not None:
@@ -234,7 +234,8 @@ def use_overlap(model: SourceModel, shape: WindowShape) -> float:
 
     The grid is coarse enough for short recordings.
     """
-    levels = np.linspace(*np.quantile(model.shape.level, REACH), 11)
+    low, high = np.quantile(model.shape.level, REACH)
+    levels = np.linspace(low, high, 11)
     slopes = np.linspace(-1, 1, 8) * np.quantile(np.abs(model.shape.slope), 0.98)
     source, unit = (_use(part, levels, slopes) for part in (model.shape, shape))
     return float(np.minimum(source, unit).sum())

@@ -86,7 +86,7 @@ def rail(output: Array, is_upper: bool) -> Rail:
         level=(top - band) * (1 if is_upper else -1),
         visits=count / max(count_presses(output), 1),
         count=count,
-        pile=float(np.count_nonzero(in_band) / max(next_inside, 1)),
+        pile=float(np.count_nonzero(in_band)) / max(int(next_inside), 1),
     )
 
 
@@ -97,7 +97,7 @@ def noise_band(output: Array) -> float:
     """
     noise = float(np.median(np.abs(np.diff(output, 2)))) / 0.6745 / np.sqrt(6)
     step = float(np.min(np.diff(np.unique(output)), initial=np.inf))
-    return max(6 * noise, 1.5 * step, 1e-3 * float(np.ptp(output)))
+    return float(max(6 * noise, 1.5 * step, 1e-3 * float(np.ptp(output))))
 
 
 def check_alive(target: OutputRecording, source: OutputRecording) -> None:
