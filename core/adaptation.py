@@ -5,6 +5,7 @@ its batch, and what a batch shows can change the map of the next one only. So a 
 at a time and whole arrays give the same rows, and memory does not grow.
 """
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -28,6 +29,9 @@ RECALIBRATE = "recalibrate"
 
 NOT_EVIDENCE = (STUCK, SATURATED, WRONG_RATE)
 """Rows with these flags say nothing about drift or use."""
+
+MOST_UPDATES = 4096
+"""Changes kept for a caller that does not take them."""
 
 SILENT_BATCHES = 8
 """So many batches without a usable sample raise the alarm."""
@@ -115,7 +119,7 @@ class Adapter:
         self._evidence: list[tuple[float, float] | None] = []
         self._row, self._silent_batches, self._doubt = 0, 0, 0.0
         self._current = self._start()
-        self._updates = [self._current]
+        self._updates = deque([self._current], maxlen=MOST_UPDATES)
 
     @property
     def current(self) -> MapUpdate:
@@ -133,8 +137,9 @@ class Adapter:
         return self._use
 
     def take_updates(self) -> list[MapUpdate]:
-        """Return every change of map, verdict or alarm since the last call, oldest first."""
-        taken, self._updates = self._updates, []
+        """Return every change of map, verdict or alarm since the last call, oldest first, `MOST_UPDATES` at most."""
+        taken = list(self._updates)
+        self._updates.clear()
         return taken
 
     def step(self, t_s: float, output: float) -> EstimateRow:
@@ -295,7 +300,7 @@ class Adapter:
         self._silent_batches = int(state["silent_batches"])
         self._evidence = [None if pair is None else (pair[0], pair[1]) for pair in state["evidence"]]
         self._current = MapUpdate(**state["current"])
-        self._updates = []
+        self._updates.clear()
         self._intake.restore(state["intake"])
         self._cutter.restore(state["cutter"])
         self._tracker.restore(state["tracker"])
