@@ -3,7 +3,7 @@
 import os
 import tempfile
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -65,9 +65,9 @@ def database_of(kind: str) -> str:
         return f"{kind} {str(connection.execute(text(query)).scalar_one()).split()[0]}"
 
 
-def print_markdown(header: tuple[str, ...], rows: list[tuple[object, ...]]) -> None:
-    """Print a Markdown table."""
+def print_markdown(header: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> None:
+    """Print a Markdown table, each row as soon as it is known."""
     print("| " + " | ".join(header) + " |")
-    print("|" + "---|" * len(header))
+    print("|" + "---|" * len(header), flush=True)
     for row in rows:
         print("| " + " | ".join(f"{v:.3g}" if isinstance(v, float) else str(v) for v in row) + " |", flush=True)

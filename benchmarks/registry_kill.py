@@ -67,7 +67,7 @@ def main() -> None:
         return
     header = ("database", "kills", "acknowledged", "lost", "half-written", "faults found by verify")
     kills = 3 if options.quick else options.kills
-    print_markdown(header, [measure(kind, kills, options.seed) for kind in DATABASES])
+    print_markdown(header, (measure(kind, kills, options.seed) for kind in DATABASES))
 
 
 if __name__ == "__main__":

@@ -88,7 +88,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     options = parser.parse_args()
     seconds = 3.0 if options.quick else options.seconds
-    print_markdown(HEADER, [measure(kind, options.writers, seconds) for kind in DATABASES])
+    print_markdown(HEADER, (measure(kind, options.writers, seconds) for kind in DATABASES))
 
 
 if __name__ == "__main__":

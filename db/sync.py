@@ -21,6 +21,9 @@ from softcal.db.registry import Registry
 from softcal.db.tables import AUDITED, UtcTime, audit, blobs, calibrations, limits, metadata
 
 ROWS_AT_ONCE = 200
+Named = tuple[object, ...]
+"""Table and primary key of a row."""
+
 FACTS_OF_A_LOT = ("source", "sample_rate_Hz", "sensor_model", "reference_quantity", "reference_unit", "output_unit")
 
 
@@ -62,6 +65,7 @@ def conflicts(registry: Registry) -> list[str]:
 
 def _send(source: Registry, target: Registry) -> int:
     sent = 0
+    known: set[Named] = set()
     with source.database.reading() as connection:
         chains = history.origins(connection)
     for origin in chains:
@@ -70,7 +74,7 @@ def _send(source: Registry, target: Registry) -> int:
                 for entry in chunk:
                     if entry.entity in AUDITED:
                         table = metadata.tables[entry.entity]
-                        _copy(rows, connection, table, _key_values(table, entry.key))
+                        _copy(rows, connection, table, _key_values(table, entry.key), known)
                 connection.execute(insert(audit), [vars(entry) for entry in chunk])
             sent += len(chunk)
     return sent
@@ -99,8 +103,16 @@ def _missing(source: Registry, target: Registry, origin: str) -> list[AuditRow]:
     return rows
 
 
-def _copy(source: Connection, target: Connection, table: Table, key: dict[str, Any]) -> None:
-    """Copy a row and, before it, whatever it refers to, unless the target has it already."""
+def _copy(source: Connection, target: Connection, table: Table, key: dict[str, Any], known: set[Named]) -> None:
+    """Copy a row and, before it, whatever it refers to, unless the target has it already.
+
+    Args:
+        known: rows the target has; a network that ten thousand maps refer to is looked up once.
+    """
+    named = (table.name, *key.values())
+    if named in known:
+        return
+    known.add(named)
     where = and_(*(table.c[name] == value for name, value in key.items()))
     if target.execute(select(table.primary_key.columns[0]).where(where)).first() is not None:
         return
@@ -110,13 +122,13 @@ def _copy(source: Connection, target: Connection, table: Table, key: dict[str, A
     for constraint in table.foreign_key_constraints:
         parent = {element.column.name: row[element.parent.name] for element in constraint.elements}
         if None not in parent.values():
-            _copy_parent(source, target, constraint.referred_table, parent)
+            _copy_parent(source, target, constraint.referred_table, parent, known)
     target.execute(insert(table), dict(row))
 
 
-def _copy_parent(source: Connection, target: Connection, table: Table, key: dict[str, Any]) -> None:
+def _copy_parent(source: Connection, target: Connection, table: Table, key: dict[str, Any], known: set[Named]) -> None:
     if table is not blobs:
-        _copy(source, target, table, key)
+        _copy(source, target, table, key, known)
         return
     if not has_blob(target, key["sha256"]):
         put_bytes(target, "synced", get_bytes(source, key["sha256"]))
