@@ -107,3 +107,12 @@ def test_the_true_twin_realises_the_whole_shrink() -> None:
     assert realised_shrink(case, {"base": base, "causes": causes}) > 0.95
     fitted["g"]["value"] = 0.05
     assert realised_shrink(case, {"base": base, "causes": causes}) < 0.9
+
+
+def test_a_small_cause_realises_its_whole_shrink_too() -> None:
+    case = draw_case(6, "case", "usual")
+    case = replace(case, causes=(Cause("channel_creep", "catalogue", {"share": 0.01, "tau_s": 4.0}),))
+    base = {name: getattr(case.rig, name) for name in BASE}
+    fitted = {"c": {"value": 0.01}, "tau": {"value": 4.0}}
+    causes = [{"effect": "channel_creep", "probability": 1.0, "parameters": fitted}]
+    assert realised_shrink(case, {"base": base, "causes": causes}) > 0.98

@@ -96,11 +96,17 @@ def with_base(rig: Rig, base: Mapping[str, float]) -> Rig:
 
 
 def _gap(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> float:
-    """Sum over channels of (RMS residual − floor)/floor, where it is above zero."""
+    """Sum over channels of (RMS residual − floor)/noise; the floor is what the true rig itself leaves on this run."""
+    left = _left_over(case, measured, rig, causes)
+    floor = _left_over(case, measured, case.rig, case.causes)
+    return sum(max(0.0, after - least) for after, least in zip(left, floor, strict=True))
+
+
+def _left_over(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> list[float]:
+    """RMS of measured − predicted per channel, in units of its noise."""
     model = replace(case, rig=replace(rig, noise_V=0.0, noise_N=0.0), causes=causes)
     predicted = model.measure(case.kept_back).columns
-    residuals = _residuals(case.rig, measured.columns, predicted)
-    return sum(max(0.0, float(np.sqrt(np.mean(residual**2))) - 1.0) for residual in residuals)
+    return [float(np.sqrt(np.mean(part**2))) for part in _residuals(case.rig, measured.columns, predicted)]
 
 
 def _residuals(rig: Rig, measured: Mapping[str, Array], predicted: Mapping[str, Array]) -> list[Array]:
