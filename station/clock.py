@@ -43,10 +43,6 @@ class ClockFit:
         """Carry device time stamps to the host's clock."""
         return self.offset_s + self.rate * device_s
 
-    def to_device(self, host_s: Array) -> Array:
-        """Carry host time stamps to the device's clock."""
-        return (host_s - self.offset_s) / self.rate
-
 
 def fit_clock(device_s: Array, host_s: Array) -> ClockFit:
     """Fit offset and drift of a device clock from arrival times that are late by a random amount, never early.

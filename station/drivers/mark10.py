@@ -59,10 +59,6 @@ class Mark10Gauge:
             self._asked_s, self._next_s = now_s, now_s + 1.0 / self.rate_Hz
         return samples
 
-    def zero(self) -> None:
-        """Set the unloaded gauge to zero."""
-        self._link.write(b"Z" + gcl2.END)
-
     def close(self) -> None:
         """Give the port back."""
         self._link.close()

@@ -193,4 +193,4 @@ def move_line(axis: str, machine_mm: float, speed_mm_s: float) -> bytes:
 SYNCHRONISE = b"G4 P0.01\n"
 """Answered with ok only when everything queued before it has been done: the one proof that a move is finished."""
 
-HOME, UNLOCK, SETTINGS = b"$H\n", b"$X\n", b"$$\n"
+HOME, SETTINGS = b"$H\n", b"$$\n"
