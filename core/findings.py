@@ -11,6 +11,9 @@ UNFAMILIAR_SHARE = 0.05
 COVERED_SHARE = 0.75
 ENOUGH_OVERLAP = 0.6
 SPEED_FACTOR = 1.7
+OVERLAP_GAIN = 0.14
+"""Where before < after in simulated lots without positions, the map had raised the overlap by less than this."""
+
 DRIFT_FACTOR = 2.0
 """A drift or creep at rest of this many times the source's own error is worth a word."""
 
@@ -124,12 +127,20 @@ def _lean(output: Array) -> float:
 
 
 def _not_better(evidence: MapEvidence) -> Finding | None:
-    """Return a finding where the map may be worse than doing nothing: it corrects less than it is uncertain by."""
-    doubt = float(np.sqrt(map_variance(evidence.budget)))
-    if doubt <= max(evidence.correction_rms, 0.5 * evidence.budget["model"]):
+    """Return a finding where the map may be worse than doing nothing.
+
+    It corrects less than it is uncertain by; or, where no position speaks for it, it makes the unit hardly more like
+    the source than it was. A map that changes next to nothing does no harm either way.
+    """
+    doubt, correction = float(np.sqrt(map_variance(evidence.budget))), evidence.correction_rms
+    model = evidence.budget["model"]
+    is_blind = "stage" not in evidence.budget and correction > 0.5 * model
+    gained = evidence.overlap - evidence.unmapped_overlap
+    if doubt > max(correction, 0.5 * model):
+        why = f"is uncertain by {doubt:.3g}"
+    elif is_blind and gained < OVERLAP_GAIN:
+        why = f"brings the unit's use no nearer to the source's (overlap {gained:+.0%})"
+    else:
         return None
-    text = (
-        f"the map changes the estimates by {evidence.correction_rms:.3g} but is uncertain by {doubt:.3g}: "
-        "it may be worse than doing nothing"
-    )
+    text = f"the map changes the estimates by {correction:.3g} but {why}: it may be worse than doing nothing"
     return Finding("not better", text)

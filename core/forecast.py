@@ -64,7 +64,8 @@ class MapEvidence:
         distance: (n,) of the mapped windows from the source's support.
         disagreement: (n,) RMS difference of the other candidate maps' estimates from `estimate`.
         unmapped: (n,) f on the raw windows: what doing nothing would say.
-        overlap: of the unit's mix of loads and speeds with the source's, 0 to 1.
+        overlap, unmapped_overlap: of the unit's mix of loads and speeds with the source's, 0 to 1, with and without
+            the map.
         speed: how fast the unit's fast movements are, over the source's.
         budget: standard uncertainties in the reference unit: `model` and the names of `SENSITIVITY`, and
             `stage` where source and unit carry the stage position.
@@ -77,6 +78,7 @@ class MapEvidence:
     disagreement: Array
     unmapped: Array
     overlap: float
+    unmapped_overlap: float
     speed: float
     budget: Mapping[str, float]
 
@@ -131,7 +133,19 @@ def gather_evidence(
     stage = _stage(model, target, rows, estimate, shape)
     if stage is not None:
         budget["stage"] = stage
-    return MapEvidence(rows, estimate, shape, distance, disagreement, network.evaluate(raw), overlap, speed, budget)
+    unmapped_overlap = use_overlap(model, interval.support.shape(raw))
+    return MapEvidence(
+        rows,
+        estimate,
+        shape,
+        distance,
+        disagreement,
+        unmapped=network.evaluate(raw),
+        overlap=overlap,
+        unmapped_overlap=unmapped_overlap,
+        speed=speed,
+        budget=budget,
+    )
 
 
 def forecast_error(budget: Mapping[str, float]) -> ErrorForecast:
