@@ -36,7 +36,6 @@ class Extent:
     highest_V: float
     duration_s: float
     period_s: float
-    presses: float
 
     @classmethod
     def of(cls, case: Case, deformation_mm: float, force_N: float) -> "Extent":
@@ -50,7 +49,6 @@ class Extent:
             highest_V=float(every_V.max()),
             duration_s=max(float(run.elapsed_s[-1]) for run in case.presses),
             period_s=1.0 / case.readout.sample_rate_Hz,
-            presses=10.0,
         )
 
 

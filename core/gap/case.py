@@ -1,6 +1,6 @@
 """A case for diagnosis: several runs of one unit on one rig, checked once when made."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Literal, TypeAlias
 
@@ -186,7 +186,3 @@ class Case:
     def missing_channels(self) -> tuple[str, ...]:
         """Channels that no pressed run recorded."""
         return tuple(channel for channel in CHANNELS if not self.has(channel))
-
-    def only(self, *runs: Run) -> "Case":
-        """Return a case of these runs alone."""
-        return replace(self, runs=runs)

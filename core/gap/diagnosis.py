@@ -22,6 +22,9 @@ from softcal.core.twin.mechanics import elastic_force
 Verdict = Literal["no_gap", "explained", "ambiguous", "unknown"]
 SCHEMA = "softcal.gap/1"
 
+UNKNOWN_TRUST = 0.3
+"""How far probabilities within the catalogue are trusted where the catalogue leaves a gap, for a share of 1."""
+
 EXPLAINED_SHARE = 0.85
 """Share of the gap's energy that one cause must take away to be named although structure is left: other realisations
 of a cause leave less than a tenth, effects outside the catalogue more than a quarter."""
@@ -163,8 +166,10 @@ def diagnose(
     say("measuring the shrink on samples no fit has seen")
     quantified = quantify(search.base, best)
     share = float(np.clip(search.share(best), 0.0, 1.0))
-    chances = probabilities(search.considered, dispersion)
     verdict = _verdict(search, group)
+    # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
+    doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0
+    chances = {i: p * doubt for i, p in probabilities(search.considered, dispersion).items()}
     causes = _causes(search, best, chances, quantified.shrink.held_out)
     found_regimes = regimes(search.base)
     return Diagnosis(

@@ -31,6 +31,15 @@ DRIVEN_COST = 120.0
 """What a cause pays besides where a measured force drives the chain: what is left of its noise and of the corners that
 smoothing rounds off feigns gains of up to 90 on recordings without any gap."""
 
+COARSE = 0.3
+"""Share of rounding in the variance of the output above which the ADC is coarse against its noise."""
+
+LONGEST_PLATEAU = 25.0
+"""Most samples that the rounding of one code is counted for."""
+
+COARSE_COST = 60.0
+"""What a cause pays besides where the ADC is coarse: the stairs of its codes feign a curved response."""
+
 EPISODE_COST = 5
 """Parameters an episode counts as in Schwarz's criterion: two times, a size, and the places it was not found in."""
 
@@ -165,6 +174,13 @@ class Problem:
         return np.array([stage, stage and force, stage, output, output])
 
     @property
+    def is_coarse(self) -> bool:
+        """Whether the rounding of the ADC rules the noise of the output."""
+        if not any(block.channel == "output_V" for block in self.blocks):
+            return False
+        return self.case.readout.step_V**2 / 12 > COARSE * self.sigma["output_V"] ** 2 / LONGEST_PLATEAU
+
+    @property
     def count(self) -> int:
         """Samples a fit may see."""
         return int(np.count_nonzero(self.weights))
@@ -257,7 +273,9 @@ class Fit:
     @property
     def penalty(self) -> float:
         """What the hypothesis pays: p·ln(n) of Schwarz for its flexibility, −2·ln of the prior odds of its causes."""
-        each = -2.0 * float(np.log(PRIOR_ODDS)) + (DRIVEN_COST if self.problem.extra_variance is not None else 0.0)
+        each = -2.0 * float(np.log(PRIOR_ODDS))
+        each += DRIVEN_COST if self.problem.extra_variance is not None else 0.0
+        each += COARSE_COST if self.problem.is_coarse else 0.0
         return self.parameter_count * float(np.log(self.problem.count)) + each * len(self.hypothesis.ids)
 
     @property

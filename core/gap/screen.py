@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.gap.candidates import Probe
-from softcal.core.gap.fit import BASE, Episodes, Fit, start_coordinates
+from softcal.core.gap.fit import BASE, Fit, start_coordinates
 from softcal.core.gap.linear import combine, dots, energy, gram
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
@@ -26,7 +26,6 @@ class Lead:
     values: tuple[float, ...]
     gain: float
     shift: Array
-    episodes: Episodes | None = None
 
     def start(self, found: Fit) -> Array:
         """Return the coordinates at which a fit of the larger hypothesis should begin."""

@@ -12,7 +12,7 @@ from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit, start_coordinates
 from softcal.core.gap.forms import FORMS, Form
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import screen
-from softcal.core.gap.start import base_fit, is_coarse, noise_levels, with_driving_noise
+from softcal.core.gap.start import base_fit, noise_levels, with_driving_noise
 
 Progress = Callable[[str], None]
 
@@ -131,7 +131,7 @@ class Search:
     def _leader(self) -> Fit:
         """The hypothesis of best evidence, without causes that take away next to nothing of the gap."""
         best = min(self.fits.values(), key=lambda f: f.bic)
-        need = self._config.coarse_part if is_coarse(best.problem) else self._config.part
+        need = self._config.coarse_part if best.problem.is_coarse else self._config.part
         need *= max(self.base.chi2 - self.base.problem.count, 0.0)
         while len(best.hypothesis.ids) > 1:
             ids = best.hypothesis.ids

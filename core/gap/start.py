@@ -5,17 +5,11 @@ from scipy.optimize import nnls
 
 from softcal.core.gap.case import Case
 from softcal.core.gap.drive import HALF_WIDTH
-from softcal.core.gap.fit import BASE, Fit, Hypothesis, Problem, fit, to_fit
+from softcal.core.gap.fit import BASE, COARSE, LONGEST_PLATEAU, Fit, Hypothesis, Problem, fit, to_fit
 from softcal.core.recording import Array
 
 TRIMMED = 0.02
 """Share of the largest squared differences left out of a noise estimate: steps and drop-outs are not noise."""
-
-
-COARSE = 0.3
-"""Share of rounding in the variance of the output above which the ADC is coarse."""
-
-LONGEST_PLATEAU = 25.0
 
 
 def base_fit(case: Case) -> Fit:
@@ -48,13 +42,6 @@ def noise_levels(found: Fit) -> dict[str, float]:
             variance = _with_rounding(problem, variance)
         levels[channel] = max(float(np.sqrt(variance)), 1e-6)
     return levels
-
-
-def is_coarse(problem: Problem) -> bool:
-    """Whether the rounding of the ADC rules the noise of the output."""
-    if not any(block.channel == "output_V" for block in problem.blocks):
-        return False
-    return problem.case.readout.step_V**2 / 12 > COARSE * problem.sigma["output_V"] ** 2 / LONGEST_PLATEAU
 
 
 def _with_rounding(problem: Problem, variance: float) -> float:

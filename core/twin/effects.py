@@ -128,11 +128,6 @@ class Effect:
         """Values at which the effect changes nothing; shape parameters at their usual value."""
         return tuple(p.usual if p.neutral is None else p.neutral for p in self.parameters)
 
-    @property
-    def usual_values(self) -> tuple[float, ...]:
-        """Values of typical size on a rig."""
-        return tuple(p.usual for p in self.parameters)
-
 
 def memory(memory: Memory, name: str, *start: float) -> Array:
     """Return the named state array of an effect, made from its start values on first use."""
