@@ -9,6 +9,9 @@ from softcal.core.maps.crossing import moving_mean
 from softcal.core.recording import Array, Indices, OutputRecording
 
 MIN_RANK_CORRELATION = 0.9
+MIN_RANK_ALONE = 0.94
+"""Outputs this alike at equal time ran one programme even where noise hides its fine structure."""
+
 MIN_DETAIL = 0.1
 MIN_SIGMA = 2.5
 """The fine structure must agree this many standard deviations better at one lag than at all others."""
