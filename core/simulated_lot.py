@@ -82,15 +82,24 @@ def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
     """
     design, rng = design or LotDesign(), np.random.default_rng(seed)
     kinds = [GOOD] * design.good + [name for name, count in (design.bad or {}).items() for _ in range(count)]
-    nominal, effects = _nominal(rng), _mild_effects(rng)
-    twins = draw_lot(rng, len(kinds) + 1, nominal, ReadoutMetadata(), effects, design.spread)
-    twins = tuple(_jitter(rng, twin) for twin in twins)
+    twins = draw_twins(rng, len(kinds) + 1, design.spread)
     source = _record(rng, twins[0], source_profile(rng, design.source_s, DEPTH_MM), "S0", design.has_stage)
     units = tuple(
         _simulate_unit(rng, twin, kind, f"U{k:03d}", design)
         for k, (twin, kind) in enumerate(zip(twins[1:], kinds, strict=True), start=1)
     )
     return SimulatedLot(source, units)
+
+
+def draw_twins(rng: np.random.Generator, count: int, spread: LotSpread | None = None) -> tuple[Twin, ...]:
+    """Draw the units of one lot: their own nominal unit, creep, hysteresis and readout lag, nearly alike in all.
+
+    Returns:
+        (count,) twins, the source unit first.
+    """
+    nominal, effects = _nominal(rng), _mild_effects(rng)
+    twins = draw_lot(rng, count, nominal, ReadoutMetadata(), effects, spread or LotDesign().spread)
+    return tuple(_jitter(rng, twin) for twin in twins)
 
 
 def _nominal(rng: np.random.Generator) -> BaseParameters:

@@ -12,8 +12,8 @@ from softcal.app.workflow.batch import BatchConfig, BatchReport, UnitResult, Wat
 from softcal.app.workflow.station import PressedLot, PressTimes, press_simulated_lot
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.twin.spread import draw_lot
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.simulated_lot import draw_twins
 from softcal.db.registry import Registry
 
 TABLE_HEADER = ("unit", "verdict", "before [N]", "after [N]", "own [N]", "after/own", "before/own", "predicted [N]")
@@ -32,7 +32,7 @@ class DemoConfig:
 
     units: int = 6
     seed: int = 20201900178
-    times: PressTimes = PressTimes(audit_s=170.0)
+    times: PressTimes = PressTimes(source_s=300.0, unit_s=90.0, audit_s=90.0)
     batch: BatchConfig = BatchConfig()
 
     def __post_init__(self) -> None:
@@ -51,7 +51,7 @@ def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], Non
         raise InputError(f"{folder}: is there already; remove it or choose another --out")
     serials = [f"DEMO-{k:02d}" for k in range(config.units + 1)]
     rng = np.random.default_rng(config.seed)
-    pressed = press_simulated_lot(draw_lot(rng, len(serials)), serials, config.seed, config.times, on_run)
+    pressed = press_simulated_lot(draw_twins(rng, len(serials)), serials, config.seed, config.times, on_run)
     _write(
         folder, pressed, Lot("demo", serials[0], pressed.source.unlabelled.sample_rate_Hz, "simulated eGaIn channel")
     )
@@ -85,6 +85,6 @@ def _write_labelled(path: Path, recording: LabelledRecording) -> None:
     write_columns(path, [*_columns(recording.unlabelled), ("reference", recording.reference)])
 
 
-def _columns(recording: OutputRecording) -> list[tuple[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]]:
+def _columns(recording: OutputRecording) -> list[tuple[str, Array]]:
     columns = [("t_s", recording.t_s), ("output", recording.output)]
     return columns if recording.stage_mm is None else [*columns, ("stage_mm", recording.stage_mm)]

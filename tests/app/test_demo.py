@@ -1,0 +1,39 @@
+"""The demo in small: pressed over simulated serial lines, written as a lot folder, calibrated, scored."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from softcal.app.cli import main
+from softcal.app.workflow.batch import BatchConfig, Watch
+from softcal.app.workflow.demo import TABLE_HEADER, DemoConfig, press_demo_lot, run_demo, table_row
+from softcal.app.workflow.station import PressTimes
+from softcal.core.training import NetworkConfig
+from softcal.db.connection import open_registry
+
+SMALL = DemoConfig(
+    units=1,
+    times=PressTimes(source_s=60.0, unit_s=30.0, audit_s=30.0),
+    batch=BatchConfig(network=NetworkConfig(hidden=(16, 8), max_epochs=60)),
+)
+
+
+def test_a_pressed_unit_comes_out_better_than_it_went_in(tmp_path: Path) -> None:
+    said: list[str] = []
+    folder = press_demo_lot(SMALL, tmp_path / "lot", said.append)
+    source = pd.read_csv(folder.source_path)
+    unit = pd.read_csv(folder.unit_paths["DEMO-01"])
+    assert list(source.columns) == ["t_s", "output", "stage_mm", "reference"]
+    assert list(unit.columns) == ["t_s", "output", "stage_mm"]
+    with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as registry:
+        (result,) = run_demo(SMALL, folder, registry, Watch()).units
+        assert registry.verify() == []
+    row = dict(zip(TABLE_HEADER, table_row(result), strict=True))
+    assert row["after [N]"] < 0.5 * row["before [N]"]
+    assert len(said) == 3
+
+
+def test_a_demo_never_writes_over_what_is_there(tmp_path: Path, capsys) -> None:
+    (tmp_path / "lot").mkdir()
+    assert main(["demo", "--out", str(tmp_path)]) == 2
+    assert "is there already" in capsys.readouterr().err
