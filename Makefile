@@ -6,8 +6,9 @@ STAMP := $(VENV)/.installed
 
 .PHONY: demo test check lint clean
 
+# Exit code 1 means done, but some unit did not pass: for a demo that is a result, not a failure.
 demo: $(STAMP)
-	$(BIN)/softcal demo
+	$(BIN)/softcal demo || [ $$? -eq 1 ]
 
 test: $(STAMP) check
 	$(BIN)/python -m pytest

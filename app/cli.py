@@ -2,7 +2,6 @@
 
 import argparse
 import importlib
-import importlib.util
 import sys
 from importlib.metadata import version
 
@@ -66,8 +65,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"softcal {version('softcal')}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in COMMANDS:
-        if importlib.util.find_spec(f"softcal.app.commands.{name}") is None:
-            continue
         importlib.import_module(f"softcal.app.commands.{name}").add_parser(commands)
     return parser
 

@@ -1,8 +1,6 @@
 """Make a lot folder out of the tables people have: one file per unit, or one wide file with a column per unit."""
 
 import fnmatch
-import shutil
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from softcal.app.files import whole_folder
 from softcal.app.lot_folder import write_lot_toml
 from softcal.app.recording_file import column, naming, read_table, write_columns
 from softcal.core.errors import InputError
@@ -92,24 +91,14 @@ def import_lot(plan: ImportPlan, folder: Path) -> list[str]:
         InputError: `folder` exists and is not empty, a table cannot be used, a serial comes twice, or the source is
             not among the units or has no reference.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: is there already and is not empty; nothing was written, choose another --out")
     units = _read_units(plan)
     source = units.get(plan.lot.source)
     if source is None:
         raise InputError(f"source {plan.lot.source!r} is none of the units {', '.join(list(units)[:8])}")
     if source.reference is None:
         raise InputError(f"source {plan.lot.source!r} has no reference; name its column with --reference-column")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.", suffix=".part"))
-    try:
+    with whole_folder(folder) as part:
         _write(part, plan, units)
-        if folder.exists():
-            folder.rmdir()
-        part.chmod(0o755)
-        part.rename(folder)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
     return [serial for serial in units if serial != plan.lot.source]
 
 

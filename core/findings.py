@@ -15,7 +15,9 @@ OVERLAP_GAIN = 0.14
 """Where before < after in simulated lots without positions, the map had raised the overlap by less than this."""
 
 DRIFT_FACTOR = 2.0
-"""A drift or creep at rest of this many times the source's own error is worth a word."""
+"""Estimates at rest that move or scatter by this many times the source's own error are worth a word ..."""
+CREEP_FACTOR = 1.0
+"""... scatter only where it exceeds the source's own scatter at rest by this many times that."""
 
 
 def map_findings(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> tuple[Finding, ...]:
@@ -100,6 +102,9 @@ def _restless(model: SourceModel, target: OutputRecording, evidence: MapEvidence
         moved = float(trend * (t_s[-1] - t_s[0]))
         text = f"drift inside the recording: estimates at rest move by {moved:+.3g} {unit}; warm up, record again"
         return Finding("drift", text)
+    # Slow holds at low loads count as rest too, and recordings hold more or fewer of them.
+    if spread < CREEP_FACTOR * float(np.std(model.estimate[rest_rows(model, model.estimate, model.shape)])):
+        return None
     text = f"unsteady at rest: estimates scatter by {spread:.3g} {unit} between presses: strong creep or a loose mount"
     return Finding("creep", text)
 

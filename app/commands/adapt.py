@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
     from softcal.core.adaptation import AdaptConfig
 
     adapt = AdaptOptions(AdaptConfig(options.mode), options.revision, options.stream, options.resume)
-    with registry_of(options) as registry:
+    with registry_of(options, create=False) as registry:
         report = _follow(registry, options, adapt)
         _report(registry, options, report)
     return 0

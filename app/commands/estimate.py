@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     """Estimate, and say how much of it can be trusted."""
     from softcal.app.workflow.estimate import estimate_file
 
-    with registry_of(options) as registry:
+    with registry_of(options, create=False) as registry:
         result = estimate_file(registry, options.serial, options.recording, options.out, options.revision)
     flags = [flag for flag in result.flag if flag]
     counts = {flag: flags.count(flag) for flag in sorted(set(flags))}

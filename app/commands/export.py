@@ -106,7 +106,7 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
     from softcal.app.workflow.export import export_units, lot_serials
     from softcal.core.errors import UnitRefused
 
-    with registry_of(options) as registry:
+    with registry_of(options, create=False) as registry:
         serials = [*options.serial, *(lot_serials(registry, options.lot, options.failed_too) if options.lot else ())]
         progress = Progress("units exported", len(serials))
         formats = options.format or ["json"]

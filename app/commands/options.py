@@ -51,11 +51,11 @@ def network_config(options: argparse.Namespace) -> "NetworkConfig":
 
 
 @contextmanager
-def registry_of(options: argparse.Namespace) -> "Iterator[Registry]":
-    """Open the registry the options name, and close it after the block."""
+def registry_of(options: argparse.Namespace, *, create: bool = True) -> "Iterator[Registry]":
+    """Open the registry the options name, and close it after the block; a new one is made only where `create`."""
     from softcal.app.bootstrap import open_chosen_registry
 
-    with open_chosen_registry(options.registry) as registry:
+    with open_chosen_registry(options.registry, create=create) as registry:
         yield registry
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from softcal.app.files import whole_folder
 from softcal.app.lot_folder import LotFolder, open_lot_folder, write_lot_toml
 from softcal.app.recording_file import write_columns
 from softcal.app.workflow.batch import BatchConfig, BatchReport, UnitResult, Watch, run_batch
@@ -41,14 +42,15 @@ class DemoConfig:
 
 
 def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], None]) -> LotFolder:
-    """Press a simulated lot over its serial lines and write it as a lot folder.
+    """Press a simulated lot over its serial lines and write it as a lot folder; one pressed before is taken as it is.
 
     Raises:
-        InputError: `folder` is there already.
-        DeviceError: the simulated station failed.
+        InputError: `folder` is there and is no lot folder.
+        DeviceError: the simulated station failed; nothing was written.
     """
     if folder.exists():
-        raise InputError(f"{folder}: is there already; remove it or choose another --out")
+        on_run(f"{folder}: pressed before, taken as it is; remove it to press again")
+        return open_lot_folder(folder)
     serials = [f"DEMO-{k:02d}" for k in range(config.units + 1)]
     rng = np.random.default_rng(config.seed)
     pressed = press_simulated_lot(draw_twins(rng, len(serials)), serials, config.seed, config.times, on_run)
@@ -74,11 +76,12 @@ def table_row(unit: UnitResult) -> list[object]:
 
 
 def _write(folder: Path, pressed: PressedLot, lot: Lot) -> None:
-    write_lot_toml(folder, lot)
-    _write_labelled(folder / "source" / f"{lot.source}.csv", pressed.source)
-    for serial, unit in pressed.units.items():
-        write_columns(folder / "units" / f"{serial}.csv", _columns(unit))
-        _write_labelled(folder / "audit" / f"{serial}.csv", pressed.audits[serial])
+    with whole_folder(folder) as part:
+        write_lot_toml(part, lot)
+        _write_labelled(part / "source" / f"{lot.source}.csv", pressed.source)
+        for serial, unit in pressed.units.items():
+            write_columns(part / "units" / f"{serial}.csv", _columns(unit))
+            _write_labelled(part / "audit" / f"{serial}.csv", pressed.audits[serial])
 
 
 def _write_labelled(path: Path, recording: LabelledRecording) -> None:

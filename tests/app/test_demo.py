@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pandas as pd
+import pytest
 
 from softcal.app.cli import main
 from softcal.app.workflow.batch import BatchConfig, Watch
@@ -33,7 +34,14 @@ def test_a_pressed_unit_comes_out_better_than_it_went_in(tmp_path: Path) -> None
     assert len(said) == 3
 
 
-def test_a_demo_never_writes_over_what_is_there(tmp_path: Path, capsys) -> None:
+def test_a_lot_pressed_before_is_taken_as_it_is(tmp_path: Path, lot_folder: Path) -> None:
+    said: list[str] = []
+    folder = press_demo_lot(SMALL, lot_folder, said.append)
+    assert folder.lot.id == "small"
+    assert "pressed before" in said[0]
+
+
+def test_a_folder_that_is_no_lot_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "lot").mkdir()
     assert main(["demo", "--out", str(tmp_path)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "lot.toml" in capsys.readouterr().err
