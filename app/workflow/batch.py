@@ -233,7 +233,7 @@ def _lost(tasks: list[_Task]) -> list[Refusal]:
     return [Refusal(task.recording.serial, "retest", reason) for task in tasks]
 
 
-def _register(lot_id: str, registry: Registry, outcome: CalibrationRecord | Refusal, actor: str) -> UnitResult:
+def _register(lot_id: str, registry: Registry, outcome: CalibrationRecord | Refusal, actor: str | None) -> UnitResult:
     if isinstance(outcome, Refusal):
         registry.add_refusal(lot_id, outcome.serial, outcome.verdict, (outcome.reason,), actor=actor)
         return UnitResult(outcome.serial, outcome.verdict, (outcome.reason,))

@@ -39,6 +39,6 @@ def write_estimate(target: Path, result: Estimate) -> None:
             ("estimate", result.estimate),
             ("lower", result.lower),
             ("upper", result.upper),
-            ("flag", result.flag),
+            ("flag", result.flag.tolist()),
         ],
     )
