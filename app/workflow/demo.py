@@ -33,7 +33,7 @@ class DemoConfig:
 
     units: int = 6
     seed: int = 20201900178
-    times: PressTimes = PressTimes(source_s=300.0, unit_s=90.0, audit_s=90.0)
+    times: PressTimes = PressTimes(source_s=300.0, unit_s=150.0, audit_s=90.0)
     batch: BatchConfig = BatchConfig()
 
     def __post_init__(self) -> None:
