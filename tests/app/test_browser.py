@@ -73,8 +73,8 @@ def test_a_lot_and_a_unit_are_shown_without_any_outside_request(served: str, pag
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url))
     page.goto(served)
-    page.get_by_text("Units that need a look").wait_for(timeout=90_000)
+    page.get_by_role("heading", name="Units that need a look").wait_for(timeout=90_000)
     page.goto(f"{served}/unit?unit=A2")
-    page.get_by_text("What the predicted error is made of").wait_for(timeout=90_000)
-    page.get_by_text("History").wait_for(timeout=90_000)
+    page.get_by_role("heading", name="What the predicted error is made of").wait_for(timeout=90_000)
+    page.get_by_role("heading", name="History").wait_for(timeout=90_000)
     assert not [url for url in asked if not url.startswith((served, "data:", "blob:"))]
