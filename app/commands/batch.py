@@ -2,13 +2,9 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from softcal.app.commands.options import add_json, add_network, add_registry, epoch_line, network_config, registry_of
-from softcal.app.output import Progress, print_table, say, write_json
-
-if TYPE_CHECKING:
-    from softcal.app.workflow.batch import Watch
+from softcal.app.commands.options import add_json, add_network, add_registry, batch_watch, network_config, registry_of
+from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
   softcal batch lot-1
@@ -62,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         refit=options.refit,
     )
     with registry_of(options) as registry:
-        report = run_batch(folder, registry, config, _watch(folder.lot.reference_unit))
+        report = run_batch(folder, registry, config, batch_watch(folder.lot.reference_unit))
         if options.out is not None:
             from softcal.app.workflow.export import export_units
 
@@ -77,17 +73,6 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         write_json(options.json, report_json(report))
     return 0 if report.counts["pass"] == len(report.units) else 1
-
-
-def _watch(unit: str) -> "Watch":
-    from softcal.app.workflow.batch import Watch
-
-    progress: list[Progress] = []
-    return Watch(
-        on_epoch=lambda report: say(epoch_line(report, unit)) if report.epoch % 20 == 0 else None,
-        on_start=lambda total: progress.append(Progress("units", total)),
-        on_unit=lambda result: progress[0].step(f"{result.serial} {result.verdict}"),
-    )
 
 
 def _summary(counts: dict[str, int], unit: str, wall_s: float) -> str:

@@ -4,8 +4,8 @@ import argparse
 import time
 from pathlib import Path
 
-from softcal.app.commands.options import add_json, add_network, epoch_line, network_config
-from softcal.app.output import Progress, print_table, say, write_json
+from softcal.app.commands.options import add_json, add_network, batch_watch, network_config
+from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
   softcal demo
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the demo and print its table."""
     from softcal.app.bootstrap import open_chosen_registry
     from softcal.app.engine import EngineChoice
-    from softcal.app.workflow.batch import BatchConfig, Watch, report_json
+    from softcal.app.workflow.batch import BatchConfig, report_json
     from softcal.app.workflow.demo import TABLE_HEADER, DemoConfig, press_demo_lot, run_demo, table_row
     from softcal.app.workflow.export import export_units
 
@@ -47,15 +47,9 @@ def run(options: argparse.Namespace) -> int:
     batch = BatchConfig(network=network_config(options), engine=EngineChoice("local", options.jobs), chunk=1)
     config = DemoConfig(units=options.units, batch=batch)
     folder = press_demo_lot(config, options.out / "lot", say)
-    progress: list[Progress] = []
-    watch = Watch(
-        on_epoch=lambda report: say(epoch_line(report, "N")) if report.epoch % 20 == 0 else None,
-        on_start=lambda total: progress.append(Progress("units", total)),
-        on_unit=lambda result: progress[0].step(f"{result.serial} {result.verdict}"),
-    )
     url = f"sqlite:///{options.out / 'registry.db'}"
     with open_chosen_registry(url) as registry:
-        report = run_demo(config, folder, registry, watch)
+        report = run_demo(config, folder, registry, batch_watch("N"))
         passed = [unit.serial for unit in report.units if unit.verdict in ("pass", "conditional")]
         export_units(registry, passed, ("json",), options.out / "files")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])

@@ -5,7 +5,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from softcal.app.output import Progress, say
+
 if TYPE_CHECKING:
+    from softcal.app.workflow.batch import Watch
     from softcal.core.training import EpochReport, NetworkConfig
     from softcal.db.registry import Registry
 
@@ -59,9 +62,22 @@ def registry_of(options: argparse.Namespace, *, create: bool = True) -> "Iterato
         yield registry
 
 
-def epoch_line(report: "EpochReport", unit: str) -> str:
-    """Return one line of training progress."""
-    return (
-        f"training f: epoch {report.epoch}/{report.max_epochs}, validation {report.validation_rmse:.4g} {unit}, "
-        f"best {report.best_validation_rmse:.4g} {unit}"
+def say_epoch(report: "EpochReport", unit: str) -> None:
+    """Print every 20th epoch of a training as one line of progress."""
+    if report.epoch % 20 == 0:
+        say(
+            f"training f: epoch {report.epoch}/{report.max_epochs}, validation {report.validation_rmse:.4g} {unit}, "
+            f"best {report.best_validation_rmse:.4g} {unit}"
+        )
+
+
+def batch_watch(unit: str) -> "Watch":
+    """Return a watch that prints the progress of a batch; errors are in `unit`."""
+    from softcal.app.workflow.batch import Watch
+
+    progress: list[Progress] = []
+    return Watch(
+        on_epoch=lambda report: say_epoch(report, unit),
+        on_start=lambda total: progress.append(Progress("units", total)),
+        on_unit=lambda result: progress[0].step(f"{result.serial} {result.verdict}"),
     )

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.commands.options import add_json, add_network, add_registry, epoch_line, network_config, registry_of
+from softcal.app.commands.options import add_json, add_network, add_registry, network_config, registry_of, say_epoch
 from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
             source,
             registry,
             network_config(options),
-            on_epoch=lambda report: say(epoch_line(report, lot.reference_unit)) if report.epoch % 20 == 0 else None,
+            on_epoch=lambda report: say_epoch(report, lot.reference_unit),
         )
     network = trained.network
     print_table(
