@@ -1,6 +1,8 @@
 """The course of long-term adaptation: every map a unit in use got, from which stream, with its evidence."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
 from sqlalchemy import Select, func, select
@@ -11,6 +13,22 @@ from softcal.db.tables import adaptations, calibrations
 
 Entry = Mapping[str, Any]
 NEEDED = ("stream", "sample")
+
+
+@dataclass(frozen=True)
+class AdaptedUnit:
+    """A unit in use and the newest step of its adaptation.
+
+    Args:
+        steps: how many steps the registry holds of it, on all streams.
+        entry: the newest step.
+    """
+
+    serial: str
+    stream: str
+    made_at: datetime
+    steps: int
+    entry: Entry
 
 
 class AdaptationTables(RegistryBase):
@@ -62,10 +80,39 @@ class AdaptationTables(RegistryBase):
             entry: Entry | None = connection.execute(newest).scalar_one_or_none()
             return entry
 
+    def last_checkpoint(self, serial: str, revision: int, stream: str) -> Entry | None:
+        """Return the newest step of a stream that holds a `state` to go on from; None where there is none."""
+        c = adaptations.c
+        query = select(c.entry).where(c.serial == serial, c.revision == revision, c.stream == stream)
+        newest = query.order_by(c.sample.desc(), c.made_at.desc(), c.number.desc())
+        with self.database.reading() as connection:
+            found = (entry for entry in connection.execute(newest).scalars() if "state" in entry)
+            return next(found, None)
+
     def adaptations(self, serial: str, stream: str | None = None) -> list[Entry]:
         """Return the steps of a serial, of one stream or of all, in the order they were made."""
         c = adaptations.c
         query: Select[Any] = select(c.entry).where(c.serial == serial).order_by(c.made_at, c.origin, c.number)
         query = query if stream is None else query.where(c.stream == stream)
+        with self.database.reading() as connection:
+            return list(connection.execute(query).scalars())
+
+    def adapted_units(self) -> list[AdaptedUnit]:
+        """Return the units in use with their newest step, the one adapted last first."""
+        a = adaptations.c
+        order = (a.made_at.desc(), a.sample.desc(), a.number.desc())
+        rank = func.row_number().over(partition_by=a.serial, order_by=order).label("rank")
+        steps = func.count().over(partition_by=a.serial).label("steps")
+        ranked = select(a.serial, a.stream, a.made_at, a.entry, rank, steps).subquery()
+        newest = select(ranked).where(ranked.c.rank == 1).order_by(ranked.c.made_at.desc(), ranked.c.serial)
+        with self.database.reading() as connection:
+            rows = connection.execute(newest)
+            return [AdaptedUnit(row.serial, row.stream, row.made_at, row.steps, row.entry) for row in rows]
+
+    def streams(self, serial: str) -> list[str]:
+        """Return the streams a unit was followed on, the newest first."""
+        a = adaptations.c
+        newest = func.max(a.made_at)
+        query = select(a.stream).where(a.serial == serial).group_by(a.stream).order_by(newest.desc(), a.stream)
         with self.database.reading() as connection:
             return list(connection.execute(query).scalars())

@@ -1,6 +1,11 @@
-"""Named arrays in the registry: safetensors bytes addressed by their SHA-256, checked on every read. No pickle."""
+"""Named arrays in the registry: safetensors bytes addressed by their SHA-256, checked on every read. No pickle.
+
+A large array is a blob of its own, named by its hash in the blob of the small ones: what all units of a lot have in
+common (the source's support model, equal time stamps) is kept once.
+"""
 
 import hashlib
+import json
 from collections.abc import Mapping
 
 import numpy as np
@@ -10,20 +15,31 @@ from safetensors.numpy import load, save
 from sqlalchemy import Connection, bindparam, insert, select
 
 from softcal.core.errors import RegistryError
-from softcal.db.tables import blobs
+from softcal.db.tables import blobs, canonical_json
 
 Arrays = Mapping[str, NDArray[np.generic]]
 
 KNOWN_BLOB = select(blobs.c.size).where(blobs.c.sha256 == bindparam("sha"))
+READ_BLOB = select(blobs.c.data).where(blobs.c.sha256 == bindparam("sha"))
 LARGEST_BYTES = 512 * 1024 * 1024
 """Far above any recording or map of a line, below what both databases take as one value."""
 
+OWN_BLOB_BYTES = 4096
+"""From this size on an array is a blob of its own; for smaller ones a row more costs as much as it may save."""
+
+ARRAYS, ARRAY = "arrays", "array"
+"""Kinds of blobs: several arrays by name, and one large array that they refer to."""
+
 
 def put_arrays(connection: Connection, arrays: Arrays) -> str:
-    """Store named arrays once and return the SHA-256 (hex) of their bytes."""
+    """Store named arrays once and return the SHA-256 (hex) of the bytes that name and hold them."""
     # safetensors takes the buffer as it lies; a view with strides would be stored wrongly.
-    content = save({name: np.asarray(array, order="C") for name, array in arrays.items()})
-    return put_bytes(connection, "arrays", content)
+    whole = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+    large = {name: array for name, array in whole.items() if array.nbytes >= OWN_BLOB_BYTES}
+    parts = {name: put_bytes(connection, ARRAY, save({ARRAY: array})) for name, array in large.items()}
+    small = {name: array for name, array in whole.items() if name not in parts}
+    # One entry only: safetensors writes several in no fixed order.
+    return put_bytes(connection, ARRAYS, save(small, {"parts": canonical_json(parts)} if parts else None))
 
 
 def get_arrays(connection: Connection, sha256: str) -> dict[str, NDArray[np.generic]]:
@@ -32,10 +48,26 @@ def get_arrays(connection: Connection, sha256: str) -> dict[str, NDArray[np.gene
     Raises:
         RegistryError: nothing is stored there, or its bytes are not the ones that were stored.
     """
+    content = get_bytes(connection, sha256)
     try:
-        return dict(load(get_bytes(connection, sha256)))
+        arrays = dict(load(content))
+        for name, part in parts_of(content).items():
+            arrays[name] = load(get_bytes(connection, part))[ARRAY]
     except SafetensorError as error:
         raise RegistryError(f"blob {sha256[:12]} holds no arrays: {error}") from error
+    return arrays
+
+
+def parts_of(content: bytes) -> dict[str, str]:
+    """Return the SHA-256 of every large array, by name, that a blob of named arrays refers to.
+
+    The header of safetensors is eight bytes of length, little-endian, and as many bytes of JSON.
+    """
+    try:
+        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+        return dict(json.loads(header.get("__metadata__", {}).get("parts", "{}")))
+    except (ValueError, AttributeError) as error:
+        raise RegistryError(f"a blob of arrays cannot be read: {error}") from error
 
 
 def put_bytes(connection: Connection, kind: str, content: bytes) -> str:
@@ -54,13 +86,25 @@ def has_blob(connection: Connection, sha256: str) -> bool:
     return connection.execute(KNOWN_BLOB, {"sha": sha256}).first() is not None
 
 
+def copy_blob(source: Connection, target: Connection, sha256: str) -> None:
+    """Copy a blob, and what it refers to before it, into a registry that lacks it."""
+    if has_blob(target, sha256):
+        return
+    content = get_bytes(source, sha256)
+    kind = source.execute(select(blobs.c.kind).where(blobs.c.sha256 == sha256)).scalar_one()
+    if kind == ARRAYS:
+        for part in parts_of(content).values():
+            copy_blob(source, target, part)
+    put_bytes(target, kind, content)
+
+
 def get_bytes(connection: Connection, sha256: str) -> bytes:
     """Return the bytes stored under a hash, after checking them.
 
     Raises:
         RegistryError: nothing is stored there, or its bytes are not the ones that were stored.
     """
-    content = connection.execute(select(blobs.c.data).where(blobs.c.sha256 == sha256)).scalar_one_or_none()
+    content = connection.execute(READ_BLOB, {"sha": sha256}).scalar_one_or_none()
     if content is None:
         raise RegistryError(f"blob {sha256[:12]} is missing from the registry; restore a backup")
     content = bytes(content)

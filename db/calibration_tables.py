@@ -1,6 +1,6 @@
 """Calibrations with their full history per serial: revisions, rollbacks, refusals and the rule for the one in use."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sqlalchemy import Connection, RowMapping, bindparam, func, select
@@ -9,7 +9,7 @@ from softcal.core.calibration import CalibrationRecord
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
 from softcal.db.arrays import get_arrays, put_arrays
-from softcal.db.entries import StoredCalibration
+from softcal.db.entries import MadeCalibration, StoredCalibration
 from softcal.db.lot_tables import unit_entries
 from softcal.db.registry_base import RegistryBase
 from softcal.db.tables import calibrations, networks, refusals
@@ -91,6 +91,26 @@ class CalibrationTables(RegistryBase):
         with self.database.reading() as connection:
             row = connection.execute(query.order_by(*NEWEST_FIRST).limit(1)).mappings().first()
             return None if row is None else self._stored(connection, row)
+
+    def known_inputs(self, lot_id: str, serials: Sequence[str]) -> dict[str, frozenset[str]]:
+        """Return the input hashes from which units of a lot have calibrations, by serial; few serials at a time."""
+        c = calibrations.c
+        query = select(c.serial, c.input_sha256).where(c.lot_id == lot_id, c.serial.in_(serials))
+        known: dict[str, set[str]] = {}
+        with self.database.reading() as connection:
+            for serial, sha256 in connection.execute(query):
+                known.setdefault(serial, set()).add(sha256)
+        return {serial: frozenset(hashes) for serial, hashes in known.items()}
+
+    def made_calibrations(self, lot_id: str) -> dict[tuple[str, int], MadeCalibration]:
+        """Return what is known of every calibration this registry made in a lot, without its arrays, by serial and
+        revision."""
+        c = calibrations.c
+        columns = [c[name] for name in MadeCalibration.__dataclass_fields__ if name in c] + [c.evidence]
+        query = select(*columns).where(c.lot_id == lot_id, c.origin == self.origin)
+        with self.database.reading() as connection:
+            made = [MadeCalibration.of(dict(row)) for row in connection.execute(query).mappings()]
+        return {(entry.serial, entry.revision): entry for entry in made}
 
     def calibration(self, serial: str, revision: int | None = None) -> StoredCalibration:
         """Return the calibration of a serial in use, or one revision of its history.

@@ -3,6 +3,7 @@
 Nothing is opened at import. No message of this module contains a password.
 """
 
+import os
 import random
 import sqlite3
 import threading
@@ -45,6 +46,11 @@ class Database:
     @property
     def is_sqlite(self) -> bool:
         return self.engine.dialect.name == "sqlite"
+
+    @property
+    def is_in_memory(self) -> bool:
+        """Whether it is an SQLite database of this process alone, with one connection for all of it."""
+        return self.is_sqlite and self.path is None
 
     @property
     def name(self) -> str:
@@ -206,6 +212,8 @@ def _check_sqlite_path(path: Path, create: bool) -> None:
         raise RegistryError(f"registry {path} is a folder; a file was expected")
     if not create and not path.exists():
         raise RegistryError(f"registry {path}: there is no such file; `softcal batch` or `softcal demo` makes one")
+    if not os.access(path if path.exists() else folder, os.W_OK) or not os.access(folder, os.W_OK):
+        raise RegistryError(f"registry {path}: {folder} cannot be written; SQLite needs the folder, too")
     refuse_network_share(folder)
 
 

@@ -3,9 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import date, datetime
+from typing import Any
 
 from softcal.core.calibration import CalibrationRecord
 from softcal.core.errors import InputError
+from softcal.core.line_rules import LineRules
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,44 @@ class StoredCalibration:
         return self.record.serial
 
 
+AUDITED_FACTS = ("audited_verdict", "audited_reasons")
+
+
+@dataclass(frozen=True)
+class MadeCalibration:
+    """One revision as a report needs it: light, so that a lot of ten thousand fits into memory.
+
+    Args:
+        serial, revision: which one.
+        verdict, reasons: what was decided, and why.
+        family, map_sha256: the map.
+        predicted_rmse, before_rmse, after_rmse, own_rmse: in the lot's reference unit; None where there is none.
+        fit_s: seconds the fit took.
+        audited_verdict, audited_reasons: what would be decided on its audit; None without one.
+    """
+
+    serial: str
+    revision: int
+    verdict: str
+    reasons: tuple[str, ...]
+    family: str
+    map_sha256: str
+    predicted_rmse: float | None
+    before_rmse: float | None
+    after_rmse: float | None
+    own_rmse: float | None
+    fit_s: float | None
+    audited_verdict: str | None
+    audited_reasons: str | None
+
+    @classmethod
+    def of(cls, facts: Mapping[str, Any]) -> "MadeCalibration":
+        """Return what a report needs of the facts of a calibration, among them its `evidence`."""
+        audited = {name: facts["evidence"].get(name) for name in AUDITED_FACTS}
+        plain = {name: facts[name] for name in cls.__dataclass_fields__ if name not in AUDITED_FACTS}
+        return cls(**{**plain, **audited, "reasons": tuple(facts["reasons"])})
+
+
 @dataclass(frozen=True)
 class NetworkEntry:
     """What is known of a shared network beside its weights.
@@ -137,6 +177,18 @@ class LimitEntry:
     lot_id: str
     version: int
     rmse: float | None
+    made_at: datetime
+    actor: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class LineRulesEntry:
+    """One version of a lot's rules at the line."""
+
+    lot_id: str
+    version: int
+    rules: LineRules
     made_at: datetime
     actor: str
     reason: str

@@ -67,6 +67,13 @@ def origins(connection: Connection) -> list[str]:
     return list(connection.execute(select(audit.c.origin).distinct().order_by(audit.c.origin)).scalars())
 
 
+def of_entity(connection: Connection, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
+    """Return the rows of one entity from every chain, in time order."""
+    query = select(audit).where(audit.c.entity == entity, audit.c.key == canonical_json(key))
+    found = connection.execute(query.order_by(audit.c.at, audit.c.origin, audit.c.seq))
+    return [AuditRow(**row._mapping) for row in found]
+
+
 def rows(
     connection: Connection, origin: str | None = None, after_seq: int = 0, count: int | None = None
 ) -> Iterator[AuditRow]:
@@ -76,6 +83,15 @@ def rows(
         query = query.where(audit.c.origin == origin)
     for row in connection.execute(query, execution_options={"yield_per": 1000}):
         yield AuditRow(**row._mapping)
+
+
+def newest(connection: Connection, count: int) -> list[AuditRow]:
+    """Return the newest rows of all chains by time, the newest first, without reading the others."""
+    found: list[AuditRow] = []
+    for origin in origins(connection):
+        query = select(audit).where(audit.c.origin == origin).order_by(audit.c.seq.desc()).limit(count)
+        found += [AuditRow(**row._mapping) for row in connection.execute(query)]
+    return sorted(found, key=lambda row: (row.at, row.origin, row.seq), reverse=True)[:count]
 
 
 def chain_faults(trail: Iterator[AuditRow]) -> Iterator[str]:

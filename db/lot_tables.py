@@ -46,8 +46,11 @@ class LotTables(RegistryBase):
             else:
                 _check_same(lot.id, known, facts)
             self._add_unit(connection, lot.id, lot.source, "source", actor)
-            stated = [entry.rmse for entry in self.limit_versions(lot.id) if entry.reason == STATED]
-            if lot.limit_rmse != (stated[-1] if stated else None):
+            versions = self.limit_versions(lot.id)
+            stated = [entry.rmse for entry in versions if entry.reason == STATED]
+            # A lot that was read from the registry states the limit in force; that is no new one.
+            known_limits = (stated[-1] if stated else None, versions[-1].rmse if versions else None)
+            if lot.limit_rmse not in known_limits:
                 self.set_limit(lot.id, lot.limit_rmse, reason=STATED, actor=actor)
 
     def lots(self) -> list[Lot]:
@@ -55,6 +58,11 @@ class LotTables(RegistryBase):
         with self.database.reading() as connection:
             rows = connection.execute(select(lots).order_by(lots.c.id)).mappings().all()
             return [self._lot(row) for row in rows]
+
+    def lot_ids(self) -> list[str]:
+        """Return the id of every lot."""
+        with self.database.reading() as connection:
+            return list(connection.execute(select(lots.c.id).order_by(lots.c.id)).scalars())
 
     def lot(self, lot_id: str) -> Lot:
         """Return one lot, or raise `InputError` naming the known ones."""
@@ -80,16 +88,18 @@ class LotTables(RegistryBase):
                 self._known_serial(connection, serial)
             return unit_entries(connection, lot_id, serial)
 
-    def runs(self, lot_id: str) -> list[RunEntry]:
-        """Return every result of a lot's units in time order, with units that got no map; rollbacks are left out."""
+    def runs(self, lot_id: str, serial: str | None = None) -> list[RunEntry]:
+        """Return every result of a lot's units, or of one of them, in time order, with units that got no map.
+
+        Rollbacks are left out.
+        """
         c, r = calibrations.c, refusals.c
-        made = select(c.serial, c.made_at, c.verdict, c.reasons, c.predicted_rmse).where(
-            c.lot_id == lot_id, c.rolled_back_to.is_(None)
-        )
-        refused = select(r.serial, r.made_at, r.verdict, r.reasons).where(r.lot_id == lot_id)
+        made = _of(select(c.serial, c.made_at, c.verdict, c.reasons, c.predicted_rmse), calibrations, lot_id, serial)
+        refused = _of(select(r.serial, r.made_at, r.verdict, r.reasons), refusals, lot_id, serial)
+        queries = (made.where(c.rolled_back_to.is_(None)), refused)
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
-            rows = [dict(row) for query in (made, refused) for row in connection.execute(query).mappings()]
+            rows = [dict(row) for query in queries for row in connection.execute(query).mappings()]
         runs = [RunEntry(**row | {"reasons": tuple(row["reasons"])}) for row in rows]
         return sorted(runs, key=lambda run: (run.made_at, run.serial))
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 from sqlalchemy import Connection, Table, insert, select
 
+from softcal.core.errors import RegistryError
 from softcal.db import history, tables
+from softcal.db.arrays import ARRAYS, parts_of
 from softcal.db.database import Database, schema_of
 from softcal.db.tables import AUDITED, blobs, canonical_json, metadata
 
@@ -67,11 +69,19 @@ def _row_faults(connection: Connection) -> Iterator[str]:
 
 
 def _blob_faults(connection: Connection) -> Iterator[str]:
-    stored = set()
+    stored, parts = set(), dict[str, str]()
     for row in connection.execute(select(blobs), execution_options={"yield_per": 50}):
         stored.add(row.sha256)
         if hashlib.sha256(row.data).hexdigest() != row.sha256:
             yield f"blob {row.sha256[:12]}: its bytes were changed"
+        elif row.kind == ARRAYS:
+            try:
+                parts |= dict.fromkeys(parts_of(row.data).values(), row.sha256)
+            except RegistryError as error:
+                yield f"blob {row.sha256[:12]}: {error}"
+    for part, sha256 in parts.items():
+        if part not in stored:
+            yield f"blob {part[:12]} of blob {sha256[:12]}: is missing"
     for table in _tables_with_blobs():
         for sha256 in connection.execute(select(table.c.blob_sha256)).scalars():
             if sha256 is not None and sha256 not in stored:

@@ -5,6 +5,7 @@ there. One run at a time per station is a unique index of the database, not a ru
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import astuple, fields
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -12,7 +13,7 @@ from sqlalchemy import Connection, RowMapping, Select, delete, insert, select, u
 from sqlalchemy.exc import IntegrityError
 
 from softcal.core.errors import InputError
-from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
+from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.db.database import Database
 from softcal.db.tables import heartbeats, orders, run_signals
 
@@ -20,10 +21,9 @@ SILENT_AFTER = timedelta(seconds=3)
 """A station whose last heartbeat is older is not there."""
 
 ORDER_FIELDS = ("order_id", "station", "kind", "serial", "lot_id", "actor", "reason", "created")
-PROGRESS_FIELDS = ("order_id", "state", "phase", "fraction", "remaining_s", "code", "message", "recording_sha256")
+PROGRESS_FIELDS = tuple(field.name for field in fields(Progress) if field.name != "signal")
 SIGNAL_FIELDS = ("t_s", "output", "stage_mm", "force_N")
-AT_ONCE = (OrderKind.STOP, OrderKind.ACKNOWLEDGE)
-"""Kinds that wait behind nothing and occupy no station."""
+RUNS = tuple(kind for kind in OrderKind if kind.is_run)
 
 
 class OrderQueue:
@@ -51,13 +51,13 @@ class OrderQueue:
                 raise InputError(self._busy(connection, order.station)) from error
 
     def take(self, station: str) -> Order | None:
-        """Return the station's next order and mark it running; STOP and ACKNOWLEDGE come before everything else."""
+        """Return the station's next order and mark it running; what is no run (STOP) comes before everything else."""
         query = select(orders).where(orders.c.station == station, orders.c.state == RunState.QUEUED)
         with self._database.writing(in_turn=False) as connection:
             found = connection.execute(query.order_by(orders.c.created, orders.c.order_id)).mappings().all()
             if not found:
                 return None
-            row = min(found, key=lambda row: row["kind"] not in AT_ONCE)
+            row = min(found, key=lambda row: row["kind"] in RUNS)
             running = {"state": RunState.RUNNING, "changed_at": self._clock()}
             connection.execute(update(orders).where(orders.c.order_id == row["order_id"]).values(**running))
             return _order(row)
@@ -117,18 +117,29 @@ class OrderQueue:
                 connection.execute(mine.values(**values, changed_at=self._clock()))
         return [order_id for order_id, _ in rows]
 
+    def cancel_queued(self, station: str, message: str) -> list[str]:
+        """Cancel the run that waits, if there is one: whoever says stop means that one too. Return the order ids."""
+        waiting = (orders.c.station == station, orders.c.state == RunState.QUEUED, orders.c.kind.in_(RUNS))
+        with self._database.writing(in_turn=False) as connection:
+            order_ids = list(connection.execute(select(orders.c.order_id).where(*waiting)).scalars())
+            values = {"state": RunState.CANCELLED, "code": "E-STOPPED", "message": message}
+            mine = update(orders).where(orders.c.order_id.in_(order_ids))
+            connection.execute(mine.values(**values, changed_at=self._clock()))
+        return order_ids
+
     def beat(self, heartbeat: Heartbeat) -> None:
         """Write that a station lives and what it does.
 
         Raises:
             InputError: another process serves this station; ports have one owner.
         """
-        values = vars(heartbeat) | {"reasons": list(heartbeat.reasons)}
+        gate = [list(astuple(condition)) for condition in heartbeat.gate]
+        values = vars(heartbeat) | {"reasons": list(heartbeat.reasons), "gate": gate}
         where = heartbeats.c.station == heartbeat.station
         with self._database.writing(in_turn=False) as connection:
             known = connection.execute(select(heartbeats).where(where).with_for_update()).mappings().first()
             if known is None:
-                connection.execute(insert(heartbeats).values(**values))
+                self._first_beat(connection, values)
                 return
             is_alive = heartbeat.at - known["at"] <= SILENT_AFTER
             if is_alive and known["process"] != heartbeat.process and known["state"] != StationState.OFF:
@@ -152,6 +163,13 @@ class OrderQueue:
         last = self.heartbeat(station)
         return last is not None and self._clock() - last.at <= SILENT_AFTER
 
+    def _first_beat(self, connection: Connection, values: dict[str, Any]) -> None:
+        try:
+            connection.execute(insert(heartbeats).values(**values))
+        except IntegrityError as error:
+            message = f"station {values['station']!r} was taken by another process in this moment; stop that one first"
+            raise InputError(message) from error
+
     def _busy(self, connection: Connection, station: str) -> str:
         row = connection.execute(_open_runs(station)).mappings().one()
         what = f"{row['kind']} {row['serial']}".strip()
@@ -160,7 +178,7 @@ class OrderQueue:
 
 def _open_runs(station: str) -> Select[Any]:
     open_states = orders.c.state.in_([RunState.QUEUED, RunState.RUNNING])
-    return select(orders).where(orders.c.station == station, open_states, orders.c.kind.not_in(AT_ONCE))
+    return select(orders).where(orders.c.station == station, open_states, orders.c.kind.in_(RUNS))
 
 
 def _progress_values(progress: Progress) -> dict[str, object]:
@@ -186,4 +204,4 @@ def _signal(connection: Connection, order_id: str) -> Signal:
 
 def _heartbeat(row: RowMapping) -> Heartbeat:
     facts = dict(row) | {"state": StationState(row["state"]), "reasons": tuple(row["reasons"])}
-    return Heartbeat(**facts)
+    return Heartbeat(**facts | {"gate": tuple(Condition(*condition) for condition in row["gate"])})

@@ -31,7 +31,15 @@ class People(RegistryBase):
     """The part of the registry that knows people."""
 
     def set_user(
-        self, name: str, role: str, pin: str | None = None, *, actor: str, is_active: bool = True, version: int = 0
+        self,
+        name: str,
+        role: str,
+        pin: str | None = None,
+        *,
+        actor: str,
+        reason: str = "",
+        is_active: bool = True,
+        version: int = 0,
     ) -> User:
         """Add a person (version 0), or change the version that was looked at.
 
@@ -41,6 +49,8 @@ class People(RegistryBase):
         Raises:
             InputError: no such role, a PIN too short, or somebody else changed the person since `version`.
         """
+        if not name.strip():
+            raise InputError("a person needs a name")
         if role not in ROLES:
             raise InputError(f"role {role!r} is none of {', '.join(ROLES)}")
         if pin is not None and (len(pin) < SHORTEST_PIN or not pin.isdigit()):
@@ -61,7 +71,7 @@ class People(RegistryBase):
             statement = insert(users) if known is None else update(users).where(users.c.name == name)
             connection.execute(statement.values(**values))
             before = vars(_user(known)) if known else None
-            self._tell(connection, "set_user", name, vars(user), before, actor)
+            self._tell(connection, "set_user", name, vars(user), before, actor, reason)
             return user
 
     def users(self) -> list[User]:
@@ -101,9 +111,12 @@ class People(RegistryBase):
         after: dict[str, object],
         before: dict[str, object] | None,
         actor: str,
+        reason: str = "",
     ) -> None:
-        at = self.settings.clock()
-        history.append(connection, self.origin, at, actor, action, "users", (name,), after=after, before=before)
+        at, key = self.settings.clock(), (name,)
+        history.append(
+            connection, self.origin, at, actor, action, "users", key, after=after, before=before, reason=reason
+        )
 
 
 def may(user: User, action: str) -> bool:

@@ -11,6 +11,9 @@ from softcal.db import history
 from softcal.db.adaptation_tables import AdaptationTables
 from softcal.db.calibration_tables import CalibrationTables
 from softcal.db.entries import AuditRow
+from softcal.db.job_board import JobBoard
+from softcal.db.line_rules import LineRulesTable
+from softcal.db.lot_pages import LotPages
 from softcal.db.lot_tables import LotTables
 from softcal.db.maintenance import faults
 from softcal.db.order_queue import OrderQueue
@@ -20,7 +23,9 @@ from softcal.db.station_tables import StationTables
 from softcal.db.work_queue import WorkQueue
 
 
-class Registry(LotTables, RecordingTables, CalibrationTables, AdaptationTables, StationTables, People):
+class Registry(
+    LotTables, LotPages, LineRulesTable, RecordingTables, CalibrationTables, AdaptationTables, StationTables, People
+):
     """An open registry, used as a context manager and made by `open_registry`."""
 
     def __enter__(self) -> "Registry":
@@ -49,6 +54,11 @@ class Registry(LotTables, RecordingTables, CalibrationTables, AdaptationTables, 
         """The orders to this registry's stations, their runs and heartbeats."""
         return OrderQueue(self.database, self.settings.clock)
 
+    @property
+    def job_board(self) -> JobBoard:
+        """Long computations that pages ask for."""
+        return JobBoard(self.database, self.settings.clock)
+
     def add_event(
         self,
         action: str,
@@ -64,10 +74,20 @@ class Registry(LotTables, RecordingTables, CalibrationTables, AdaptationTables, 
             at, who = self.settings.clock(), self._actor(actor)
             history.append(connection, self.origin, at, who, action, entity, key, after=values, reason=reason)
 
+    def events(self, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
+        """Return what the audit trail tells of one entity, in time order, whichever registry wrote it."""
+        with self.database.reading() as connection:
+            return history.of_entity(connection, entity, key)
+
     def audit_rows(self, origin: str | None = None) -> list[AuditRow]:
         """Return the audit trail of one registry, or of all that were synchronised, oldest first per origin."""
         with self.database.reading() as connection:
             return list(history.rows(connection, origin))
+
+    def newest_audit_rows(self, count: int) -> list[AuditRow]:
+        """Return the newest rows of the audit trail, whoever wrote them, the newest first."""
+        with self.database.reading() as connection:
+            return history.newest(connection, count)
 
     def verify(self) -> list[str]:
         """Check every blob, every row and the audit chain; return one line per fault, none when all is well."""

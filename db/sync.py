@@ -15,7 +15,7 @@ from sqlalchemy import Connection, Date, Table, and_, func, insert, select
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.db import history
-from softcal.db.arrays import get_bytes, has_blob, put_bytes
+from softcal.db.arrays import copy_blob
 from softcal.db.entries import AuditRow
 from softcal.db.registry import Registry
 from softcal.db.tables import AUDITED, UtcTime, audit, blobs, calibrations, limits, metadata
@@ -127,11 +127,10 @@ def _copy(source: Connection, target: Connection, table: Table, key: dict[str, A
 
 
 def _copy_parent(source: Connection, target: Connection, table: Table, key: dict[str, Any], known: set[Named]) -> None:
-    if table is not blobs:
+    if table is blobs:
+        copy_blob(source, target, key["sha256"])
+    else:
         _copy(source, target, table, key, known)
-        return
-    if not has_blob(target, key["sha256"]):
-        put_bytes(target, "synced", get_bytes(source, key["sha256"]))
 
 
 def _key_values(table: Table, key: str) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from sqlalchemy import (
+    BigInteger,
     Boolean,
     CheckConstraint,
     Column,
@@ -22,10 +23,11 @@ from sqlalchemy import (
     Table,
     Text,
     and_,
+    false,
 )
 from sqlalchemy.types import TypeDecorator
 
-SCHEMA = "0002"
+SCHEMA = "0006"
 """Revision of the newest migration: what a registry must have to be used by this version."""
 
 metadata = MetaData(
@@ -117,6 +119,19 @@ limits = Table(
     Column("version", Integer, primary_key=True),
     Column("origin", String(32), primary_key=True),
     Column("rmse", Double),
+    Column("made_at", UtcTime, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    CheckConstraint("version >= 1", name="version"),
+)
+
+line_rules = Table(
+    "line_rules",
+    metadata,
+    Column("lot_id", ForeignKey("lots.id"), primary_key=True),
+    Column("version", Integer, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("rules", CanonicalJson, nullable=False),
     Column("made_at", UtcTime, nullable=False),
     Column("actor", Text, nullable=False),
     Column("reason", Text, nullable=False),
@@ -233,11 +248,12 @@ audit = Table(
 work_items = Table(
     "work_items",
     metadata,
-    Column("id", Integer, primary_key=True, autoincrement=True),
+    Column("id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True, autoincrement=True),
     Column("lot_id", String(64), nullable=False),
     Column("serial", String(64), nullable=False),
     Column("kind", String(32), nullable=False),
-    Column("input_sha256", String(64), nullable=False),
+    sha256_column("work_set", nullable=False),
+    sha256_column("input_sha256", nullable=False),
     Column("state", String(8), nullable=False),
     Column("attempts", Integer, nullable=False),
     Column("owner", Text),
@@ -246,8 +262,9 @@ work_items = Table(
     Column("error", Text),
     Column("changed_at", UtcTime, nullable=False),
     CheckConstraint("state IN ('queued', 'claimed', 'done', 'failed')", name="state"),
-    Index("uq_work_items_item", "lot_id", "kind", "serial", "input_sha256", unique=True),
-    Index("ix_work_items_lot_id_state", "lot_id", "state", "id"),
+    Index("uq_work_items_item", "lot_id", "kind", "serial", "work_set", "input_sha256", unique=True),
+    Index("ix_work_items_set_state", "lot_id", "kind", "work_set", "state", "id"),
+    Index("ix_work_items_owner", "owner", "state"),
 )
 
 adaptations = Table(
@@ -327,6 +344,7 @@ orders = Table(
     Column("code", Text, nullable=False),
     Column("message", Text, nullable=False),
     Column("recording_sha256", Text, nullable=False),
+    Column("verdict", Text, nullable=False, server_default=""),
     Column("changed_at", UtcTime, nullable=False),
     CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
     Index("ix_orders_station", "station", "created"),
@@ -359,11 +377,34 @@ heartbeats = Table(
     Column("reasons", CanonicalJson, nullable=False),
     Column("process", Text, nullable=False),
     Column("order_id", String(64), nullable=False),
+    Column("gate", CanonicalJson, nullable=False, server_default="[]"),
+    Column("is_overridden", Boolean, nullable=False, server_default=false()),
+)
+
+jobs = Table(
+    "jobs",
+    metadata,
+    Column("job_id", String(32), primary_key=True),
+    Column("kind", String(32), nullable=False),
+    Column("request", CanonicalJson, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("created", UtcTime, nullable=False),
+    Column("state", String(16), nullable=False),
+    Column("fraction", Double, nullable=False),
+    Column("message", Text, nullable=False),
+    Column("trace", CanonicalJson, nullable=False),
+    Column("result", CanonicalJson, nullable=False),
+    sha256_column("blob_sha256", ForeignKey("blobs.sha256")),
+    Column("is_cancel_wanted", Boolean, nullable=False),
+    Column("beaten_at", UtcTime, nullable=False),
+    CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
+    Index("ix_jobs_kind", "kind", "created"),
 )
 
 AUDITED = (
     "lots",
     "limits",
+    "line_rules",
     "units",
     "recordings",
     "networks",

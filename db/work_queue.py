@@ -1,14 +1,17 @@
 """Durable work items of a lot: claimed under a lease, done once, and handed out again when a worker dies.
 
 A worker that is killed loses nothing: its lease runs out and the item goes to the next one. An item is named by its
-lot, kind, serial and input hash, so that asking twice for the same work makes one item.
+lot, kind, serial and input hash, so that asking twice for the same work makes one item. Items that are asked for
+together, under the same settings, are one set; a claimant takes items of its own set only.
 """
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from typing import Any
 
-from sqlalchemy import and_, func, insert, or_, select, update
+from sqlalchemy import Connection, Select, and_, delete, func, select, update
+from sqlalchemy.dialects import postgresql, sqlite
 
 from softcal.db.database import Database
 from softcal.db.tables import work_items
@@ -16,108 +19,191 @@ from softcal.db.tables import work_items
 MOST_ATTEMPTS = 3
 """An item whose workers died this often is failed: it would take down the next worker, too."""
 
+ROWS_AT_ONCE = 500
+STATES = ("queued", "claimed", "done", "failed")
+COUNTED = {"preserve_rowcount": True}
+FREE = {"state": "queued", "owner": None, "lease_until": None}
+
 
 @dataclass(frozen=True)
-class WorkRequest:
-    """What is to be done: one kind of work on one unit from one input."""
+class WorkSet:
+    """Items that are asked for together.
 
-    serial: str
-    input_sha256: str
+    Args:
+        lot_id: the lot whose units they are.
+        name: hash of the settings that all of them share.
+        kind: what is to be done with each.
+    """
+
+    lot_id: str
+    name: str
     kind: str = "calibrate"
 
 
 @dataclass(frozen=True)
 class WorkItem:
-    """A claimed item; `attempts` counts this one."""
+    """An item of a set.
+
+    Args:
+        attempts: claims so far.
+        result: what was kept once it is done; why where it was given up.
+    """
 
     id: int
-    lot_id: str
     serial: str
-    kind: str
     input_sha256: str
     attempts: int
+    state: str = "claimed"
+    result: str | None = None
 
 
 class WorkQueue:
-    """The work items of a registry. Every call is one short transaction."""
+    """The work items of a registry. Every call is one short transaction, or part of the one it is called in."""
 
     def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
         self._database, self._clock = database, clock
 
-    def enqueue(self, lot_id: str, requests: Iterable[WorkRequest]) -> int:
+    def enqueue(self, work: WorkSet, inputs: Mapping[str, str]) -> int:
         """Queue what is not queued, claimed or done yet and return how many items are new.
 
-        An item that failed before is queued again: asking for it anew is a decision to retry.
+        An item that failed before is queued again, and attempts are counted anew: asking is a decision to retry. Sets
+        of the lot that nobody works at any more are forgotten; what they finished is in the registry.
+
+        Args:
+            inputs: input hash of every serial.
         """
-        new = 0
+        now, c = self._clock(), work_items.c
+        named = {"lot_id": work.lot_id, "kind": work.kind, "work_set": work.name}
+        fresh = {**named, **FREE, "attempts": 0, "changed_at": now}
+        rows = [{**fresh, "serial": serial, "input_sha256": sha256} for serial, sha256 in inputs.items()]
         with self._database.writing() as connection:
-            for request in requests:
-                named = {"lot_id": lot_id, **vars(request)}
-                where = [work_items.c[name] == value for name, value in named.items()]
-                state = connection.execute(select(work_items.c.state).where(*where)).scalar_one_or_none()
-                fresh = {"state": "queued", "attempts": 0, "error": None, "changed_at": self._clock()}
-                if state is None:
-                    connection.execute(insert(work_items).values(**named, **fresh))
-                elif state == "failed":
-                    connection.execute(update(work_items).where(*where).values(**fresh))
-                new += state in (None, "failed")
+            self._forget_abandoned(connection, work)
+            new = 0
+            for part in _parts(rows):
+                new += connection.execute(self._insert_new(), part, execution_options=COUNTED).rowcount
+                serials = c.serial.in_([row["serial"] for row in part])
+                failed = update(work_items).where(*_of(work), c.state == "failed", serials)
+                new += connection.execute(failed.values(**FREE, attempts=0, error=None, changed_at=now)).rowcount
+                tried = update(work_items).where(*_of(work), c.state == "queued", c.attempts > 0, serials)
+                connection.execute(tried.values(attempts=0))
         return new
 
-    def claim(self, owner: str, count: int, lease_s: float, *, lot_id: str | None = None) -> list[WorkItem]:
+    def claim(self, owner: str, work: WorkSet, count: int, lease_s: float) -> list[WorkItem]:
         """Take up to `count` items that nobody works on; they are this owner's until the lease runs out.
 
         Claimants never wait for one another: rows another one is just taking are passed over.
         """
         now, c = self._clock(), work_items.c
-        is_free = or_(c.state == "queued", and_(c.state == "claimed", c.lease_until < now))
-        query = select(c.id, c.lot_id, c.serial, c.kind, c.input_sha256, c.attempts).where(is_free)
-        query = query if lot_id is None else query.where(c.lot_id == lot_id)
         with self._database.writing(in_turn=False) as connection:
-            rows = connection.execute(query.order_by(c.id).limit(count).with_for_update(skip_locked=True)).all()
-            given_up = [row.id for row in rows if row.attempts >= MOST_ATTEMPTS]
-            taken = [row for row in rows if row.attempts < MOST_ATTEMPTS]
-            error = f"{MOST_ATTEMPTS} workers died on it"
-            failed = {"state": "failed", "error": error, "owner": None, "lease_until": None, "changed_at": now}
-            connection.execute(update(work_items).where(c.id.in_(given_up)).values(**failed))
-            lease_until = now + timedelta(seconds=lease_s)
-            claimed = {"state": "claimed", "owner": owner, "lease_until": lease_until, "changed_at": now}
-            mine = update(work_items).where(c.id.in_([row.id for row in taken]))
-            connection.execute(mine.values(**claimed, attempts=c.attempts + 1))
-        return [WorkItem(**{**row._mapping, "attempts": row.attempts + 1}) for row in taken]
+            taken = self._free(connection, work, count, c.state == "queued")
+            if len(taken) < count:
+                expired = and_(c.state == "claimed", c.lease_until < now)
+                taken += self._free(connection, work, count - len(taken), expired)
+            given_up = [item.id for item in taken if item.attempts >= MOST_ATTEMPTS]
+            mine = [item for item in taken if item.attempts < MOST_ATTEMPTS]
+            if given_up:
+                failed = {**FREE, "state": "failed", "error": f"{MOST_ATTEMPTS} workers died on it"}
+                connection.execute(update(work_items).where(c.id.in_(given_up)).values(**failed, changed_at=now))
+            if mine:
+                held = {"state": "claimed", "owner": owner, "lease_until": now + timedelta(seconds=lease_s)}
+                rows = update(work_items).where(c.id.in_([item.id for item in mine]))
+                connection.execute(rows.values(**held, changed_at=now, attempts=c.attempts + 1))
+        return [WorkItem(item.id, item.serial, item.input_sha256, item.attempts + 1) for item in mine]
 
-    def extend(self, owner: str, item_ids: Iterable[int], lease_s: float) -> int:
-        """Push the lease of one's own items further out; return how many are still one's own."""
-        now = self._clock()
-        return self._close(owner, item_ids, {"lease_until": now + timedelta(seconds=lease_s), "changed_at": now})
+    def extend(self, owner: str, lease_s: float) -> int:
+        """Push the lease of all of one's items further out; return how many are still one's own."""
+        now, c = self._clock(), work_items.c
+        mine = select(c.id).where(c.owner == owner, c.state == "claimed").with_for_update(skip_locked=True)
+        with self._database.writing(in_turn=False) as connection:
+            ids = connection.execute(mine).scalars().all()
+            for part in _parts(ids):
+                rows = update(work_items).where(c.id.in_(part))
+                connection.execute(rows.values(lease_until=now + timedelta(seconds=lease_s), changed_at=now))
+        return len(ids)
+
+    def held(self, owner: str, item_ids: Iterable[int]) -> set[int]:
+        """Return which items are still one's own; inside a transaction nobody can take them before it ends."""
+        c = work_items.c
+        mine = select(c.id).where(c.id.in_(list(item_ids)), c.owner == owner, c.state == "claimed")
+        with self._database.writing(in_turn=False) as connection:
+            return set(connection.execute(mine.order_by(c.id).with_for_update()).scalars())
 
     def finish(self, owner: str, item_id: int, result: str) -> bool:
         """Mark an item done. False: the lease ran out and the item is another one's by now; drop the result."""
-        done = {"state": "done", "result": result, "lease_until": None, "changed_at": self._clock()}
-        return self._close(owner, [item_id], done) == 1
+        return self._close(owner, item_id, {"state": "done", "result": result})
 
     def fail(self, owner: str, item_id: int, error: str) -> bool:
         """Mark an item failed with its reason; it is not tried again unless it is queued anew."""
-        failed = {"state": "failed", "error": error, "lease_until": None, "changed_at": self._clock()}
-        return self._close(owner, [item_id], failed) == 1
+        return self._close(owner, item_id, {"state": "failed", "error": error})
 
     def give_back(self, owner: str) -> int:
         """Queue all items of an owner that stops in order; the attempt does not count."""
-        c = work_items.c
-        values = {"state": "queued", "owner": None, "lease_until": None, "changed_at": self._clock()}
-        mine = update(work_items).where(c.owner == owner, c.state == "claimed")
-        with self._database.writing(in_turn=False) as connection:
-            return connection.execute(mine.values(**values, attempts=c.attempts - 1)).rowcount
+        return self._free_again(owner, attempts=work_items.c.attempts - 1)
 
-    def counts(self, lot_id: str | None = None) -> dict[str, int]:
-        """Return how many items are queued, claimed, done and failed."""
-        query = select(work_items.c.state, func.count()).group_by(work_items.c.state)
+    def take_back(self, owner: str) -> int:
+        """Queue all items of an owner that is known to be dead, without waiting for its lease."""
+        return self._free_again(owner)
+
+    def owners(self, work: WorkSet) -> list[str]:
+        """Return who holds items of a work."""
+        owner = work_items.c.owner
+        with self._database.reading() as connection:
+            query = select(owner).where(*_of(work), work_items.c.state == "claimed").distinct().order_by(owner)
+            return list(connection.execute(query).scalars())
+
+    def ended(self, work: WorkSet) -> list[WorkItem]:
+        """Return the items of a set that are done, with their results, and those given up, with why."""
+        c = work_items.c
+        result = func.coalesce(c.result, c.error)
+        query = select(c.id, c.serial, c.input_sha256, c.attempts, c.state, result)
+        with self._database.reading() as connection:
+            rows = connection.execute(query.where(*_of(work), c.state.in_(["done", "failed"])).order_by(c.id))
+            return [WorkItem(*row) for row in rows]
+
+    def counts(self, lot_id: str | None = None, work: WorkSet | None = None) -> dict[str, int]:
+        """Return how many items are queued, claimed, done and failed: of a work, of a lot, or of all."""
+        query: Select[Any] = select(work_items.c.state, func.count()).group_by(work_items.c.state)
         query = query if lot_id is None else query.where(work_items.c.lot_id == lot_id)
+        query = query if work is None else query.where(*_of(work))
         with self._database.reading() as connection:
             found = {str(state): int(count) for state, count in connection.execute(query)}
-        return {state: found.get(state, 0) for state in ("queued", "claimed", "done", "failed")}
+        return {state: found.get(state, 0) for state in STATES}
 
-    def _close(self, owner: str, item_ids: Iterable[int], values: Mapping[str, object]) -> int:
+    def _insert_new(self) -> Any:
+        insert = sqlite.insert if self._database.is_sqlite else postgresql.insert
+        return insert(work_items).on_conflict_do_nothing()
+
+    def _forget_abandoned(self, connection: Connection, work: WorkSet) -> None:
+        c, now = work_items.c, self._clock()
+        others = (c.lot_id == work.lot_id, c.kind == work.kind, c.work_set != work.name)
+        alive = select(c.work_set).where(*others, c.state == "claimed", c.lease_until >= now)
+        connection.execute(delete(work_items).where(*others, c.work_set.not_in(alive)))
+
+    def _free(self, connection: Connection, work: WorkSet, count: int, condition: Any) -> list[WorkItem]:
         c = work_items.c
-        mine = update(work_items).where(c.id.in_(list(item_ids)), c.owner == owner, c.state == "claimed")
+        query = select(c.id, c.serial, c.input_sha256, c.attempts).where(*_of(work), condition)
+        rows = connection.execute(query.order_by(c.id).limit(count).with_for_update(skip_locked=True))
+        return [WorkItem(*row) for row in rows]
+
+    def _free_again(self, owner: str, **more: Any) -> int:
+        c = work_items.c
+        mine = update(work_items).where(c.owner == owner, c.state == "claimed")
         with self._database.writing(in_turn=False) as connection:
-            return connection.execute(mine.values(**values)).rowcount
+            return connection.execute(mine.values(**FREE, **more, changed_at=self._clock())).rowcount
+
+    def _close(self, owner: str, item_id: int, values: Mapping[str, object]) -> bool:
+        c = work_items.c
+        mine = update(work_items).where(c.id == item_id, c.owner == owner, c.state == "claimed")
+        with self._database.writing(in_turn=False) as connection:
+            closed = mine.values(**values, lease_until=None, changed_at=self._clock())
+            return connection.execute(closed).rowcount == 1
+
+
+def _of(work: WorkSet) -> tuple[Any, ...]:
+    c = work_items.c
+    return c.lot_id == work.lot_id, c.kind == work.kind, c.work_set == work.name
+
+
+def _parts(rows: Any) -> Iterable[Any]:
+    """Cut rows into statements of a size that both databases take."""
+    return (rows[start : start + ROWS_AT_ONCE] for start in range(0, len(rows), ROWS_AT_ONCE))

@@ -4,12 +4,16 @@ import hashlib
 import json
 from datetime import UTC, date, datetime
 
+import numpy as np
 import pytest
 from sqlalchemy import create_engine, delete, insert, select, text, update
 from sqlalchemy.pool import NullPool
 
 from softcal.core.errors import RegistryError
+from softcal.core.line_rules import LineRules
+from softcal.db.arrays import get_arrays, parts_of, put_arrays
 from softcal.db.entries import CellCertificate, GoldenRun
+from softcal.db.sync import synchronise
 from softcal.db.tables import APPEND_ONLY, audit, blobs, calibrations, metadata, units
 
 
@@ -37,6 +41,7 @@ def filled(factory, recording_of):
     factory.calibrate("A1", 1)
     factory.calibrate("A1", 2)
     factory.registry.add_refusal("L1", "A2", "fail", ("constant",))
+    factory.registry.set_line_rules("L1", LineRules(), reason="first lot")
     factory.registry.add_adaptation("A1", 1, {"stream": "s", "sample": 3, "gain": 1.5})
     factory.registry.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, 6, tzinfo=UTC), 0.01, "N", True))
     factory.registry.add_certificate(CellCertificate("C1", "7", "lab", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.01))
@@ -45,6 +50,17 @@ def filled(factory, recording_of):
 
 def test_a_registry_in_use_is_whole(filled):
     assert filled.registry.verify() == []
+
+
+def test_the_newest_rows_come_first_whoever_wrote_them(filled, make_factory, file_registry):
+    other = make_factory(file_registry, "L2")
+    synchronise(filled.registry, file_registry)
+    other.calibrate("B1")
+    synchronise(filled.registry, file_registry)
+    rows = filled.registry.audit_rows()
+    newest = filled.registry.newest_audit_rows(7)
+    assert newest == sorted(rows, key=lambda row: (row.at, row.origin, row.seq))[:-8:-1]
+    assert newest[0].action == "calibrate" and newest[0].origin == file_registry.origin
 
 
 @pytest.mark.parametrize("table", APPEND_ONLY)
@@ -88,6 +104,27 @@ def test_one_flipped_bit_in_a_blob_is_found_and_never_read(filled, past_the_trig
     assert filled.registry.verify() == [f"blob {stored[:12]}: its bytes were changed"]
     with pytest.raises(RegistryError, match="was damaged"):
         filled.registry.calibration("A1")
+
+
+@pytest.mark.parametrize("removed", [True, False], ids=["removed", "one bit flipped"])
+def test_a_large_array_that_is_gone_or_changed_is_found_and_never_read(registry, past_the_triggers, removed):
+    arrays = {"small": np.arange(3.0), "large": np.arange(4096.0)}
+    with registry.database.writing() as connection:
+        sha256 = put_arrays(connection, arrays)
+        content = connection.execute(select(blobs.c.data).where(blobs.c.sha256 == sha256)).scalar_one()
+        part = parts_of(content)["large"]
+        stored = bytearray(connection.execute(select(blobs.c.data).where(blobs.c.sha256 == part)).scalar_one())
+    assert registry.verify() == []
+    stored[-1] ^= 1
+    here = blobs.c.sha256 == part
+    past_the_triggers(delete(blobs).where(here) if removed else update(blobs).where(here).values(data=bytes(stored)))
+    missing, changed = (
+        f"blob {part[:12]} of blob {sha256[:12]}: is missing",
+        f"blob {part[:12]}: its bytes were changed",
+    )
+    assert registry.verify() == [missing if removed else changed]
+    with registry.database.reading() as connection, pytest.raises(RegistryError, match=part[:12]):
+        get_arrays(connection, sha256)
 
 
 def test_an_edited_row_with_an_edited_trail_still_breaks_the_chain(filled, past_the_triggers):

@@ -7,13 +7,14 @@ import pytest
 from softcal.core.errors import RegistryError
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
+from softcal.db.work_queue import WorkSet
 
 
 @pytest.fixture
 def backup(factory, tmp_path):
     factory.calibrate("A1", 1)
     factory.calibrate("A1", 2)
-    factory.registry.work_queue.enqueue("L1", [])
+    factory.registry.work_queue.enqueue(WorkSet("L1", "a" * 64), {"A1": "b" * 64})
     path = tmp_path / "backup.db"
     back_up(factory.registry.database, path)
     return path

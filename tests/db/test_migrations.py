@@ -2,14 +2,14 @@
 
 import base64
 import json
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from pathlib import Path
 
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import DateTime, LargeBinary, MetaData, insert, text
+from sqlalchemy import Date, DateTime, LargeBinary, MetaData, insert, text
 
 from softcal.app.workflow.registry import upgrade
 from softcal.core.errors import RegistryError
@@ -46,6 +46,8 @@ def released(new_url):
 def _value(column, value):
     if isinstance(column.type, LargeBinary):
         return base64.b64decode(value["base64"])
+    if isinstance(column.type, Date):
+        return date.fromisoformat(value)
     is_time = isinstance(column.type, DateTime) and value is not None
     return datetime.fromisoformat(value).replace(tzinfo=UTC) if is_time else value
 

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
+from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.db.order_queue import SILENT_AFTER, OrderQueue
 
 NOW = datetime(2026, 5, 4, tzinfo=UTC)
@@ -49,7 +49,7 @@ def test_stop_is_placed_beside_a_run_and_taken_first(queue):
 def test_progress_is_read_back_with_its_signal(queue):
     queue.place(press())
     signal = Signal((0.0, 0.02), (1.0, 1.1), (0.0, 0.5), (), "ohm")
-    told = Progress("o1", RunState.RUNNING, "pressing", 0.4, 12.5, signal=signal)
+    told = Progress("o1", RunState.RUNNING, "pressing", 0.4, 12.5, verdict="pass", signal=signal)
     queue.report(told)
     assert queue.progress("o1") == told and queue.active("s1") == (press(), told)
 
@@ -76,6 +76,21 @@ def test_a_station_has_one_owner(queue):
     late = NOW + SILENT_AFTER + timedelta(seconds=1)
     queue.beat(Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2"))
     assert queue.heartbeat("s1") == Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2")
+
+
+def test_what_the_gate_looked_at_is_read_back(queue):
+    gate = (Condition("warm-up", False, "wait 3 more min"), Condition("homing", True, "homed"))
+    beat = Heartbeat("s1", StationState.READY, NOW, gate=gate, is_overridden=True)
+    queue.beat(beat)
+    assert queue.heartbeat("s1") == beat
+
+
+def test_a_run_that_waits_is_cancelled_by_a_stop(queue):
+    queue.place(press())
+    queue.place(Order("stop", "s1", OrderKind.STOP, created=NOW))
+    assert queue.cancel_queued("s1", "cancelled before it began") == ["o1"]
+    assert queue.progress("o1").state is RunState.CANCELLED and queue.progress("stop").state is RunState.QUEUED
+    queue.place(press("o2"))
 
 
 def test_silence_is_seen(registry, queue):

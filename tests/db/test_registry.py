@@ -204,3 +204,9 @@ def test_an_adaptation_resumes_from_its_last_step(factory):
     assert factory.registry.adaptations("A1", "s") == steps
     with pytest.raises(InputError, match="no revision 2"):
         factory.registry.add_adaptation("A1", 2, steps[0])
+
+
+def test_a_lot_read_from_the_registry_states_no_new_limit(factory):
+    factory.registry.set_limit("L1", 0.1, reason="drawing C")
+    factory.registry.add_lot(factory.registry.lot("L1"))
+    assert [entry.rmse for entry in factory.registry.limit_versions("L1")] == [0.2, 0.1]

@@ -5,7 +5,9 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from softcal.db.work_queue import MOST_ATTEMPTS, WorkQueue, WorkRequest
+from softcal.db.work_queue import MOST_ATTEMPTS, WorkQueue, WorkSet
+
+WORK = WorkSet("L1", "a" * 64)
 
 
 class FakeClock:
@@ -27,67 +29,67 @@ def queue(registry, clock):
 
 
 def requests(count):
-    return [WorkRequest(f"A{k}", f"{k:064x}") for k in range(count)]
+    return {f"A{k}": f"{k:064x}" for k in range(count)}
 
 
 def test_asking_twice_makes_one_item(queue):
-    assert (queue.enqueue("L1", requests(3)), queue.enqueue("L1", requests(4))) == (3, 1)
+    assert (queue.enqueue(WORK, requests(3)), queue.enqueue(WORK, requests(4))) == (3, 1)
     assert queue.counts("L1") == {"queued": 4, "claimed": 0, "done": 0, "failed": 0}
 
 
 def test_a_claimed_item_is_nobody_else_s(queue):
-    queue.enqueue("L1", requests(3))
-    mine, yours = queue.claim("me", 2, 60), queue.claim("you", 2, 60)
+    queue.enqueue(WORK, requests(3))
+    mine, yours = queue.claim("me", WORK, 2, 60), queue.claim("you", WORK, 2, 60)
     assert [item.serial for item in mine] == ["A0", "A1"] and [item.serial for item in yours] == ["A2"]
     assert not queue.finish("you", mine[0].id, "7") and queue.finish("me", mine[0].id, "7")
 
 
 def test_an_expired_lease_goes_to_the_next_worker_and_the_late_result_is_dropped(queue, clock):
-    queue.enqueue("L1", requests(1))
-    (item,) = queue.claim("dead", 1, 60)
+    queue.enqueue(WORK, requests(1))
+    (item,) = queue.claim("dead", WORK, 1, 60)
     clock.now += timedelta(seconds=61)
-    (again,) = queue.claim("alive", 1, 60)
+    (again,) = queue.claim("alive", WORK, 1, 60)
     assert (again.id, again.attempts) == (item.id, 2)
     assert not queue.finish("dead", item.id, "late") and queue.finish("alive", item.id, "1")
 
 
 def test_an_extended_lease_stays(queue, clock):
-    queue.enqueue("L1", requests(1))
-    (item,) = queue.claim("slow", 1, 60)
+    queue.enqueue(WORK, requests(1))
+    (item,) = queue.claim("slow", WORK, 1, 60)
     clock.now += timedelta(seconds=50)
-    assert queue.extend("slow", [item.id], 60) == 1
+    assert queue.extend("slow", 60) == 1
     clock.now += timedelta(seconds=50)
-    assert queue.claim("other", 1, 60) == []
+    assert queue.claim("other", WORK, 1, 60) == []
 
 
 def test_an_item_that_kills_its_workers_is_given_up(queue, clock):
-    queue.enqueue("L1", requests(1))
+    queue.enqueue(WORK, requests(1))
     for _ in range(MOST_ATTEMPTS):
-        assert len(queue.claim("worker", 1, 1)) == 1
+        assert len(queue.claim("worker", WORK, 1, 1)) == 1
         clock.now += timedelta(seconds=2)
-    assert queue.claim("worker", 1, 1) == [] and queue.counts()["failed"] == 1
-    assert queue.enqueue("L1", requests(1)) == 1, "asking anew is a decision to retry"
+    assert queue.claim("worker", WORK, 1, 1) == [] and queue.counts()["failed"] == 1
+    assert queue.enqueue(WORK, requests(1)) == 1, "asking anew is a decision to retry"
 
 
 def test_stopping_in_order_gives_everything_back(queue):
-    queue.enqueue("L1", requests(3))
-    queue.claim("me", 2, 60)
+    queue.enqueue(WORK, requests(3))
+    queue.claim("me", WORK, 2, 60)
     assert queue.give_back("me") == 2
-    assert [item.attempts for item in queue.claim("you", 3, 60)] == [1, 1, 1]
+    assert [item.attempts for item in queue.claim("you", WORK, 3, 60)] == [1, 1, 1]
 
 
 def test_a_failure_keeps_its_reason_and_is_not_tried_again(queue):
-    queue.enqueue("L1", requests(1))
-    (item,) = queue.claim("me", 1, 60)
-    assert queue.fail("me", item.id, "no such file") and queue.claim("me", 1, 60) == []
+    queue.enqueue(WORK, requests(1))
+    (item,) = queue.claim("me", WORK, 1, 60)
+    assert queue.fail("me", item.id, "no such file") and queue.claim("me", WORK, 1, 60) == []
 
 
 def test_many_workers_at_once_do_every_item_exactly_once(queue):
-    queue.enqueue("L1", requests(60))
+    queue.enqueue(WORK, requests(60))
     taken: list[int] = []
 
     def work(owner: str) -> None:
-        while items := queue.claim(owner, 3, 60):
+        while items := queue.claim(owner, WORK, 3, 60):
             taken.extend(item.id for item in items if queue.finish(owner, item.id, "1"))
 
     threads = [threading.Thread(target=work, args=(f"w{k}",)) for k in range(4)]

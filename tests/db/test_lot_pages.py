@@ -1,0 +1,83 @@
+"""A lot in pages says the same as the lot as a whole, whatever was calibrated again, refused or not begun."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.line_rules import LineRules
+from softcal.db.entries import GoldenRun
+from softcal.db.lot_pages import UnitFilter
+
+
+@pytest.fixture
+def lot(factory):
+    """Ten units: calibrated once, twice, refused before and after a map, refused only, and not begun."""
+    registry = factory.registry
+    for k in range(6):
+        verdict = ("pass", "fail", "conditional")[k % 3]
+        registry.add_calibration("L1", factory.record(f"A{k}", k + 1, verdict))
+    registry.add_calibration("L1", replace(factory.record("A1", 9), before_rmse=0.9, after_rmse=0.4, own_rmse=0.3))
+    registry.add_refusal("L1", "A2", "retest", ("cable",))
+    registry.add_refusal("L1", "B1", "fail", ("dead",))
+    registry.add_refusal("L1", "B2", "retest", ("noise",))
+    registry.add_calibration("L1", factory.record("B2", 2))
+    registry.add_unit("L1", "C%1")
+    return registry
+
+
+def test_the_pages_together_are_the_lot(lot):
+    pages = [lot.unit_page("L1", UnitFilter(), page, 4) for page in (1, 2, 3)]
+    assert [page.total for page in pages] == [9, 9, 9]
+    expected = [unit for unit in lot.units("L1") if unit.role == "target"]
+    assert [unit for page in pages for unit in page.units] == expected
+
+
+def test_the_counts_are_those_of_the_units(lot):
+    assert lot.verdict_counts("L1") == {"fail": 2, "retest": 1, "conditional": 1, "pass": 4, "none": 1}
+
+
+def test_a_filter_takes_verdicts_and_text_as_it_is_written(lot):
+    def serials(**wanted):
+        return [unit.serial for unit in lot.unit_page("L1", UnitFilter(**wanted)).units]
+
+    assert serials(verdicts=("none",)) == ["C%1"] and serials(text="%") == ["C%1"]
+    assert serials(text="b", verdicts=("pass", "fail")) == ["B1", "B2"]
+
+
+def test_the_worst_come_first_and_units_without_a_value_last(lot):
+    worst = [unit.verdict for unit in lot.unit_page("L1", UnitFilter(sort="severity")).units]
+    assert worst == ["fail", "fail", "retest", "conditional", "pass", "pass", "pass", "pass", None]
+    by_error = lot.unit_page("L1", UnitFilter(sort="predicted_rmse", is_descending=True)).units
+    errors = [unit.predicted_rmse for unit in by_error]
+    assert errors[:7] == sorted(errors[:7], reverse=True) and errors[7:] == [None, None]
+
+
+def test_the_errors_are_those_of_the_newest_maps(lot):
+    errors = {row[0]: row[1:] for row in lot.lot_errors("L1")}
+    assert errors["A1"] == ("pass", 0.9, 0.9, 0.4, 0.3) and errors["A2"][0] == "retest" and "B1" not in errors
+
+
+def test_the_marker_changes_with_whatever_is_added_to_a_lot(lot, factory):
+    golden = GoldenRun("line-1", "G1", datetime.now(UTC), 0.1, "N", True, (), "Oh")
+    changes = (
+        lambda: factory.calibrate("A1", 12),
+        lambda: lot.add_refusal("L1", "A1", "retest", ("dead",)),
+        lambda: lot.add_unit("L1", "A77"),
+        lambda: lot.set_limit("L1", 0.3, reason="drawing"),
+        lambda: lot.set_line_rules("L1", LineRules(target=9), reason="order"),
+        lambda: lot.add_golden_run(golden),
+    )
+    for change in changes:
+        before = lot.change_marker("L1")
+        assert lot.change_marker("L1") == before
+        change()
+        assert lot.change_marker("L1") != before
+
+
+def test_an_unknown_order_or_lot_is_named(lot):
+    with pytest.raises(InputError, match="cannot be sorted by 'rmse; drop'"):
+        UnitFilter(sort="rmse; drop")
+    with pytest.raises(InputError, match="'L9' is not in the registry"):
+        lot.unit_page("L9", UnitFilter())
