@@ -5,42 +5,92 @@ from collections.abc import Mapping
 import numpy as np
 
 from softcal.core.gap.fit import BASE, Fit, Hypothesis
+from softcal.core.gap.forms import FORMS
 from softcal.core.gap.linear import energy
-from softcal.core.gap.posterior import log_evidence
+from softcal.core.gap.posterior import Fits, exact_log_evidence
+from softcal.core.gap.residual import DIRTY_Z, structure
 from softcal.core.gap.screen import Tangent
+from softcal.core.recording import Array
 
 RIVAL_LOG_ODDS = 5.0
 """A hypothesis within this log evidence of the best (ΔBIC < 10) is a rival: weak to positive evidence only."""
 
 MOST_RIVALS = 3
 
+MOST_CAUSES = 3
+"""Causes that an honest set may hold, or one more than the best hypothesis has."""
 
-def rivals(fits: Mapping[tuple[str, ...], Fit], best: Fit, dispersion: float) -> tuple[Fit, ...]:
-    """Return the best hypothesis and those the evidence cannot rule out, without those that merely add to another."""
-    logs = {ids: log_evidence(found, dispersion) for ids, found in fits.items()}
+ADDED_LOG_ODDS = 1.0
+"""A cause more is a rival down to this log evidence behind the best hypothesis ..."""
+
+EXACT_LOG_ODDS = 2.0
+"""... and where this log evidence would be ahead of it if every equation held exactly: what it takes away is then that
+cause or what the equation of another one leaves, and these runs cannot tell which."""
+
+NEGLIGIBLE_LOG_ODDS = 15.0
+"""So far behind the best hypothesis a cause more is ruled out, whatever it would be worth if every equation held."""
+
+STRUCTURE_LEFT = 0.25
+"""Share of the structure left beside which a cause more only mops up what another equation would explain."""
+
+
+def rivals(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]) -> tuple[Fit, ...]:
+    """Return the best hypothesis and those the evidence cannot rule out.
+
+    One that merely adds a cause to another counts only where the evidence for that cause is neither negligible nor
+    decisive.
+    """
+    if not best.hypothesis.ids:
+        return (best,)
     top = logs[best.hypothesis.ids]
     near = [fits[ids] for ids in sorted(logs, key=lambda i: -logs[i]) if logs[ids] > top - RIVAL_LOG_ODDS]
     kept: list[Fit] = [best]
     for found in near:
         ids = set(found.hypothesis.ids)
-        if (
-            found.hypothesis.ids == best.hypothesis.ids
-            or not ids
-            or any(ids > set(other.hypothesis.ids) for other in kept)
-        ):
-            continue
-        kept.append(found)
+        if ids and not any(ids >= set(other.hypothesis.ids) for other in kept):
+            kept.append(found)
+    most = max(MOST_CAUSES, len(best.hypothesis.ids) + 1)
+    for found in _open_additions(fits, best, logs):
+        if len({*found.hypothesis.ids}.union(*(other.hypothesis.ids for other in kept))) <= most:
+            kept.append(found)
     return tuple(kept[:MOST_RIVALS])
 
 
+def _open_additions(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]) -> list[Fit]:
+    """Return hypotheses with one cause more that can neither be named nor left out, the likeliest first."""
+    ids = set(best.hypothesis.ids)
+    larger = [found for other, found in fits.items() if set(other) > ids and len(other) == len(ids) + 1]
+    ahead = [exact_log_evidence(found) - exact_log_evidence(best) for found in larger]
+    behind = [logs[best.hypothesis.ids] - logs[found.hypothesis.ids] for found in larger]
+    least = max(ahead, default=0.0) - RIVAL_LOG_ODDS
+    # Another realisation of one cause may be two causes in the catalogue's equations: a joint is a frame with a toe.
+    within = RIVAL_LOG_ODDS if _is_in_other_form(best) else ADDED_LOG_ODDS
+    most_z = max(DIRTY_Z, STRUCTURE_LEFT * structure(best).z)
+    is_open = [
+        a >= least and (b < within or (b < NEGLIGIBLE_LOG_ODDS and a > EXACT_LOG_ODDS)) and structure(found).z < most_z
+        for found, a, b in zip(larger, ahead, behind, strict=True)
+    ]
+    order = sorted(np.flatnonzero(is_open), key=lambda k: -ahead[k])
+    return [larger[k] for k in order]
+
+
+def _is_in_other_form(found: Fit) -> bool:
+    return any(form.effect is e for e in found.hypothesis.effects for form in FORMS.get(e.id, ()))
+
+
 def confused_pairs(group: tuple[Fit, ...]) -> list[list[str]]:
-    """Return the pairs of effects that stand for each other in rival hypotheses."""
+    """Return the pairs of effects that stand for each other in rival hypotheses.
+
+    A cause that one rival has beside those of another stands for what the equation of the largest of those leaves.
+    """
     best = set(group[0].hypothesis.ids)
-    pairs = []
+    pairs: list[list[str]] = []
     for other in group[1:]:
         mine = sorted(best - set(other.hypothesis.ids))
         theirs = sorted(set(other.hypothesis.ids) - best)
-        pairs += [[a, b] for a in mine for b in theirs if [a, b] not in pairs]
+        shared = sorted(best & set(other.hypothesis.ids), key=lambda i: -energy(_signature(group[0], i)))
+        between = [[a, b] for a in mine for b in theirs] or [[shared[0], extra] for extra in (*mine, *theirs)]
+        pairs += [pair for pair in between if pair not in pairs]
     return pairs
 
 
@@ -49,6 +99,16 @@ def hidden_fraction(found: Fit, effect_id: str) -> float:
 
     The signature is the change of the prediction when the effect is switched off; the rest of the hypothesis stays.
     """
+    signature = _signature(found, effect_id)
+    size = energy(signature)
+    if size <= 0.0:
+        return 1.0
+    seen = Tangent(found, base_only=True).visible(signature)
+    return float(np.clip(1.0 - energy(seen) / size, 0.0, 1.0))
+
+
+def _signature(found: Fit, effect_id: str) -> Array:
+    """(samples,) change of the weighted prediction when an effect of a fit is switched off."""
     hypothesis = found.hypothesis
     coordinates, at = found.coordinates, len(BASE)
     kept, effects = list(range(at)), []
@@ -60,9 +120,4 @@ def hidden_fraction(found: Fit, effect_id: str) -> float:
         at += width
     smaller = Hypothesis(tuple(effects), hypothesis.episodes)
     without = found.problem.predict(smaller, coordinates[kept])
-    signature = (found.predicted - without) * found.problem.weights
-    size = energy(signature)
-    if size <= 0.0:
-        return 1.0
-    seen = Tangent(found, base_only=True).visible(signature)
-    return float(np.clip(1.0 - energy(seen) / size, 0.0, 1.0))
+    return np.asarray((found.predicted - without) * found.problem.weights)

@@ -54,17 +54,10 @@ class Extent:
 
 def visible_effects(case: Case) -> tuple[str, ...]:
     """Return the identifiers of the effects that the recorded channels can show at all."""
-    stage, force, output = (case.has(c) for c in ("stage_mm", "force_N", "output_V"))
-    seen = {
-        "motion": stage,
-        "mechanics": stage,
-        "load_cell": force,
-        "transduction": output,
-        "electronics": output,
-        "acquisition": output,
-    }
     temperature = any(run.temperature_C is not None and np.ptp(run.temperature_C) > 0 for run in case.presses)
-    return tuple(e.id for e in EFFECTS.values() if seen[e.stage] and (temperature or e.id != "thermal_drift"))
+    return tuple(
+        e.id for e in EFFECTS.values() if e.stage not in case.unseen_stages and (temperature or e.id != "thermal_drift")
+    )
 
 
 def probes(case: Case, extent: Extent) -> tuple[Probe, ...]:
@@ -83,7 +76,7 @@ def probes(case: Case, extent: Extent) -> tuple[Probe, ...]:
 def _grid(effect_id: str, at: Extent) -> list[tuple[float, ...]]:
     sizes: dict[str, Array | tuple[float, ...]] = {
         "backlash": (0.02, 0.1),
-        "frame_compliance": (0.02 * at.depth_mm / at.force_N,),
+        "frame_compliance": (0.02 * at.depth_mm / at.force_N, 0.06 * at.depth_mm / at.force_N),
         "misaligned_contact": (0.03 * at.depth_mm, 0.15 * at.depth_mm),
         "thermal_drift": (0.001,),
         "readout_lag": (0.5 * at.period_s, 3 * at.period_s, 10 * at.period_s),

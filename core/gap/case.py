@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from softcal.core.errors import InputError
 from softcal.core.gap.drive import DrivingForce, driving_force
 from softcal.core.recording import Array
+from softcal.core.twin.effects import ChainStage
 from softcal.core.twin.parameters import ReadoutMetadata
 
 Mask: TypeAlias = NDArray[np.bool_]
@@ -25,6 +26,16 @@ NEEDED: dict[RunKind, tuple[str, ...]] = {
     "dead_weights": ("force_N", "known_force_N"),
     "rest": (),
 }
+SHOWN_BY: dict[ChainStage, str] = {
+    "motion": "stage_mm",
+    "mechanics": "stage_mm",
+    "transduction": "output_V",
+    "electronics": "output_V",
+    "acquisition": "output_V",
+    "load_cell": "force_N",
+}
+"""The channel without which nothing of a stage shows."""
+
 SHORTEST = 30
 """Fewest samples of a run; five base parameters and a noise level are estimated from them."""
 
@@ -181,6 +192,11 @@ class Case:
     def has(self, channel: str) -> bool:
         """Whether the runs in which the sensor is pressed recorded this channel."""
         return all(getattr(run, channel) is not None for run in self.presses)
+
+    @property
+    def unseen_stages(self) -> tuple[ChainStage, ...]:
+        """Stages that the recorded channels cannot show at all."""
+        return tuple(stage for stage, channel in SHOWN_BY.items() if not self.has(channel))
 
     @property
     def missing_channels(self) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """The diagnosis of a case: where the twin is wrong, why, how much it gains, how sure that is, what to press next."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -8,26 +8,32 @@ import numpy as np
 
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.case import Case
+from softcal.core.gap.explained import explained_twin
 from softcal.core.gap.fit import BASE, Fit, from_fit
 from softcal.core.gap.next_experiment import NextExperiment, propose
-from softcal.core.gap.posterior import overdispersion, probabilities
-from softcal.core.gap.residual import Map, Regime, regimes, structure, suspects, three_maps
+from softcal.core.gap.place import likely_stages, loose_noise
+from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities
+from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
 from softcal.core.gap.search import Search, SearchConfig
 from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
+from softcal.core.gap.strangers import name_of
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import ChainStage, Effect
 from softcal.core.twin.mechanics import elastic_force
+from softcal.core.twin.record import twin_record
+from softcal.core.twin.simulate import Twin
 
 Verdict = Literal["no_gap", "explained", "ambiguous", "unknown"]
 SCHEMA = "softcal.gap/1"
 
+ALIASES = {
+    "thermal_drift": " (or the divider resistor's, sign reversed: only a dummy resistor at two temperatures tells)"
+}
+"""What is outside the catalogue and looks exactly like one of its effects: only R/Rs enters the divider."""
+
 UNKNOWN_TRUST = 0.3
 """How far probabilities within the catalogue are trusted where the catalogue leaves a gap, for a share of 1."""
-
-EXPLAINED_SHARE = 0.85
-"""Share of the gap's energy that one cause must take away to be named although structure is left: other realisations
-of a cause leave less than a tenth, effects outside the catalogue more than a quarter."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +118,11 @@ class Diagnosis:
             raise ValueError(f"run {run} has no stage position")
         return np.asarray(elastic_force(np.maximum(0.0, stage_mm - base.u0_mm), base.k1_N_mm, base.k3_N_mm3))
 
+    @property
+    def explained(self) -> Twin:
+        """The twin to go on with: with the named causes, or the refitted base alone where nothing explains the gap."""
+        return explained_twin(self.base if self.verdict == "unknown" else self.best)
+
     def report(self) -> dict[str, object]:
         """Return the report of the contract, ready for JSON."""
         return {
@@ -140,8 +151,11 @@ class Diagnosis:
                 "minutes": self.next_experiment.minutes,
             },
             "missing_channels": list(self.case.missing_channels),
+            "unseen_stages": list(self.case.unseen_stages),
             "explained_share": self.explained_share,
             "base": {p.name: getattr(self.best.base, p.name) for p in BASE},
+            "twin": twin_record(self.explained),
+            "base_twin": twin_record(explained_twin(self.base)),
             "maps": [{"map": m.name, "z": m.structure.z, "structured_sigma": m.structure.rms} for m in self.maps],
         }
 
@@ -159,8 +173,8 @@ def diagnose(
     search = Search(case, config, say)
     search.run()
     best = search.best
-    dispersion = overdispersion(best)
-    group = rivals(search.considered, best, dispersion)
+    logs = log_evidences(search.fits)
+    group = rivals(search.fits, best, logs)
     say("refitting the three maps separately")
     maps = three_maps(case)
     say("measuring the shrink on samples no fit has seen")
@@ -169,8 +183,8 @@ def diagnose(
     verdict = _verdict(search, group)
     # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
     doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0
-    chances = {i: p * doubt for i, p in probabilities(search.considered, dispersion).items()}
-    causes = _causes(search, best, chances, quantified.shrink.held_out)
+    chances = {i: p * doubt for i, p in _chances(logs, group).items()}
+    causes = _causes(search, group, chances, quantified.shrink.held_out)
     found_regimes = regimes(search.base)
     return Diagnosis(
         case=case,
@@ -179,7 +193,7 @@ def diagnose(
         best=best,
         rivals=group,
         causes=causes,
-        places=_places(best, causes, maps, found_regimes, verdict, share),
+        places=_places(search, causes, maps, found_regimes, verdict),
         maps=maps,
         regimes=found_regimes,
         gap=quantified.gap,
@@ -194,18 +208,34 @@ def diagnose(
 
 def _verdict(search: Search, group: tuple[Fit, ...]) -> Verdict:
     best = search.best
+    if search.stranger is not None:
+        return "unknown"
+    is_loose = loose_noise(best) is not None
     if not best.hypothesis.ids:
-        return "unknown" if structure(best).is_significant else "no_gap"
-    if not search.is_clean(best) and (len(best.hypothesis.ids) > 1 or search.share(best) < EXPLAINED_SHARE):
+        return "unknown" if is_loose or structure(best).is_significant else "no_gap"
+    if is_loose or not search.is_explained(best):
         return "unknown"
     return "ambiguous" if len(group) > 1 else "explained"
 
 
-def _causes(search: Search, best: Fit, chances: dict[str, float], held_out: float) -> tuple[Cause, ...]:
-    shares = _shares(search, best)
+def _chances(logs: Mapping[tuple[str, ...], float], group: tuple[Fit, ...]) -> dict[str, float]:
+    """Probability of every effect; of one that is held open beside the best hypothesis the mean of two readings.
+
+    Either every equation may be a little wrong, or they hold exactly.
+    """
+    chances, best = probabilities(logs), group[0]
+    larger = [f for f in group if set(f.hypothesis.ids) > set(best.hypothesis.ids)]
+    exact = probabilities({f.hypothesis.ids: exact_log_evidence(f) for f in (best, *larger)})
+    added = {i for f in larger for i in f.hypothesis.ids}.difference(best.hypothesis.ids)
+    return {i: 0.5 * (p + exact[i]) if i in added else p for i, p in chances.items()}
+
+
+def _causes(search: Search, group: tuple[Fit, ...], chances: dict[str, float], held_out: float) -> tuple[Cause, ...]:
+    shares = _shares(search, group[0])
     causes = []
     for effect in EFFECTS.values():
-        found = best if effect.id in best.hypothesis.ids else search.fits.get((effect.id,))
+        with_it = [f for f in group if effect.id in f.hypothesis.ids]
+        found = with_it[0] if with_it else search.fits.get((effect.id,))
         parameters = _estimates(found, effect.id) if found is not None else {}
         share = shares.get(effect.id, 0.0) * held_out
         causes.append(Cause(effect.id, effect.stage, chances[effect.id], share, parameters))
@@ -247,37 +277,45 @@ def _named(effect: Effect, coordinates: Array, margin: Array) -> dict[str, Param
 
 
 def _places(
-    best: Fit,
-    causes: tuple[Cause, ...],
-    maps: tuple[Map, ...],
-    found: tuple[Regime, ...],
-    verdict: Verdict,
-    share: float,
+    search: Search, causes: tuple[Cause, ...], maps: tuple[Map, ...], found: tuple[Regime, ...], verdict: Verdict
 ) -> tuple[Place, ...]:
     if verdict == "no_gap":
         return ()
-    pointed = suspects(maps)
     dirty = ", ".join(m.name for m in maps if m.structure.is_significant) or "none"
     detail = f"maps refitted separately that do not close: {dirty}"
-    named = [c for c in causes if c.effect in best.hypothesis.ids]
     channel = found[0].channel.split("_")[0] if found else "output"
     regime = found[0].name if found else "everywhere"
-    places: list[Place] = []
     if verdict == "unknown":
-        stage: str = pointed[-1] if pointed else (named[0].stage if named else "unknown")
-        for c in named[:1]:
-            if c.stage in pointed:
-                stage = c.stage
-        text = f"{detail}; the catalogue explains {share:.0%} of the structured gap, nothing in it the rest"
-        places.append(Place(stage, channel, regime, 1.0, text))
+        places = _unknown_places(search, maps, channel, regime, detail)
     else:
+        named = [c for c in causes if c.effect in search.best.hypothesis.ids]
         total = sum(c.shrink for c in named) or 1.0
-        places += [Place(c.stage, channel, regime, c.shrink / total, f"{c.effect}; {detail}") for c in named]
+        places = [
+            Place(c.stage, channel, regime, c.shrink / total, f"{c.effect}{ALIASES.get(c.effect, '')}; {detail}")
+            for c in named
+        ]
+    at = max(places, key=lambda p: p.share).stage
     for r in found[:4]:
-        at = places[0].stage if places else "unknown"
         where = f"{r.share:.0%} of the gap's energy in this regime, {r.lift:.1f} times its share of time"
         places.append(Place(at, r.channel.split("_")[0], r.name, r.share, where))
     return tuple(places)
+
+
+def _unknown_places(search: Search, maps: tuple[Map, ...], channel: str, regime: str, detail: str) -> list[Place]:
+    """Where a gap lies that nothing in the catalogue explains: the likeliest stage first, with those it may also be."""
+    share = float(np.clip(search.share(search.best), 0.0, 1.0))
+    loose = loose_noise(search.best)
+    stages: tuple[str, ...] = likely_stages(search.base, maps)
+    if search.stranger is not None:
+        like = name_of(search.stranger)
+        stages, detail = (like.stage, *(s for s in stages if s != like.stage)), f"like {like.equation}; {detail}"
+    elif loose is not None and (not stages or structure(search.best).is_significant is False):
+        stages, detail = (loose.stage, *(s for s in stages if s != loose.stage)), f"{loose.detail}; {detail}"
+    if not stages:
+        stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.hypothesis.ids)) or ("unknown",)
+    text = f"{detail}; the catalogue explains {share:.0%} of the structured gap, nothing in it the rest"
+    others = [Place(s, channel, regime, 0.4 / (len(stages) - 1), "possible by the same maps") for s in stages[1:]]
+    return [Place(stages[0], channel, regime, 0.6 if others else 1.0, text), *others]
 
 
 def _next(case: Case, search: Search, group: tuple[Fit, ...], verdict: Verdict) -> NextExperiment:
@@ -286,7 +324,9 @@ def _next(case: Case, search: Search, group: tuple[Fit, ...], verdict: Verdict) 
         return proposed
     if verdict == "unknown":
         return NextExperiment(
-            "rate_sweep", "a rate sweep with holds shows whether what is left follows speed, time or load"
+            "rate_sweep",
+            "a rate sweep with holds shows whether what is left follows speed, time or load"
+            + ("" if case.has("stage_mm") else "; log the stage position, without which half of the chain is not seen"),
         )
     if verdict == "no_gap":
         return NextExperiment(

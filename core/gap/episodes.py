@@ -1,21 +1,29 @@
 """Effects that a search must first place: lost samples and bad contacts in time, hum in frequency, a clipped output."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 
 from softcal.core.gap.candidates import Extent
 from softcal.core.gap.case import Mask
-from softcal.core.gap.fit import Block, Episodes, Fit, Hypothesis, fit, start_coordinates
+from softcal.core.gap.fit import EPISODE_COST, Block, Episodes, Fit, Hypothesis, fit, start_coordinates
 from softcal.core.gap.forms import CLIPPED_BELOW
+from softcal.core.gap.linear import energy
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
+from softcal.core.twin.effects import Effect, Flow, Memory, Parameter
 from softcal.core.twin.signals import compiled
+
+LONGEST_LEAD = 20
+"""Samples by which a fitted delay may lie wrong before the losses are placed."""
 
 LONGEST_LOSS = 60
 """Most samples one run may lose in all; more is another recording."""
+
+JUDGED = 20
+"""Samples that must follow a loss to judge it by."""
 
 PLACEMENTS = 4
 """How often episodes are placed again after the parameters have moved; they hardly move after the third time."""
@@ -28,9 +36,27 @@ LINE_GAIN = 30.0
 FLAT_SAMPLES = 8
 """Samples that must lie clearly beyond a level before the output is taken as clipped there."""
 
-SLOWEST_HUM_Hz = 0.3
-"""An alias below this is a drift to the eye and to every fit."""
+SLOWEST_HUM_Hz = 0.012
+"""Mains a little off their nominal frequency beat this slowly where the sample rate is a fraction of it."""
 
+DRIFT_PERIODS = 3.0
+ALIKE = 0.9
+"""A line of so few periods whose phases agree from run to run (1 for all alike) follows the start of the runs, not
+the mains: a drift."""
+
+LINE_SHARE = 0.02
+"""Share of the excess of χ² that a line must take away: a gap of other causes has lines everywhere."""
+
+
+HUM_STEP_Hz = 0.05
+"""Scale on which the fit moves the frequency: a few hundredths of a hertz turn the phase once in a run."""
+
+PHASE_WEIGHT = 0.5
+"""What the phase of one run counts as: it is known to a fifth of a period at least, far less than ln n tells apart."""
+
+
+SKEW_STEPS = 8
+"""Skews tried on either side before losses are placed, each half a sample more by the end of the longest run."""
 
 Place: TypeAlias = Callable[[Fit, str], tuple[list[Array], float]]
 """Find the rows of an episodic effect in every run, and its size."""
@@ -38,7 +64,32 @@ Place: TypeAlias = Callable[[Fit, str], tuple[list[Array], float]]
 
 def with_lost_samples(found: Fit) -> Fit | None:
     """Add `dropped_samples` where it explains anything: place the losses, fit, place again."""
-    return _placed(found, "dropped_samples", _lost_samples)
+    return _placed(_with_clock_to_place_by(found), "dropped_samples", _lost_samples)
+
+
+def _with_clock_to_place_by(found: Fit) -> Fit:
+    """Return the fit with the skew of its clock at which placed losses leave least.
+
+    A skew that was fitted through losses is wrong between them, and steps of one sample stand in for the rest of it.
+    """
+    if "clock_skew" not in found.hypothesis.ids:
+        return found
+    at, problem = found.hypothesis.place_of("clock_skew"), found.problem
+    samples = max(len(run) for run in problem.case.presses)
+    best, least = found, np.inf
+    for skew in np.arange(-SKEW_STEPS, SKEW_STEPS + 1) * 0.5 / samples:
+        coordinates = found.coordinates.copy()
+        coordinates[at] = skew
+        start = replace(found, coordinates=coordinates, predicted=problem.predict(found.hypothesis, coordinates))
+        rows, _ = _lost_samples(start, "dropped_samples")
+        hypothesis = Hypothesis(found.hypothesis.effects, _merged(found, "dropped_samples", rows))
+        placed = hypothesis.adding(EFFECTS["dropped_samples"])
+        predicted = problem.predict(placed, np.append(coordinates, 0.0))
+        left = energy((problem.measured - predicted) * problem.weights)
+        cost = left + EPISODE_COST * float(np.log(problem.count)) * placed.episode_count
+        if cost < least:
+            best, least = start, cost
+    return best
 
 
 def with_bad_contacts(found: Fit) -> Fit | None:
@@ -67,6 +118,24 @@ def _placed(found: Fit, effect_id: str, place: Place) -> Fit | None:
     return best
 
 
+def placed_again(found: Fit) -> Fit:
+    """Place the episodes of a hypothesis once more: what was added since may have blurred their places."""
+    best = found
+    for effect_id, place in (("dropped_samples", _lost_samples), ("intermittent_contact", _bad_contacts)):
+        if effect_id not in best.hypothesis.ids:
+            continue
+        for _ in range(PLACEMENTS):
+            rows, _ = place(best, effect_id)
+            if not any(len(r) for r in rows):
+                break
+            hypothesis = Hypothesis(best.hypothesis.effects, _merged(best, effect_id, rows))
+            again = fit(best.problem, hypothesis, best.coordinates)
+            if again.bic > best.bic - 1.0:
+                break
+            best = again
+    return best
+
+
 def _merged(found: Fit, effect_id: str, rows: list[Array]) -> Episodes:
     return tuple({**found.hypothesis.episodes_of(k), effect_id: rows[k]} for k in range(len(rows)))
 
@@ -91,10 +160,13 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
     closed = found.problem.predict(plain, found.coordinates)
     blocks = [b for b in _output_blocks(found) if case.runs[b.run].kind == "press"]
     level = _robust_noise(found, blocks)
+    # A delay that was fitted through the losses lies in their middle: the first samples then stand before it.
+    lead = LONGEST_LEAD if "clock_offset" in found.hypothesis.ids else 0
     for block in blocks:
         measured = found.problem.measured[block.place]
         noise = found.problem.noise[block.place] * level
-        shifts = lag_path(measured, closed[block.place], noise, LONGEST_LOSS, 4.0 * np.log(len(measured)))
+        ahead = np.concatenate([np.full(lead, closed[block.place][0]), closed[block.place]])
+        shifts = lag_path(measured, ahead, noise, lead, LONGEST_LOSS, 4.0 * np.log(len(measured)))
         at = np.flatnonzero(np.diff(shifts) > 0) + 1
         t_s = case.runs[block.run].elapsed_s
         rows[block.run] = np.array([(t_s[k], shifts[k] - shifts[k - 1]) for k in at]).reshape(-1, 2)
@@ -102,29 +174,35 @@ def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
 
 
 @compiled
-def lag_path(measured: Array, predicted: Array, noise: Array, longest: int, penalty: float) -> Array:
-    """Return how many samples were lost before each sample: the cheapest path that starts at 0 and never falls.
+def lag_path(measured: Array, predicted: Array, noise: Array, lead: int, longest: int, penalty: float) -> Array:
+    """Return how many samples were lost before each sample: the cheapest path that never falls.
 
     Viterbi over the loss so far; each further loss costs `penalty`, a sample at most 25 (it may be an outlier).
+
+    Args:
+        measured, noise: (n,).
+        predicted: (lead + n,) without any loss, `lead` samples of rest before the first.
+        lead: most samples by which the path may start late; it starts at 0 where this is 0.
+        longest: largest loss.
     """
     n = len(measured)
     back = np.zeros((n, longest + 1), dtype=np.int16)
     cost = np.full(longest + 1, 1e18)
-    cost[0] = 0.0
+    cost[: lead + 1] = 0.0
     for k in range(n):
         cheapest, source = 1e18, 0
         moved = np.empty(longest + 1)
         for s in range(longest + 1):
             stay = cost[s]
-            if k > 0 and cheapest + penalty < stay:
+            if 0 < k < n + lead - s - JUDGED and cheapest + penalty < stay:
                 moved[s], back[k, s] = cheapest + penalty, source
             else:
                 moved[s], back[k, s] = stay, s
             if stay < cheapest:
                 cheapest, source = stay, s
         for s in range(longest + 1):
-            at = min(k + s, n - 1)
-            z = (measured[k] - predicted[at]) / noise[k]
+            # After the end of the run nobody knows what was measured: it costs what a right prediction would.
+            z = (measured[k] - predicted[k + s]) / noise[k] if k + s < n + lead else 1.0
             cost[s] = moved[s] + min(z * z, 25.0)
     out = np.empty(n)
     s = int(np.argmin(cost))
@@ -140,7 +218,7 @@ def _bad_contacts(found: Fit, effect_id: str) -> tuple[list[Array], float]:
     good = found.coordinates
     if effect_id in found.hypothesis.ids:
         good = found.coordinates.copy()
-        good[-1] = 0.0
+        good[found.hypothesis.place_of(effect_id)] = 0.0
     clean = found.problem.predict(found.hypothesis, good)
     blocks = [b for b in _output_blocks(found) if case.runs[b.run].kind != "dummy_resistor"]
     level = _robust_noise(found, blocks)
@@ -215,13 +293,16 @@ def with_hum(found: Fit) -> Fit | None:
         sums[block.run] = wave @ (problem.measured - found.predicted)[block.place]
         power += np.abs(sums[block.run]) ** 2 / (block.place.stop - block.place.start)
     at = int(np.argmax(power))
-    if 2 * power[at] < LINE_GAIN * problem.sigma["output_V"] ** 2:
+    gain = 2 * power[at] / problem.sigma["output_V"] ** 2
+    if gain < max(LINE_GAIN, LINE_SHARE * (found.chi2 - problem.count)):
         return None
     effect = hum_effect(len(case.runs))
     values = [float(np.sqrt(2 * power[at] / sum(b.place.stop - b.place.start for b in blocks))), float(grid[at])]
-    for k in range(len(case.runs)):
-        amplitude = 2 * sums[k][at] / len(case.runs[k]) if k in sums else 0j
-        values += [float(-amplitude.imag), float(amplitude.real)]
+    # Re(S) = A/2·n·sin φ and Im(S) = −A/2·n·cos φ of a run's sum over A·sin(ωt + φ).
+    phases = {k: float(np.arctan2(sums[k][at].real, -sums[k][at].imag)) for k in sums}
+    if grid[at] * longest_s < DRIFT_PERIODS and abs(np.mean(np.exp(1j * np.array(list(phases.values()))))) > ALIKE:
+        return None
+    values += [phases.get(k, 0.0) for k in range(len(case.runs))]
     start = np.concatenate([found.coordinates, start_coordinates([effect], [values])])
     return fit(problem, found.hypothesis.adding(effect), start)
 
@@ -233,24 +314,19 @@ def _alias_grid(rate_Hz: float, longest_s: float) -> Array:
         alias_Hz = abs(mains_Hz - rate_Hz * round(mains_Hz / rate_Hz))
         parts.append(np.arange(alias_Hz - MAINS_TOLERANCE_Hz, alias_Hz + MAINS_TOLERANCE_Hz, fine_Hz))
     grid = np.unique(np.concatenate(parts))
-    return grid[(grid > max(SLOWEST_HUM_Hz, 4 / longest_s)) & (grid < rate_Hz / 2)]
+    return grid[(grid > max(SLOWEST_HUM_Hz, 0.5 / longest_s)) & (grid < rate_Hz / 2)]
 
 
 def hum_effect(runs: int) -> Effect:
-    """Return `mains_hum` with a sine and a cosine per run: its phase belongs to one run, not to the rig."""
-    wave = [Parameter(f"{name}{k}", "V", -0.5, 0.5, 0.004, neutral=0.0) for k in range(runs) for name in ("sin", "cos")]
-    size = Parameter("A", "V", 0.0, 0.5, 0.004, neutral=0.0)
-    frequency = Parameter("f", "Hz", 0.0, 500.0, 0.001)
-    original = EFFECTS["mains_hum"]
-    return Effect(
-        original.id, original.stage, Hook.OUTPUT, original.equation, original.source, (size, frequency, *wave), _hum
-    )
+    """Return `mains_hum` with a phase per run: where in the mains' period a run begins is no property of the rig."""
+    size, frequency, _ = EFFECTS["mains_hum"].parameters
+    frequency = replace(frequency, usual=HUM_STEP_Hz)
+    phases = [Parameter(f"phi{k}", "rad", -20.0, 20.0, 1.0, weight=PHASE_WEIGHT) for k in range(runs)]
+    return replace(EFFECTS["mains_hum"], parameters=(size, frequency, *phases), step=_hum)
 
 
 def _hum(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    angle = 2 * np.pi * values[1] * flow.t_s
-    sine, cosine = values[2 + 2 * flow.run], values[3 + 2 * flow.run]
-    flow.output_V = flow.output_V + sine * np.sin(angle) + cosine * np.cos(angle)
+    flow.output_V = flow.output_V + values[0] * np.sin(2 * np.pi * values[1] * flow.t_s + values[2 + flow.run])
 
 
 def with_clipping(found: Fit, extent: Extent, side: int = 1) -> Fit | None:

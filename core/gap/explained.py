@@ -2,36 +2,34 @@
 
 import numpy as np
 
-from softcal.core.gap.diagnosis import Diagnosis
 from softcal.core.gap.fit import Fit
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.simulate import EffectSetting, Twin
 
 
-def explained_twin(diagnosis: Diagnosis) -> Twin:
-    """Return base parameters, noise and causes of a diagnosis as a twin.
+def explained_twin(found: Fit) -> Twin:
+    """Return base parameters, noise and causes of a fitted hypothesis as a twin.
 
     A cause that was fitted in another realisation than the catalogue's stands with its catalogue equation as far as
     its parameters have the catalogue's names. Episodes belong to the recording they were found in and are left out:
     losses of samples and bad contacts are repaired, not simulated.
     """
-    best = diagnosis.best
-    sigma = best.problem.sigma
-    base = best.base.with_values(
-        sigma_output_V=_white(sigma.get("output_V", 0.0), diagnosis.case.readout.step_V),
+    sigma, readout = found.problem.sigma, found.problem.case.readout
+    base = found.base.with_values(
+        sigma_output_V=_white(sigma.get("output_V", 0.0), found.problem.dither_V, readout.step_V),
         sigma_force_N=sigma.get("force_N", 0.0),
     )
-    return Twin(base, tuple(_settings(best)), diagnosis.case.readout)
+    return Twin(base, tuple(_settings(found)), readout)
 
 
-def _white(sigma_V: float, step_V: float) -> float:
-    """Return σV without the share of rounding, q²/12."""
-    return float(np.sqrt(max(sigma_V**2 - step_V**2 / 12, 0.0)))
+def _white(sigma_V: float, dither_V: float | None, step_V: float) -> float:
+    """Return σV without the share of rounding, q²/12 where the noise is not small against a step."""
+    return float(np.sqrt(max(sigma_V**2 - step_V**2 / 12, 0.0))) if dither_V is None else dither_V
 
 
-def _settings(best: Fit) -> list[EffectSetting]:
+def _settings(found: Fit) -> list[EffectSetting]:
     out = []
-    for effect, values in zip(best.hypothesis.effects, best.effect_values, strict=True):
+    for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
         if EFFECTS[effect.id].is_episodic:
             continue
         given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}

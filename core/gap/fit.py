@@ -9,6 +9,7 @@ import numpy as np
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.forward import predict
 from softcal.core.gap.linear import dots, energy, gram
+from softcal.core.gap.rounding import dither_V, mean_code_V
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
 from softcal.core.twin.parameters import BaseParameters
@@ -30,15 +31,6 @@ PRIOR_ODDS = 0.02
 DRIVEN_COST = 120.0
 """What a cause pays besides where a measured force drives the chain: what is left of its noise and of the corners that
 smoothing rounds off feigns gains of up to 90 on recordings without any gap."""
-
-COARSE = 0.3
-"""Share of rounding in the variance of the output above which the ADC is coarse against its noise."""
-
-LONGEST_PLATEAU = 25.0
-"""Most samples that the rounding of one code is counted for."""
-
-COARSE_COST = 60.0
-"""What a cause pays besides where the ADC is coarse: the stairs of its codes feign a curved response."""
 
 EPISODE_COST = 5
 """Parameters an episode counts as in Schwarz's criterion: two times, a size, and the places it was not found in."""
@@ -104,6 +96,15 @@ class Hypothesis:
             rows.append(values[at : at + len(effect.parameters)])
             at += len(effect.parameters)
         return BaseParameters(*values[: len(BASE)]), rows
+
+    def place_of(self, effect_id: str) -> int:
+        """Return where the size of an effect stands among the coordinates."""
+        at = len(BASE)
+        for effect in self.effects:
+            if effect.id == effect_id:
+                return at
+            at += len(effect.parameters)
+        raise ValueError(f"{effect_id} is not in this hypothesis")
 
     def without_episodes(self) -> "Hypothesis":
         """Return the same effects on a run whose episodes nobody knows."""
@@ -174,11 +175,15 @@ class Problem:
         return np.array([stage, stage and force, stage, output, output])
 
     @property
-    def is_coarse(self) -> bool:
-        """Whether the rounding of the ADC rules the noise of the output."""
-        if not any(block.channel == "output_V" for block in self.blocks):
-            return False
-        return self.case.readout.step_V**2 / 12 > COARSE * self.sigma["output_V"] ** 2 / LONGEST_PLATEAU
+    def is_driven_by_force(self) -> bool:
+        """Whether a measured force, with its noise, drives the chain in place of a stage position."""
+        return self.extra_variance is not None
+
+    @cached_property
+    def dither_V(self) -> float | None:
+        """Noise before an ADC that is coarse against it; None where the stairs of its codes do not show."""
+        sigma_V = self.sigma.get("output_V")
+        return None if sigma_V is None else dither_V(sigma_V, self.case.readout.step_V)
 
     @property
     def count(self) -> int:
@@ -195,8 +200,11 @@ class Problem:
                 run, last = self.case.runs[block.run], block.run
                 prediction = predict(run, last, base, hypothesis.chain, values, hypothesis.episodes_of(last))
             channel = prediction.channel(block.channel) if prediction is not None else None
+            if block.channel == "output_V" and self.dither_V is not None and channel is not None:
+                channel = mean_code_V(channel, self.dither_V, self.case.readout.step_V)
             out[block.place] = self.measured[block.place] if channel is None else channel
-        return out
+        # A sample nobody can foretell costs as much as a right prediction would: nothing is won by not knowing.
+        return np.where(np.isnan(out), self.measured - self.noise, out)
 
     def seeing(self, use: Array) -> "Problem":
         """Return the same problem with other samples open to the fit."""
@@ -265,17 +273,16 @@ class Fit:
         return replace(self, problem=problem, chi2=energy(residual), jacobian=self.jacobian * ratio)
 
     @property
-    def parameter_count(self) -> int:
+    def parameter_count(self) -> float:
         """Free parameters; an episode counts as many, for it was searched for all over the runs."""
-        added = sum(len(effect.parameters) for effect in self.hypothesis.effects)
+        added = sum(p.weight for effect in self.hypothesis.effects for p in effect.parameters)
         return int(self.problem.is_free.sum()) + added + EPISODE_COST * self.hypothesis.episode_count
 
     @property
     def penalty(self) -> float:
         """What the hypothesis pays: p·ln(n) of Schwarz for its flexibility, −2·ln of the prior odds of its causes."""
         each = -2.0 * float(np.log(PRIOR_ODDS))
-        each += DRIVEN_COST if self.problem.extra_variance is not None else 0.0
-        each += COARSE_COST if self.problem.is_coarse else 0.0
+        each += DRIVEN_COST if self.problem.is_driven_by_force else 0.0
         return self.parameter_count * float(np.log(self.problem.count)) + each * len(self.hypothesis.ids)
 
     @property

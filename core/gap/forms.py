@@ -144,6 +144,14 @@ def _lag_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
         flow.output_V = low_pass(flow.output_V, flow.step_s, max(tau_s, 1e-4), start)
 
 
+def _lag_sampled(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    """A filter computed sample by sample: its input is held, and it answers up to a sample late."""
+    start = np.full(2, flow.output_V[0])
+    slow = low_pass(flow.output_V, flow.step_s, max(v[0], 1e-4), start)
+    period_s = float(np.median(flow.step_s[1:]))
+    flow.output_V = np.interp(flow.t_s - v[1] * period_s, flow.t_s, slow)
+
+
 def _cell_knee(flow: Flow, v: Sequence[float], _: Memory) -> None:
     if np.isfinite(v[0]):
         bent = (1.0 + np.abs(flow.reading_N / v[0]) ** v[1]) ** (1.0 / v[1])
@@ -166,6 +174,19 @@ def _reference_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
 def _bent_time(t_s: Array, power: float) -> Array:
     """Return a time that runs straight for power 1, ever slower below and faster above; equal to t after 30 s."""
     return np.asarray(30.0 * (t_s / 30.0) ** power)
+
+
+def _cell_drift_settling(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.reading_N = flow.reading_N + v[0] * _settling_time(flow.t_s, v[1])
+
+
+def _reference_settling(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.reference_V = flow.reference_V * (1.0 + v[0] * _settling_time(flow.t_s, v[1]))
+
+
+def _settling_time(t_s: Array, tau_s: float) -> Array:
+    """Return a time that runs like t at first and stands still after a few τ."""
+    return np.asarray(-tau_s * np.expm1(-t_s / tau_s))
 
 
 def _soft_clip(flow: Flow, v: Sequence[float], _: Memory) -> None:
@@ -193,10 +214,6 @@ def _frame_joint(flow: Flow, v: Sequence[float], _: Memory) -> None:
 def _skew_curve(flow: Flow, v: Sequence[float], _: Memory) -> None:
     wanted_s = flow.t_s * (1.0 + v[0] + v[1] * flow.t_s)
     flow.output_V = np.interp(wanted_s, flow.t_s, flow.output_V)
-
-
-def _offset_curve(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.output_V = np.interp(flow.t_s - v[0] - v[1] * flow.t_s, flow.t_s, flow.output_V)
 
 
 def _form(
@@ -233,6 +250,7 @@ def _build() -> dict[str, tuple[Form, ...]]:
         return Parameter(name, unit, low, high, usual)
 
     power = extra("power", "", 0.15, 3.0, 0.3)
+    settling = Parameter("tau", "s", 3.0, 1000.0, 30.0, scale="log")
     tau_2 = extra("tau2", "s", 0.0, 3.0, 0.05)
     return {
         "contact_shift": (_two("contact_shift", _shift_2, "two settling times"),),
@@ -273,8 +291,14 @@ def _build() -> dict[str, tuple[Form, ...]]:
             ),
         ),
         "ageing_drift": (_plus("ageing_drift", _ageing_power, "power law", (extra("power", "", -2.0, 1.0, 0.3), 0.2)),),
-        "readout_lag": (_plus("readout_lag", _lag_2, "second order", (tau_2, 0.02)),),
-        "reference_drift": (_plus("reference_drift", _reference_power, "settling", (power, 0.8)),),
+        "readout_lag": (
+            _plus("readout_lag", _lag_2, "second order", (tau_2, 0.02)),
+            _plus("readout_lag", _lag_sampled, "computed sample by sample", (extra("late", "", -0.6, 1.1, 0.5), 0.0)),
+        ),
+        "reference_drift": (
+            _plus("reference_drift", _reference_power, "power of time", (power, 0.8)),
+            _plus("reference_drift", _reference_settling, "settling", (settling, 40.0)),
+        ),
         "adc_saturation": (
             _plus("adc_saturation", _soft_clip, "soft clip", (extra("width", "V", 1e-4, 0.5, 0.01), 0.01)),
         ),
@@ -291,9 +315,9 @@ def _build() -> dict[str, tuple[Form, ...]]:
             ),
         ),
         "loadcell_creep": (_two("loadcell_creep", _cell_creep_2, "two creep times"),),
-        "loadcell_drift": (_plus("loadcell_drift", _cell_drift_power, "settling", (power, 0.8)),),
-        "clock_offset": (
-            _plus("clock_offset", _offset_curve, "growing delay", (extra("rate", "", -0.01, 0.01, 1e-3), 0.0)),
+        "loadcell_drift": (
+            _plus("loadcell_drift", _cell_drift_power, "power of time", (power, 0.8)),
+            _plus("loadcell_drift", _cell_drift_settling, "settling", (settling, 40.0)),
         ),
         "clock_skew": (
             _plus("clock_skew", _skew_curve, "bending clock", (extra("bend", "1/s", -1e-3, 1e-3, 1e-5), 0.0)),

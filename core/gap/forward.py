@@ -24,7 +24,7 @@ TOUCHING_share = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Clean channels of one run, (n,) each, None where the run cannot show it."""
+    """Clean channels of one run, (n,) each, None where the run cannot show it, NaN where nobody can know."""
 
     force_N: Array | None = None
     output_V: Array | None = None
@@ -61,7 +61,13 @@ def predict(
         return _from_force(run, flow, base, chain, values)
     memories = chain.fresh_memories()
     chain.run(flow, base, run.readout, values, memories)
-    return Prediction(flow.reading_N, np.clip(flow.output_V, 0.0, run.readout.vref_V))
+    return Prediction(flow.reading_N, _read_output(flow))
+
+
+def _read_output(flow: Flow) -> Array:
+    """Return the output as far as the run tells it; NaN after its end and at the first sample of a step."""
+    output_V = np.clip(flow.output_V, 0.0, flow.vref_V)
+    return output_V if flow.is_unforeseeable is None else np.where(flow.is_unforeseeable, np.nan, output_V)
 
 
 def _from_force(run: Run, flow: Flow, base: BaseParameters, chain: Chain, values: Values) -> Prediction:
@@ -73,7 +79,7 @@ def _from_force(run: Run, flow: Flow, base: BaseParameters, chain: Chain, values
         force_N = force_N + reading_N - flow.reading_N
     flow.force_N = flow.deformation_mm = force_N
     chain.sense(flow, base, run.readout, values, chain.fresh_memories())
-    return Prediction(output_V=np.clip(flow.output_V, 0.0, run.readout.vref_V))
+    return Prediction(output_V=_read_output(flow))
 
 
 def _rigid_block(run: Run, flow: Flow, chain: Chain, values: Values) -> Prediction:
@@ -102,4 +108,4 @@ def _dead_weights(run: Run, flow: Flow, chain: Chain, values: Values) -> Predict
 def _dummy_resistor(run: Run, flow: Flow, chain: Chain, values: Values) -> Prediction:
     flow.resistance_ohm = np.full(len(run), float(run.dummy_ohm or 0.0))
     chain.read_out(flow, run.readout, values, chain.fresh_memories())
-    return Prediction(output_V=np.clip(flow.output_V, 0.0, run.readout.vref_V))
+    return Prediction(output_V=_read_output(flow))

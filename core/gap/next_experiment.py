@@ -86,7 +86,7 @@ def propose(case: Case, rivals: Sequence[Fit], depth_mm: float, force_N: float) 
     first, second = rivals[0], rivals[1]
     best: tuple[float, float, Experiment] | None = None
     for experiment in menu(case, depth_mm, force_N):
-        distance = min(_distance(first, second, experiment.run), _distance(second, first, experiment.run))
+        distance = _apart(first, second, experiment.run)
         score = min(distance, 10 * ENOUGH_SIGMA) / experiment.minutes
         if best is None or score > best[0]:
             best = (score, distance, experiment)
@@ -105,6 +105,16 @@ def _sensor(rivals: Sequence[Fit]) -> str:
     if ids & {"backlash", "frame_compliance", "misaligned_contact", "contact_shift"}:
         return "measure the position of the platen itself"
     return "a second load cell or a four-wire measurement of the channel would"
+
+
+def _apart(one: Fit, other: Fit, run: Run) -> float:
+    """Return how far two rivals stay apart; one that holds the other's causes could always take its shape."""
+    mine, theirs = set(one.hypothesis.ids), set(other.hypothesis.ids)
+    if mine < theirs:
+        return _distance(one, other, run)
+    if theirs < mine:
+        return _distance(other, one, run)
+    return min(_distance(one, other, run), _distance(other, one, run))
 
 
 def _distance(mine: Fit, other: Fit, run: Run) -> float:

@@ -9,6 +9,7 @@ from softcal.core.gap.fit import Block, Fit
 from softcal.core.gap.start import base_fit
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage
+from softcal.core.twin.parameters import SensorType
 
 BLOCK_SAMPLES = (8, 40)
 """Lengths over which a residual is summed to see structure: a fifth of a second and a second at 50 Hz."""
@@ -87,7 +88,7 @@ def three_maps(case: Case) -> tuple[Map, ...]:
     stage, force, output = (case.has(channel) for channel in ("stage_mm", "force_N", "output_V"))
     if stage and force:
         maps.append(_map("stage→force", case, [replace(run, output_V=None) for run in presses]))
-    if force and output:
+    if force and output and case.readout.sensor_type == "pressure":
         maps.append(_map("force→output", case, [replace(run, stage_mm=None) for run in presses]))
     if stage and output:
         maps.append(_map("stage→output", case, [replace(run, force_N=None) for run in presses]))
@@ -98,7 +99,13 @@ def _map(name: str, case: Case, runs: list[Run]) -> Map:
     return Map(name, structure(base_fit(Case(case.serial, tuple(runs)))))
 
 
-def suspects(maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:
+BEFORE: tuple[ChainStage, ...] = ("mechanics", "motion")
+BEHIND: tuple[ChainStage, ...] = ("transduction", "electronics", "acquisition")
+QUIET = 0.02
+"""A map this much cleaner than the dirtiest counts as closed: its noise is not quite white either."""
+
+
+def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tuple[ChainStage, ...]:
     """Return the stages that the pattern of dirty maps points to; none when all are clean.
 
     A dirty map stage→force with a clean force→output is motion or mechanics, the reverse is the channel or its
@@ -107,32 +114,41 @@ def suspects(maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:
     dirty = {m.name: m.structure for m in maps}
     if not any(s.is_significant for s in dirty.values()):
         return ()
+    if sensor_type == "strain":
+        return _of_strain(dirty)
     if len(dirty) < 3:
         return _from_fewer(dirty)
     force, channel, direct = (dirty[n] for n in ("stage→force", "force→output", "stage→output"))
-    before: tuple[ChainStage, ...] = ("motion", "mechanics")
-    behind: tuple[ChainStage, ...] = ("transduction", "electronics", "acquisition")
-    if not direct.is_significant:
-        return ("load_cell",)
-    if not channel.is_significant and force.is_significant:
-        return before
-    if not force.is_significant:
-        return behind
-    # All three: the cleanest one names the innocent side when it is far cleaner than the others.
-    quiet = min((force, "behind"), (channel, "before"), (direct, "cell"), key=lambda pair: pair[0].z)
     loud = max(force.z, channel.z, direct.z)
-    if quiet[0].z < 0.02 * loud:
-        return {"behind": behind, "before": before, "cell": ("load_cell",)}[quiet[1]]  # type: ignore[return-value]
-    return (*before, *behind)
+
+    def is_dirty(seen: Structure) -> bool:
+        return seen.is_significant and seen.z > QUIET * loud
+
+    if not is_dirty(direct):
+        return ("load_cell",)
+    if not is_dirty(channel):
+        return BEFORE
+    if not is_dirty(force):
+        return BEHIND
+    quietest = min((force, BEHIND), (channel, BEFORE), (direct, ("load_cell",)), key=lambda pair: pair[0].z)
+    return quietest[1] if quietest[0].z < 5 * QUIET * loud else (*BEFORE, *BEHIND)
+
+
+def _of_strain(dirty: dict[str, Structure]) -> tuple[ChainStage, ...]:
+    """A strain sensor does not feel the force: the pad's force and the cell's reading look alike."""
+    force, direct = (dirty.get(n) for n in ("stage→force", "stage→output"))
+    if direct is None or not direct.is_significant:
+        return ("mechanics", "load_cell")
+    return BEHIND if force is None or not force.is_significant else BEFORE
 
 
 def _from_fewer(dirty: dict[str, Structure]) -> tuple[ChainStage, ...]:
     name = next(iter(dirty))
     if name == "stage→force":
-        return ("mechanics", "motion", "load_cell")
+        return (*BEFORE, "load_cell")
     if name == "force→output":
-        return ("transduction", "electronics", "acquisition", "load_cell")
-    return ("motion", "mechanics", "transduction", "electronics", "acquisition")
+        return (*BEHIND, "load_cell")
+    return (*BEFORE, *BEHIND)
 
 
 def regimes(found: Fit) -> tuple[Regime, ...]:

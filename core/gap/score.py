@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from softcal.core.gap.challenge.judge import Judged, read_answer
 from softcal.core.gap.challenge.seal import Label
+from softcal.core.metrics import finite_or_none
 
 POOR = ("one_run", "one_speed", "no_load_cell", "no_stage", "ten_bit")
 DISTANCE_EDGES = (0.0, 3.0, 5.0, 10.0, 30.0, 100.0, np.inf)
@@ -98,11 +99,11 @@ class ScoreSheet:
         return {
             "schema": "softcal.score/1",
             "rows": [_row_record(row) for row in self.rows],
-            "detection": [{**asdict(bin_), "to_sigma": _finite_or_none(bin_.to_sigma)} for bin_ in self.detection],
+            "detection": [{**asdict(bin_), "to_sigma": finite_or_none(bin_.to_sigma)} for bin_ in self.detection],
             "probabilities": _finite(asdict(self.probabilities)),
             "shrink": {
                 "count": self.shrink.count,
-                "median_realised": _finite_or_none(self.shrink.median_realised),
+                "median_realised": finite_or_none(self.shrink.median_realised),
                 "rows": [_row_record(row) for row in self.shrink.rows],
             },
             "cases": [_case_record(judged) for judged in self.judged],
@@ -111,7 +112,7 @@ class ScoreSheet:
 
 def _row_record(row: Row) -> dict[str, Any]:
     low, high = row.interval
-    shared = _finite_or_none(row.share)
+    shared = finite_or_none(row.share)
     return {**asdict(row), "share": shared, "low": low, "high": high}
 
 
@@ -125,16 +126,12 @@ def _case_record(judged: Judged) -> dict[str, Any]:
         "outcome": judged.outcome,
         "verdict": answer.verdict if answer else None,
         "first": answer.first if answer else None,
-        "realised_shrink": _finite_or_none(judged.realised_shrink),
+        "realised_shrink": finite_or_none(judged.realised_shrink),
     }
 
 
-def _finite_or_none(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
 def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
-    return {name: _finite_or_none(value) for name, value in values.items()}
+    return {name: finite_or_none(value) for name, value in values.items()}
 
 
 def score_reports(

@@ -19,12 +19,14 @@ class Lead:
     Args:
         gain: expected drop of χ² when the effect is added and everything is fitted again, to first order.
         values: where a full fit should begin.
+        hidden: share of its signature that the fitted parameters imitate.
         shift: (parameters of the fit,) how its coordinates would move along.
     """
 
     effect: Effect
     values: tuple[float, ...]
     gain: float
+    hidden: float
     shift: Array
 
     def start(self, found: Fit) -> Array:
@@ -54,6 +56,20 @@ def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
         if lead is not None and (probe.effect.id not in best or lead.gain > best[probe.effect.id].gain):
             best[probe.effect.id] = lead
     return sorted(best.values(), key=lambda lead: -lead.gain)
+
+
+def hiding(found: Fit, candidates: Sequence[Probe], share: float) -> list[Probe]:
+    """Return the last probe of every effect whose signature the fitted parameters imitate to this share or more."""
+    space = Tangent(found)
+    last: dict[str, Probe] = {}
+    for probe in candidates:
+        if probe.effect.id in found.hypothesis.ids:
+            continue
+        signature = space.signature(probe)
+        size = energy(signature)
+        if size > 0.0 and energy(space.visible(signature)) < (1.0 - share) * size:
+            last[probe.effect.id] = probe
+    return list(last.values())
 
 
 class Tangent:
@@ -106,7 +122,7 @@ class Tangent:
         stretch = float(np.clip(times, -30.0, 30.0))
         shift = np.zeros(len(self._found.coordinates))
         shift[self._rows] = -stretch * (self._turn.T @ dots(self._basis, signature))
-        return Lead(probe.effect, stretched(probe, stretch), gain, shift)
+        return Lead(probe.effect, stretched(probe, stretch), gain, 1.0 - power / size, shift)
 
 
 def stretched(probe: Probe, times: float) -> tuple[float, ...]:

@@ -7,12 +7,15 @@ import numpy as np
 
 from softcal.core.gap.candidates import Extent, probes, visible_effects
 from softcal.core.gap.case import Case
-from softcal.core.gap.episodes import with_bad_contacts, with_clipping, with_hum, with_lost_samples
+from softcal.core.gap.episodes import placed_again, with_bad_contacts, with_clipping, with_hum, with_lost_samples
 from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit, start_coordinates
 from softcal.core.gap.forms import FORMS, Form
+from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.residual import structure
-from softcal.core.gap.screen import screen
-from softcal.core.gap.start import base_fit, noise_levels, with_driving_noise
+from softcal.core.gap.screen import hiding, screen
+from softcal.core.gap.start import base_fit, noise_levels, rough_start, with_driving_noise
+from softcal.core.gap.strangers import stranger
+from softcal.core.twin.catalogue import EFFECTS
 
 Progress = Callable[[str], None]
 
@@ -27,12 +30,15 @@ class SearchConfig:
         gain: a lead must promise this drop of χ² to be fitted (a third of it for the first effect).
         relative_gain: and this share of the χ² that the best lead promises.
         with_forms: single causes whose other realisations are tried where the catalogue's leave structure.
-        enough: share of the gap that one cause must explain to be named although structure is left.
-        clean: share of the gap beyond which what one cause leaves does not matter, however significant it is.
-        several_clean: the same for several causes, which are more flexible.
-        part: share of the gap that a further cause must take away; an ADC that is coarse against its noise leaves
-            structure of its own and asks for `coarse_part`.
+        enough: share of the gap that one, two, three causes must explain to be named although structure is left: other
+            realisations of a cause leave less than a tenth, effects outside the catalogue more than a quarter, and
+            several causes together are more flexible.
+        likely, rival: share of what the best single cause explains from which another one is tried in its other
+            realisations, where structure is left and where the best one leaves none.
         patch: share of the gap that steps placed freely in time must take away.
+        again: hypotheses fitted from the first base again where the best one leaves structure.
+        beside: an effect beside the best hypothesis must promise this drop of χ² to be fitted, or
+        hiding: be imitated by the fitted parameters to this share, so that a first-order promise says little.
     """
 
     leads: tuple[int, ...] = (9, 6, 4)
@@ -40,12 +46,13 @@ class SearchConfig:
     gain: float = 14.0
     relative_gain: float = 0.02
     with_forms: int = 3
-    enough: float = 0.85
-    clean: float = 0.998
-    several_clean: float = 0.9995
+    enough: tuple[float, ...] = (0.87, 0.99, 0.997)
+    likely: float = 0.4
+    rival: float = 0.85
     patch: float = 0.005
-    part: float = 0.0002
-    coarse_part: float = 0.005
+    again: int = 6
+    beside: float = 6.0
+    hiding: float = 0.99
 
 
 class Search:
@@ -61,7 +68,7 @@ class Search:
         self._visible = set(visible_effects(case))
         self.fits: dict[tuple[str, ...], Fit] = {(): self.base}
         self.best = self.base
-        self.considered = self.fits
+        self.stranger: Fit | None = None
 
     def run(self) -> None:
         """Grow the hypotheses until no effect promises anything more."""
@@ -71,40 +78,115 @@ class Search:
             grown = [child for parent in parents for child in self._grow(parent, leads)]
             if not grown:
                 break
+            if size > 1:
+                self._place_again()
             self._settle_noise(self._leader)
             if size == len(self._config.leads) or not self._is_wanting(self._leader):
                 break
             ranked = sorted((f for f in self.fits.values() if len(f.hypothesis.ids) == size), key=lambda f: f.bic)
             parents = ranked[: self._config.beam[size - 1]]
+        self._start_again()
+        self._share_places()
         self._conclude()
 
-    def _conclude(self) -> None:
-        """Choose among catalogue equations and other realisations; nothing that leaves structure by several causes.
+    def _start_again(self) -> None:
+        """Fit the likeliest hypotheses from the first base again, then from the best one's.
 
-        Several causes that together still leave structure are a sign of a cause that acts by another equation, or of
-        one outside the catalogue: then a single cause that explains most of the gap is named, or none.
+        A base fitted through a large gap may be far off.
         """
-        self.best, self.considered = self._leader, self.fits
-        if len(self.best.hypothesis.ids) < 2 and self.is_clean(self.best):
+        if self.is_clean(self._leader):
             return
+        likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
+        ids = self._leader.hypothesis.ids
+        likely += [self.fits[part] for k in range(len(ids)) if (part := ids[:k] + ids[k + 1 :]) in self.fits]
+        first = rough_start(self.base.problem.case)
+        for _ in range(2):
+            for found in likely:
+                start = np.append(first, found.coordinates[len(BASE) :])
+                self.keep(fit(found.problem, found.hypothesis, start, steps=40))
+            first = self._leader.coordinates[: len(BASE)]
+        self._settle_noise(self._leader)
+
+    def _place_again(self) -> None:
+        """Place episodes of the best hypotheses anew, with all their causes in."""
+        for found in sorted(self.fits.values(), key=lambda f: f.bic)[:4]:
+            if found.hypothesis.episode_count and not self.is_clean(found):
+                self.keep(placed_again(found))
+
+    def _share_places(self) -> None:
+        """Give smaller hypotheses the places of episodes that the closest one has found: places are no cause."""
+        donor = min(self.fits.values(), key=lambda f: f.chi2)
+        placed = {i for i in donor.hypothesis.ids if EFFECTS[i].is_episodic}
+        if not donor.hypothesis.episode_count:
+            return
+        for ids, found in list(self.fits.items()):
+            if set(ids) < set(donor.hypothesis.ids) and placed <= set(ids):
+                hypothesis = Hypothesis(found.hypothesis.effects, donor.hypothesis.episodes)
+                self.keep(fit(found.problem, hypothesis, found.coordinates))
+
+    def _conclude(self) -> None:
+        """Choose among catalogue equations and, where they leave structure or several are named, other realisations."""
         self._say("fitting other realisations of the likely causes")
-        self._try_forms()
-        self.best = self._leader
-        if len(self.best.hypothesis.ids) < 2 or self.is_clean(self.best):
-            return
-        singles = {i: f for i, f in self.fits.items() if len(i) < 2 and not self._is_patchwork(f)}
-        one = min((f for ids, f in singles.items() if ids), key=lambda f: f.bic)
-        if self.share(one) >= self._config.enough:
-            self.best, self.considered = one, singles
+        self.best = self._most_likely
+        is_settled = len(self.best.hypothesis.ids) < 2 and self.is_clean(self.best)
+        self._try_forms(self._config.rival if is_settled else self._config.likely)
+        self.best = self._most_likely
+        for _ in range(2):
+            if len(self.best.hypothesis.ids) < 2 or not self._try_forms_within(self.best):
+                break
+            self.best = self._most_likely
+        self._look_beside()
+        self.stranger = self._find_stranger()
+
+    def _find_stranger(self) -> Fit | None:
+        """Look for a departure outside the catalogue, alone or in the place of one of the causes found."""
+        ids = self.best.hypothesis.ids
+        parents = [self.fits.get(ids[:k] + ids[k + 1 :]) for k in range(len(ids))] if len(ids) > 1 else []
+        return stranger(self.best, [self.base, *(p for p in parents if p is not None)], list(self.fits.values()))
+
+    def _look_beside(self) -> None:
+        """Fit every effect that may stand beside the best hypothesis: a small or hidden one is found there alone."""
+        for _ in range(3):
+            parent = self.best
+            if not parent.hypothesis.ids:
+                return
+            larger = [
+                fit(parent.problem, parent.hypothesis.adding(lead.effect), lead.start(parent), steps=40)
+                for lead in screen(parent, self._probes)
+                if lead.gain > self._config.beside or lead.hidden > self._config.hiding
+            ]
+            for found in larger:
+                self.keep(found)
+            if larger:
+                # What a larger fit gains may be a better minimum of the smaller one.
+                closest = min(larger, key=lambda found: found.chi2)
+                self.keep(fit(parent.problem, parent.hypothesis, closest.coordinates[: len(parent.coordinates)]))
+            self._exchange(parent)
+            self.best = self._most_likely
+            if self.best.hypothesis.ids == parent.hypothesis.ids and self.best.chi2 > parent.chi2 - 1.0:
+                return
+
+    def _exchange(self, found: Fit) -> None:
+        """Fit hiding effects in the place of each of several causes: beside the rest alone they promise little."""
+        ids = found.hypothesis.ids
+        for k in range(len(ids)):
+            rest = self.fits.get(ids[:k] + ids[k + 1 :])
+            if rest is None or not rest.hypothesis.ids:
+                continue
+            for probe in hiding(rest, self._probes, self._config.hiding):
+                if tuple(sorted({*rest.hypothesis.ids, probe.effect.id})) not in self.fits:
+                    start = np.append(rest.coordinates, start_coordinates([probe.effect], [probe.values]))
+                    self.keep(fit(rest.problem, rest.hypothesis.adding(probe.effect), start, steps=40))
+
+    @property
+    def _most_likely(self) -> Fit:
+        logs = log_evidences(self.fits)
+        return self.fits[max(logs, key=lambda ids: logs[ids])]
 
     def _is_worth_patching(self, parent: Fit, steps: Fit) -> bool:
         """Steps placed freely in time take a little off any structure; they must take a visible part of the gap."""
         excess = max(self.base.chi2 - self.base.problem.count, 0.0)
         return parent.chi2 - steps.chi2 > self._config.patch * excess
-
-    def _is_patchwork(self, found: Fit) -> bool:
-        """Whether steps placed freely in time stand for a structure they do not end."""
-        return "intermittent_contact" in found.hypothesis.ids and not self.is_clean(found)
 
     def share(self, found: Fit) -> float:
         """Return which share of the excess of the base over the noise a hypothesis takes away."""
@@ -112,10 +194,15 @@ class Search:
         return 1.0 - (found.chi2 - found.problem.count) / excess if excess > 0 else 1.0
 
     def is_clean(self, found: Fit) -> bool:
-        """Whether nothing is left that matters: no structure, or hardly any of what there was."""
-        several = len(found.hypothesis.ids) > 1
-        enough = self._config.several_clean if several else self._config.clean
-        return not structure(found).is_significant or self.share(found) > enough
+        """Whether a hypothesis leaves no structure."""
+        return not structure(found).is_significant
+
+    def is_explained(self, found: Fit) -> bool:
+        """Whether what a hypothesis leaves is nothing, or little enough to be another equation of the same causes."""
+        if self.is_clean(found):
+            return True
+        enough = self._config.enough
+        return self.share(found) >= enough[min(len(found.hypothesis.ids), len(enough)) - 1]
 
     @property
     def depth_mm(self) -> float:
@@ -129,31 +216,36 @@ class Search:
 
     @property
     def _leader(self) -> Fit:
-        """The hypothesis of best evidence, without causes that take away next to nothing of the gap."""
-        best = min(self.fits.values(), key=lambda f: f.bic)
-        need = self._config.coarse_part if best.problem.is_coarse else self._config.part
-        need *= max(self.base.chi2 - self.base.problem.count, 0.0)
-        while len(best.hypothesis.ids) > 1:
-            ids = best.hypothesis.ids
-            smaller = [self.fits[s] for k in range(len(ids)) if (s := ids[:k] + ids[k + 1 :]) in self.fits]
-            nearest = min(smaller, key=lambda f: f.chi2, default=None)
-            if nearest is None or nearest.chi2 - best.chi2 > need:
-                break
-            best = nearest
-        return best
+        """The hypothesis of best evidence in white noise: the one to grow further."""
+        return min(self.fits.values(), key=lambda f: f.bic)
 
-    def _try_forms(self) -> None:
-        """Fit the other realisations of the best single causes."""
+    def _try_forms(self, share: float) -> None:
+        """Fit the other realisations of the single causes that explain this share of what the best one does."""
         singles = sorted((f for ids, f in self.fits.items() if len(ids) == 1), key=lambda f: f.bic)
-        likely = [f for f in singles if self.share(f) > 0.4 * self.share(singles[0])] if singles else []
+        likely = [f for f in singles if self.share(f) > share * self.share(singles[0])] if singles else []
         for found in likely[: self._config.with_forms]:
             for form in FORMS.get(found.hypothesis.ids[0], ()):
                 self.keep(self._in_form(found, form))
         self._settle_noise(self._leader)
 
+    def _try_forms_within(self, best: Fit) -> bool:
+        """Fit the other realisations of each cause with one other cause left out; tell whether one of them won."""
+        ids = best.hypothesis.ids
+        for left_out in range(len(ids)):
+            smaller = self.fits.get(ids[:left_out] + ids[left_out + 1 :])
+            if smaller is None or len(smaller.hypothesis.ids) < 2:
+                continue
+            for cause in smaller.hypothesis.ids:
+                for form in FORMS.get(cause, ()):
+                    self.keep(self._in_form(smaller, form))
+        return self._most_likely.hypothesis.ids != ids
+
     def _in_form(self, found: Fit, form: Form) -> Fit:
-        start = start_coordinates([form.effect], [form.start(found.effect_values[0])])
-        hypothesis = Hypothesis((form.effect,), found.hypothesis.episodes)
+        at = [e.id for e in found.hypothesis.effects].index(form.effect.id)
+        rows = [list(values) for values in found.effect_values]
+        kept = [e for e in found.hypothesis.effects if e.id != form.effect.id]
+        start = start_coordinates([*kept, form.effect], [*rows[:at], *rows[at + 1 :], form.start(rows[at])])
+        hypothesis = Hypothesis((*kept, form.effect), found.hypothesis.episodes)
         return fit(found.problem, hypothesis, np.concatenate([found.coordinates[: len(BASE)], start]), steps=30)
 
     def _is_wanting(self, found: Fit) -> bool:
@@ -166,8 +258,11 @@ class Search:
     def keep(self, found: Fit) -> None:
         """Keep a fit where it is the best of its set of causes."""
         ids = found.hypothesis.ids
-        if ids not in self.fits or found.bic < self.fits[ids].bic:
-            self.fits[ids] = found
+        if ids in self.fits:
+            yardstick = Yardstick.of((*self.fits.values(), found))
+            if yardstick.log_evidence(found) <= yardstick.log_evidence(self.fits[ids]):
+                return
+        self.fits[ids] = found
 
     def _grow(self, parent: Fit, count: int) -> list[Fit]:
         leads = screen(parent, self._probes)

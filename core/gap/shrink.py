@@ -149,11 +149,15 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
 
 
 def _left_over(best: Fit, channel: str) -> float:
-    """Return the root mean square, in the channel's unit, that the hypothesis leaves above the noise."""
-    parts = [b.place for b in best.problem.blocks if b.channel == channel]
-    excess = float(np.mean(np.concatenate([best.residual[p] ** 2 for p in parts]))) - 1.0
-    count = sum(p.stop - p.start for p in parts)
-    return best.problem.sigma[channel] * float(np.sqrt(max(0.0, excess - np.sqrt(2.0 / count))))
+    """Return the root mean square, in the channel's unit, that the hypothesis leaves above the noise floor.
+
+    Where a measured force drives the chain its noise is part of it: nothing removes it on other samples either.
+    """
+    problem = best.problem
+    parts = [b.place for b in problem.blocks if b.channel == channel]
+    error = np.concatenate([(problem.measured - best.predicted)[p] for p in parts]) / problem.sigma[channel]
+    excess = float(np.mean(error**2)) - 1.0
+    return problem.sigma[channel] * float(np.sqrt(max(0.0, excess - np.sqrt(2.0 / len(error)))))
 
 
 def _spread(fold: _Fold) -> Array:

@@ -5,7 +5,7 @@ from scipy.optimize import nnls
 
 from softcal.core.gap.case import Case
 from softcal.core.gap.drive import HALF_WIDTH
-from softcal.core.gap.fit import BASE, COARSE, LONGEST_PLATEAU, Fit, Hypothesis, Problem, fit, to_fit
+from softcal.core.gap.fit import BASE, Fit, Hypothesis, Problem, fit, to_fit
 from softcal.core.recording import Array
 
 TRIMMED = 0.02
@@ -15,7 +15,7 @@ TRIMMED = 0.02
 def base_fit(case: Case) -> Fit:
     """Fit the base alone to all runs, with noise levels taken from its own residual."""
     problem = Problem(case, _first_noise(case))
-    found = fit(problem, Hypothesis(), _start(case))
+    found = fit(problem, Hypothesis(), rough_start(case))
     for _ in range(2):
         problem = with_driving_noise(problem.with_noise(noise_levels(found)), found)
         found = fit(problem, Hypothesis(), found.coordinates)
@@ -25,7 +25,7 @@ def base_fit(case: Case) -> Fit:
 def noise_levels(found: Fit) -> dict[str, float]:
     """Return σ of the white noise per channel from the differences of neighbouring residuals.
 
-    A structured residual is smooth and hardly enters; rounding by the ADC is a floor of q/√12.
+    A structured residual is smooth and hardly enters.
     """
     problem = found.problem
     squares: dict[str, list[Array]] = {}
@@ -38,24 +38,9 @@ def noise_levels(found: Fit) -> dict[str, float]:
         kept = every[: max(1, int(len(every) * (1 - TRIMMED)))]
         # A Gaussian without its largest 2 % of squares keeps 0.873 of its variance.
         variance = float(np.mean(kept)) / 0.873
-        if channel == "output_V":
-            variance = _with_rounding(problem, variance)
-        levels[channel] = max(float(np.sqrt(variance)), 1e-6)
+        least = 0.1 * problem.case.readout.step_V if channel == "output_V" else 1e-6
+        levels[channel] = max(float(np.sqrt(variance)), least)
     return levels
-
-
-def _with_rounding(problem: Problem, variance: float) -> float:
-    """Return the effective variance of an output whose ADC is coarse against its noise.
-
-    The error of rounding stays the same while the code stays the same: its share of the variance counts as many times
-    as samples stand on one code, up to `LONGEST_PLATEAU`.
-    """
-    rounding = problem.case.readout.step_V**2 / 12
-    variance = max(variance, rounding)
-    outputs = [problem.measured[b.place] for b in problem.blocks if b.channel == "output_V"]
-    changes = sum(int(np.count_nonzero(np.diff(v))) for v in outputs)
-    plateau = min(sum(len(v) for v in outputs) / (changes + 1), LONGEST_PLATEAU)
-    return variance + rounding * (plateau - 1.0) if rounding > COARSE * variance else variance
 
 
 def with_driving_noise(problem: Problem, found: Fit) -> Problem:
@@ -96,7 +81,8 @@ def _first_noise(case: Case) -> dict[str, float]:
     return levels
 
 
-def _start(case: Case) -> Array:
+def rough_start(case: Case) -> Array:
+    """Return base coordinates read off the recordings, (5,)."""
     stage, force, output = (_joined(case, c) for c in ("stage_mm", "force_N", "output_V"))
     u0, k1, k3, r0, kappa = 0.3, 1.0, 0.1, 4.0, 0.05
     loaded = force if force is not None else output

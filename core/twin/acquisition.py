@@ -19,7 +19,13 @@ def _read_at(flow: Flow, wanted_s: Array, state: Memory) -> None:
     keep = max(0, int(np.searchsorted(known_s, min(wanted_s[-1], known_s[-1]))) - 2)
     state["t_s"], state["output_V"] = known_s[keep:], known_V[keep:]
     flow.output_V = np.interp(wanted_s, known_s, known_V)
-    late = wanted_s > known_s[-1]
+    late = wanted_s > known_s[-1] + 1e-9
+    earlier = flow.is_unforeseeable
+    flow.is_unforeseeable = late
+    if earlier is not None and len(earlier) == len(known_s):
+        # The clock reads the samples beside a step, and straight lines between samples cut its corner.
+        at = np.clip(np.searchsorted(known_s, wanted_s), 1, len(known_s) - 1)
+        flow.is_unforeseeable = late | earlier[at] | earlier[at - 1]
     if late.any() and len(known_s) > 1:
         slope = (known_V[-1] - known_V[-2]) / (known_s[-1] - known_s[-2])
         flow.output_V[late] = known_V[-1] + slope * (wanted_s[late] - known_s[-1])

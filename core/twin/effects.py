@@ -6,6 +6,7 @@ from enum import IntEnum
 from typing import Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softcal.core.recording import Array
 
@@ -40,6 +41,7 @@ class Parameter:
         usual: typical size on a rig.
         neutral: value that switches the effect off, None for a shape parameter.
         scale: how a fit moves it; `inverse_square` for a level whose absence is infinity.
+        weight: what it counts as when flexibility is penalised; less than 1 for a nuisance of one run.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Parameter:
     usual: float
     neutral: float | None = None
     scale: Scale = "linear"
+    weight: float = 1.0
 
 
 def _not_yet() -> Array:
@@ -89,6 +92,8 @@ class Flow:
     reference_V: Array | float = 0.0
     output_V: Array = field(default_factory=_not_yet)
     reading_N: Array = field(default_factory=_not_yet)
+    is_unforeseeable: NDArray[np.bool_] | None = None
+    """(n,) where nobody can foretell the output: after the end of this stretch, or amid a step; None for nowhere."""
 
 
 Step: TypeAlias = Callable[[Flow, Sequence[float], Memory], None]

@@ -68,7 +68,7 @@ EFFECTS = (
         hook=Hook.REFERENCE,
         equation="Vref(t) = Vref·(1 + ρ·t); the ADC reads against the nominal Vref",
         source="supply that warms up; linear over a run",
-        parameters=(Parameter("rho", "1/s", -0.005, 0.005, 0.0001, neutral=0.0),),
+        parameters=(Parameter("rho", "1/s", -0.003, 0.003, 0.0001, neutral=0.0),),
         step=_reference_drift,
     ),
     Effect(

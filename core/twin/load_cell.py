@@ -50,7 +50,7 @@ EFFECTS = (
         hook=Hook.READING,
         equation="F_meas = F + λ·F·(1 − F/F_max)",
         source="terminal-line nonlinearity of a strain-gauge cell; 0.02–3 % of full scale",
-        parameters=(Parameter("lambda", "", -0.5, 0.5, 0.03, neutral=0.0),),
+        parameters=(Parameter("lambda", "", -0.25, 0.25, 0.03, neutral=0.0),),
         step=_nonlinearity,
     ),
     Effect(
@@ -60,7 +60,7 @@ EFFECTS = (
         equation="F_meas = F + k·LP_τ[F]",
         source="creep of the spring element, OIML R60; 0.05–0.2 % for cheap bars, more when overloaded",
         parameters=(
-            Parameter("k", "", -0.3, 0.3, 0.02, neutral=0.0),
+            Parameter("k", "", 0.0, 0.2, 0.02, neutral=0.0),
             Parameter("tau", "s", 0.3, 1000.0, 20.0, scale="log"),
         ),
         step=_creep,

@@ -99,7 +99,7 @@ EFFECTS = (
         hook=Hook.CONTACT,
         equation="δ = max(0, u − u0 − c_f·F), solved for F",
         source="spring in series, Hooke; 1–50 µm/N for bench stands",
-        parameters=(Parameter("c_f", "mm/N", 0.0, 0.3, 0.03, neutral=0.0),),
+        parameters=(Parameter("c_f", "mm/N", 0.0, 0.2, 0.03, neutral=0.0),),
         step=_frame_compliance,
     ),
     Effect(
@@ -108,7 +108,7 @@ EFFECTS = (
         hook=Hook.CONTACT,
         equation="δ → δ − ℓ·(1 − exp(−δ/ℓ))",
         source="toe region of a compression curve, ASTM D695 annex on toe compensation",
-        parameters=(Parameter("l", "mm", 0.0, 1.5, 0.2, neutral=0.0),),
+        parameters=(Parameter("l", "mm", 0.0, 0.8, 0.2, neutral=0.0),),
         step=_misaligned_contact,
     ),
     Effect(
@@ -130,7 +130,7 @@ EFFECTS = (
         equation="F = Fe·(1 + a·z), dz/dt = (dδ/dt)/d0·(1 − z·sign(dδ/dt))",
         source="rate-independent hysteresis, Duhem form; loops of 2–10 % in silicone rubber",
         parameters=(
-            Parameter("a", "", -0.1, 0.5, 0.05, neutral=0.0),
+            Parameter("a", "", 0.0, 0.5, 0.05, neutral=0.0),
             Parameter("d0", "mm", 0.02, 5.0, 0.3, scale="log"),
         ),
         step=_mechanical_hysteresis,
@@ -142,7 +142,7 @@ EFFECTS = (
         equation="F = Fe·(1 − m·(1 − exp(−N/N0))), N = completed compressions",
         source="Mullins 1969; 5–30 % in virgin silicone",
         parameters=(
-            Parameter("m", "", -0.1, 0.8, 0.1, neutral=0.0),
+            Parameter("m", "", 0.0, 0.8, 0.1, neutral=0.0),
             Parameter("N0", "", 0.2, 50.0, 3.0, scale="log"),
         ),
         step=_mullins_softening,

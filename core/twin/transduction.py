@@ -55,6 +55,7 @@ def _intermittent_contact(flow: Flow, values: Sequence[float], _: Memory) -> Non
     for start_s, stop_s in flow.episodes.get("intermittent_contact", ()):
         bad |= (flow.t_s >= start_s) & (flow.t_s < stop_s)
     flow.resistance_ohm = flow.resistance_ohm + values[0] * bad
+    flow.is_unforeseeable = np.diff(bad, prepend=bad[:1])
 
 
 EFFECTS = (
@@ -65,7 +66,7 @@ EFFECTS = (
         equation="Fc = (1 − c)·F + c·LP_τ[F]",
         source="delayed closing of an embedded channel, Kelvin–Voigt; 1–10 % over 0.05–100 s",
         parameters=(
-            Parameter("c", "", -0.5, 1.0, 0.08, neutral=0.0),
+            Parameter("c", "", 0.0, 1.0, 0.08, neutral=0.0),
             Parameter("tau", "s", 0.03, 300.0, 5.0, scale="log"),
         ),
         step=_channel_creep,
@@ -77,7 +78,7 @@ EFFECTS = (
         equation="Fc = F·(1 + a·z), dz/dt = (dF/dt)/f0·(1 − z·sign(dF/dt))",
         source="rate-independent hysteresis, Duhem form; 1–5 % in eGaIn channels",
         parameters=(
-            Parameter("a", "", -0.5, 0.5, 0.04, neutral=0.0),
+            Parameter("a", "", 0.0, 0.5, 0.04, neutral=0.0),
             Parameter("f0", "N", 0.05, 20.0, 1.0, scale="log"),
         ),
         step=_channel_hysteresis,
@@ -89,7 +90,7 @@ EFFECTS = (
         equation="R = R0/(1 − κ·F)·(1 + β·max(0, F − Fc)²)",
         source="closing of a microchannel under pressure, Park and others 2010; above 60–80 % of the limit",
         parameters=(
-            Parameter("beta", "1/N²", -0.05, 5.0, 0.03, neutral=0.0),
+            Parameter("beta", "1/N²", 0.0, 5.0, 0.03, neutral=0.0),
             Parameter("Fc", "N", 0.2, 50.0, 4.0),
         ),
         step=_channel_collapse,
@@ -100,7 +101,7 @@ EFFECTS = (
         hook=Hook.RESISTANCE,
         equation="R0(t) = R0·(1 + α·(T(t) − T(0)))",
         source="temperature coefficient of a liquid-metal channel, about 1e-3/K",
-        parameters=(Parameter("alpha", "1/K", -0.05, 0.05, 0.001, neutral=0.0),),
+        parameters=(Parameter("alpha", "1/K", -0.02, 0.02, 0.001, neutral=0.0),),
         step=_thermal_drift,
     ),
     Effect(
@@ -110,7 +111,7 @@ EFFECTS = (
         equation="R0(t) = R0·(1 + γ·ln(1 + t/τ))",
         source="logarithmic ageing; 0.1–5 % per day",
         parameters=(
-            Parameter("gamma", "", -0.2, 0.2, 0.005, neutral=0.0),
+            Parameter("gamma", "", -0.06, 0.06, 0.005, neutral=0.0),
             Parameter("tau", "s", 0.5, 2000.0, 30.0, scale="log"),
         ),
         step=_ageing_drift,

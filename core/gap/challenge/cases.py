@@ -33,7 +33,8 @@ EQUATIONS: Mapping[tuple[str, str], Equation] = {
 
 SPECIAL = (RIGID_BLOCK, DUMMY_RESISTOR, DEAD_WEIGHTS)
 TEMPERATURE_STEP = "temperature_step"
-EXPERIMENTS = (*(name for name in PROTOCOLS if name != "kept_back"), *SPECIAL, TEMPERATURE_STEP)
+NOT_ASKED = ("kept_back", "lot_source", "lot_unit")
+EXPERIMENTS = (*(name for name in PROTOCOLS if name not in NOT_ASKED), *SPECIAL, TEMPERATURE_STEP)
 """What may be asked of a sealed rig beyond the runs of its case."""
 
 

@@ -184,6 +184,16 @@ def small_reversals(rng: Rng, depth_mm: float) -> Path:
     return pen.path("small reversals")
 
 
+def lot_source(rng: Rng, depth_mm: float) -> Path:
+    """The source unit of a lot: random presses for three minutes."""
+    return random_path(rng, depth_mm, 180.0)
+
+
+def lot_unit(rng: Rng, depth_mm: float) -> Path:
+    """A target unit of a lot, or its audit: random presses for a minute and a half."""
+    return random_path(rng, depth_mm, 90.0)
+
+
 PROTOCOLS: dict[str, Callable[[Rng, float], Path]] = {
     "slow_ramps": slow_ramps,
     "fast_ramps": fast_ramps,
@@ -193,6 +203,8 @@ PROTOCOLS: dict[str, Callable[[Rng, float], Path]] = {
     "random": random_path,
     "one_rich_run": one_rich_run,
     "kept_back": kept_back,
+    "lot_source": lot_source,
+    "lot_unit": lot_unit,
     "rest": rest,
     "long_hold": long_hold,
     "rate_sweep": rate_sweep,

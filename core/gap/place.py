@@ -1,0 +1,206 @@
+"""Which stage of the chain the gap sits in, from the maps and the character of the residual; no effect is needed.
+
+The three maps name a group of stages. Within it the residual of the base tells: a function of the stage position that
+swings to and fro, or a jump in time, is motion; what lasts at rest or swings with the voltage is electronics; what
+follows the slope of the output is acquisition; what is left acts only under load.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.gap.case import Mask, Run
+from softcal.core.gap.fit import Block, Fit
+from softcal.core.gap.residual import Map, suspects
+from softcal.core.recording import Array
+from softcal.core.twin.effects import ChainStage
+
+UNEVEN_Z = 8.0
+UNEVEN_RATIO = 1.25
+"""Noise counts as uneven when fast samples are noisier than slow ones by so many standard errors and this factor."""
+
+LOADED = 0.15
+"""Share of the range of the output above which a sample counts as under load."""
+
+SPIKE_SIGMA = 6.0
+FEWEST_SPIKES = 8
+CLIPPED_SIGMA = 4.0
+BINS = 40
+SWINGS = 4
+"""Changes of sign from which a static residual is taken as a ripple, not as a bend."""
+
+FAINT_Z = 30.0
+"""Structure of the maps below which uneven noise says more of the place than they do: it stirs them up a little."""
+
+MOST = 0.5
+"""Share of the structured residual that a regularity must account for to count."""
+
+
+@dataclass(frozen=True)
+class LooseNoise:
+    """Noise that is not the same everywhere: which stage that points to, and what is seen."""
+
+    stage: ChainStage
+    detail: str
+
+
+def loose_noise(found: Fit) -> LooseNoise | None:
+    """Return what is wrong with the noise of the output, None where it is even.
+
+    A clock that jitters makes fast samples noisier than slow ones; a bad contact or a disturbed line throws single
+    samples far off. Neither leaves a structure that sums up.
+    """
+    blocks = [b for b in _blocks(found, "output_V") if found.problem.case.runs[b.run].stage_mm is not None]
+    if not blocks or found.problem.dither_V is not None:
+        return None
+    # A clipped output has less noise than the rest, and stands still.
+    is_open = ~np.concatenate([_is_clipped(found, b) for b in blocks])
+    error = np.concatenate([_quick(found.residual[b.place]) for b in blocks])[is_open]
+    speed = np.abs(np.concatenate([_rate(found, b) for b in blocks]))[is_open]
+    output_V = np.concatenate([found.predicted[b.place] for b in blocks])[is_open]
+    is_loaded = output_V > output_V.min() + LOADED * np.ptp(output_V)
+    is_slow = speed < np.quantile(speed, 0.5)
+    spikes = int(np.count_nonzero(np.abs(error[is_slow]) > SPIKE_SIGMA))
+    if FEWEST_SPIKES <= spikes < 0.05 * len(error):
+        return LooseNoise("electronics", f"{spikes} samples of the output far off while little moves: spikes")
+    if np.count_nonzero(is_loaded) < 100:
+        return None
+    # Noise may grow with the load as well; only samples under load are compared.
+    slow_to, fast_from = np.quantile(speed[is_loaded], (0.4, 0.75))
+    fast, slow = error[is_loaded & (speed >= fast_from)] ** 2, error[is_loaded & (speed <= slow_to)] ** 2
+    z = (fast.mean() - slow.mean()) / np.sqrt(2.0 / len(fast) + 2.0 / len(slow))
+    if z > UNEVEN_Z and fast.mean() > UNEVEN_RATIO * slow.mean():
+        return LooseNoise("acquisition", "the noise of the output grows with its slope: the instants jitter")
+    return None
+
+
+def _is_clipped(found: Fit, block: Block) -> Mask:
+    """(n,) where the output stands within its noise at a level that it was fitted to be clipped at."""
+    output_V, near_V = found.predicted[block.place], CLIPPED_SIGMA * found.problem.sigma["output_V"]
+    out = np.zeros(len(output_V), dtype=np.bool_)
+    for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
+        if effect.id == "adc_saturation":
+            out |= np.abs(output_V - values[0]) < near_V
+    return out
+
+
+def _quick(error: Array) -> Array:
+    """(n,) what a sample has beyond the mean of its neighbours, of variance 1 for white noise of variance 1."""
+    out = np.zeros(len(error))
+    out[1:-1] = (error[1:-1] - 0.5 * (error[:-2] + error[2:])) / np.sqrt(1.5)
+    return out
+
+
+def likely_stages(base: Fit, maps: tuple[Map, ...]) -> tuple[ChainStage, ...]:
+    """Return the stages the gap may sit in, the likeliest first; none where no map shows a gap."""
+    pointed = suspects(maps, base.problem.case.readout.sensor_type)
+    loose, loudest = loose_noise(base), max((m.structure.z for m in maps), default=0.0)
+    if loose is not None and loudest < FAINT_Z:
+        return (loose.stage, *(stage for stage in pointed if stage != loose.stage))
+    first: list[ChainStage] = []
+    if "motion" in pointed and "transduction" not in pointed:
+        first.append("motion" if _is_motion(base) else "mechanics")
+    elif "transduction" in pointed and "motion" not in pointed:
+        first.append(_behind(base))
+    return (*first, *(stage for stage in pointed if stage not in first))
+
+
+def _blocks(found: Fit, channel: str) -> list[Block]:
+    runs = found.problem.case.runs
+    return [b for b in found.problem.blocks if b.channel == channel and runs[b.run].kind == "press"]
+
+
+def _rate(found: Fit, block: Block) -> Array:
+    run = found.problem.case.runs[block.run]
+    return np.asarray(np.gradient(found.predicted[block.place], run.t_s))
+
+
+def _behind(base: Fit) -> ChainStage:
+    blocks = _blocks(base, "output_V")
+    if not blocks:
+        return "transduction"
+    error = np.concatenate([base.residual[b.place] for b in blocks])
+    output_V = np.concatenate([base.predicted[b.place] for b in blocks])
+    rate = np.concatenate([_rate(base, b) for b in blocks])
+    excess = max(float(error @ error) - len(error), 1.0)
+    share, swings = _static(error, output_V, excess)
+    if share > MOST:
+        return "electronics" if swings >= SWINGS else "transduction"
+    loose = loose_noise(base)
+    if loose is not None:
+        return loose.stage
+    if float(error @ rate) ** 2 / float(rate @ rate) > MOST * excess:
+        return "acquisition"
+    at_rest = output_V < output_V.min() + 0.02 * np.ptp(output_V)
+    mean = excess / len(error)
+    if np.count_nonzero(at_rest) > 50 and float(np.mean(error[at_rest] ** 2)) - 1.0 > MOST * mean:
+        return "electronics"
+    return "transduction"
+
+
+def _static(error: Array, drive: Array, excess: float) -> tuple[float, int]:
+    """Return which share of the excess is a function of the drive alone, and how often it changes sign."""
+    edges = np.linspace(drive.min(), drive.max() + 1e-12, BINS + 1)
+    place = np.clip(np.digitize(drive, edges) - 1, 0, BINS - 1)
+    count = np.bincount(place, minlength=BINS)
+    sums = np.bincount(place, weights=error, minlength=BINS)
+    seen = count > 8
+    means = sums[seen] / count[seen]
+    clear = means[np.abs(means) > 4.0 / np.sqrt(count[seen])]
+    share = float(np.sum(sums[seen] ** 2 / count[seen]) - np.count_nonzero(seen)) / excess
+    return share, int(np.count_nonzero(np.diff(np.sign(clear))))
+
+
+def _is_motion(base: Fit) -> bool:
+    """Whether the force is off by what a wrong position would do: a ripple over the travel, or a jump in time."""
+    blocks = _blocks(base, "force_N")
+    if not blocks:
+        return False
+    runs = [base.problem.case.runs[b.run] for b in blocks]
+    errors = [_displacement(base, b, run) for b, run in zip(blocks, runs, strict=True)]
+    every, travel = np.concatenate(errors), np.concatenate([_travel(run) for run in runs])
+    excess = max(float(every @ every) - len(every), 1.0)
+    share, swings = _static(every, travel, excess)
+    if share > MOST and swings >= SWINGS:
+        return True
+    jumps = sum(_jump(error) for error in errors)
+    sets = sum(_by_deepest(error, _travel(run)) for error, run in zip(errors, runs, strict=True))
+    trends = sum(_trend(error) for error in errors)
+    return jumps > MOST * excess and jumps > 1.2 * max(sets, trends)
+
+
+def _travel(run: Run) -> Array:
+    return np.zeros(len(run)) if run.stage_mm is None else run.stage_mm
+
+
+def _displacement(base: Fit, block: Block, run: Run) -> Array:
+    """(n,) residual of the force, scaled so that a wrong position weighs alike at every depth; 0 without contact."""
+    depth_mm = np.maximum(0.0, _travel(run) - base.base.u0_mm)
+    slope = base.base.k1_N_mm + 3.0 * base.base.k3_N_mm3 * depth_mm**2
+    scaled = base.residual[block.place] * float(np.median(slope)) / np.maximum(slope, 1e-9)
+    return np.asarray(np.where(depth_mm > 0, scaled, 0.0))
+
+
+def _jump(error: Array) -> float:
+    """Return the energy that one step in time takes away."""
+    count = np.arange(1, len(error))
+    left = np.cumsum(error)[:-1]
+    right = float(error.sum()) - left
+    mean = float(error.sum()) ** 2 / len(error)
+    return float(np.max(left**2 / count + right**2 / (len(error) - count)) - mean)
+
+
+def _trend(error: Array) -> float:
+    """Return the energy that a straight line in time takes away, beyond the mean."""
+    t = np.arange(len(error)) - 0.5 * (len(error) - 1)
+    return float((error @ t) ** 2 / (t @ t))
+
+
+def _by_deepest(error: Array, travel: Array) -> float:
+    """Return the energy that a function of the deepest position so far takes away, beyond its mean."""
+    deepest = np.maximum.accumulate(travel)
+    edges = np.linspace(deepest.min(), deepest.max() + 1e-12, 9)
+    place = np.digitize(deepest, edges)
+    sums = np.bincount(place, weights=error)
+    count = np.maximum(np.bincount(place), 1)
+    return float(np.sum(sums**2 / count) - error.sum() ** 2 / len(error))
