@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from zlib import crc32
 
 import numpy as np
 
@@ -30,6 +31,7 @@ class LotDesign:
         spread: how the units differ. What they differ by in stiffness and contact position changes the load at equal
             travel, which no unlabelled recording shows; the default takes pads from one mould, all else by tens of
             per cent.
+        twin: the nominal unit and its effects, of a diagnosis for example; None draws them.
     """
 
     good: int = 6
@@ -40,6 +42,7 @@ class LotDesign:
     audit_s: float = 120.0
     has_stage: bool = False
     spread: LotSpread = LotSpread(u0_mm=0.005, k1=0.003, k3=0.003)
+    twin: Twin | None = None
 
     def __post_init__(self) -> None:
         for kind, name, known in [("shift", self.shift, SHIFTS), *(("fault", name, FAULTS) for name in self.bad or {})]:
@@ -82,7 +85,7 @@ def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
     """
     design, rng = design or LotDesign(), np.random.default_rng(seed)
     kinds = [GOOD] * design.good + [name for name, count in (design.bad or {}).items() for _ in range(count)]
-    twins = draw_twins(rng, len(kinds) + 1, design.spread)
+    twins = draw_twins(rng, len(kinds) + 1, design.spread, design.twin)
     source = _record(rng, twins[0], source_profile(rng, design.source_s, DEPTH_MM), "S0", design.has_stage)
     units = tuple(
         _simulate_unit(rng, twin, kind, f"U{k:03d}", design)
@@ -91,15 +94,33 @@ def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
     return SimulatedLot(source, units)
 
 
-def draw_twins(rng: np.random.Generator, count: int, spread: LotSpread | None = None) -> tuple[Twin, ...]:
+def draw_twins(
+    rng: np.random.Generator, count: int, spread: LotSpread | None = None, twin: Twin | None = None
+) -> tuple[Twin, ...]:
     """Draw the units of one lot: their own nominal unit, creep, hysteresis and readout lag, nearly alike in all.
+
+    Args:
+        twin: the nominal unit and its effects, of a diagnosis for example; None draws both.
 
     Returns:
         (count,) twins, the source unit first.
     """
-    nominal, effects = _nominal(rng), _mild_effects(rng)
-    twins = draw_lot(rng, count, nominal, ReadoutMetadata(), effects, spread or LotDesign().spread)
+    nominal = twin or Twin(_nominal(rng), _mild_effects(rng))
+    twins = draw_lot(rng, count, nominal.parameters, nominal.metadata, nominal.effects, spread or LotDesign().spread)
     return tuple(_jitter(rng, twin) for twin in twins)
+
+
+def twin_of(seed: int, serial: str) -> Twin:
+    """Return the twin of one serial of a simulated lot: the same for the same seed and serial, in any order.
+
+    Args:
+        seed: of the lot: its nominal unit and its effects.
+        serial: of the unit.
+    """
+    rng, own = np.random.default_rng(seed), np.random.default_rng([seed, crc32(serial.encode())])
+    nominal, effects = _nominal(rng), _mild_effects(rng)
+    (twin,) = draw_lot(own, 1, nominal, ReadoutMetadata(), effects, LotDesign().spread)
+    return _jitter(own, twin)
 
 
 def _nominal(rng: np.random.Generator) -> BaseParameters:

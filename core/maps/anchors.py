@@ -79,8 +79,15 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> Anchored
 
     def residuals(theta: Array) -> Array:
         gain, offset = corrected(theta)
-        misread = (network.gradient(offset + gain * resting)[0] - anchors.reference) / sigma
+        misread = (network.evaluate(offset + gain * resting) - anchors.reference) / sigma
         return np.concatenate([misread, theta])
 
-    gain, offset = corrected(least_squares(residuals, np.zeros(2), loss="linear", diff_step=1e-3).x)
+    def jacobian(theta: Array) -> Array:
+        gain, offset = corrected(theta)
+        slope = network.gradient(offset + gain * resting)[1] / sigma
+        by_gain = GAIN_SPREAD * np.sum(slope * (resting - low), axis=1)
+        by_level = LEVEL_SPREAD * (high - low) * slope.sum(axis=1)
+        return np.concatenate([np.stack([by_gain, by_level], axis=1), np.eye(2)])
+
+    gain, offset = corrected(least_squares(residuals, np.zeros(2), jacobian).x)
     return AnchoredMap(unit_map, gain, offset)

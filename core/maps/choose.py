@@ -8,10 +8,12 @@ import numpy as np
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.anchors import refine
 from softcal.core.maps.catalogue import DEFAULT, family
-from softcal.core.maps.crossing import LevelPath
+from softcal.core.maps.crossing import averaging_length, level_path
+from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem, UnitMap
-from softcal.core.maps.label_shift import ALL_SHARES, level_weights, matched, paths
-from softcal.core.maps.synchrony import find_synchrony
+from softcal.core.maps.label_shift import level_weights
+from softcal.core.maps.synchrony import Synchrony
+from softcal.core.recording import OutputRecording
 
 SAME_PROGRAMME = 0.03
 """Units that spend their time alike up to this total variation distance ran one programme: samples can be matched.
@@ -27,9 +29,6 @@ CLEAR = 2.0
 
 SHARP = 0.06
 """Only a recording that fixes the gain this well can show that there is nothing to correct."""
-
-RESAMPLES = 40
-FEWEST_SWINGS = 8
 
 
 @dataclass(frozen=True)
@@ -65,9 +64,9 @@ class ChosenMap:
 def choose_map(problem: FitProblem, config: MapConfig = MapConfig()) -> ChosenMap:  # noqa: B008 - frozen
     """Fit the candidates, take the one the evidence supports, and refine it by anchors where there are any.
 
-    Order of trust: pairs under one load at equal time, then pairs at equal stage position, then matched distributions,
-    of which the dwell-blind one is taken unless the units spend their time alike; the identity where no difference
-    from the source can be shown.
+    Order of trust: pairs under one load at equal time, then pairs at equal stage position, then pairs of an opening
+    that both share, then matched distributions, of which the dwell-blind one is taken unless the units spend their
+    time alike; the identity where no difference from the source can be shown.
 
     Raises:
         UnitRefused: the recording allows no map; the message says why.
@@ -102,66 +101,57 @@ def _decide(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, d
     if "label_shift" not in candidates:
         # Raises the reason in words: the output makes no swing.
         family("label_shift").fit(problem)
-    synchrony = find_synchrony(problem.source.unlabelled, problem.target)
+    synchrony = problem.synchrony
+    is_opening = bool(np.isfinite(synchrony.until_s))
     evidence: dict[str, float | str] = {
         "rank_correlation": synchrony.rank_correlation,
         "synchrony_sigma": synchrony.sigma,
     }
     for name, is_offered, why in (
-        ("synchronous", synchrony.is_synchronous, "pressed by the source's load at the same time: windows paired"),
+        ("synchronous", synchrony.is_synchronous and not is_opening, "pressed by the source's load at the same time"),
         ("phase", problem.target.stage_mm is not None, "windows paired at equal stage position and history"),
+        ("synchronous", synchrony.is_synchronous, "opened by the source's load at the same time: that part is paired"),
     ):
         paired = _fitted(problem, (name,)) if is_offered else {}
         if paired:
             candidates |= paired
-            return name, evidence | {"decision": why, "lag_s": synchrony.lag_s if name == "synchronous" else 0.0}
+            if name == "synchronous":
+                evidence |= _shared(synchrony)
+            return name, evidence | {"decision": why}
     name, numbers = _without_pairs(problem, candidates)
     return name, evidence | numbers
 
 
+def _shared(synchrony: Synchrony) -> dict[str, float | str]:
+    """Say how far the clocks are apart, and where the common load ends if it does."""
+    until_s = {"shared_until_s": synchrony.until_s} if np.isfinite(synchrony.until_s) else {}
+    return {"lag_s": synchrony.lag_s, **until_s}
+
+
 def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, dict[str, float | str]]:
-    source, target = paths(problem)
-    rate = _swing_rate(target, len(problem.target)) / _swing_rate(source, len(problem.source))
-    gain, offset = matched(source, target)
-    gain_error, level_error, level_shift = _standard_errors(problem, source, target)
+    match = match_ends(problem.source, problem.target)
+    rate = _swing_rate(problem.target) / max(_swing_rate(problem.source.unlabelled), 1e-9)
     mapped = candidates["label_shift"].apply(problem.target.windows)
     dwell, _ = level_weights(problem.source.windows, mapped)
     numbers: dict[str, float | str] = {
         "swing_rate_ratio": rate,
-        "gain": gain,
-        "gain_error": gain_error,
-        "level_error": level_error,
+        "gain": match.gain,
+        "gain_error": match.gain_error,
+        "rest_error": match.rest_error,
         "dwell_distance": dwell,
     }
     if rate > UNLIKE_RATE:
         why = "swings far more often than the source: only rest level and hardest presses are matched; abstain"
-        return "affine", numbers | {"decision": why}
-    is_sharp = gain_error < SHARP and min(source.swings, target.swings) >= FEWEST_SWINGS
-    is_alike = abs(gain - 1.0) < CLEAR * gain_error and abs(level_shift) < CLEAR * level_error
-    if is_sharp and is_alike:
+        return "label_shift", numbers | {"decision": why}
+    is_alike = abs(np.log(match.gain)) < CLEAR * match.gain_error and abs(match.rest_shift) < CLEAR * match.rest_error
+    if match.gain_error < SHARP and is_alike:
         return "identity", numbers | {"decision": "no difference from the source that the recording could show"}
     if dwell < SAME_PROGRAMME:
         return "monotone", numbers | {"decision": "time is spent as in the source: sample quantiles matched"}
-    why = f"shift estimated: {dwell:.0%} of the time is spent at other loads; level crossings matched instead"
+    why = f"shift estimated: {dwell:.0%} of the time is spent at other loads; rest and hardest presses matched instead"
     return "label_shift", numbers | {"decision": why}
 
 
-def _swing_rate(path: LevelPath, samples: int) -> float:
-    return path.swings / samples
-
-
-def _standard_errors(problem: FitProblem, source: LevelPath, target: LevelPath) -> tuple[float, float, float]:
-    """Uncertainty of gain and of the level at rest, and that level's shift.
-
-    Resampled presses show what chance does; what the whole path asks for instead of its ends shows what a difference
-    in depth may do.
-    """
-    rng = np.random.default_rng(problem.seed)
-    rest = float(target.quantiles(np.array([0.01]))[0])
-    gain, offset = matched(source, target)
-    draws = np.array([matched(source.resampled(rng), target.resampled(rng)) for _ in range(RESAMPLES)])
-    whole = np.array(matched(source, target, ALL_SHARES))
-    chance = np.std(draws @ np.array([[1.0, rest], [0.0, 1.0]]), axis=0)
-    depth = np.abs((whole - np.array([gain, offset])) @ np.array([[1.0, rest], [0.0, 1.0]]))
-    errors = np.hypot(chance, depth)
-    return float(errors[0]), float(errors[1]), gain * rest + offset - rest
+def _swing_rate(recording: OutputRecording) -> float:
+    path = level_path(recording, averaging_length(recording))
+    return 0.0 if path is None else path.swings / len(recording)

@@ -5,7 +5,7 @@ level crossings is what two recordings under differently timed programmes still 
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -20,6 +20,9 @@ PRESS_SHARE = 0.3
 
 ROBUST_RANGE = (0.02, 0.99)
 
+KEPT = 32
+"""Results kept per recording: every unit of a lot is compared with one and the same source."""
+
 
 @dataclass(frozen=True, eq=False)
 class LevelPath:
@@ -27,10 +30,13 @@ class LevelPath:
 
     Args:
         low, high: (k,) lower and upper end of every swing, in the output unit.
+        start, stop: (k,) samples at which each swing begins and ends.
     """
 
     low: Array
     high: Array
+    start: Indices
+    stop: Indices
 
     @property
     def swings(self) -> int:
@@ -42,9 +48,10 @@ class LevelPath:
 
     @cached_property
     def _cumulative(self) -> Array:
-        started = np.searchsorted(np.sort(self.low), self._grid, side="right")
-        ended = np.searchsorted(np.sort(self.high), self._grid, side="left")
-        crossings = (started - ended).astype(np.float64)
+        # At each level, the swings that began below it less those that ended below it.
+        began = np.bincount(np.searchsorted(self._grid, self.low, side="left"), minlength=len(self._grid))
+        ended = np.bincount(np.searchsorted(self._grid, self.high, side="right"), minlength=len(self._grid))
+        crossings = np.cumsum(began - ended[: len(self._grid)]).astype(np.float64)
         total = np.concatenate([[0.0], np.cumsum((crossings[1:] + crossings[:-1]) / 2)])
         return np.asarray(total / total[-1])
 
@@ -52,12 +59,13 @@ class LevelPath:
         """Return the levels below which the given shares of the path lie, in the output unit."""
         return np.interp(shares, self._cumulative, self._grid)
 
-    def resampled(self, rng: np.random.Generator) -> "LevelPath":
-        """Return as many swings drawn with replacement: what another recording of the kind could have shown."""
-        rows = rng.integers(0, self.swings, self.swings)
-        return LevelPath(self.low[rows], self.high[rows])
+    def within(self, start: int, stop: int) -> "LevelPath":
+        """Return the swings that lie between two samples."""
+        inside = (self.start >= start) & (self.stop < stop)
+        return LevelPath(self.low[inside], self.high[inside], self.start[inside], self.stop[inside])
 
 
+@lru_cache(maxsize=KEPT)
 def level_path(recording: OutputRecording, average: int) -> LevelPath | None:
     """Reduce a recording to its swings; None where its output makes none.
 
@@ -66,13 +74,18 @@ def level_path(recording: OutputRecording, average: int) -> LevelPath | None:
         average: samples averaged against noise before turning points are sought (`averaging_length`).
     """
     threshold = THRESHOLD * robust_range(recording.output)
-    low, high = [], []
+    step, levels, turns = max(1, average // 3), [], []
     for part in recording.segments:
-        signal = moving_mean(recording.output[part], average)[:: max(1, average // 3)]
-        levels = signal[turning_points(signal, threshold)]
-        low.append(np.minimum(levels[1:], levels[:-1]))
-        high.append(np.maximum(levels[1:], levels[:-1]))
-    path = LevelPath(np.concatenate(low), np.concatenate(high))
+        signal = moving_mean(recording.output[part], average)[::step]
+        points = turning_points(signal, threshold)
+        levels.append(signal[points])
+        turns.append(part.start + points * step)
+    path = LevelPath(
+        low=np.concatenate([np.minimum(level[1:], level[:-1]) for level in levels]),
+        high=np.concatenate([np.maximum(level[1:], level[:-1]) for level in levels]),
+        start=np.concatenate([turn[:-1] for turn in turns]),
+        stop=np.concatenate([turn[1:] for turn in turns]),
+    )
     return path if path.swings and path.high.max() > path.low.min() else None
 
 
@@ -108,6 +121,7 @@ def _local_extremes(signal: Array) -> Indices:
     return np.unique(np.concatenate([[0], turns, [len(signal) - 1]])).astype(np.int64)
 
 
+@lru_cache(maxsize=KEPT)
 def averaging_length(recording: OutputRecording) -> int:
     """Return the fewest samples to average so that presses, not noise, make the turning points.
 

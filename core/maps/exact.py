@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import ot
 from numpy.typing import NDArray
 
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import FitProblem
-from softcal.core.maps.plan import TransportMap, barycentric, solve_exact, spread_rows
+from softcal.core.maps.plan import TransportMap, barycentric, solve_exact, spread_rows, squared_distances
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class Exact:
         """Fit the map."""
         source, target = problem.source.windows, problem.target.windows
         source, target = source[spread_rows(len(source))], target[spread_rows(len(target))]
-        plan = solve_exact(ot.dist(target, source))
+        plan = solve_exact(squared_distances(target, source))
         return TransportMap(target, barycentric(plan, source) - target, self.name)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> TransportMap:

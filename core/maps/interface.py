@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.identity import Settings, content_sha256
+from softcal.core.maps.synchrony import Synchrony, find_synchrony
 from softcal.core.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 
@@ -70,6 +72,11 @@ class FitProblem:
     target: OutputRecording
     anchors: Anchors | None = None
     seed: int = 0
+
+    @cached_property
+    def synchrony(self) -> Synchrony:
+        """What the two outputs say about a common load; found once for all who ask."""
+        return find_synchrony(self.source.unlabelled, self.target)
 
 
 class MapFamily(Protocol):

@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import ot
 from numpy.typing import NDArray
 
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import FitProblem
-from softcal.core.maps.plan import TransportMap, barycentric, solve_exact, spread_rows
+from softcal.core.maps.plan import TransportMap, barycentric, solve_exact, spread_rows, squared_distances
 from softcal.core.recording import Array
 
 MOST_WINDOWS = 1000
@@ -36,7 +35,7 @@ class Joint:
         source = problem.source.windows[source_rows]
         label = problem.source.window_reference[source_rows] / problem.network.reference_scale
         target = problem.target.windows[spread_rows(len(problem.target.windows), MOST_WINDOWS)]
-        distance = ot.dist(target, source)
+        distance = squared_distances(target, source)
         distance /= float(np.mean(np.var(source, axis=0))) * source.shape[1]
         matched = (target - target.mean()) / max(float(target.std()), 1e-12) * source.std() + source.mean()
         estimate = problem.network.evaluate(matched) / problem.network.reference_scale
@@ -61,7 +60,7 @@ class _Smoother:
     """Kernel ridge regression on fixed windows: labels in, fitted values out."""
 
     def __init__(self, inputs: Array) -> None:
-        squared = ot.dist(inputs, inputs)
+        squared = squared_distances(inputs, inputs)
         kernel = np.exp(-squared / max(float(np.median(squared)), 1e-12))
         regularised = kernel + RIDGE * len(inputs) / 100 * np.eye(len(inputs))
         self._hat = np.linalg.solve(regularised, kernel)

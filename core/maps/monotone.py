@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
-from softcal.core.maps.curve import CurveMap, monotone_curve
+from softcal.core.maps.curve import CurveMap, continued, monotone_curve
 from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import Array
 
@@ -40,7 +40,8 @@ class Monotone:
         if np.ptp(target) <= 0:
             level, unit = float(target[0]), problem.target.output_unit
             raise UnitRefused(f"output stays at {level:.6g} {unit}; press the unit and record again")
-        return monotone_curve(target, between_steps(problem.source.unlabelled.output, shares), self.name)
+        source = between_steps(problem.source.unlabelled.output, shares)
+        return continued(monotone_curve(target, source, self.name), float(np.ptp(source)))
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> CurveMap:
         """Rebuild a curve from its arrays."""

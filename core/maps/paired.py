@@ -12,37 +12,41 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
+from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
-from softcal.core.maps.curve import CurveMap
-from softcal.core.network import Network
+from softcal.core.maps.crossing import robust_range
+from softcal.core.maps.curve import CurveMap, continued
+from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import Array, Indices
 from softcal.core.windows import TAPS, windows
 
-KNOTS = 12
-SHAPES = 5
-"""Orthonormal window shapes the dynamic part mixes: level, slope, curvature and two more."""
-
-PAIRS = 3000
+KNOTS, FEWEST_KNOTS = 12, 3
+PAIRS_PER_KNOT = 15
+PAIRS = 2000
 """Pairs used at most, spread over the recording: the cost of a fit does not grow with its length."""
 
-STIFFNESS = 1e-3
+STIFFNESS = 3e-3
 TETHER = 1e-3
 STEPS = 8
-BLOCKS = 8
-NEEDED_GAIN = 0.97
-"""The dynamic part stays only if it brings the held-out error below this share."""
+BLOCKS = 32
+ENOUGH_FOR_DYNAMICS = 480
+"""Fewer pairs hold out too little to judge a dynamic part by."""
+
+DYNAMICS = ((5, 0.99), (TAPS, 0.97))
+"""Orthonormal window shapes a dynamic part may mix (level, slope, curvature and two more; all), and the share of the
+held-out error without them that it must stay below to be kept."""
 
 
 @dataclass(frozen=True, eq=False)
 class DynamicMap:
-    """A monotone curve on every sample, then a small linear mix of window shapes.
+    """A monotone curve on every sample, then a linear mix of window shapes.
 
     map(x) = P B P' curve(x), with P the first orthonormal polynomials over the taps: the
     curve carries the static response, B the difference in lag and creep. Faster wiggles than P holds are noise.
 
     Args:
         curve: static part.
-        mix: (SHAPES, SHAPES) matrix B; the identity changes no shape.
+        mix: (shapes, shapes) matrix B; the identity changes no shape.
         family: name under which the catalogue rebuilds it.
     """
 
@@ -88,39 +92,57 @@ def window_shapes(count: int) -> Array:
     return np.asarray(np.linalg.qr(np.vander(tap, count, increasing=True))[0])
 
 
-def fit_pairs(network: Network, source: Array, target: Array, family: str) -> PairedMap:
+def fit_pairs(problem: FitProblem, source_rows: Indices, target_rows: Indices, family: str) -> PairedMap:
     """Fit a map to pairs of windows; a dynamic part is kept only where it helps on held-out stretches.
 
     Args:
-        network: f.
-        source: (n, taps) source windows, in time order.
-        target: (n, taps) target windows under the same loads.
+        problem: source, network and target.
+        source_rows, target_rows: windows under equal load, in time order.
         family: name the map carries.
     """
-    rows = np.linspace(0, len(target) - 1, min(PAIRS, len(target))).astype(np.int64)
-    problem = _Pairs(network, target[rows], source[rows], family)
-    block = np.arange(len(rows)) * BLOCKS // len(rows)
+    rows = np.linspace(0, len(target_rows) - 1, min(PAIRS, len(target_rows))).astype(np.int64)
+    fitted = _fit(_Pairs(problem, source_rows[rows], target_rows[rows], family))
+    span = robust_range(problem.source.unlabelled.output)
+    if isinstance(fitted, DynamicMap):
+        return DynamicMap(continued(fitted.curve, span), fitted.mix, family)
+    return continued(fitted, span)
+
+
+def _fit(pairs: "_Pairs") -> PairedMap:
+    """Fit with the smallest dynamic part that held-out stretches ask for."""
+    everything = np.arange(pairs.count)
+    if pairs.count < ENOUGH_FOR_DYNAMICS:
+        return pairs.fit(everything, 0)
+    block = everything * BLOCKS // pairs.count
     held, kept = np.flatnonzero(block % 4 == 1), np.flatnonzero(block % 4 != 1)
-    static, dynamic = problem.fit(kept, 0), problem.fit(kept, SHAPES)
-    has_dynamics = problem.error(dynamic, held) < NEEDED_GAIN * problem.error(static, held)
-    everything = np.arange(len(rows))
-    return problem.fit(everything, SHAPES if has_dynamics else 0)
+    shapes, least = 0, pairs.error(pairs.fit(kept, 0), held)
+    for more, needed in DYNAMICS:
+        error = pairs.error(pairs.fit(kept, more), held)
+        if error < needed * least:
+            shapes, least = more, error
+    return pairs.fit(everything, shapes)
 
 
 class _Pairs:
     """Paired windows with what every fit to some of them shares: knots, start and labels."""
 
-    def __init__(self, network: Network, target: Array, source: Array, family: str) -> None:
-        self._network, self._family = network, family
-        self._target = target
-        self._label = network.gradient(source)[0] / network.reference_scale
+    def __init__(self, problem: FitProblem, source_rows: Indices, target_rows: Indices, family: str) -> None:
+        self.count = len(target_rows)
+        network = self._network = problem.network
+        self._family = family
+        self._target = target = problem.target.windows[target_rows]
+        source = problem.source.windows[source_rows]
+        self._label = network.evaluate(source) / network.reference_scale
         self._knots = _knots(target)
+        if self._knots[-1] <= self._knots[0]:
+            level, unit = self._knots[0], problem.target.output_unit
+            raise UnitRefused(f"output stays at {level:.6g} {unit} under the loads it shares with the source")
         self._start = _static_regression(target, source, self._knots)
         self._bend = np.diff(np.eye(len(self._knots)), 2, axis=0) / network.output_scale
 
     def error(self, unit_map: PairedMap, rows: Indices) -> float:
         """Return the root mean square difference of the estimates over some pairs, in standard deviations."""
-        estimate = self._network.gradient(unit_map.apply(self._target[rows]))[0] / self._network.reference_scale
+        estimate = self._network.evaluate(unit_map.apply(self._target[rows])) / self._network.reference_scale
         return float(np.sqrt(np.mean((estimate - self._label[rows]) ** 2)))
 
     def fit(self, rows: Indices, shapes: int) -> PairedMap:
@@ -185,7 +207,7 @@ class _Pairs:
 
 def _knots(target: Array) -> Array:
     low, high = np.quantile(target, [0.001, 0.999])
-    return np.linspace(low, high, KNOTS)
+    return np.linspace(low, high, int(np.clip(len(target) // PAIRS_PER_KNOT, FEWEST_KNOTS, KNOTS)))
 
 
 def _place(samples: Array, knots: Array) -> tuple[Indices, Array]:

@@ -20,7 +20,7 @@ HISTORY_WEIGHT = (1.0, 1.0, 0.5, 0.15, 0.05)
 NEAR_SHARE = 0.04
 """Two stage histories are alike within this share of the travel."""
 
-MIN_PAIRS = 200
+MIN_PAIRS = 12
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Phase:
         """
         source, target = problem.source.unlabelled, problem.target
         source_rows, target_rows = paired_by_stage(source, target)
-        return fit_pairs(problem.network, source.windows[source_rows], target.windows[target_rows], self.name)
+        return fit_pairs(problem, source_rows, target_rows, self.name)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> PairedMap:
         """Rebuild a map from its arrays."""
@@ -58,7 +58,7 @@ def paired_by_stage(source: OutputRecording, target: OutputRecording) -> tuple[N
     """
     if source.stage_mm is None or target.stage_mm is None:
         raise UnitRefused("stage position is not in both recordings; windows cannot be paired by it")
-    known, asked = _histories(source, source.stage_mm), _histories(target, target.stage_mm)
+    known, asked = stage_histories(source, source.stage_mm), stage_histories(target, target.stage_mm)
     travel_mm = float(np.ptp(target.stage_mm))
     rows = np.linspace(0, len(asked) - 1, min(2 * PAIRS, len(asked))).astype(np.int64)
     distance_mm, nearest = cKDTree(known).query(asked[rows])
@@ -68,6 +68,8 @@ def paired_by_stage(source: OutputRecording, target: OutputRecording) -> tuple[N
     return nearest[alike].astype(np.int64), rows[alike]
 
 
-def _histories(recording: OutputRecording, stage_mm: Array) -> Array:
-    rows = recording.window_rows[:, None] - np.array(HISTORY)[None, :]
-    return np.asarray(stage_mm[np.maximum(rows, 0)] * np.array(HISTORY_WEIGHT))
+def stage_histories(recording: OutputRecording, stage_mm: Array) -> Array:
+    """Return where the stage stood now and before each full window, weighted: (m, len(HISTORY)) in mm."""
+    ago_s = np.array(HISTORY) / recording.sample_rate_Hz
+    asked_s = recording.t_s[recording.window_rows][:, None] - ago_s[None, :]
+    return np.asarray(np.interp(asked_s, recording.t_s, stage_mm) * np.array(HISTORY_WEIGHT))

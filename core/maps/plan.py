@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import ot
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -72,8 +71,18 @@ def solve_exact(cost: Array) -> Array:
     Args:
         cost: (m, n) cost of carrying target window i to source window j.
     """
+    # POT brings torch and scikit-learn along, seconds and 250 MB: only who solves a plan pays.
+    import ot
+
     rows, columns = cost.shape
     return np.asarray(ot.emd(np.full(rows, 1 / rows), np.full(columns, 1 / columns), cost, numItermax=2_000_000))
+
+
+def squared_distances(a: Array, b: Array) -> Array:
+    """Return (m, n) squared Euclidean distances between (m, k) and (n, k) rows."""
+    import ot
+
+    return np.asarray(ot.dist(a, b))
 
 
 def barycentric(plan: Array, source: Array) -> Array:

@@ -10,9 +10,9 @@ from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import FitProblem
 from softcal.core.maps.paired import PairedMap, fit_pairs, paired_map_from_arrays
-from softcal.core.maps.synchrony import find_synchrony, paired_rows
+from softcal.core.maps.synchrony import paired_rows
 
-MIN_PAIRS = 200
+MIN_PAIRS = 12
 
 
 @dataclass(frozen=True)
@@ -27,17 +27,16 @@ class Synchronous:
         Raises:
             UnitRefused: the outputs show no common load at equal time.
         """
-        source, target = problem.source.unlabelled, problem.target
-        synchrony = find_synchrony(source, target)
+        synchrony = problem.synchrony
         if not synchrony.is_synchronous:
             raise UnitRefused(
                 f"outputs of source and unit agree with rank correlation {synchrony.rank_correlation:.2f} at equal "
                 "time; they were not pressed by one load at once"
             )
-        source_rows, target_rows = paired_rows(source, target, synchrony.lag_s)
+        source_rows, target_rows = paired_rows(problem.source.unlabelled, problem.target, synchrony)
         if len(target_rows) < MIN_PAIRS:
             raise UnitRefused(f"{len(target_rows)} windows at equal times; at least {MIN_PAIRS} are needed")
-        return fit_pairs(problem.network, source.windows[source_rows], target.windows[target_rows], self.name)
+        return fit_pairs(problem, source_rows, target_rows, self.name)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> PairedMap:
         """Rebuild a map from its arrays."""

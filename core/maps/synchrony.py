@@ -3,18 +3,38 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
 from scipy.stats import rankdata
 
-from softcal.core.maps.crossing import moving_mean
+from softcal.core.maps.crossing import moving_mean, robust_range, turning_points
 from softcal.core.recording import Array, Indices, OutputRecording
 
-MIN_RANK_CORRELATION = 0.9
-MIN_RANK_ALONE = 0.94
-"""Outputs this alike at equal time ran one programme even where noise hides its fine structure."""
+MIN_RANK_CORRELATION = 0.95
+RANK_AVERAGE = 15
+"""Ranks are averaged over this many samples before they are compared: noise and spikes of a readout are not load."""
 
 MIN_DETAIL = 0.1
 MIN_SIGMA = 2.5
-"""The fine structure must agree this many standard deviations better at one lag than at all others."""
+"""A lag is believed where the fine structure agrees this many standard deviations better than at all others."""
+
+SAME_CURVE = 0.06
+SETTLED_S = 1.0
+"""Outputs under one load lie on one curve within this share of the source's range, averaged over so long, or ..."""
+OFF_CURVE = 3.0
+"""... within so many times what the opening itself shows: lags and loops differ from unit to unit."""
+
+GUARD_S = 2.0
+"""Loads that part slowly are alike for a while: so much of the opening's end is not used."""
+
+LEAST_SWINGS = 6
+"""Up and down three times alike is no chance; two slow rises are."""
+
+SWING = 0.2
+LEAST_SPAN = 0.75
+"""A swing of an opening, and the whole of it, as shares of the source's robust range."""
+
+MOST_STEPS = 20
 
 LONGEST_LAG_S = 1.0
 CLEAR_GAIN = 0.9
@@ -28,20 +48,26 @@ class Synchrony:
 
     Args:
         lag_s: seconds the target's clock is ahead of the source's.
-        rank_correlation: of the two outputs at equal time.
+        rank_correlation: of the two outputs at equal time, averaged over `RANK_AVERAGE` samples.
         detail: correlation of their fine structure at that lag, on the scale that shows it best.
         sigma: how far that stands out of the same correlation at unrelated lags, in standard deviations.
+        until_s: on the source's clock, where the common load ends; infinite where it lasts as long as both recordings.
     """
 
     lag_s: float
     rank_correlation: float
     detail: float
     sigma: float
+    until_s: float = np.inf
 
     @property
     def is_synchronous(self) -> bool:
         """Whether pairing windows at equal time is supported."""
-        return self.rank_correlation >= MIN_RANK_CORRELATION and self.detail >= MIN_DETAIL and self.sigma >= MIN_SIGMA
+        return self.rank_correlation >= MIN_RANK_CORRELATION
+
+
+def _stands_out(detail: float, sigma: float) -> bool:
+    return detail >= MIN_DETAIL and sigma >= MIN_SIGMA
 
 
 NONE = Synchrony(0.0, 0.0, 0.0, 0.0)
@@ -50,35 +76,108 @@ NONE = Synchrony(0.0, 0.0, 0.0, 0.0)
 def find_synchrony(source: OutputRecording, target: OutputRecording) -> Synchrony:
     """Compare two recordings on their common stretch of time.
 
-    A slow rise and fall alone correlates for any two programmes of one kind; only fine structure that agrees at one
-    lag and at no other shows a common load. Ranks make the comparison blind to the static curves of the units.
+    Ranks make the comparison blind to the static curves of the units. Fine structure that agrees at one lag and at no
+    other tells how far apart the clocks are. Where the whole does not agree, the recordings may still open alike: a
+    line often runs one profile first and other loads after it.
     """
+    whole = _compared(source, target, np.inf)
+    if whole.is_synchronous:
+        return whole
+    until_s = _opening_end(source, target)
+    opening = _compared(source, target, until_s) if until_s is not None else whole
+    return opening if opening.is_synchronous else whole
+
+
+def _compared(source: OutputRecording, target: OutputRecording, until_s: float) -> Synchrony:
     rate_Hz = source.sample_rate_Hz
-    start, stop = max(source.t_s[0], target.t_s[0]), min(source.t_s[-1], target.t_s[-1])
+    start, stop = max(source.t_s[0], target.t_s[0]), min(source.t_s[-1], target.t_s[-1], until_s)
     time_s = np.arange(start, stop, 1.0 / rate_Hz)
     if len(time_s) < 20 * min(SCALES) or abs(target.sample_rate_Hz / rate_Hz - 1) > 0.02:
         return NONE
-    a = rankdata(np.interp(time_s, source.t_s, source.output))
-    b = rankdata(np.interp(time_s, target.t_s, target.output))
+    # What one recording missed the other must not show either: both are read at the same instants.
+    seen = time_s[_covered(source, time_s) & _covered(target, time_s)]
+    if len(seen) < 2 * min(SCALES):
+        return NONE
+    a = rankdata(np.interp(time_s, seen, np.interp(seen, source.t_s, source.output)))
+    b = rankdata(np.interp(time_s, seen, np.interp(seen, target.t_s, target.output)))
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return NONE
     found = [_detail(a, b, scale, rate_Hz) for scale in SCALES if 20 * scale <= len(time_s)]
     detail, sigma, lag = max(found, key=lambda item: item[1])
-    shifted = np.roll(b, lag)
-    return Synchrony(-lag / rate_Hz, float(np.corrcoef(a, shifted)[0, 1]), detail, sigma)
+    lag = lag if _stands_out(detail, sigma) else 0
+    a, b = moving_mean(a, RANK_AVERAGE), moving_mean(np.roll(b, lag), RANK_AVERAGE)
+    return Synchrony(-lag / rate_Hz, float(np.corrcoef(a, b)[0, 1]), detail, sigma, until_s)
 
 
-def paired_rows(source: OutputRecording, target: OutputRecording, lag_s: float) -> tuple[Indices, Indices]:
+def _opening_end(source: OutputRecording, target: OutputRecording) -> float | None:
+    """Return until when both recordings open with one load, on the common clock; None where they do not.
+
+    A monotone curve carries the target's output onto the source's, from the first few presses on over as much as it
+    holds for; where the recordings leave that curve, the opening has ended.
+    """
+    rate_Hz = source.sample_rate_Hz
+    start, stop = max(source.t_s[0], target.t_s[0]), min(source.t_s[-1], target.t_s[-1])
+    time_s = np.arange(start, stop, 1.0 / rate_Hz)
+    if len(time_s) <= RANK_AVERAGE or np.ptp(target.output) == 0:
+        return None
+    a, b = (moving_mean(np.interp(time_s, r.t_s, r.output), RANK_AVERAGE) for r in (source, target))
+    span, settled = robust_range(source.output), round(SETTLED_S * rate_Hz)
+    turns = turning_points(a, SWING * span)
+    if len(turns) <= LEAST_SWINGS:
+        return None
+    first = known = int(turns[LEAST_SWINGS])
+    for _ in range(MOST_STEPS):
+        off = np.abs(moving_mean(_off_curve(a, b, known), settled)) / span
+        allowed = max(SAME_CURVE, OFF_CURVE * float(np.quantile(off[: max(known - settled, 1)], 0.9)))
+        left = np.flatnonzero(off[first:] > allowed)
+        end = first + int(left[0]) if len(left) else len(a)
+        if end == known:
+            break
+        known = end
+    end = known - round(GUARD_S * rate_Hz)
+    if end < first or robust_range(a[:end]) < LEAST_SPAN * span:
+        return None
+    return float(time_s[end])
+
+
+def _off_curve(source: Array, target: Array, known: int) -> Array:
+    """Return how far the outputs lie from the monotone curve that is nearest to the first `known` of them.
+
+    Outputs beyond those the curve was fitted to cannot be judged: 0.
+    """
+    seen, onto = target[:known], source[:known]
+    order = np.argsort(seen, kind="stable")
+    is_rising = bool(np.corrcoef(seen, onto)[0, 1] >= 0) if np.ptp(seen) > 0 else True
+    curve = isotonic_regression(onto[order], increasing=is_rising).x
+    is_judged = (target >= seen.min()) & (target <= seen.max())
+    return np.where(is_judged, source - np.interp(target, seen[order], curve), 0.0)
+
+
+def paired_rows(source: OutputRecording, target: OutputRecording, synchrony: Synchrony) -> tuple[Indices, Indices]:
     """Return the windows of both recordings whose newest samples were taken at the same time.
+
+    Args:
+        source, target: both recordings.
+        synchrony: what `find_synchrony` found between them.
 
     Returns:
         Row numbers into `source.windows` and `target.windows`, equal lengths.
     """
-    source_s, target_s = source.t_s[source.window_rows], target.t_s[target.window_rows] - lag_s
+    source_s, target_s = source.t_s[source.window_rows], target.t_s[target.window_rows] - synchrony.lag_s
     right = np.clip(np.searchsorted(source_s, target_s), 1, len(source_s) - 1)
     nearest = right - (target_s - source_s[right - 1] < source_s[right] - target_s)
     close = np.abs(source_s[nearest] - target_s) <= 0.51 / source.sample_rate_Hz
+    close &= target_s <= synchrony.until_s
     return nearest[close].astype(np.int64), np.flatnonzero(close).astype(np.int64)
+
+
+def _covered(recording: OutputRecording, time_s: Array) -> NDArray[np.bool_]:
+    """Mark the instants that lie within a segment of the recording."""
+    inside = np.zeros(len(time_s), dtype=bool)
+    for part in recording.segments:
+        first, last = np.searchsorted(time_s, (recording.t_s[part.start], recording.t_s[part.stop - 1]))
+        inside[first : last + 1] = True
+    return inside
 
 
 def _detail(a: Array, b: Array, scale: int, rate_Hz: float) -> tuple[float, float, int]:
