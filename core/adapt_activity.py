@@ -18,6 +18,9 @@ STEADY_SCATTER, STEADY_TREND = 0.25, 0.8
 TOLERANCE = np.array([0.10, 0.15, 0.25])
 """Least tolerance of an activity for a cycle's quantiles (RMS, in scales), its log speed and its log duration."""
 
+LOOSEST = 3.0
+"""Cycles that would need a tolerance this many times as large are no activity: any use would pass for it."""
+
 NOISE_FLOOR = np.array([0.01, 0.01, 0.01])
 """Smallest standard deviation of one cycle's rest, level and log scale; of its shift and log gain, the first two."""
 
@@ -25,6 +28,9 @@ FEW = 2.0
 """Few cycles may differ by less than usual: their covariance is widened by this over their number less two."""
 
 SMALLEST_GAIN = 1e-3
+
+MACHINE_TIMING = 0.01
+"""A use whose cycles' durations scatter by less than this share is timed by a machine; people scatter more."""
 
 REST_SCATTER = 0.10
 """An activity whose unloaded turning points differ by less than this, in scales, returns to a known rest."""
@@ -46,7 +52,8 @@ class Activity:
         features: (3, 3) covariance of one cycle's rest, level and scale about their trend.
         bias, noise: (2,) mean and (2, 2) covariance of the drift that `drift_of` sees in its own cycles.
         tolerance: (3,) largest differences in shape, log speed and log duration.
-        anchor: (2, 2) covariance of what was taken for no drift when the activity was learnt.
+        doubt: (2, 2) covariance of the drift its cycles show on average, were there none.
+        is_imposed: whether its cycles take as equal times as a machine's do.
     """
 
     level: float
@@ -61,7 +68,8 @@ class Activity:
     bias: Array
     noise: Array
     tolerance: Array
-    anchor: Array
+    doubt: Array
+    is_imposed: bool
 
     def drift_of(self, cycle: Cycle, rest_is_low: bool) -> Array:
         """Return the (2,) shift and log gain under which a cycle is one of this activity.
@@ -122,13 +130,12 @@ class Lesson:
     trend: Array
 
 
-def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, anchor: Array) -> Lesson:
+def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool) -> Lesson:
     """Describe the activity of consecutive complete cycles.
 
     Args:
         cycles: in time order, in scales of the calibrated use.
         rest_is_low: whether the unloaded turning point is the lower one.
-        anchor: (2, 2) covariance of the drift under these cycles.
     """
     if len(cycles) < MIN_CYCLES:
         return Lesson(None, f"{len(cycles)} cycles of use, {MIN_CYCLES} are needed to compare with", np.zeros(2))
@@ -142,6 +149,9 @@ def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, anchor: Array) ->
     shape = shapes.mean(axis=0)
     speed, duration = np.log([c.speed for c in cycles]), np.log([c.duration_s for c in cycles])
     spread = np.array([np.sqrt(np.mean((shapes - shape) ** 2)), speed.std(), duration.std()])
+    tolerance = np.maximum(TOLERANCE, 3 * spread)
+    if np.any(tolerance > LOOSEST * TOLERANCE):
+        return Lesson(None, "the cycles differ too much from one another to be told from another use", trend)
     blank = Activity(
         level=float(position[:, 0].mean()),
         log_scale=float(position[:, 1].mean()),
@@ -154,12 +164,13 @@ def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, anchor: Array) ->
         features=_covariance(np.column_stack([rests, position])) + np.diag(NOISE_FLOOR**2),
         bias=np.zeros(2),
         noise=np.zeros((2, 2)),
-        tolerance=np.maximum(TOLERANCE, 3 * spread),
-        anchor=anchor,
+        tolerance=tolerance,
+        doubt=np.zeros((2, 2)),
+        is_imposed=_core_scatter(duration) < MACHINE_TIMING,
     )
     drifts = np.array([blank.drift_of(cycle, rest_is_low) for cycle in cycles])
     noise = _covariance(drifts) + np.diag(NOISE_FLOOR[:2] ** 2)
-    activity = replace(blank, bias=drifts.mean(axis=0), noise=noise, anchor=anchor + noise / len(cycles))
+    activity = replace(blank, bias=drifts.mean(axis=0), noise=noise, doubt=noise / len(cycles))
     return Lesson(activity, "", trend)
 
 
@@ -169,6 +180,13 @@ def _covariance(values: Array) -> Array:
     time = np.linspace(-0.5, 0.5, len(values))
     left = values - values.mean(axis=0) - np.outer(time, slope)
     return np.asarray(left.T @ left / (len(values) - 2) * (1 + FEW / (len(values) - 2)))
+
+
+def _core_scatter(values: Array) -> float:
+    """Return the standard deviation without the tenth, one at least, that is furthest from the median."""
+    distance = np.abs(values - np.median(values))
+    kept = np.argsort(distance, kind="stable")[: len(values) - max(1, len(values) // 10)]
+    return float(values[kept].std())
 
 
 def _trend(values: Array) -> tuple[Array, Array]:
@@ -187,9 +205,10 @@ class CalibratedUse:
         mean, scale: of the output over the cycles, in its unit; 0 and 1 of every other number here.
         low, high: where the output turned, in its unit.
         duration_s: length of the recording.
-        usual: samples of a cycle.
+        usual, usual_s: samples and seconds of a cycle.
         longest: most samples of a cycle.
         rest_is_low: whether the unloaded output is the lower one.
+        zero: output at zero load, in scales about the mean; None where it is not known.
         lesson: the activity of the recording.
     """
 
@@ -199,17 +218,20 @@ class CalibratedUse:
     high: float
     duration_s: float
     usual: float
+    usual_s: float
     longest: int
     rest_is_low: bool
+    zero: float | None
     lesson: Lesson
 
 
-def learn_use(recording: OutputRecording, rest_is_low: bool) -> CalibratedUse:
+def learn_use(recording: OutputRecording, rest_is_low: bool, zero_output: float | None = None) -> CalibratedUse:
     """Learn from the recording a unit was calibrated with.
 
     Args:
         recording: the unit's output at calibration.
         rest_is_low: whether the unloaded output is the lower one.
+        zero_output: output at zero load, in its unit; None where it is not known.
     """
     low, high = (float(v) for v in np.quantile(recording.output, (0.02, 0.98)))
     longest = max(1, int(LONGEST_CYCLE * len(recording)))
@@ -226,9 +248,11 @@ def learn_use(recording: OutputRecording, rest_is_low: bool) -> CalibratedUse:
     if len(cycles) >= MIN_CYCLES and is_covered:
         mean = float(np.mean([c.level for c in cycles]))
         scale = float(np.exp(np.mean([np.log(c.scale) for c in cycles])))
-    lesson = learn_activity([c.standardised(mean, scale) for c in cycles], rest_is_low, np.zeros((2, 2)))
+    lesson = learn_activity([c.standardised(mean, scale) for c in cycles], rest_is_low)
     if not is_covered:
         lesson = Lesson(None, "the calibration recording is no sequence of cycles", np.zeros(2))
-    usual = recording.sample_rate_Hz * float(np.median([c.duration_s for c in cycles])) if cycles else longest
+    usual_s = float(np.median([c.duration_s for c in cycles])) if cycles else longest / recording.sample_rate_Hz
+    usual = recording.sample_rate_Hz * usual_s
     duration_s = float(np.ptp(recording.t_s))
-    return CalibratedUse(mean, scale, low, high, duration_s, usual, longest, rest_is_low, lesson)
+    zero = None if zero_output is None else (zero_output - mean) / scale
+    return CalibratedUse(mean, scale, low, high, duration_s, usual, usual_s, longest, rest_is_low, zero, lesson)

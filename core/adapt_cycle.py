@@ -1,6 +1,7 @@
 """Cut a stream into its cycles of use and describe each by a few numbers; constant memory, no knowledge of drift."""
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +16,7 @@ LEVELS = (np.arange(16) + 0.5) / 16
 KEPT = 512
 """Samples of a cycle kept for its quantiles; a longer cycle is thinned evenly."""
 
-MIN_SAMPLES = 128
+MIN_SAMPLES = 32
 """Shorter cycles are taken together until they have this many samples."""
 
 BAND = (0.3, 0.7)
@@ -24,8 +25,11 @@ BAND = (0.3, 0.7)
 SWING_MEMORY = 0.2
 """Weight of the newest cycle in the swing the next one is cut with."""
 
-OVERDUE = 3
-"""A cycle that takes so many times the usual turns elsewhere: the swing is taken anew from what was seen of it."""
+OVERDUE = 1.5
+"""A cycle that takes so many times the usual turns elsewhere: the swing is taken anew from the latest samples."""
+
+LEAST_SWING = 0.3
+"""Unless that is smaller than this share of the calibrated swing: then it is a pause."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +87,8 @@ class CycleCutter:
 
     def __init__(self, low: float, high: float, usual: float, longest: int) -> None:
         self._low, self._high, self._usual, self._longest = low, high, usual, longest
+        self._patience = OVERDUE * max(usual, MIN_SAMPLES)
+        self._least_swing = LEAST_SWING * (high - low)
         self._silent = 0
         self.restart()
 
@@ -109,15 +115,18 @@ class CycleCutter:
         self._silent = len(output) - start + (0 if start else self._silent)
         if self._count >= self._longest:
             found.append(self._finish(is_complete=False))
-        elif self._silent > OVERDUE * max(self._usual, MIN_SAMPLES):
+        elif self._silent > max(self._patience, OVERDUE * self._usual):
             self._take_swing()
         return found
 
     def _take_swing(self) -> None:
-        """Look for cycles in the swing of what was seen since the last turn."""
-        self._low, self._high = (float(v) for v in np.quantile(self._kept, (0.02, 0.98)))
+        """Look for cycles in the swing of what was seen lately."""
+        recent = self._kept[-max(1, self._silent // self._stride) :]
         self._silent = 0
-        self._was_low, self._has_start = False, False
+        low, high = (float(v) for v in np.quantile(recent, (0.02, 0.98)))
+        if high - low >= self._least_swing:
+            self._low, self._high = low, high
+            self._was_low, self._has_start = False, False
 
     def _turns(self, output: Array) -> list[int]:
         """Return the positions where a new cycle begins."""
@@ -178,9 +187,9 @@ class CycleCutter:
 
     def state(self) -> dict[str, object]:
         """Return all that a restart needs, as JSON values."""
-        return {name.removeprefix("_"): value for name, value in vars(self).items()}
+        return {name.removeprefix("_"): copy(value) for name, value in vars(self).items()}
 
     def restore(self, state: Mapping[str, object]) -> None:
         """Go on from a `state()` taken earlier."""
         for name in vars(self):
-            setattr(self, name, state[name.removeprefix("_")])
+            setattr(self, name, copy(state[name.removeprefix("_")]))

@@ -6,7 +6,7 @@ at a time and whole arrays give the same rows, and memory does not grow.
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -17,15 +17,23 @@ from softcal.core.adapt_cycle import CycleCutter
 from softcal.core.adapt_intake import BATCH, WRONG_RATE, Intake, Mask
 from softcal.core.calibration import Calibration
 from softcal.core.drift import DriftTracker, Observation
+from softcal.core.errors import InputError
 from softcal.core.estimate import FLAG_TYPE, SATURATED, STUCK, Estimate, EstimateRow, Flags, check_fits, judge
 from softcal.core.maps.affine import AffineMap
 from softcal.core.network import Network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.uncertainty import NORMAL_90
+from softcal.core.windows import TAPS
 
 MODES = ("none", "basic", "improved")
 RECALIBRATE = "recalibrate"
 """Flag of rows that would be trusted, were the unit not due for a calibration with a reference."""
+
+UNSETTLED = "unsettled"
+"""Flag of rows that would be trusted, were it not for a sudden change that more cycles must explain."""
+
+STATE_FORMAT = 2
+"""Of what `Adapter.state` returns; raised whenever a state kept before could not be gone on from."""
 
 NOT_EVIDENCE = (STUCK, SATURATED, WRONG_RATE)
 """Rows with these flags say nothing about drift or use."""
@@ -69,8 +77,8 @@ class MapUpdate:
         shift, log_gain: drift of the output in scales of the calibrated use.
         shift_sd, log_gain_sd: their standard deviations.
         predicted_rmse: predicted error of the estimates, in the reference unit.
-        verdict: `start`, `followed`, `held` or `jumped`.
-        reason: why it was held, or what jumped.
+        verdict: `start`, `followed`, `held`, `tried` or `jumped`.
+        reason: why it was held, or what was tried or jumped.
         alarm: why a calibration with a reference is due; empty while it is not.
     """
 
@@ -180,8 +188,8 @@ class Adapter:
         value = np.where(taken.is_full, value, np.nan)[rows]
         flag = np.where(taken.flag != "", taken.flag, flag)[rows]
         self._gather(t_s, output, taken.is_valid[rows], taken.is_restart[rows], flag)
-        if self._current.alarm:
-            flag[flag == ""] = RECALIBRATE
+        if self._tracker.is_unsettled or self._current.alarm:
+            flag[flag == ""] = UNSETTLED if self._tracker.is_unsettled else RECALIBRATE
         return value, value - half, value + half, flag
 
     def _gather(self, t_s: Array, output: Array, is_valid: Mask, is_restart: Mask, flag: Flags) -> None:
@@ -198,6 +206,8 @@ class Adapter:
         self._silent_batches = 0 if any(self._evidence) else self._silent_batches + 1
         self._evidence = []
         last = observations[-1] if observations else None
+        if self._intake.last_s is not None:
+            self._tracker.expire(self._intake.last_s)
         self._doubt, growth = self._drift_errors(self._intake.last_s)
         proposed = self._proposed(last, growth)
         if self._is_news(proposed):
@@ -262,6 +272,8 @@ class Adapter:
             return "the sensor gives no usable samples; check sensor and cable"
         if self._tracker.alarm:
             return self._tracker.alarm
+        if self._tracker.is_unsettled:
+            return self._current.alarm
         if predicted_rmse > self._config.alarm_ratio * self._calibrated_rmse:
             return "the predicted error has grown past the limit; calibrate against a reference"
         return ""
@@ -273,8 +285,13 @@ class Adapter:
         drift = (start.shift, start.log_gain, start.shift_sd, start.log_gain_sd)
         return MapUpdate(0, None, 1.0, 0.0, *drift, predicted_rmse, "start", reason, "")
 
-    def reconnect(self) -> None:
-        """Go on after an interruption of unknown length: windows and cycles start anew, the map stays."""
+    def reconnect(self, row: int = 0) -> None:
+        """Go on after an interruption of unknown length: windows and cycles start anew, the map stays.
+
+        Args:
+            row: count rows from here at least.
+        """
+        self._row = max(self._row, row)
         self._row += -self._row % BATCH
         self._evidence = []
         self._intake = Intake(self._sample_rate_Hz, self._use.mean)
@@ -284,6 +301,7 @@ class Adapter:
     def state(self) -> dict[str, object]:
         """Return all that a restart needs besides network, calibration and recording, as JSON values."""
         return {
+            "format": STATE_FORMAT,
             "row": self._row,
             "doubt": self._doubt,
             "silent_batches": self._silent_batches,
@@ -295,7 +313,14 @@ class Adapter:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state()` taken earlier, of the same unit and calibration."""
+        """Go on from a `state()` taken earlier, of the same unit and calibration.
+
+        Raises:
+            InputError: the state was taken by a version that keeps other things in it.
+        """
+        # The first states named no format.
+        if (found := state.get("format", 1)) != STATE_FORMAT:
+            raise InputError(f"its state has format {found}, this version goes on from format {STATE_FORMAT} alone")
         self._row, self._doubt = int(state["row"]), float(state["doubt"])
         self._silent_batches = int(state["silent_batches"])
         self._evidence = [None if pair is None else (pair[0], pair[1]) for pair in state["evidence"]]
@@ -329,10 +354,22 @@ def _learn(network: Network, calibration: Calibration, recording: OutputRecordin
         return network.evaluate(calibration.unit_map.apply(moved))
 
     is_rising = np.cov(windows[:, -1], estimates(windows))[0, 1] >= 0
-    use = learn_use(recording, rest_is_low=bool(is_rising))
+    use = learn_use(recording, bool(is_rising), _zero_load_output(recording, estimates))
     step = 0.05 * use.scale
     rise = (estimates(windows + step) - estimates(windows - step)) / 0.1
     return use, float(np.sqrt(np.mean(rise**2)))
+
+
+def _zero_load_output(recording: OutputRecording, estimates: Callable[[Array], Array]) -> float | None:
+    """Return the constant output that is estimated as zero, up to a swing beyond the recording; None without one."""
+    low, high = np.quantile(recording.output, (0.02, 0.98))
+    levels = np.linspace(2 * low - high, 2 * high - low, 300)
+    values = estimates(np.repeat(levels[:, None], TAPS, axis=1))
+    crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)
+    if not len(crossings):
+        return None
+    unloaded = low if values[-1] > values[0] else high
+    return float(levels[crossings[np.argmin(np.abs(levels[crossings] - unloaded))]])
 
 
 def _calibrated_rmse(calibration: Calibration) -> float:
