@@ -1,4 +1,4 @@
-"""The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.0: values ⇄ bytes. No file I/O here.
+"""The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.1: values ⇄ bytes. No file I/O here.
 
 The layout, byte by byte, and what a reader has to check are written down in docs/format.md.
 """
@@ -15,9 +15,9 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.integer_network import (
-    MAX_KNOTS,
     DeviceMap,
     IntegerLayer,
+    IntegerMix,
     IntegerNetwork,
 )
 from softcal.core.windows import TAPS
@@ -25,15 +25,16 @@ from softcal.core.windows import TAPS
 MAGIC = 0x4643_5353
 """The bytes S S C F."""
 
-MAJOR, MINOR = 1, 0
+MAJOR, MINOR = 1, 1
 WEIGHTS_INT16 = 1
 SERIAL_BYTES = 20
 HEADER = struct.Struct("<IBBBBI8sII20s")
 NETWORK_FIXED = struct.Struct("<BBBb8HHHIff8s8s32s")
 UNIT_FIXED = struct.Struct("<BBBBHHhhffhhHH")
 BAND, SELF_TEST, KNOT, ROW = struct.Struct("<hHH"), struct.Struct("<Hhh"), struct.Struct("<Hh"), struct.Struct("<iHBB")
+MIX_FIXED, MIX_ROW = struct.Struct("<BB"), struct.Struct("<15bBh")
 CONDITIONAL, FAILED = 1, 2
-HAS_CURVE, HAS_LAYER = 1, 2
+HAS_CURVE, HAS_LAYER, HAS_MIX = 1, 2, 4
 MAX_LAYERS, MAX_WIDTH, MAX_BANDS, MAX_SELF_TESTS = 7, 1024, 4, 4
 
 
@@ -177,10 +178,17 @@ class UnitFile:
     self_tests: tuple[SelfTest, ...]
     adapt: AdaptLimits
 
+    @property
+    def minor(self) -> int:
+        """Minor version: 0 where nothing of format 1.1 is needed, so that readers in the field go on reading it."""
+        return 0 if self.device_map.mix is None else 1
+
     def to_bytes(self) -> bytes:
-        """Return the file: at most 256 bytes for a map without a linear part."""
+        """Return the file: at most 256 bytes for every map softcal makes today."""
         body = _unit_body(self)
-        return _sealed(Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body)
+        return _sealed(
+            Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body, self.minor
+        )
 
 
 def serial_field(serial: str) -> bytes:
@@ -194,9 +202,11 @@ def serial_field(serial: str) -> bytes:
     return raw.ljust(SERIAL_BYTES, b"\0")
 
 
-def _sealed(kind: Kind, flags: int, network_id: bytes, revision: int, time_s: int, serial: str, body: bytes) -> bytes:
+def _sealed(
+    kind: Kind, flags: int, network_id: bytes, revision: int, time_s: int, serial: str, body: bytes, minor: int = 0
+) -> bytes:
     length = HEADER.size + len(body) + 4
-    header = HEADER.pack(MAGIC, kind, MAJOR, MINOR, flags, length, network_id, revision, time_s, serial_field(serial))
+    header = HEADER.pack(MAGIC, kind, MAJOR, minor, flags, length, network_id, revision, time_s, serial_field(serial))
     return header + body + struct.pack("<I", zlib.crc32(header + body))
 
 
@@ -232,26 +242,33 @@ def _layer_bytes(layer: IntegerLayer) -> bytes:
 def _unit_body(file: UnitFile) -> bytes:
     form, adapt = file.device_map, file.adapt
     knots = 0 if form.curve is None else len(form.curve.codes)
-    parts = (HAS_CURVE if form.curve is not None else 0) | (HAS_LAYER if form.layer is not None else 0)
+    parts = (HAS_CURVE, form.curve), (HAS_LAYER, form.layer), (HAS_MIX, form.mix)
     fixed = UNIT_FIXED.pack(
-        parts, knots, len(file.bands), len(file.self_tests), file.code_min, file.code_max, file.out_min,
-        file.out_max, file.scale.zero, file.scale.lsb, adapt.low, adapt.high, adapt.gain, adapt.offset,
+        sum(bit for bit, part in parts if part is not None), knots, len(file.bands), len(file.self_tests),
+        file.code_min, file.code_max, file.out_min, file.out_max,
+        file.scale.zero, file.scale.lsb, adapt.low, adapt.high, adapt.gain, adapt.offset,
     )  # fmt: skip
     tables = b"".join(BAND.pack(b.level, b.minus, b.plus) for b in file.bands)
     tables += b"".join(SELF_TEST.pack(t.start, t.step, t.expected) for t in file.self_tests)
-    tables += b"\0" * (-len(tables) % 4)
-    curve, layer = form.curve, form.layer
-    points = [] if curve is None else zip(curve.codes, curve.values, strict=True)
-    map_bytes = b"".join(KNOT.pack(int(code), int(value)) for code, value in points)
-    return fixed + tables + map_bytes + (b"" if layer is None else _layer_bytes(layer))
+    return fixed + _padded(tables) + _map_bytes(form)
 
 
-MAX_UNIT_BYTES = (
-    HEADER.size
-    + UNIT_FIXED.size
-    + MAX_BANDS * BAND.size
-    + MAX_SELF_TESTS * SELF_TEST.size
-    + 4
-    + (MAX_KNOTS * KNOT.size)
-)
-"""256: one flash row of the SAMD21."""
+def _padded(content: bytes) -> bytes:
+    return content + b"\0" * (-len(content) % 4)
+
+
+def _map_bytes(form: DeviceMap) -> bytes:
+    points = [] if form.curve is None else zip(form.curve.codes, form.curve.values, strict=True)
+    knots = b"".join(KNOT.pack(int(code), int(value)) for code, value in points)
+    linear = b"" if form.layer is None else _layer_bytes(form.layer)
+    return knots + linear + (b"" if form.mix is None else _mix_bytes(form.mix))
+
+
+def _mix_bytes(mix: IntegerMix) -> bytes:
+    rows = zip(mix.weights.tolist(), mix.shift.tolist(), mix.bias.tolist(), strict=True)
+    content = b"".join(MIX_ROW.pack(*weights, shift, bias) for weights, shift, bias in rows)
+    return _padded(MIX_FIXED.pack(mix.keep, len(mix.bias)) + content)
+
+
+MAX_UNIT_BYTES = 256
+"""One flash row of a SAMD21: what a unit file may take."""

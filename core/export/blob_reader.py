@@ -12,6 +12,7 @@ from softcal.core.export.blob import (
     BAND,
     HAS_CURVE,
     HAS_LAYER,
+    HAS_MIX,
     HEADER,
     KNOT,
     MAGIC,
@@ -21,6 +22,8 @@ from softcal.core.export.blob import (
     MAX_SELF_TESTS,
     MAX_WIDTH,
     MINOR,
+    MIX_FIXED,
+    MIX_ROW,
     NETWORK_FIXED,
     ROW,
     SELF_TEST,
@@ -41,6 +44,7 @@ from softcal.core.export.integer_network import (
     CODE_MAX,
     DeviceMap,
     IntegerLayer,
+    IntegerMix,
     IntegerNetwork,
     PiecewiseMap,
 )
@@ -151,7 +155,7 @@ def _parse_unit(opened: _Opened) -> tuple[UnitFile, int]:
     body = opened.body
     form, knots, bands, tests, code_min, code_max, out_min, out_max, *rest = UNIT_FIXED.unpack_from(body)
     zero, lsb, low, high, gain, offset = rest
-    if form not in (1, 2, 3) or (knots > 0) != bool(form & HAS_CURVE):
+    if not 1 <= form <= 5 or (knots > 0) != bool(form & HAS_CURVE):
         raise ValueError(f"form {form} with {knots} knots")
     if not 1 <= bands <= MAX_BANDS or not 1 <= tests <= MAX_SELF_TESTS:
         raise ValueError(f"{bands} bands, {tests} self-tests")
@@ -163,19 +167,30 @@ def _parse_unit(opened: _Opened) -> tuple[UnitFile, int]:
     test_rows = tuple(SelfTest(*SELF_TEST.unpack_from(body, at + i * SELF_TEST.size)) for i in range(tests))
     at += tests * SELF_TEST.size
     at += -at % 4
-    curve, layer = None, None
+    curve, layer, mix = None, None, None
     if form & HAS_CURVE:
         pairs = np.array([KNOT.unpack_from(body, at + i * KNOT.size) for i in range(knots)], dtype=np.int64)
         curve, at = PiecewiseMap(*pairs.reshape(-1, 2).T), at + knots * KNOT.size
     if form & HAS_LAYER:
         layer, at = _parse_layer(body, at, TAPS, TAPS)
-    device_map = DeviceMap(curve, layer)
+    if form & HAS_MIX:
+        mix, at = _parse_mix(body, at)
+    device_map = DeviceMap(curve, layer, mix)
     _check_tables(band_rows, test_rows)
     return UnitFile(
         opened.serial, opened.network_id, opened.revision, opened.time_s, opened.flags, device_map,
         InputScale(zero, lsb), code_min, code_max, out_min, out_max, band_rows, test_rows,
         AdaptLimits(low, high, gain, offset),
     ), at  # fmt: skip
+
+
+def _parse_mix(body: bytes, at: int) -> tuple[IntegerMix, int]:
+    keep, count = MIX_FIXED.unpack_from(body, at)
+    start = at + MIX_FIXED.size
+    rows = np.array([MIX_ROW.unpack_from(body, start + k * MIX_ROW.size) for k in range(count)], dtype=np.int64)
+    end = start + count * MIX_ROW.size
+    table = rows.reshape(-1, TAPS + 2)
+    return IntegerMix(keep, table[:, :TAPS], table[:, TAPS], table[:, TAPS + 1]), end + -end % 4
 
 
 def _check_tables(bands: Sequence[Band], tests: Sequence[SelfTest]) -> None:
@@ -188,6 +203,6 @@ def _check_tables(bands: Sequence[Band], tests: Sequence[SelfTest]) -> None:
 
 
 def _check_end(name: str, opened: _Opened, end: int) -> None:
-    """A later minor version may append; this one ends where it says."""
-    if len(opened.body) < end or (opened.minor == MINOR and len(opened.body) != end):
+    """A later minor version may append; those up to this one end where they say."""
+    if len(opened.body) < end or (opened.minor <= MINOR and len(opened.body) != end):
         raise _layout(name, f"its contents end at byte {end} of a body of {len(opened.body)}")

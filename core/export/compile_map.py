@@ -1,10 +1,10 @@
-"""Any map γ in a small form an end device can hold: a curve on samples with few knots, a linear part on windows.
+"""Any map γ in a small form an end device can hold: a curve on samples with few knots, a mix of shapes on windows.
 
 The form is judged where it matters: by what it changes in the estimate on the unit's own recording.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.optimize import isotonic_regression
 
 from softcal.core.errors import UnitRefused
 from softcal.core.export.integer_network import CODE_MAX, MAX_KNOTS, Integers
+from softcal.core.export.shape_mix import Mix, fit_mix
 from softcal.core.maps.interface import UnitMap
 from softcal.core.network import Network
 from softcal.core.recording import Array, OutputRecording
@@ -24,7 +25,11 @@ GRID = 1024
 MARGIN = 0.25
 """A map is compiled this share of the unit's output span beyond it; beyond that it stays constant."""
 
-CLEAR = 0.25
+CLEAR = 0.05
+"""A form that deviates by less than this share of the limit is taken at once, else the nearest one of all."""
+
+MIXES = ((3, 21), (5, 12), (6, 7))
+"""Shapes of a mix, and the knots that beside it, four bands and two self-tests make 256 bytes."""
 
 RIDGE = 1e-6
 """Keeps the affine fit near γ's mean gain where the recording never moved a tap alone."""
@@ -114,7 +119,7 @@ class MapForm:
     """A map as a curve on samples, a linear part on windows, or the one after the other."""
 
     curve: Curve | None
-    linear: Linear | None = None
+    linear: Linear | Mix | None = None
 
     def apply(self, windows: Array) -> Array:
         """Carry (n, TAPS) windows into the source's window space."""
@@ -136,20 +141,52 @@ class CompiledMap:
     max_deviation: float
 
 
-def compile_map(
-    unit_map: UnitMap, network: Network, recording: OutputRecording, limit: float, knots: int = MAX_KNOTS
-) -> CompiledMap:
-    """Compile γ: a curve on samples, a linear part on windows, or both, whichever is the smallest that clearly will do.
+Forms = Callable[[UnitMap, Network, Array, Array], Iterator[MapForm]]
+"""Forms of a map from the smallest to the largest, given the unit's windows and what the map makes of them."""
 
-    Clearly means a quarter of the limit: a form that is only about right on this recording may be worse on the next.
-    Where none is that good, the nearest one within the limit is taken.
+
+def device_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
+    """Give the forms that fit into 256 bytes: curves, then curves with a mix of few shapes and of more."""
+    yield MapForm(_from_constant_windows(unit_map, windows, MAX_KNOTS))
+    yield MapForm(_from_regression(windows, mapped, MAX_KNOTS))
+    for shapes, knots in MIXES:
+        for curve in (_drawn(unit_map, windows, mapped, knots), _from_regression(windows, mapped, knots)):
+            mix = None if curve is None else fit_mix(shapes, curve.apply(windows), mapped, network)
+            if mix is not None:
+                yield MapForm(curve, mix)
+
+
+def fine_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
+    """Give the forms for machines with floating point, where many knots and a whole matrix cost nothing."""
+    yield MapForm(_from_constant_windows(unit_map, windows, FINE_KNOTS))
+    yield MapForm(_from_regression(windows, mapped, FINE_KNOTS))
+    yield MapForm(None, _linear(windows, mapped))
+    drawn = _drawn(unit_map, windows, mapped, FINE_KNOTS)
+    if drawn is not None:
+        yield MapForm(drawn, _linear(drawn.apply(windows), mapped))
+
+
+def _drawn(unit_map: UnitMap, windows: Array, mapped: Array, knots: int) -> Curve | None:
+    """The curve of constant windows, drawn to the source's range: a linear part takes up any gain and offset of it."""
+    curve = _from_constant_windows(unit_map, windows, knots)
+    curved = curve.apply(windows)
+    if np.ptp(curved) <= 1e-9 * np.ptp(mapped):
+        return None
+    gain, offset = np.polyfit(curved.ravel(), mapped.ravel(), 1)
+    return Curve(curve.outputs, offset + gain * curve.values)
+
+
+def compile_map(
+    unit_map: UnitMap, network: Network, recording: OutputRecording, limit: float, forms: Forms = device_forms
+) -> CompiledMap:
+    """Compile γ: the first of the forms that is as good as exact, else the nearest one within the limit.
 
     Args:
         unit_map: γ as fitted.
         network: the shared network f.
         recording: the unit's own recording; the deviation is measured on its windows.
         limit: largest rms deviation of the estimate, in the network's reference unit.
-        knots: most knots of a curve.
+        forms: the forms to try.
 
     Raises:
         UnitRefused: no form stays within the limit; the message states the best one's deviation.
@@ -158,7 +195,7 @@ def compile_map(
     mapped = unit_map.apply(windows)
     exact = network.evaluate(mapped)
     best: CompiledMap | None = None
-    for form in _forms(unit_map, windows, mapped, knots):
+    for form in forms(unit_map, network, windows, mapped):
         compiled = _judged(form, network, windows, exact)
         if compiled.rms_deviation <= CLEAR * limit:
             return compiled
@@ -172,21 +209,6 @@ def compile_map(
         f"estimate by {smallest:.3g} {network.reference_unit} rms, {limit:.3g} is allowed; calibrate with another map "
         "family or allow more"
     )
-
-
-def _forms(unit_map: UnitMap, windows: Array, mapped: Array, knots: int) -> Iterator[MapForm]:
-    """Give the forms from the smallest to the largest."""
-    curve = _from_constant_windows(unit_map, windows, knots)
-    yield MapForm(curve)
-    yield MapForm(_from_regression(windows, mapped, knots))
-    yield MapForm(None, _linear(windows, mapped))
-    # The linear part takes up any gain and offset of the curve: draw it to the source's range, where integers are fine.
-    curved = curve.apply(windows)
-    if np.ptp(curved) <= 1e-9 * np.ptp(mapped):
-        return
-    gain, offset = np.polyfit(curved.ravel(), mapped.ravel(), 1)
-    fitted = Curve(curve.outputs, offset + gain * curve.values)
-    yield MapForm(fitted, _linear(fitted.apply(windows), mapped))
 
 
 def _judged(form: MapForm, network: Network, windows: Array, exact: Array) -> CompiledMap:

@@ -9,6 +9,7 @@ from softcal.core.export.blob import (
     CONDITIONAL,
     FAILED,
     MAX_LAYERS,
+    MAX_UNIT_BYTES,
     MAX_WIDTH,
     AdaptLimits,
     Band,
@@ -33,6 +34,9 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS
 
 BANDS = 4
+BESIDE_MIX = slice(2, 4)
+"""Self-tests of a file with a mix, which has no room for all four: those that rise and fall reach every weight."""
+
 VERDICT_FLAGS = {"pass": 0, "conditional": CONDITIONAL, "fail": FAILED, "retest": FAILED}
 ANCHOR_LEVELS = (1 / 32, 31 / 32)
 """Quantiles of mapped samples the firmware's adaptation holds on to."""
@@ -168,8 +172,15 @@ def build_unit_file(
         self_tests=_self_tests(integers, device_map, code_min, code_max),
         adapt=_adapt_limits(device_map, codes, options),
     )
+    _check_bytes(file)
     join(network_file, read_unit(file.to_bytes()), facts.serial)
     return DeviceUnit(file, compiled, rms_error, max_error, limit)
+
+
+def _check_bytes(file: UnitFile) -> None:
+    size = len(file.to_bytes())
+    if size > MAX_UNIT_BYTES:
+        raise UnitRefused(f"unit {file.serial}: its file would take {size} bytes, {MAX_UNIT_BYTES} is one flash row")
 
 
 def device_limit(facts: UnitFacts, network: Network, options: DeviceOptions) -> float:
@@ -229,7 +240,8 @@ def _bands(counts: Integers, exact: Array, facts: UnitFacts, error: Array, count
 def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, code_max: int) -> tuple[SelfTest, ...]:
     """At rest, at the top, rising and falling through the unit's whole range."""
     step = (code_max - code_min) // (TAPS - 1)
-    windows = ((code_min, 0), (code_max, 0), (code_min, step), (code_min + step * (TAPS - 1), -step))
+    windows = [(code_min, 0), (code_max, 0), (code_min, step), (code_min + step * (TAPS - 1), -step)]
+    windows = windows if device_map.mix is None else windows[BESIDE_MIX]
     return tuple(
         SelfTest(start, rise, run_self_test(network, device_map, SelfTest(start, rise, 0))) for start, rise in windows
     )

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from softcal.core.export.compile_map import Curve, Linear, MapForm
 from softcal.core.export.quantise import folded_layers
+from softcal.core.export.shape_mix import Mix
 from softcal.core.network import Network
 from softcal.core.windows import TAPS
 
@@ -62,7 +63,7 @@ def _curve(curve: Curve | None, result: str) -> tuple[list[Node], dict[str, Cons
     }
 
 
-def _linear(linear: Linear | None, entering: str) -> tuple[list[Node], dict[str, Constant]]:
+def _linear(linear: Linear | Mix | None, entering: str) -> tuple[list[Node], dict[str, Constant]]:
     if linear is None:
         return [], {}
     nodes = [

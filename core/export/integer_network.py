@@ -133,25 +133,82 @@ MAX_KNOTS = 32
 CODE_MAX = 65_535
 CODE_CENTRE = 32_768
 
+MAX_SHAPES = 6
+WEIGHT_MAX = 127
+KEEP_ONE = 64
+"""A mix keeps a share of a window in 1/64, and its sums are in 1/64 count."""
+
+SHAPE_CENTRE, SHAPE_HALF = 7, 8
+"""Shapes are polynomials of (tap - 7) / 8; twice that is what their recurrence multiplies by, hence the shift by 2."""
+
+
+@dataclass(frozen=True, eq=False)
+class IntegerMix:
+    """The linear part of a map: out = keep q + Σ_k U_k w_k, with w_k = (weights_k · q >> shift_k) + 64 bias_k, over 64.
+
+    U_k are the Chebyshev polynomials of the second kind at (tap - 7) / 8, summed by Clenshaw's recurrence (1955).
+
+    Args:
+        keep: 0 ... 255, in 1/64.
+        weights: (k, TAPS) in ± 127, 1 <= k <= 6.
+        shift: (k,) arithmetic right shifts, 0 ... 31.
+        bias: (k,) in ± 32767 counts.
+
+    Raises:
+        ValueError: a value is out of range, or some window could overflow 32 bits.
+    """
+
+    keep: int
+    weights: Integers
+    shift: Integers
+    bias: Integers
+
+    def __post_init__(self) -> None:
+        count = len(self.bias)
+        if not 1 <= count <= MAX_SHAPES or self.weights.shape != (count, TAPS) or not 0 <= self.keep <= 255:
+            raise ValueError(f"a mix of {count} shapes with weights {self.weights.shape} that keeps {self.keep}/64")
+        _require(np.abs(self.weights).max(axis=1) <= WEIGHT_MAX, self.weights.max(axis=1), "has a weight beyond 127")
+        _require((self.shift >= 0) & (self.shift <= 31), self.shift, "shifts by {}, 0 ... 31 is allowed")
+        _require(np.abs(self.bias) <= ACTIVATION_MAX, self.bias, "has bias {}, ± 32767 is allowed")
+        reach = (np.abs(self.weights).sum(axis=1) * ACTIVATION_MAX >> self.shift) + 2 + KEEP_ONE * np.abs(self.bias)
+        # |U_k| is at most k + 1; the recurrence multiplies a partial sum by up to 7.
+        widest = int(np.sum(reach * np.arange(1, count + 1)))
+        if SHAPE_CENTRE * widest > ACCUMULATOR_MAX or widest + self.keep * (ACTIVATION_MAX + 1) > ACCUMULATOR_MAX:
+            raise ValueError(f"a mix can reach {widest}, which leaves 32 bits")
+
+    def apply(self, counts: Integers) -> Integers:
+        """Carry (n, TAPS) windows of counts."""
+        steps = (counts @ self.weights.T >> self.shift) + KEEP_ONE * self.bias
+        place = np.arange(TAPS, dtype=np.int64) - SHAPE_CENTRE
+        total = before = np.zeros(counts.shape, dtype=np.int64)
+        for k in reversed(range(len(self.bias))):
+            total, before = steps[:, k, None] + (place * total >> 2) - before, total
+        mixed: Integers = np.clip((total + self.keep * counts + KEEP_ONE // 2) >> 6, -ACTIVATION_MAX, ACTIVATION_MAX)
+        return mixed
+
 
 @dataclass(frozen=True, eq=False)
 class DeviceMap:
-    """γ as the device holds it: a curve on every new sample, then a linear layer on every window; either may be absent.
+    """γ as the device holds it: a curve on every new sample, then a mix of shapes on every window.
 
     Args:
         curve: maps each code as it comes; without it the code is centred.
-        layer: (TAPS, TAPS), never rectified; without it the window stays as it is.
+        layer: (TAPS, TAPS), never rectified: the linear part of files of format 1.0.
+        mix: the linear part of today's files; not beside a layer.
 
     Raises:
-        ValueError: neither is there, or the layer is not (TAPS, TAPS).
+        ValueError: none of them is there, both linear parts are, or the layer is not (TAPS, TAPS).
     """
 
     curve: PiecewiseMap | None
     layer: IntegerLayer | None = None
+    mix: IntegerMix | None = None
 
     def __post_init__(self) -> None:
-        if self.curve is None and self.layer is None:
-            raise ValueError("a map needs a curve, a layer, or both")
+        if self.curve is None and self.layer is None and self.mix is None:
+            raise ValueError("a map needs a curve, a linear part, or both")
+        if self.layer is not None and self.mix is not None:
+            raise ValueError("a map has one linear part, not a layer and a mix")
         if self.layer is not None and self.layer.shape != (TAPS, TAPS):
             raise ValueError(f"the layer of the map has shape {self.layer.shape}, ({TAPS}, {TAPS}) was expected")
 
@@ -163,6 +220,8 @@ class DeviceMap:
 
     def on_windows(self, ring: Integers) -> Integers:
         """Carry (n, TAPS) windows of the ring into source-space counts."""
+        if self.mix is not None:
+            return self.mix.apply(ring)
         return ring if self.layer is None else self.layer.apply(ring, is_rectified=False)
 
     def apply(self, codes: Integers) -> Integers:

@@ -9,10 +9,17 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.export.blob import AdaptLimits, Band, NetworkFile, SelfTest, UnitFile
 from softcal.core.export.compile_map import InputScale
-from softcal.core.export.integer_network import DeviceMap, IntegerLayer, IntegerNetwork, PiecewiseMap
+from softcal.core.export.integer_network import (
+    DeviceMap,
+    IntegerLayer,
+    IntegerMix,
+    IntegerNetwork,
+    PiecewiseMap,
+)
 
 NETWORK_SCHEMA, UNIT_SCHEMA = "softcal.network-file/1", "softcal.unit-file/1"
 LAYER_FIELDS = ("weights", "bias", "multiplier", "shift1", "shift2")
+MIX_FIELDS = ("weights", "shift", "bias")
 
 
 def network_values(file: NetworkFile) -> dict[str, object]:
@@ -122,15 +129,25 @@ def _map_values(device_map: DeviceMap) -> dict[str, object]:
     knots = None
     if curve is not None:
         knots = [[int(c), int(v)] for c, v in zip(curve.codes, curve.values, strict=True)]
-    return {"knots": knots, "layer": None if layer is None else _layer_values(layer)}
+    mix = None if device_map.mix is None else _mix_values(device_map.mix)
+    return {"knots": knots, "layer": None if layer is None else _layer_values(layer), "mix": mix}
+
+
+def _mix_values(mix: IntegerMix) -> dict[str, object]:
+    return {"keep": mix.keep, **{name: getattr(mix, name).tolist() for name in MIX_FIELDS}}
 
 
 def _map_from(values: Mapping[str, Any]) -> DeviceMap:
-    knots, layer = values["knots"], values["layer"]
+    knots, layer, mix = values["knots"], values["layer"], values.get("mix")
     return DeviceMap(
         None if knots is None else PiecewiseMap(*np.array(knots, dtype=np.int64).reshape(-1, 2).T),
         None if layer is None else _layer_from(layer),
+        None if mix is None else _mix_from(mix),
     )
+
+
+def _mix_from(values: Mapping[str, Any]) -> IntegerMix:
+    return IntegerMix(int(values["keep"]), *(np.array(values[name], dtype=np.int64) for name in MIX_FIELDS))
 
 
 def json_text(value: object) -> str:

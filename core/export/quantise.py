@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.export.compile_map import Curve, InputScale, Linear, MapForm
+from softcal.core.export.compile_map import Curve, InputScale, MapForm
 from softcal.core.export.integer_network import (
     ACCUMULATOR_MAX,
     ACTIVATION_MAX,
-    CODE_CENTRE,
     CODE_MAX,
     MULTIPLIER_MAX,
     MULTIPLIER_MIN,
@@ -20,6 +19,7 @@ from softcal.core.export.integer_network import (
     IntegerNetwork,
     PiecewiseMap,
 )
+from softcal.core.export.shape_mix import Mix
 from softcal.core.network import Network
 from softcal.core.recording import Array
 from softcal.core.windows import TAPS
@@ -172,13 +172,12 @@ def quantise_map(form: MapForm, scale: InputScale, network: IntegerNetwork) -> D
     Raises:
         UnitRefused: knots that fall together, or a map that needs more than 16 bits.
     """
+    if form.curve is None or not isinstance(form.linear, Mix | None):
+        raise UnitRefused("a device takes a curve, alone or with a mix of shapes")
     try:
-        curve = None if form.curve is None else _quantise_curve(form.curve, scale, network)
-        layer = None
-        if form.linear is not None:
-            entering = scale if curve is None else InputScale(network.input_zero, network.input_lsb)
-            layer = _quantise_linear(form.linear, entering, 0 if curve is not None else CODE_CENTRE, network)
-        return DeviceMap(curve, layer)
+        curve = _quantise_curve(form.curve, scale, network)
+        mix = None if form.linear is None else form.linear.in_counts(network.input_zero, network.input_lsb)
+        return DeviceMap(curve, None, mix)
     except ValueError as error:
         raise UnitRefused(f"the map has no integer form: {error}") from error
 
@@ -200,13 +199,6 @@ def _within_counts(curve: Curve, network: IntegerNetwork) -> Curve:
     crossings = np.interp(bounds, values[order], outputs[order])
     kept = np.unique(np.concatenate([outputs[inside], crossings]))
     return Curve(kept, curve.apply(kept))
-
-
-def _quantise_linear(linear: Linear, entering: InputScale, centre: int, network: IntegerNetwork) -> IntegerLayer:
-    """Quantise the linear part for counts that mean entering.zero + entering.lsb * (count + centre)."""
-    rest = entering.zero + entering.lsb * centre
-    offset = linear.offset + linear.matrix.sum(axis=1) * rest - network.input_zero
-    return quantise_layer(linear.matrix, offset, np.full(TAPS, entering.lsb), np.full(TAPS, network.input_lsb))
 
 
 def code_range(scale: InputScale, output: Array) -> tuple[int, int]:

@@ -23,6 +23,11 @@
 #define SS_TAPS 15
 #define SS_MAGIC 0x46435353u /* S S C F */
 #define SS_MAJOR 1
+#define SS_MINOR 1  /* files up to this one end where they say; later ones may append something */
+#define SS_SHAPES 6 /* a mix has at most this many */
+#define SS_HEADER 48
+#define SS_AROUND 52 /* header and CRC */
+#define SS_TOO_MUCH 0x40000000u
 
 typedef enum {
   SS_OK = 0,
@@ -54,11 +59,11 @@ typedef struct {
 } ss_estimate;
 
 typedef struct {
-  const uint8_t *network, *unit; /* 0 while closed */
-  const uint8_t *map;            /* knots, then rows, in the unit file */
+  const uint8_t *network, *unit; /* bodies of the two files; no unit while closed */
+  const uint8_t *map;            /* knots, then the linear part, in the unit file */
   uint32_t last_ms;
   uint16_t gap_ms, range_bits; /* bit k: the k-th newest sample was out of range */
-  uint8_t filled, at;
+  uint8_t filled;
   int16_t gain, offset;  /* what ss_adapt has changed: gain in 2^-15, offset in source counts */
   int16_t ring[SS_TAPS]; /* samples as the curve mapped them, or centred codes */
   int16_t even[SS_WIDTH], odd[SS_WIDTH];
@@ -75,19 +80,27 @@ typedef uint16_t ss_half_word;
 typedef uint32_t ss_full_word;
 #endif
 
+/* Kept out of line: code size is what a small device is short of. */
+#if defined(__GNUC__)
+#define SS_SHARED __attribute__((noinline, unused)) static
+#else
+#define SS_SHARED static
+#endif
+
 static inline uint32_t ss_u16(const void *p) { return *(const ss_half_word *)p; }
 static inline int32_t ss_i16(const void *p) { return (int16_t) * (const ss_half_word *)p; }
 static inline uint32_t ss_u32(const void *p) { return *(const ss_full_word *)p; }
 
-static uint32_t ss_crc32(const uint8_t *p, uint32_t n) {
-  static const uint32_t table[16] = {0x00000000u, 0x1db71064u, 0x3b6e20c8u, 0x26d930acu, 0x76dc4190u, 0x6b6b51f4u,
-                                     0x4db26158u, 0x5005713cu, 0xedb88320u, 0xf00f9344u, 0xd6d6a3e8u, 0xcb61b38cu,
-                                     0x9b64c2b0u, 0x86d3d2d4u, 0xa00ae278u, 0xbdbdf21cu};
-  uint32_t crc = 0xffffffffu;
-  while (n--) {
-    crc ^= *p++;
-    crc = table[crc & 15] ^ crc >> 4;
-    crc = table[crc & 15] ^ crc >> 4;
+/* Word by word and bit by bit: a table would be three times as fast and take 64 bytes; a file is checked once. */
+static uint32_t ss_crc32(const uint8_t *p, const uint8_t *end) {
+  uint32_t crc = 0xffffffffu, k;
+  for (; p != end; p += 4) {
+    crc ^= ss_u32(p);
+    for (k = 32; k; k--) {
+      uint32_t is_odd = crc << 31;
+      crc >>= 1;
+      if (is_odd) crc ^= 0xedb88320u;
+    }
   }
   return ~crc;
 }
@@ -102,57 +115,53 @@ static int ss_differ(const uint8_t *a, const uint8_t *b, uint32_t n) {
 static ss_status ss_check(const void *file, uint32_t bytes, uint8_t kind) {
   const uint8_t *p = (const uint8_t *)file;
   if (!p || (uintptr_t)p & 3) return SS_BAD_ALIGNMENT;
-  if (bytes < 52) return SS_BAD_LENGTH;
+  if (bytes < SS_AROUND) return SS_BAD_LENGTH;
   if (ss_u32(p) != SS_MAGIC) return SS_BAD_MAGIC;
   if (p[5] != SS_MAJOR) return SS_BAD_VERSION;
   if (ss_u32(p + 8) != bytes || bytes & 3) return SS_BAD_LENGTH;
-  if (ss_crc32(p, bytes - 4) != ss_u32(p + bytes - 4)) return SS_BAD_CRC;
+  if (ss_crc32(p, p + bytes - 4) != ss_u32(p + bytes - 4)) return SS_BAD_CRC;
   return p[4] == kind ? SS_OK : SS_BAD_KIND;
 }
 
-/* The bytes of one layer in a file, or 0 when it does not fit. */
-static uint32_t ss_layer_bytes(uint32_t left, uint32_t rows, uint32_t columns) {
-  uint32_t bytes = ((rows + 3) & ~3u) * (8 + 2 * columns);
-  return rows - 1 < SS_WIDTH && columns - 1 < SS_WIDTH && bytes <= left ? bytes : 0;
+/* The functions below get a body: a file without its header. `left` is what of it is not yet accounted for. */
+#define SS_IS_LATER(body) (*((body) - SS_HEADER + 6) > SS_MINOR)
+
+/* The bytes of one layer in a file; more than any file has where it is too wide. */
+static uint32_t ss_layer_bytes(uint32_t rows, uint32_t columns) {
+  return rows - 1 < SS_WIDTH && columns - 1 < SS_WIDTH ? ((rows + 3) & ~3u) * (8 + 2 * columns) : SS_TOO_MUCH;
 }
 
-static ss_status ss_check_network(const uint8_t *p, uint32_t bytes) {
-  uint32_t at = 132, i, count;
-  if (bytes < 136) return SS_BAD_LAYOUT;
-  count = p[48];
-  if (count - 1 > 6 || p[49] != 1 || p[50] != SS_TAPS) return SS_BAD_LAYOUT;
-  if (ss_u16(p + 52) != SS_TAPS || ss_u16(p + 52 + 2 * count) != 1) return SS_BAD_LAYOUT;
-  for (i = 0; i < count; i++) {
-    uint32_t used = ss_layer_bytes(bytes - 4 - at, ss_u16(p + 54 + 2 * i), ss_u16(p + 52 + 2 * i));
-    if (!used) return SS_BAD_LAYOUT;
-    at += used;
+SS_SHARED ss_status ss_check_network(const uint8_t *p, uint32_t left) {
+  const uint8_t *sizes = p + 4;
+  uint32_t count;
+  if (left < 84) return SS_BAD_LAYOUT;
+  left -= 84;
+  if (p[1] != 1 || ss_u16(sizes) != SS_TAPS) return SS_BAD_LAYOUT;
+  for (count = p[0]; count; count--, sizes += 2) { /* a layer takes 40 bytes or more: `left` ends a forged count */
+    uint32_t used = ss_layer_bytes(ss_u16(sizes + 2), ss_u16(sizes));
+    if (used > left) return SS_BAD_LAYOUT;
+    left -= used;
   }
-  return at == bytes - 4 || p[6] ? SS_OK : SS_BAD_LAYOUT;
+  return ss_u16(sizes) == 1 && (!left || SS_IS_LATER(p)) ? SS_OK : SS_BAD_LAYOUT;
 }
 
-static uint32_t ss_tests_at(const uint8_t *unit) { return 76u + 6u * unit[50]; }
-static uint32_t ss_map_at(const uint8_t *unit) { return (ss_tests_at(unit) + 6u * unit[51] + 3u) & ~3u; }
+static const uint8_t *ss_tests(const uint8_t *unit) { return unit + 28 + 6u * unit[2]; }
+static uint32_t ss_map_at(const uint8_t *unit) { return 28u + ((6u * unit[2] + 6u * unit[3] + 3u) & ~3u); }
 
-/* The map of a unit is a curve on every sample (bit 0), a linear layer on every window (bit 1), or both. */
-static ss_status ss_check_unit(const uint8_t *p, uint32_t bytes) {
-  uint32_t at, i, knots = p[49];
-  if (bytes < 100 || p[48] - 1u > 2 || (knots != 0) != (p[48] & 1)) return SS_BAD_LAYOUT;
-  if (p[50] - 1u > 3 || p[51] - 1u > 3) return SS_BAD_LAYOUT;
-  at = ss_map_at(p) + 4 * knots;
-  if (knots > 32 || at > bytes - 4) return SS_BAD_LAYOUT;
-  for (i = 1; i < knots; i++)
-    if (ss_u16(p + at - 4 * i) <= ss_u16(p + at - 4 * i - 4)) return SS_BAD_LAYOUT;
-  if (p[48] & 2) {
-    uint32_t used = ss_layer_bytes(bytes - 4 - at, SS_TAPS, SS_TAPS);
-    if (!used) return SS_BAD_LAYOUT;
-    at += used;
-  }
-  return at == bytes - 4 || p[6] ? SS_OK : SS_BAD_LAYOUT;
+/* The map of a unit is a curve on every sample (bit 0), and on every window a linear layer (bit 1, format 1.0) or a mix
+ * of shapes (bit 2). */
+SS_SHARED ss_status ss_check_unit(const uint8_t *p, uint32_t left) {
+  uint32_t form = p[0], knots = p[1], used = ss_map_at(p) + 4 * knots, shapes;
+  if (form - 1 > 4 || (form & 1) > knots || !p[2] || !p[3] || used > left) return SS_BAD_LAYOUT;
+  left -= used, shapes = p[used + 1];
+  if (form & 4) left -= shapes - 1 < SS_SHAPES ? (4 + 18 * shapes) & ~3u : SS_TOO_MUCH;
+  if (form & 2) left -= ss_layer_bytes(SS_TAPS, SS_TAPS);
+  return !left || ((int32_t)left > 0 && SS_IS_LATER(p)) ? SS_OK : SS_BAD_LAYOUT;
 }
 
 /* ---- arithmetic: the same integers as softcal.core.export.integer_network --------------------------------------- */
 
-static int32_t ss_clip(int32_t x) { return x > 32767 ? 32767 : x < -32767 ? -32767 : x; }
+SS_SHARED int32_t ss_clip(int32_t x) { return x > 32767 ? 32767 : x < -32767 ? -32767 : x; }
 
 /* Four rows at once: each activation is loaded once, two words bring four weights; `end` is one past the last
  * activation. Returns the weights that follow. */
@@ -217,44 +226,33 @@ static const ss_full_word *ss_dot(const ss_full_word *w, const int16_t *end, uin
 
 /* The exporter has proved that no accumulator overflows. Sums and products are unsigned and shifts masked all the same,
  * so that even a forged file meets no undefined behaviour; its self-tests then fail. */
-static const uint8_t *ss_layer(const uint8_t *record, uint32_t rows, uint32_t columns, const int16_t *in, int16_t *out,
-                               int is_rectified) {
+SS_SHARED const uint8_t *ss_layer(const uint8_t *record, uint32_t rows, uint32_t columns, const int16_t *in, int16_t *out,
+                                  uint32_t is_rectified) {
   const ss_full_word *w;
-  uint32_t acc[4], row, k;
-  rows = (rows + 3) & ~3u;
-  w = (const ss_full_word *)(const void *)(record + 8 * rows);
-  for (row = 0; row < rows; row += 4) {
+  const uint8_t *end = record + ((rows + 3) & ~3u) * 8;
+  uint32_t acc[4];
+  w = (const ss_full_word *)(const void *)end;
+  while (record != end) {
+    const uint32_t *sum = acc;
     w = ss_dot(w, in + columns, columns, acc);
-    for (k = 0; k < 4; k++, record += 8) {
-      int32_t sum = (int32_t)(acc[k] + ss_u32(record));
+    do {
+      int32_t y = (int32_t)(*sum++ + ss_u32(record));
       uint32_t product;
-      if (is_rectified && sum < 0) sum = 0;
-      product = (uint32_t)(sum >> (record[6] & 31)) * ss_u16(record + 4) + (1u << ((record[7] - 1) & 31));
+      if (y < 0 && is_rectified) y = 0;
+      product = (uint32_t)(y >> (record[6] & 31)) * ss_u16(record + 4) + (1u << ((record[7] - 1) & 31));
       *out++ = (int16_t)ss_clip((int32_t)product >> (record[7] & 31));
-    }
+      record += 8;
+    } while (sum != acc + 4);
   }
   return (const uint8_t *)w;
 }
 
-/* The network over s->even[0 ... 14]. */
-static int32_t ss_network(ss_sensor *s) {
-  const uint8_t *sizes = s->network + 52, *p = s->network + 132;
-  int16_t *in = s->even, *out = s->odd;
-  uint32_t left;
-  for (left = s->network[48]; left; left--, sizes += 2) {
-    int16_t *done = out;
-    p = ss_layer(p, ss_u16(sizes + 2), ss_u16(sizes), in, out, left > 1);
-    out = in, in = done;
-  }
-  return in[0];
-}
-
 /* One code on its way into the ring: through the curve, or centred where there is none. */
 static int32_t ss_map_code(const ss_sensor *s, uint32_t code) {
-  const uint8_t *knot = s->map, *last = knot + 4u * (s->unit[49] - 1u);
+  const uint8_t *knot = s->map, *last = knot + 4u * (s->unit[1] - 1u);
   uint32_t x0, span, rise;
   int32_t y0, y1;
-  if (!(s->unit[48] & 1)) return ss_clip((int32_t)code - 32768);
+  if (!(s->unit[0] & 1)) return ss_clip((int32_t)code - 32768);
   if (code <= ss_u16(knot)) return ss_i16(knot + 2);
   if (code >= ss_u16(last)) return ss_i16(last + 2);
   while (ss_u16(knot + 4) <= code) knot += 4;
@@ -264,14 +262,43 @@ static int32_t ss_map_code(const ss_sensor *s, uint32_t code) {
   return y1 < y0 ? y0 - (int32_t)rise : y0 + (int32_t)rise;
 }
 
-/* The estimate of the window in s->even. */
-static int32_t ss_window(ss_sensor *s) {
-  if (s->unit[48] & 2) {
-    uint32_t i;
-    ss_layer(s->map + 4u * s->unit[49], SS_TAPS, SS_TAPS, s->even, s->odd, 0);
-    for (i = 0; i < SS_TAPS; i++) s->even[i] = s->odd[i];
+/* A mix of shapes: x = keep x + sum of U_k(tap) w_k, with w_k = row_k . x + bias_k, in 1/64 count. U_k are the Chebyshev
+ * polynomials of the second kind at (tap - 7) / 8, summed by Clenshaw's recurrence. Unsigned as above. */
+SS_SHARED void ss_mix(const uint8_t *m, int16_t *x) {
+  uint32_t w[SS_SHAPES], *end = w;
+  const uint8_t *row = m + 2;
+  int32_t i;
+  do {
+    int32_t sum = 0;
+    for (i = 0; i < SS_TAPS; i++) sum += (int8_t)*row++ * x[i];
+    *end++ = (uint32_t)(sum >> (*row & 31)) + 64u * (uint32_t)ss_i16(row + 1);
+    row += 3;
+  } while (end != w + m[1]);
+  for (i = -7; i < 8; i++, x++) {
+    uint32_t total = 0, before = 0, next, *p = end;
+    do {
+      next = *--p + (uint32_t)((int32_t)((uint32_t)i * total) >> 2) - before;
+      before = total, total = next;
+    } while (p != w);
+    *x = (int16_t)ss_clip((int32_t)(total + (uint32_t)(m[0] * *x) + 32u) >> 6);
   }
-  return ss_network(s);
+}
+
+/* The estimate of the window in s->even. */
+SS_SHARED int32_t ss_window(ss_sensor *s) {
+  const uint8_t *sizes = s->network + 4, *p = s->network + 84, *map = s->map + 4u * s->unit[1];
+  int16_t *in = s->even, *out = s->odd, *done;
+  uint32_t left = s->network[0];
+  if (s->unit[0] & 4) ss_mix(map, in);
+  if (s->unit[0] & 2) {
+    ss_layer(map, SS_TAPS, SS_TAPS, in, out, 0);
+    done = out, out = in, in = done;
+  }
+  for (; left; left--, sizes += 2) {
+    p = ss_layer(p, ss_u16(sizes + 2), ss_u16(sizes), in, out, left - 1);
+    done = out, out = in, in = done;
+  }
+  return in[0];
 }
 
 /* ---- use ------------------------------------------------------------------------------------------------------ */
@@ -283,42 +310,43 @@ static ss_status ss_open(ss_sensor *s, const void *network, uint32_t network_byt
   const uint8_t *net = (const uint8_t *)network, *own = (const uint8_t *)unit, *test;
   ss_status status;
   uint32_t i, left;
-  s->network = s->unit = 0;
+  s->unit = 0;
   if ((status = ss_check(net, network_bytes, 1)) != SS_OK) return status;
   if ((status = ss_check(own, unit_bytes, 2)) != SS_OK) return status;
   if (ss_differ(net + 12, own + 12, 8)) return SS_BAD_NETWORK;
   if (serial && ss_differ(own + 28, (const uint8_t *)serial, 20)) return SS_BAD_SERIAL;
-  if ((status = ss_check_network(net, network_bytes)) != SS_OK) return status;
-  if ((status = ss_check_unit(own, unit_bytes)) != SS_OK) return status;
+  net += SS_HEADER, own += SS_HEADER;
+  if ((status = ss_check_network(net, network_bytes - SS_AROUND)) != SS_OK) return status;
+  if ((status = ss_check_unit(own, unit_bytes - SS_AROUND)) != SS_OK) return status;
   s->network = net, s->unit = own, s->map = own + ss_map_at(own);
   s->gain = s->offset = 0;
-  test = own + ss_tests_at(own);
-  for (left = own[51]; left; left--, test += 6) {
+  test = ss_tests(own);
+  for (left = own[3]; left; left--, test += 6) {
     uint32_t code = ss_u16(test);
-    for (i = 0; i < SS_TAPS; i++, code += (uint32_t)ss_i16(test + 2)) s->even[i] = (int16_t)ss_map_code(s, code & 65535u);
+    for (i = 0; i < SS_TAPS; i++, code += (uint32_t)ss_i16(test + 2)) s->even[i] = (int16_t)ss_map_code(s, code);
     if (ss_window(s) != ss_i16(test + 4)) {
-      s->network = s->unit = 0;
+      s->unit = 0;
       return SS_BAD_SELF_TEST;
     }
   }
-  s->gap_ms = (uint16_t)ss_u16(net + 68);
-  s->range_bits = 0, s->filled = 0, s->at = 0, s->last_ms = 0;
+  s->gap_ms = (uint16_t)ss_u16(net + 20);
+  s->range_bits = 0, s->filled = 0, s->last_ms = 0;
   return SS_OK;
 }
 
 /* Take one sample: a 16-bit code, and when it was taken. A step over 1.5 periods empties the window. */
 static void ss_push(ss_sensor *s, uint16_t code, uint32_t t_ms) {
   const uint8_t *u = s->unit;
-  int32_t y;
+  int32_t y, i;
   if (!u) return;
   if (t_ms - s->last_ms > s->gap_ms) s->filled = 0;
   s->last_ms = t_ms;
   y = ss_map_code(s, code);
-  y += s->offset + (s->gain * (y - ss_i16(u + 68)) >> 15);
-  s->ring[s->at] = (int16_t)ss_clip(y);
-  s->at = (uint8_t)(s->at == SS_TAPS - 1 ? 0 : s->at + 1);
+  y += s->offset + (s->gain * (y - ss_i16(u + 20)) >> 15);
+  for (i = 0; i < SS_TAPS - 1; i++) s->ring[i] = s->ring[i + 1];
+  s->ring[i] = (int16_t)ss_clip(y);
   if (s->filled < SS_TAPS) s->filled++;
-  s->range_bits = (uint16_t)(s->range_bits << 1 | (code < ss_u16(u + 52) || code > ss_u16(u + 54)));
+  s->range_bits = (uint16_t)(s->range_bits << 1 | (code < ss_u16(u + 4) || code > ss_u16(u + 6)));
 }
 
 /* The estimate at the newest sample. Where flags & SS_NO_NUMBER there is none: value, lower and upper are 0. */
@@ -326,28 +354,25 @@ static ss_estimate ss_read(ss_sensor *s, uint32_t now_ms) {
   ss_estimate e = {0, 0, 0, 0};
   const uint8_t *u = s->unit, *band;
   int32_t value, low, high;
-  uint32_t i, from = s->at;
+  uint32_t i;
   if (!u) e.flags = SS_CLOSED;
   else if (s->filled < SS_TAPS) e.flags = SS_WARM_UP;
   if (e.flags) return e;
   if (now_ms - s->last_ms > s->gap_ms) e.flags |= SS_STALE;
   if (s->range_bits & 0x7fffu) e.flags |= SS_OUT_OF_RANGE;
-  for (i = 0; i < SS_TAPS; i++) {
-    s->even[i] = s->ring[from];
-    from = from == SS_TAPS - 1 ? 0 : from + 1;
-  }
-  value = ss_window(s), low = ss_i16(u + 56), high = ss_i16(u + 58);
+  for (i = 0; i < SS_TAPS; i++) s->even[i] = s->ring[i];
+  value = ss_window(s), low = ss_i16(u + 8), high = ss_i16(u + 10);
   if (value < low || value > high) e.flags |= SS_CLAMPED, value = value < low ? low : high;
-  for (band = u + 76, i = u[50]; i > 1 && value > ss_i16(band); i--) band += 6;
+  for (band = u + 28, i = u[2]; i > 1 && value > ss_i16(band); i--) band += 6;
   e.value = (int16_t)value;
   low = value - (int32_t)ss_u16(band + 2), high = value + (int32_t)ss_u16(band + 4);
-  e.lower = (int16_t)(low < -32767 ? -32767 : low);
-  e.upper = (int16_t)(high > 32767 ? 32767 : high);
+  e.lower = (int16_t)ss_clip(low);
+  e.upper = (int16_t)ss_clip(high);
   return e;
 }
 
 /* Power of ten of one count in reference units, for example -3: an estimate of 1234 means 1.234 N. */
-static inline int ss_exponent(const ss_sensor *s) { return s->network ? (int8_t)s->network[51] : 0; }
+static inline int ss_exponent(const ss_sensor *s) { return s->unit ? (int8_t)s->network[3] : 0; }
 
 /* ---- slots: two that updates may write, and one the factory wrote ---------------------------------------------- */
 
@@ -358,8 +383,8 @@ static inline int ss_choose_slot(const void *const slots[3], uint32_t bytes, con
   for (i = 2; i >= 0; i--) {
     const uint8_t *p = (const uint8_t *)slots[i];
     uint32_t length;
-    if (!p || (uintptr_t)p & 3 || bytes < 52 || (length = ss_u32(p + 8)) > bytes) continue;
-    if (ss_check(p, length, 2) != SS_OK || ss_check_unit(p, length) != SS_OK) continue;
+    if (!p || (uintptr_t)p & 3 || bytes < SS_AROUND || (length = ss_u32(p + 8)) > bytes) continue;
+    if (ss_check(p, length, 2) != SS_OK || ss_check_unit(p + SS_HEADER, length - SS_AROUND) != SS_OK) continue;
     if (ss_differ((const uint8_t *)network + 12, p + 12, 8)) continue;
     if (serial && ss_differ(p + 28, (const uint8_t *)serial, 20)) continue;
     if (chosen == 0 || chosen == 1)
@@ -389,7 +414,7 @@ typedef enum {
 } ss_adapt_result;
 
 static inline void ss_adapt_start(ss_adaptation *a, const ss_sensor *s) {
-  a->low = ss_i16(s->unit + 68) * 64, a->high = ss_i16(s->unit + 70) * 64;
+  a->low = ss_i16(s->unit + 20) * 64, a->high = ss_i16(s->unit + 22) * 64;
   a->low_sum = a->high_sum = 0, a->seen = 0;
 }
 
@@ -406,9 +431,9 @@ static inline ss_adapt_result ss_adapt(ss_adaptation *a, ss_sensor *s, uint16_t 
   const uint8_t *u = s->unit;
   int32_t y, low, high, seen_low, seen_high, step, gain = 0, offset;
   int is_at_bound = 0;
-  if (!u || !(u[48] & 1) || !(ss_u16(u + 72) | ss_u16(u + 74))) return SS_NOT_ADAPTABLE;
-  if (ss_u16(u + 72) > 16384 || ss_u16(u + 74) > 32767) return SS_NOT_ADAPTABLE; /* keeps ss_push within 32 bits */
-  low = ss_i16(u + 68), high = ss_i16(u + 70);
+  if (!u || !(u[0] & 1) || !(ss_u16(u + 24) | ss_u16(u + 26))) return SS_NOT_ADAPTABLE;
+  if (ss_u16(u + 24) > 16384 || ss_u16(u + 26) > 32767) return SS_NOT_ADAPTABLE; /* keeps ss_push within 32 bits */
+  low = ss_i16(u + 20), high = ss_i16(u + 22);
   y = ss_map_code(s, code) * 64;
   step = (high - low) / 256 + 1; /* in 1/64 counts: 0.2 % of the span per sample towards an extreme, 1/31 of it back */
   a->low += y < a->low ? -31 * step : step;
@@ -418,12 +443,12 @@ static inline ss_adapt_result ss_adapt(ss_adaptation *a, ss_sensor *s, uint16_t 
   seen_low = a->low_sum / a->seen, seen_high = a->high_sum / a->seen;
   a->low_sum = a->high_sum = 0, a->seen = 0;
   if (seen_high <= seen_low) return SS_AT_BOUND; /* the output stands still: nothing to follow */
-  if (ss_u16(u + 72))
+  if (ss_u16(u + 24))
     gain = ss_bounded(ss_clip(high - low - seen_high + seen_low) * 32768 / (seen_high - seen_low),
-                      (int32_t)ss_u16(u + 72), &is_at_bound);
+                      (int32_t)ss_u16(u + 24), &is_at_bound);
   offset = low - seen_low - (gain * (seen_low - low) >> 15);
   s->gain = (int16_t)gain;
-  s->offset = (int16_t)ss_bounded(offset, (int32_t)ss_u16(u + 74), &is_at_bound);
+  s->offset = (int16_t)ss_bounded(offset, (int32_t)ss_u16(u + 26), &is_at_bound);
   return is_at_bound ? SS_AT_BOUND : SS_ADAPTED;
 }
 

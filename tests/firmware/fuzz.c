@@ -50,9 +50,9 @@ static uint32_t damage(uint8_t *p, uint32_t bytes) {
 
 static void reseal(uint8_t *p, uint32_t bytes) {
   uint32_t crc;
-  if (bytes < 16) return;
+  if (bytes < 16 || bytes & 3) return;
   memcpy(p + 8, &bytes, 4);
-  crc = ss_crc32(p, bytes - 4);
+  crc = ss_crc32(p, p + bytes - 4);
   memcpy(p + bytes - 4, &crc, 4);
 }
 

@@ -4,7 +4,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from softcal.core.export.c_text import network_header, unit_header
-from softcal.core.export.loader import DeviceStream, open_sensor
+from softcal.core.export.cost import device_cost
+from softcal.core.export.integer_network import IntegerMix
+from softcal.core.export.loader import DeviceStream, open_sensor, run_self_test
 
 INSTRUCTIONS_PER_TICK = 62.5
 """QEMU's microbit: SysTick at 16 MHz, one instruction per ns with `-icount shift=0`."""
@@ -74,7 +76,32 @@ def test_the_board_gives_the_integers_of_numpy_within_its_budget(
     assert run.numbers["status"] == 0
     assert np.array_equal(run.estimates, _reference(real_case))
     assert run.instructions <= 85_000
+    told = device_cost(real_case.network_file.network, real_case.unit_file.device_map)
+    assert told.instructions == pytest.approx(run.instructions, rel=0.05)
+    assert told.ram_bytes == run.numbers["ram_bytes"]
     assert run.numbers["ram_bytes"] <= 700
+    assert run.numbers["stack_bytes"] <= 256
+
+
+def test_a_map_with_a_mix_gives_the_integers_of_numpy_within_the_same_budget(
+    run_on_board: Callable[..., Run], real_case: Any
+) -> None:
+    """The paper's network again, behind the largest mix there is room for."""
+    unit, rng = real_case.unit_file, np.random.default_rng(3)
+    weights = np.vstack([np.full(15, 17), rng.integers(-127, 128, (4, 15))])
+    mix = IntegerMix(0, weights, np.array([2, 7, 7, 7, 7]), rng.integers(-300, 300, 5))
+    device_map = replace(unit.device_map, mix=mix)
+    tests = tuple(
+        replace(t, expected=run_self_test(real_case.network_file.network, device_map, t)) for t in unit.self_tests
+    )
+    case = replace(real_case, unit_file=replace(unit, device_map=device_map, self_tests=tests))
+    run = run_on_board(case, "-Os")
+    assert run.numbers["status"] == 0
+    assert np.array_equal(run.estimates, _reference(case))
+    assert len(set(run.estimates[:, 0])) > 50
+    told = device_cost(case.network_file.network, device_map)
+    assert told.instructions == pytest.approx(run.instructions, rel=0.05)
+    assert run.instructions <= 85_000
     assert run.numbers["stack_bytes"] <= 256
 
 

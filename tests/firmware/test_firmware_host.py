@@ -73,7 +73,7 @@ def test_gaps_noise_and_codes_out_of_range_are_flagged_alike(
     assert {WARM_UP, OUT_OF_RANGE} <= flags and any(flag & CLAMPED for flag in flags)
 
 
-@pytest.mark.parametrize("name", ["unit-1.0", "linear-1.0", "both-1.0"])
+@pytest.mark.parametrize("name", ["unit-1.0", "linear-1.0", "both-1.0", "mix-1.1"])
 def test_every_form_of_map_gives_the_same_integers(
     program: Path, tmp_path: Path, rng: np.random.Generator, name: str
 ) -> None:
@@ -122,6 +122,7 @@ def test_of_a_hundred_thousand_damaged_files_none_gives_a_number(
         (network, unit, "3000", "300", "300"),
         (released / "network-1.0.ssc", released / "unit-1.0.ssc", "60000", "20000", "10000"),
         (released / "network-1.0.ssc", released / "both-1.0.ssc", "20000", "2000", "10000"),
+        (released / "network-1.0.ssc", released / "mix-1.1.ssc", "30000", "0", "20000"),
     ]
     tried = 0
     for a, b, *counts in rounds:

@@ -1,0 +1,195 @@
+"""The linear part of a device's map: every window keeps a share of itself and gets a few smooth shapes added.
+
+y = keep x + Σ_k U_k (r_k · x + b_k), U_k the Chebyshev polynomials of the second kind over the taps. A lag, creep, or
+the smoothing of a coarse converter moves a window along smooth shapes; five of them with weights of one byte take the
+place of a matrix of 225 numbers.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.export.integer_network import (
+    KEEP_ONE,
+    SHAPE_CENTRE,
+    SHAPE_HALF,
+    WEIGHT_MAX,
+    IntegerMix,
+    Integers,
+)
+from softcal.core.network import Network
+from softcal.core.recording import Array
+from softcal.core.windows import TAPS
+
+MOST_WINDOWS = 3000
+STEPS = 5
+WINDOW_WEIGHT = 1e-3
+"""Beside what f sees of a window, the window itself counts this much: it settles what f does not see."""
+
+RIDGE = 1e-7
+MOST_SHIFT = 24
+MOST_STEPS = 3000
+
+
+def shapes(count: int) -> Array:
+    """Return U_0 ... U_(count - 1) at (tap - 7) / 8: (TAPS, count)."""
+    place = (np.arange(TAPS) - SHAPE_CENTRE) / SHAPE_HALF
+    columns = [np.ones(TAPS), 2 * place]
+    for _ in range(count - 2):
+        columns.append(2 * place * columns[-1] - columns[-2])
+    return np.stack(columns[:count], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Mix:
+    """A mix whose weights are already those of the device; only its biases are real numbers.
+
+    Args:
+        keep: share of the window that stays, in 1/64.
+        weights: (k, TAPS) in ± 127.
+        shift: (k,) row k of the weights counts in 2^-shift / 64.
+        bias: (k,) in the output unit.
+    """
+
+    keep: int
+    weights: Integers
+    shift: Integers
+    bias: Array
+
+    @property
+    def rows(self) -> Array:
+        """(k, TAPS) weights as real numbers."""
+        return np.asarray(self.weights / (KEEP_ONE * 2.0 ** self.shift[:, None]))
+
+    @property
+    def matrix(self) -> Array:
+        """(TAPS, TAPS) the mix as one matrix."""
+        return np.asarray(self.keep / KEEP_ONE * np.eye(TAPS) + shapes(len(self.bias)) @ self.rows)
+
+    @property
+    def offset(self) -> Array:
+        """(TAPS,) in the output unit."""
+        return np.asarray(shapes(len(self.bias)) @ self.bias)
+
+    def apply(self, windows: Array) -> Array:
+        """Carry (n, TAPS) windows."""
+        return windows @ self.matrix.T + self.offset
+
+    def in_counts(self, zero: float, lsb: float) -> IntegerMix:
+        """Return the device's mix where a sample is zero + lsb * count before and after.
+
+        Raises:
+            ValueError: a bias leaves 16 bits, or some window could overflow 32 bits.
+        """
+        bias = (self.bias + zero * self.rows.sum(axis=1)) / lsb
+        bias[0] += (self.keep / KEEP_ONE - 1) * zero / lsb
+        return IntegerMix(self.keep, self.weights, self.shift, np.rint(bias).astype(np.int64))
+
+
+def fit_mix(count: int, windows: Array, mapped: Array, network: Network) -> Mix | None:
+    """Fit a mix of `count` shapes so that f answers to the result as to `mapped`.
+
+    Minimises Σ (f(y) - f(mapped))² + a small share of |y - mapped|² by Gauss-Newton steps, each of which ends on the
+    device's integers by the moves that raise this least.
+
+    Args:
+        count: shapes.
+        windows: (n, TAPS) windows entering.
+        mapped: (n, TAPS) windows wanted.
+        network: f.
+
+    Returns:
+        None where the weights are too large for a byte.
+    """
+    rows = np.linspace(0, len(windows) - 1, min(MOST_WINDOWS, len(windows))).astype(np.int64)
+    windows, mapped = windows[rows], mapped[rows]
+    exact = network.evaluate(mapped)
+    best, least, found = None, np.inf, mapped
+    for _ in range(STEPS):
+        mix = _Normal(count, windows, mapped, network, found).solved()
+        if mix is None:
+            break
+        found = mix.apply(windows)
+        error = float(np.mean((network.evaluate(found) - exact) ** 2))
+        if error < least:
+            best, least = mix, error
+    return best
+
+
+class _Normal:
+    """Normal equations of a mix: unknowns are (TAPS + 1, k), weights of standardised taps and a constant, then keep."""
+
+    def __init__(self, count: int, windows: Array, mapped: Array, network: Network, found: Array) -> None:
+        """Linearise f at `found`, the windows of the step before."""
+        self._count, self._centre, self._spread = count, float(windows.mean()), float(windows.std())
+        moved = (windows - self._centre) / self._spread
+        wanted = (mapped - self._centre) / self._spread
+        estimate, slope = network.gradient(found)
+        scale = float(np.sqrt(np.mean(slope**2)))
+        slope = slope / scale
+        missing = (network.evaluate(mapped) - estimate) / (scale * self._spread)
+        basis = shapes(count)
+        taps = np.hstack([moved, np.ones((len(moved), 1))])
+        seen = np.einsum("nt,nk->ntk", taps, slope @ basis).reshape(len(moved), -1)
+        seen = np.hstack([seen, np.sum(slope * moved, axis=1)[:, None]])
+        target = missing + np.sum(slope * (found - self._centre), axis=1) / self._spread
+        cross = (taps.T @ moved @ basis).reshape(-1)
+        whole = np.block([
+            [np.kron(taps.T @ taps, basis.T @ basis), cross[:, None]],
+            [cross[None, :], np.array([[np.sum(moved**2)]])],
+        ])  # fmt: skip
+        right = np.append((taps.T @ wanted @ basis).reshape(-1), np.sum(moved * wanted))
+        self._matrix = seen.T @ seen + WINDOW_WEIGHT * whole
+        self._matrix += RIDGE * float(np.trace(self._matrix)) / len(right) * np.eye(len(right))
+        self._right = seen.T @ target + WINDOW_WEIGHT * right
+
+    def solved(self) -> Mix | None:
+        """Return the best mix on the device's integers; None where a weight is too large for them."""
+        keep = int(np.clip(round(KEEP_ONE * float(np.linalg.solve(self._matrix, self._right)[-1])), 0, 255))
+        weights = self.weights(keep / KEEP_ONE)
+        largest = np.abs(weights).max(axis=1)
+        if not np.all(np.isfinite(largest)) or largest.max() > WEIGHT_MAX / KEEP_ONE:
+            return None
+        room = np.log2(WEIGHT_MAX / KEEP_ONE / np.maximum(largest, 2.0**-MOST_SHIFT))
+        shift = np.clip(np.floor(room), 0, MOST_SHIFT).astype(np.int64)
+        step = 1 / (KEEP_ONE * 2.0**shift)
+        integers = self.to_integers(weights, step)
+        return Mix(keep, integers, shift, self.bias(keep / KEEP_ONE, integers * step[:, None]))
+
+    def weights(self, keep: float) -> Array:
+        """Return the best weights (k, TAPS) for a share that is kept."""
+        right = self._right[:-1] - self._matrix[:-1, -1] * keep
+        return np.asarray(np.linalg.solve(self._matrix[:-1, :-1], right).reshape(TAPS + 1, -1)[:-1].T)
+
+    def bias(self, keep: float, weights: Array) -> Array:
+        """Return the best biases (k,) beside given weights, in the output unit."""
+        split = TAPS * self._count
+        right = self._right[split:-1] - self._matrix[split:-1, -1] * keep
+        right -= self._matrix[split:-1, :split] @ weights.T.reshape(-1)
+        constant = np.linalg.solve(self._matrix[split:-1, split:-1], right)
+        level = keep * self._centre * np.eye(self._count)[0]
+        return np.asarray(constant * self._spread + self._centre * np.eye(self._count)[0] - level
+                          - self._centre * weights.sum(axis=1))  # fmt: skip
+
+    def to_integers(self, best: Array, step: Array) -> Integers:
+        """Return (k, TAPS) integers that in multiples of `step` (k,) cost least more than `best`.
+
+        Rounding each weight by itself lets the level of a window leak; here one weight makes up for another.
+        """
+        split = TAPS * self._count
+        free, bound = self._matrix[:split, :split], self._matrix[:split, split:-1]
+        scale = np.tile(step, TAPS)
+        metric = free - bound @ np.linalg.solve(self._matrix[split:-1, split:-1], bound.T)
+        metric = metric * np.outer(scale, scale)
+        wanted = best.T.reshape(-1) / scale
+        found = np.clip(np.rint(wanted), -WEIGHT_MAX, WEIGHT_MAX)
+        pull, own = metric @ (found - wanted), np.diag(metric)
+        for _ in range(MOST_STEPS):
+            move = np.clip(np.rint(-pull / own), -WEIGHT_MAX - found, WEIGHT_MAX - found)
+            gain = -(pull * move + own * move**2 / 2)
+            at = int(np.argmax(gain))
+            if gain[at] <= 1e-12 * own[at]:
+                break
+            found[at] += move[at]
+            pull += metric[:, at] * move[at]
+        return np.asarray(found.reshape(TAPS, -1).T, dtype=np.int64)
