@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.stats import beta, hypergeom
@@ -49,6 +50,16 @@ class AuditPlan:
     def serials(self) -> tuple[str, ...]:
         return (*self.doubtful, *self.random)
 
+    def settings(self) -> dict[str, object]:
+        """Return the plan as JSON values."""
+        return {**vars(self), "doubtful": list(self.doubtful), "random": list(self.random)}
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> "AuditPlan":
+        """Rebuild a plan from `settings()`."""
+        doubtful, drawn = (tuple(str(serial) for serial in settings[name]) for name in ("doubtful", "random"))
+        return cls(doubtful, drawn, int(settings["population"]), float(settings["allowed_share"]))
+
 
 @dataclass(frozen=True)
 class LotStatement:
@@ -80,8 +91,12 @@ def plan_audit(forecasts: Mapping[str, float], config: AuditConfig = AuditConfig
         config: how many, and the seed.
 
     Raises:
-        InputError: a forecast is not a number.
+        InputError: a forecast is not a number, no unit is asked for, or the share is not between 0 and 1.
     """
+    if config.doubtful < 0 or config.random < 0 or config.doubtful + config.random == 0:
+        raise InputError(f"{config.doubtful} doubtful and {config.random} random units; at least one unit is needed")
+    if not 0 < config.allowed_share < 1:
+        raise InputError(f"allowed share {config.allowed_share:g}; a share between 0 and 1 was expected, such as 0.1")
     for serial, rmse in forecasts.items():
         if not np.isfinite(rmse):
             raise InputError(f"unit {serial}: forecast error is {rmse}; only units with a forecast can be accepted")
@@ -129,6 +144,8 @@ def nonconforming_upper(population: int, checked: int, failed: int) -> int:
 
     The largest D with P(at most `failed` among `checked` | D of `population`) > 5 % (hypergeometric).
     """
+    if checked >= population:
+        return failed
     candidates = np.arange(failed, population - (checked - failed) + 1)
     plausible = hypergeom.cdf(failed, population, candidates, checked) > 1 - CONFIDENCE
     return int(candidates[plausible].max())

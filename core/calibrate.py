@@ -7,17 +7,23 @@ import numpy as np
 
 from softcal.core.calibration import Calibration
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.findings import map_findings
-from softcal.core.forecast import MapEvidence, forecast_error, gather_evidence, variance_table
+from softcal.core.findings import map_findings, opening_findings
+from softcal.core.forecast import MapEvidence, Trial, forecast_error, gather_evidence, variance_table
 from softcal.core.health import check_alive, health_findings, output_limits
+from softcal.core.maps.affine import Identity
 from softcal.core.maps.choose import ChosenMap, MapConfig, choose_map
 from softcal.core.maps.interface import FitProblem, UnitMap
+from softcal.core.maps.paired import fit_pairs
+from softcal.core.maps.phase import Phase
+from softcal.core.maps.synchronous import Synchronous
+from softcal.core.maps.synchrony import paired_rows
 from softcal.core.recording import OutputRecording
 from softcal.core.source_model import SourceModel, make_source_model
 from softcal.core.verdict import Limit, decide, default_limit
 from softcal.core.windows import TAPS
 
-IDENTITY = "identity"
+OPENING_PARTS = 4
+"""Parts of an opening, each left out once."""
 
 STRETCHES = 4
 """Stretches of the recording per left-out share."""
@@ -30,7 +36,7 @@ class CalibrationConfig:
     Args:
         map: how the map is chosen.
         parts: shares of the recording left out in turn while the chosen family is fitted again: how firm it stands.
-            Not done where the stage position is known, which tells more.
+            Not done where the stage position or a common load is known, which tells more.
     """
 
     map: MapConfig = field(default_factory=MapConfig)
@@ -65,11 +71,17 @@ def calibrate_unit(
     check_alive(target, source)
     limits = output_limits(target, source, is_rising=model.interval.slope_limit > 0)
     chosen = choose_map(problem, config.map)
-    has_positions = model.stage_curve is not None and target.stage_mm is not None
-    refitted = [] if has_positions else _refitted(problem, chosen, config.parts)
-    evidence = gather_evidence(model, target, chosen.unit_map, _rivals(chosen), refitted, limits)
+    trials = _trials(problem, chosen)
+    is_measured = bool(trials) or chosen.family == Phase.name
+    refitted = [] if is_measured else _refitted(problem, chosen, config.parts)
+    gain_error = float(chosen.evidence.get("gain_error", 0.0))
+    evidence = gather_evidence(model, target, chosen.unit_map, _rivals(chosen), refitted, limits, trials, gain_error)
     forecast = forecast_error(evidence.budget)
-    findings = (*health_findings(target, source, limits), *map_findings(model, target, evidence))
+    findings = (
+        *health_findings(target, source, limits),
+        *map_findings(model, target, evidence),
+        *opening_findings(chosen.evidence),
+    )
     return Calibration(
         serial=target.serial,
         network_id=problem.network.id,
@@ -83,8 +95,28 @@ def calibrate_unit(
     )
 
 
+def _trials(problem: FitProblem, chosen: ChosenMap) -> list[Trial]:
+    """Return maps with the windows under one load at once to judge them by, where the map rests on such windows.
+
+    An opening holds few presses, which the map has been bent to: there, each map has not seen the windows it is
+    judged by.
+    """
+    if chosen.family != Synchronous.name:
+        return []
+    synchrony = problem.synchrony
+    source_rows, target_rows = paired_rows(problem.source.unlabelled, problem.target, synchrony)
+    if not np.isfinite(synchrony.until_s):
+        return [Trial(chosen.unit_map, source_rows, target_rows)]
+    part = np.arange(len(target_rows)) * OPENING_PARTS // len(target_rows)
+    trials = []
+    for held in (part == k for k in range(OPENING_PARTS)):
+        unit_map = fit_pairs(problem, source_rows[~held], target_rows[~held], Synchronous.name)
+        trials.append(Trial(unit_map, source_rows[held], target_rows[held]))
+    return trials
+
+
 def _rivals(chosen: ChosenMap) -> list[UnitMap]:
-    return [other for name, other in chosen.alternatives.items() if name != IDENTITY]
+    return [other for name, other in chosen.alternatives.items() if name != Identity.name]
 
 
 def _refitted(problem: FitProblem, chosen: ChosenMap, parts: int) -> list[UnitMap]:

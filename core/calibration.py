@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from softcal.core.health import OutputLimits
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import UnitMap, map_sha256
+from softcal.core.metrics import finite_or_none
 from softcal.core.uncertainty import ErrorForecast, Interval
 from softcal.core.verdict import VERDICTS, Verdict
 
@@ -101,7 +102,7 @@ class Calibration:
         """Return the calibration as plain values, with the identities and scores that the caller knows."""
         arrays = {f"map.{name}": array for name, array in self.unit_map.arrays().items()}
         arrays |= {f"interval.{name}": array for name, array in self.interval.arrays().items()}
-        limits = {name: _finite_or_none(value) for name, value in vars(self.output_limits).items()}
+        limits = {name: finite_or_none(value) for name, value in vars(self.output_limits).items()}
         settings = {
             "map": dict(self.unit_map.settings()),
             "interval": {**self.interval.settings(), "output_limits": limits},
@@ -164,10 +165,6 @@ def _group(arrays: Mapping[str, NDArray[np.generic]], prefix: str) -> dict[str, 
 
 def _mapping(settings: Settings, name: str) -> dict[str, Any]:
     return dict(settings[name])  # type: ignore[call-overload,no-any-return]
-
-
-def _finite_or_none(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def _number(value: object, otherwise: float) -> float:

@@ -15,7 +15,13 @@ Wrong arguments inside the program stay ValueError.
 
 
 class SoftcalError(Exception):
-    """Something a person can act on; its text is one clear line."""
+    """Something a person can act on; its text is one clear line.
+
+    What it quotes may come from a file or a device: a control character in it is shown by its code, never obeyed.
+    """
+
+    def __str__(self) -> str:
+        return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in super().__str__())
 
 
 class InputError(SoftcalError):

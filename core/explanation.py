@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.calibration import Calibration
-from softcal.core.forecast import SENSITIVITY, SENSITIVITY_ON_STAGE, gather_evidence
+from softcal.core.forecast import UNSEEN, gather_evidence, sensitivity
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.source_model import SourceModel
 from softcal.core.uncertainty import DIRECTIONS, LEVELS
@@ -85,11 +85,11 @@ def explain(model: SourceModel, calibration: Calibration, target: OutputRecordin
 def contributions(calibration: Calibration) -> dict[str, float]:
     """Return the contributions c_i u_i to the forecast error in the reference unit, largest first."""
     evidence = calibration.evidence
-    coefficients = SENSITIVITY_ON_STAGE if "u_stage" in evidence else SENSITIVITY
-    parts = {
-        name: coefficient * float(str(evidence[f"u_{name}"]))
-        for name, coefficient in {"model": 1.0, **coefficients}.items()
-    }
+    budget = {name.removeprefix("u_"): float(str(u)) for name, u in evidence.items() if name.startswith("u_")}
+    base = {"paired": UNSEEN} if "paired" in budget else {"model": 1.0}
+    # A calibration of an older version may lack a term that came later.
+    coefficients = {name: c for name, c in sensitivity(budget).items() if name in budget}
+    parts = {name: c * budget[name] for name, c in {**base, **coefficients}.items()}
     return dict(sorted(parts.items(), key=lambda item: -item[1]))
 
 

@@ -1,8 +1,10 @@
 """What the mapped windows of a unit tell about it: wrong programme, other sensor, reversed wiring, drift, creep."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from softcal.core.forecast import REACH, MapEvidence, map_variance, rest_rows
+from softcal.core.forecast import REACH, MapEvidence, is_placed, map_variance, rest_rows
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.source_model import SourceModel
 from softcal.core.verdict import Finding
@@ -16,6 +18,12 @@ OVERLAP_GAIN = 0.14
 
 DRIFT_FACTOR = 2.0
 """Estimates at rest that move or scatter by this many times the source's own error are worth a word ..."""
+LATE_S = 0.05
+"""Units of one kind, started alike, follow each other within this; a third of a window is beyond it."""
+
+MISREAD_FACTOR = 0.5
+"""Estimates that stay off the source's loads for a second, at equal stage histories, by this many times its error."""
+
 CREEP_FACTOR = 1.0
 """... scatter only where it exceeds the source's own scatter at rest by this many times that."""
 
@@ -29,10 +37,26 @@ def map_findings(model: SourceModel, target: OutputRecording, evidence: MapEvide
         # Turned upside down, the right programme looks wrong too.
         _other_use(evidence) if reversed_wiring is None else None,
         _uncovered(model, target, evidence),
-        _restless(model, target, evidence),
+        _misread(model, evidence) or _restless(model, target, evidence),
         _not_better(evidence),
     )
     return tuple(finding for finding in checks if finding is not None)
+
+
+def opening_findings(evidence: Mapping[str, float | str]) -> tuple[Finding, ...]:
+    """Return a finding where a unit follows the source late in an opening that both run from their own start.
+
+    Args:
+        evidence: of the chosen map (`ChosenMap.evidence`).
+    """
+    lag_s = float(evidence.get("lag_s", 0.0))
+    if "shared_until_s" not in evidence or lag_s < LATE_S:
+        return ()
+    text = (
+        f"output follows the source's {lag_s:.2f} s late in the opening both share: slow readout, or another clock; "
+        "what happens faster than that is lost to the map"
+    )
+    return (Finding("late", text),)
 
 
 def _unfamiliar(model: SourceModel, evidence: MapEvidence) -> Finding | None:
@@ -76,15 +100,30 @@ def _reach(values: Array) -> tuple[float, float]:
 def _other_use(evidence: MapEvidence) -> Finding | None:
     """Return a finding where the unit's mix of loads and speeds is not the source's.
 
-    Where the stage position is known the map does not rest on that mix; else nothing firm can be said.
+    Where the stage position is known the map does not rest on that mix; else nothing firm can be said. Units under one
+    load at once ran one programme.
     """
+    if "paired" in evidence.budget:
+        return None
     if evidence.overlap >= ENOUGH_OVERLAP and 1 / SPEED_FACTOR <= evidence.speed <= SPEED_FACTOR:
         return None
     text = (
         f"wrong programme: the mix of loads and speeds overlaps the source's by {evidence.overlap:.0%}, fast movements "
         f"are {evidence.speed:.2g} x as fast; press the unit as the source was pressed, or it behaves otherwise"
     )
-    return Finding("wrong programme", text, "conditional" if "stage" in evidence.budget else "retest")
+    return Finding("wrong programme", text, "conditional" if is_placed(evidence.budget) else "retest")
+
+
+def _misread(model: SourceModel, evidence: MapEvidence) -> Finding | None:
+    """Return a finding where the unit reads other loads than the source did at equal stage histories, for long."""
+    slow = evidence.budget.get("slow", 0.0)
+    if "paired" in evidence.budget or slow <= MISREAD_FACTOR * model.held_out_rmse:
+        return None
+    text = (
+        f"reads other loads than the source at equal stage position and history, by {slow:.3g} "
+        f"{model.network.reference_unit} for a second and longer: strong creep, lag, clipping or another sensor type"
+    )
+    return Finding("misread", text)
 
 
 def _restless(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> Finding | None:
@@ -139,7 +178,7 @@ def _not_better(evidence: MapEvidence) -> Finding | None:
     """
     doubt, correction = float(np.sqrt(map_variance(evidence.budget))), evidence.correction_rms
     model = evidence.budget["model"]
-    is_blind = "stage" not in evidence.budget and correction > 0.5 * model
+    is_blind = not is_placed(evidence.budget) and correction > 0.5 * model
     gained = evidence.overlap - evidence.unmapped_overlap
     if doubt > max(correction, 0.5 * model):
         why = f"is uncertain by {doubt:.3g}"

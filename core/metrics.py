@@ -5,6 +5,11 @@ import numpy as np
 from softcal.core.recording import Array
 
 
+def finite_or_none(value: float) -> float | None:
+    """Return a number, or None where JSON has no word for it (NaN, infinity)."""
+    return value if np.isfinite(value) else None
+
+
 def rmse(estimate: Array, reference: Array) -> float:
     """Return the root mean square error over rows where both are finite; NaN where there is none.
 

@@ -108,7 +108,7 @@ class Network:
         return estimates
 
     def gradient(self, windows: Array) -> tuple[Array, Array]:
-        """Estimate the reference and how it answers to each tap, in float64.
+        """Estimate the reference and how it answers to each tap, computed in float32 as `evaluate` does.
 
         Args:
             windows: (n, taps) in `output_unit`.
@@ -116,13 +116,15 @@ class Network:
         Returns:
             (n,) estimates and (n, taps) their derivatives, reference unit per output unit.
         """
-        hidden, active = (windows - self.output_mean) / self.output_scale, []
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            hidden = hidden @ weight + bias
+        hidden, active = (windows - self.output_mean).astype(np.float32), []
+        for weight, bias in self._folded[:-1]:
+            hidden = hidden @ weight
+            hidden += bias
             active.append(hidden > 0)
-            hidden = np.maximum(hidden, 0.0)
-        estimate = self.reference_mean + self.reference_scale * (hidden @ self.weights[-1] + self.biases[-1])[:, 0]
-        slope: Array = np.broadcast_to(self.weights[-1][:, 0], hidden.shape)
-        for weight, on in zip(reversed(self.weights[:-1]), reversed(active), strict=True):
+            np.maximum(hidden, 0, out=hidden)
+        weight, bias = self._folded[-1]
+        estimate = (hidden @ weight + bias)[:, 0].astype(np.float64)
+        slope: NDArray[np.float32] = np.broadcast_to(weight[:, 0], hidden.shape)
+        for (weight, _), on in zip(reversed(self._folded[:-1]), reversed(active), strict=True):
             slope = (slope * on) @ weight.T
-        return estimate, slope * (self.reference_scale / self.output_scale)
+        return estimate, slope.astype(np.float64)

@@ -19,7 +19,21 @@ class OrderKind(StrEnum):
     STOP = "stop"
     """Stop the run that is in progress; never waits behind another order."""
     ACKNOWLEDGE = "acknowledge"
-    """The operator has read the reason of a stop; the station may home and be ready again."""
+    """The operator has read the reason of a stop; the station opens its ports again, and the next run homes first."""
+    OVERRIDE = "override"
+    """An engineer opens the gate in spite of its reasons for a while; the order's reason goes into the audit trail."""
+    FAULT = "fault"
+    """Break the simulated station: the order's reason names the fault. A real one refuses."""
+
+    @property
+    def presses(self) -> bool:
+        """Whether a unit is pressed, so that the order needs its serial."""
+        return self in (OrderKind.SOURCE, OrderKind.UNIT, OrderKind.GOLDEN)
+
+    @property
+    def is_run(self) -> bool:
+        """Whether the order occupies its station until it is over; all others are taken at once, even in a run."""
+        return self.presses or self is OrderKind.CHECK
 
 
 class RunState(StrEnum):
@@ -76,7 +90,7 @@ class Order:
     created: datetime | None = None
 
     def __post_init__(self) -> None:
-        if self.kind in (OrderKind.SOURCE, OrderKind.UNIT, OrderKind.GOLDEN) and not self.serial:
+        if self.kind.presses and not self.serial:
             raise ValueError(f"an order of kind {self.kind} needs the serial of a unit")
 
 
@@ -111,6 +125,7 @@ class Progress:
         code: "" while all is well, else the stable code of the message ("E-NOREPLY").
         message: one sentence for the operator; on an error what happened and what to do.
         recording_sha256: content hash of the stored recording, once there is one.
+        verdict: pass, conditional, fail or retest once a unit is judged; of a golden unit pass or fail; else "".
         signal: the live signal.
     """
 
@@ -122,7 +137,23 @@ class Progress:
     code: str = ""
     message: str = ""
     recording_sha256: str = ""
+    verdict: str = ""
     signal: Signal = field(default_factory=Signal)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One thing the gate looked at.
+
+    Args:
+        name: certificate, force range, warm-up, zero return, homing, golden unit.
+        is_good: whether it lets the station run.
+        says: the fact, and where it is not good what to do.
+    """
+
+    name: str
+    is_good: bool
+    says: str
 
 
 @dataclass(frozen=True)
@@ -136,6 +167,8 @@ class Heartbeat:
         reasons: why the gate is closed or the station stopped; empty when it is ready.
         process: host and process id of the owner of the ports.
         order_id: the active order, "" when there is none.
+        gate: what the gate looked at last, good and bad.
+        is_overridden: whether an engineer keeps the gate open in spite of its reasons.
     """
 
     station: str
@@ -144,3 +177,5 @@ class Heartbeat:
     reasons: tuple[str, ...] = ()
     process: str = ""
     order_id: str = ""
+    gate: tuple[Condition, ...] = ()
+    is_overridden: bool = False

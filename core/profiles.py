@@ -1,6 +1,6 @@
 """Stage profiles as data: straight moves, holds and rests, sampled for the twin or sent to the stage move by move."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +56,13 @@ class Profile:
     def fastest_mm_s(self) -> float:
         positions = self._corner_mm
         return float(max(abs(np.diff(positions)) / [segment.duration_s for segment in self.segments]))
+
+    @property
+    def presses(self) -> int:
+        """How often the stage turns from going deeper to going back."""
+        steps = np.sign(np.diff(self._corner_mm))
+        moved = steps[steps != 0]
+        return int(np.count_nonzero((moved[:-1] > 0) & (moved[1:] < 0)))
 
     @property
     def _corner_mm(self) -> Array:
@@ -189,3 +196,18 @@ def unit_profile(rng: np.random.Generator, duration_s: float = 25.0, depth_mm: f
     opening = ramps([depth_mm], 3.0, rest_s=1.0)
     left_s = max(5.0, duration_s - opening.duration_s)
     return opening.then(random_presses(rng, left_s, depth_mm), "unit")
+
+
+BUILT_IN: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
+    "source": lambda rng, depth_mm: source_profile(rng, depth_mm=depth_mm),
+    "unit": lambda rng, depth_mm: unit_profile(rng, depth_mm=depth_mm),
+    "ramps": lambda rng, depth_mm: ramps([depth_mm] * 3, 2.0),
+    "rate sweep": lambda rng, depth_mm: rate_sweep(depth_mm),
+    "steps with holds": lambda rng, depth_mm: steps_with_holds([depth_mm * part for part in (0.4, 0.7, 1.0, 0.5)]),
+    "long hold": lambda rng, depth_mm: long_hold(depth_mm),
+    "amplitude ladder": lambda rng, depth_mm: amplitude_ladder(depth_mm),
+    "slow touch-down": lambda rng, depth_mm: slow_touch_down(min(0.8, depth_mm)),
+    "small reversals": lambda rng, depth_mm: small_reversals(depth_mm),
+    "random presses": lambda rng, depth_mm: random_presses(rng, 60.0, depth_mm),
+}
+"""The profiles there are, by name, for a depth in mm; any other is a file of moves."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 
-from softcal.core.orders import OrderKind
+from softcal.core.orders import Condition, OrderKind
 
 
 @dataclass(frozen=True)
@@ -49,32 +49,53 @@ class Override:
 
 
 @dataclass(frozen=True)
+class RigFacts:
+    """What the rig says of itself.
+
+    Args:
+        powered: how long the load cell is powered, by its own clock where it has one.
+        is_homed: whether the stage knows where it is; a run homes first where it does not.
+        homing_fault, zero_fault: what the last run died of, where it was homing or the load cell's zero; "" else. A
+            good self-test clears them.
+        zero_return_N: change of the unloaded load cell over the newest run; 0 before the first.
+    """
+
+    powered: timedelta = timedelta(0)
+    is_homed: bool = False
+    homing_fault: str = ""
+    zero_fault: str = ""
+    zero_return_N: float = 0.0
+
+
+@dataclass(frozen=True)
 class StationFacts:
     """What is known when somebody wants to run.
 
     Args:
         now: this instant, with time zone.
-        switched_on: since when the load cell is powered.
-        warm_up: how long it must be powered first.
         certificate: of the load cell; None where none is on file.
         largest_force_N: that the profile may reach: the station's force limit.
-        zero_return_N, zero_return_limit_N: of the newest run; 0 before the first.
         shift_began: the golden unit must have been pressed since then.
         golden: its newest run; None where there is none.
-        is_homing_possible: whether the last homing succeeded, or none was tried.
+        rig: what the rig says of itself.
+        zero_return_limit_N: largest change of the load cell's zero over a run.
+        warm_up: how long the load cell must be powered first.
+        has_cell: whether there is a load cell at all.
+        needs_certificate, needs_golden: whether this line asks for them.
         override: an engineer's decision, where there is one.
     """
 
     now: datetime
-    switched_on: datetime
     certificate: CellCertificate | None
     largest_force_N: float
     shift_began: datetime
     golden: GoldenCheck | None
-    zero_return_N: float = 0.0
+    rig: RigFacts = RigFacts()
     zero_return_limit_N: float = 0.2
-    is_homing_possible: bool = True
     warm_up: timedelta = timedelta(minutes=15)
+    has_cell: bool = True
+    needs_certificate: bool = True
+    needs_golden: bool = True
     override: Override | None = None
 
 
@@ -83,15 +104,21 @@ class Gate:
     """The answer.
 
     Args:
-        reasons: everything that speaks against it, each with what to do; empty when all is well.
-        is_overridden: whether an engineer lets it run in spite of them.
+        conditions: everything that was looked at.
+        is_overridden: whether an engineer lets it run in spite of what is not good.
     """
 
-    reasons: tuple[str, ...]
+    conditions: tuple[Condition, ...] = ()
     is_overridden: bool = False
 
     @property
+    def reasons(self) -> tuple[str, ...]:
+        """Everything that speaks against it, each with what to do; empty when all is well."""
+        return tuple(condition.says for condition in self.conditions if not condition.is_good)
+
+    @property
     def is_open(self) -> bool:
+        """Whether the station may run."""
         return not self.reasons or self.is_overridden
 
 
@@ -101,13 +128,13 @@ def may_run(facts: StationFacts, kind: OrderKind = OrderKind.UNIT) -> Gate:
     A golden unit may be pressed while only its own check is missing, so that a station can be qualified again; a
     self-test may always run (the rule of SENAITE: an instrument out of control may still measure its reference).
     """
-    reasons = [*_certificate_reasons(facts), *_rig_reasons(facts)]
-    if kind is not OrderKind.GOLDEN:
-        reasons += _golden_reasons(facts)
     if kind is OrderKind.CHECK:
-        reasons = []
-    is_overridden = bool(reasons) and facts.override is not None and facts.now <= facts.override.until
-    return Gate(tuple(reasons), is_overridden)
+        return Gate()
+    conditions = [*(_cell_conditions(facts) if facts.has_cell else []), _homing(facts.rig)]
+    if kind is not OrderKind.GOLDEN and facts.needs_golden:
+        conditions.append(_golden(facts))
+    has_override = facts.override is not None and facts.now <= facts.override.until
+    return Gate(tuple(conditions), has_override and not all(condition.is_good for condition in conditions))
 
 
 def quarantined(
@@ -131,46 +158,60 @@ def quarantined(
     return tuple(serial for serial, at in sorted(pressed, key=lambda unit: unit[1]) if since < at <= now)
 
 
-def _certificate_reasons(facts: StationFacts) -> list[str]:
+def _cell_conditions(facts: StationFacts) -> list[Condition]:
+    certificate = _certificate(facts) if facts.needs_certificate else []
+    return [*certificate, _warm_up(facts), _zero(facts)]
+
+
+def _certificate(facts: StationFacts) -> list[Condition]:
     certificate = facts.certificate
     if certificate is None:
-        return ["the load cell has no certificate on file; import it or type it in"]
-    reasons = []
+        says = "the load cell has no certificate on file; import it or type it in (`softcal station certificate`)"
+        return [Condition("certificate", False, says)]
     if facts.now.date() > certificate.valid_until:
-        reasons.append(
+        says = (
             f"the load cell's certificate {certificate.number} ended on {certificate.valid_until}; have it calibrated"
         )
+        in_date = Condition("certificate", False, says)
+    else:
+        in_date = Condition("certificate", True, f"{certificate.number}, valid until {certificate.valid_until}")
+    reaches = f"the profile reaches {facts.largest_force_N:g} N, the certificate ends at {certificate.capacity_N:g} N"
     if facts.largest_force_N > certificate.capacity_N:
-        reasons.append(
-            f"the profile reaches {facts.largest_force_N:g} N, the certificate ends at {certificate.capacity_N:g} N; "
-            "use another cell or a lower force limit"
-        )
-    return reasons
+        return [in_date, Condition("force range", False, f"{reaches}; use another cell or a lower force limit")]
+    return [in_date, Condition("force range", True, reaches)]
 
 
-def _rig_reasons(facts: StationFacts) -> list[str]:
-    reasons = []
-    left = facts.warm_up - (facts.now - facts.switched_on)
+def _warm_up(facts: StationFacts) -> Condition:
+    left = facts.warm_up - facts.rig.powered
     if left > timedelta(0):
         minutes = -(-int(left.total_seconds()) // 60)
-        reasons.append(f"the load cell warms up for {minutes} more min; wait")
-    if abs(facts.zero_return_N) > facts.zero_return_limit_N:
-        reasons.append(
-            f"the load cell's zero moved by {facts.zero_return_N:.3g} N, {facts.zero_return_limit_N:g} N is allowed; "
-            "check its mounting, then press the golden unit"
-        )
-    if not facts.is_homing_possible:
-        reasons.append("the stage could not be homed; check its switch, then acknowledge")
-    return reasons
+        return Condition("warm-up", False, f"the load cell warms up for {minutes} more min; wait")
+    return Condition("warm-up", True, f"the load cell is on for {int(facts.rig.powered.total_seconds()) // 60} min")
 
 
-def _golden_reasons(facts: StationFacts) -> list[str]:
+def _zero(facts: StationFacts) -> Condition:
+    limit_N, moved_N = facts.zero_return_limit_N, facts.rig.zero_return_N
+    if facts.rig.zero_fault or abs(moved_N) > limit_N:
+        what = facts.rig.zero_fault or f"the load cell's zero moved by {moved_N:.3g} N, {limit_N:g} N is allowed"
+        return Condition("zero return", False, f"{what}; check its mounting, then run the self-test")
+    return Condition("zero return", True, f"{moved_N:+.3f} N over the newest run, {limit_N:g} N is allowed")
+
+
+def _homing(rig: RigFacts) -> Condition:
+    if rig.homing_fault:
+        says = f"the stage could not be homed ({rig.homing_fault}); check its switch, then run the self-test"
+        return Condition("homing", False, says)
+    return Condition("homing", True, "homed" if rig.is_homed else "the next run homes first")
+
+
+def _golden(facts: StationFacts) -> Condition:
     golden = facts.golden
     if golden is None or golden.at < facts.shift_began:
-        return ["no golden unit was pressed in this shift; press one"]
+        return Condition("golden unit", False, "no golden unit was pressed in this shift; press one")
     if not golden.is_in_control:
-        return [
+        says = (
             f"golden unit {golden.serial} lies outside its control limits; units since the last good check are "
             "quarantined; call the engineer"
-        ]
-    return []
+        )
+        return Condition("golden unit", False, says)
+    return Condition("golden unit", True, f"{golden.serial} within its limits at {golden.at:%H:%M} UTC")

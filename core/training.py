@@ -1,11 +1,9 @@
-"""Fit the shared network f to a labelled recording; the only module of core that needs torch."""
+"""Fit the shared network f to a labelled recording."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
@@ -94,13 +92,12 @@ def fit_network(
     reference_mean, reference_scale = float(reference.mean()), float(reference.std())
     validation = validation_blocks(len(inputs), config.validation_share)
     training = ~_near(validation, TAPS)
-    x = torch.from_numpy(((inputs - output_mean) / output_scale).astype(np.float32))
-    y = torch.from_numpy(((reference - reference_mean) / reference_scale).astype(np.float32))[:, None]
-    with _single_thread():
-        members = [
-            _Training(x, y, training, validation, config, member, reference_scale).run(on_epoch)
-            for member in range(config.members)
-        ]
+    x = ((inputs - output_mean) / output_scale).astype(np.float32)
+    y = ((reference - reference_mean) / reference_scale).astype(np.float32)[:, None]
+    # torch takes seconds and 100 MB to load: only who trains pays.
+    from softcal.core.training_steps import train_members
+
+    members = train_members(x, y, training, validation, config, reference_scale, on_epoch)
     weights, biases = merge_members([layers for layers, _ in members])
     unlabelled = source.unlabelled
     network = Network(
@@ -200,99 +197,3 @@ def _block_diagonal(parts: list[Array]) -> Array:
 
 def _near(mask: Mask, guard: int) -> Mask:
     return np.convolve(mask, np.ones(2 * guard + 1), mode="same") > 0.5
-
-
-@contextmanager
-def _single_thread() -> Iterator[None]:
-    # Layers this small run slower on several threads, and one thread keeps the sums in one order.
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-
-
-class _Training:
-    """One member's training: weights, optimiser and the best state so far."""
-
-    def __init__(
-        self,
-        x: torch.Tensor,
-        y: torch.Tensor,
-        training: Mask,
-        validation: Mask,
-        config: NetworkConfig,
-        member: int,
-        reference_scale: float,
-    ) -> None:
-        self._config, self._member, self._scale = config, member, reference_scale
-        self._x, self._y = x[torch.from_numpy(training)], y[torch.from_numpy(training)]
-        self._vx, self._vy = x[torch.from_numpy(validation)], y[torch.from_numpy(validation)]
-        # At most 100 steps an epoch keep a long recording affordable.
-        self._batch = max(config.batch, len(self._x) // 100)
-        self._random = torch.Generator().manual_seed(config.seed + member)
-        sizes = [x.shape[1], *config.hidden, 1]
-        self._layers = [self._layer(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True)]
-        parameters = [p for layer in self._layers for p in layer]
-        self._optimiser = torch.optim.Adam(parameters, lr=config.learning_rate, fused=True)
-
-    def _layer(self, inputs: int, outputs: int) -> tuple[torch.Tensor, torch.Tensor]:
-        # He et al. 2015, eq. 10: keeps the variance through ReLU layers.
-        weight = torch.randn(inputs, outputs, generator=self._random) * (2.0 / inputs) ** 0.5
-        return weight.requires_grad_(), torch.zeros(outputs).requires_grad_()
-
-    def run(self, on_epoch: Callable[[EpochReport], None] | None) -> tuple[list[tuple[Array, Array]], int]:
-        best, best_epoch, plateau, kept = float("inf"), 0, 0, self._state()
-        epoch = 0
-        for epoch in range(1, self._config.max_epochs + 1):
-            train = self._epoch()
-            error = self._validation_rmse()
-            if error < best:
-                best, best_epoch, plateau, kept = error, epoch, 0, self._state()
-            else:
-                plateau += 1
-                if plateau % max(1, self._config.patience // 3) == 0:
-                    self._halve_rate()
-            if on_epoch is not None:
-                on_epoch(
-                    EpochReport(
-                        self._member,
-                        epoch,
-                        self._config.max_epochs,
-                        train * self._scale,
-                        error * self._scale,
-                        best * self._scale,
-                    )
-                )
-            if epoch - best_epoch >= self._config.patience:
-                break
-        return kept, epoch
-
-    def _forward(self, x: torch.Tensor) -> torch.Tensor:
-        for weight, bias in self._layers[:-1]:
-            x = torch.relu(torch.addmm(bias, x, weight))
-        weight, bias = self._layers[-1]
-        return torch.addmm(bias, x, weight)
-
-    def _epoch(self) -> float:
-        total = 0.0
-        order = torch.randperm(len(self._x), generator=self._random)
-        for rows in torch.split(order, self._batch):
-            self._optimiser.zero_grad()
-            loss = torch.nn.functional.mse_loss(self._forward(self._x[rows]), self._y[rows])
-            loss.backward()  # type: ignore[no-untyped-call]
-            self._optimiser.step()
-            total += float(loss.detach()) * len(rows)
-        return float((total / len(self._x)) ** 0.5)
-
-    def _validation_rmse(self) -> float:
-        with torch.no_grad():
-            return float(torch.nn.functional.mse_loss(self._forward(self._vx), self._vy) ** 0.5)
-
-    def _halve_rate(self) -> None:
-        for group in self._optimiser.param_groups:
-            group["lr"] /= 2
-
-    def _state(self) -> list[tuple[Array, Array]]:
-        return [(w.detach().numpy().astype(np.float64), b.detach().numpy().astype(np.float64)) for w, b in self._layers]

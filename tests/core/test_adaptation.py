@@ -2,13 +2,15 @@
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from softcal.core.adapt_intake import CLOCK_ROWS, WRONG_RATE
-from softcal.core.adaptation import RECALIBRATE, AdaptConfig, Adapter
+from softcal.core.adaptation import RECALIBRATE, STATE_FORMAT, UNSETTLED, AdaptConfig, Adapter
 from softcal.core.calibration import Calibration
+from softcal.core.errors import InputError
 from softcal.core.estimate import GAP, INVALID, STUCK, WARM_UP, estimate
 from softcal.core.health import output_limits
 from softcal.core.maps.affine import AffineMap
@@ -19,6 +21,7 @@ from softcal.core.uncertainty import ErrorForecast
 from softcal.core.verdict import Verdict
 from softcal.core.windows import TAPS
 
+RELEASED = Path(__file__).parent / "released"
 RATE_HZ = 50.0
 REST_V, GAIN_V_N = 0.8, 0.25
 
@@ -214,6 +217,19 @@ def test_stuck_sensor_is_held_and_alarmed(make_adapter: Callable[..., Adapter]) 
     assert (adapter.current.gain, adapter.current.offset) == (1.0, 0.0)
 
 
+def test_rows_after_a_sudden_change_are_flagged_until_it_is_followed(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, force_N = stream(120.0)
+    seated = np.where(t_s < 60.0, output_V, 0.95 * output_V + 0.15)
+
+    rows = make_adapter().advance(t_s, seated)
+
+    wrong = np.flatnonzero(rows.flag == UNSETTLED)
+    after = 3000
+    assert len(wrong) > 0 and wrong[0] >= after
+    assert wrong[-1] < after + 400
+    assert rmse(rows.estimate[after + 400 :], force_N[after + 400 :]) < 0.04
+
+
 def test_unsafe_drift_flags_the_rows_as_due_for_recalibration(make_adapter: Callable[..., Adapter]) -> None:
     t_s, output_V, _ = stream(120.0)
     adapter = make_adapter()
@@ -239,6 +255,29 @@ def test_restart_from_the_kept_state_gives_the_same_rows(make_adapter: Callable[
     rows = second.advance(t_s[cut:], output_V[cut:])
     np.testing.assert_array_equal(rows.estimate, whole.estimate[cut:])
     np.testing.assert_array_equal(rows.lower, whole.lower[cut:])
+
+
+def test_state_of_an_earlier_version_is_refused(make_adapter: Callable[..., Adapter]) -> None:
+    """The file was written by the first version that could resume, before states named their format."""
+    adapter = make_adapter()
+    before = adapter.state()
+
+    with pytest.raises(InputError, match=f"format 1, this version goes on from format {STATE_FORMAT} alone"):
+        adapter.restore(json.loads((RELEASED / "adapt-state-without-format.json").read_text()))
+
+    assert adapter.state() == before
+
+
+def test_state_once_taken_does_not_change_while_the_stream_goes_on(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, _ = stream(60.0)
+    adapter = make_adapter()
+    adapter.advance(t_s[:1234], output_V[:1234])
+    state = adapter.state()
+    taken = json.dumps(state)
+
+    adapter.advance(t_s[1234:], output_V[1234:])
+
+    assert json.dumps(state) == taken
 
 
 def test_state_does_not_grow(make_adapter: Callable[..., Adapter]) -> None:

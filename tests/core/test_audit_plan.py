@@ -94,3 +94,8 @@ def test_a_measurement_that_is_no_number_counts_as_failed():
     plan = plan_audit(FORECASTS, AuditConfig())
     measured = dict.fromkeys(plan.serials, 0.1) | {plan.random[1]: float("nan")}
     assert judge_lot(plan, FORECASTS, measured, LIMIT).failed == (plan.random[1],)
+
+
+def test_a_lot_checked_whole_leaves_nothing_to_guess() -> None:
+    assert nonconforming_upper(0, 0, 0) == 0
+    assert nonconforming_upper(5, 5, 2) == 2

@@ -11,6 +11,7 @@ from softcal.core.calibration import Calibration
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.estimate import estimate
 from softcal.core.explanation import contributions, explain
+from softcal.core.findings import opening_findings
 from softcal.core.maps.choose import MapConfig
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
@@ -161,3 +162,62 @@ def test_a_simulated_lot_depends_on_its_seed_alone_and_holds_every_fault():
 def test_an_unknown_fault_lists_the_known_ones():
     with pytest.raises(InputError, match="known: dead, saturated"):
         LotDesign(bad={"haunted": 1})
+
+
+def test_unit_pressed_at_once_with_the_source_is_measured_against_its_reference(calibrate, linear_network, press):
+    unit = press(1, gain=1.3, offset_V=0.05, seconds=120.0)
+    calibration = calibrate(unit.unlabelled, config=CalibrationConfig())
+    assert calibration.unit_map.family == "synchronous"
+    audit = press(41, gain=1.3, offset_V=0.05)
+    true = rmse(estimate(linear_network, calibration, audit.unlabelled).estimate[14:], audit.reference[14:])
+    assert float(str(calibration.evidence["u_paired"])) == pytest.approx(true, rel=0.25)
+    assert calibration.predicted_rmse == pytest.approx(true, rel=0.35)
+    assert "wrong programme" not in findings(calibration)
+
+
+def test_a_dull_unit_shows_in_its_corners(calibrate, press):
+    sharp = press(2, gain=1.3, seconds=120.0).unlabelled
+    response = np.exp(-np.arange(200) / 25.0)
+    rest_V = sharp.output[0]
+    lagging_V = rest_V + np.convolve(sharp.output - rest_V, response / response.sum())[: len(sharp)]
+    dull = replace(sharp, output=lagging_V)
+    corners = [float(str(calibrate(unit).evidence["u_corners"])) for unit in (sharp, dull)]
+    assert corners[1] > 5 * max(corners[0], 0.01)
+
+
+def creeping(output: np.ndarray, share: float = 0.25, seconds: float = 6.0) -> np.ndarray:
+    """Return the output with a slow part that follows the fast one late."""
+    slow, keep = np.empty_like(output), np.exp(-1 / (50.0 * seconds))
+    slow[0] = output[0]
+    for k in range(1, len(output)):
+        slow[k] = keep * slow[k - 1] + (1 - keep) * output[k]
+    return np.asarray((1 - share) * output + share * slow)
+
+
+def test_known_positions_tell_creep_from_good_order(source_model, linear_network, press):
+    source = source_model.source
+    known = replace(source, unlabelled=replace(source.unlabelled, stage_mm=source.reference))
+    model = make_source_model(known, linear_network, np.arange(0, len(known.windows), 4))
+    unit = press(2, gain=1.3, seconds=120.0)
+    sound = replace(unit.unlabelled, stage_mm=unit.reference)
+    kinds = [
+        findings(calibrate_unit(FitProblem(known, linear_network, recording), Limit("N", 10.0), source_model=model))
+        for recording in (sound, replace(sound, output=creeping(sound.output)))
+    ]
+    assert "misread" not in kinds[0] and "misread" in kinds[1]
+
+
+def test_an_opening_is_judged_by_presses_its_map_has_not_seen(calibrate, press):
+    source, other = press(1, gain=1.3, offset_V=0.05, seconds=120.0), press(7, gain=1.3, offset_V=0.05, seconds=120.0)
+    shared = 1500
+    output = np.concatenate([source.unlabelled.output[:shared], other.unlabelled.output[shared:]])
+    calibration = calibrate(replace(source.unlabelled, output=output), config=CalibrationConfig())
+    true = rmse(10 * (output - 0.05) / 1.3 - 5.0, np.concatenate([source.reference[:shared], other.reference[shared:]]))
+    assert calibration.unit_map.family == "synchronous"
+    assert calibration.predicted_rmse == pytest.approx(true, rel=0.5)
+
+
+@pytest.mark.parametrize(("lag_s", "count"), [(0.0, 0), (0.12, 1)])
+def test_a_unit_that_follows_late_in_a_shared_opening_is_told(lag_s, count):
+    assert len(opening_findings({"lag_s": lag_s, "shared_until_s": 40.0})) == count
+    assert opening_findings({"lag_s": lag_s}) == ()

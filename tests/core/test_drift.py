@@ -7,25 +7,30 @@ import pytest
 
 from softcal.core.adapt_activity import CalibratedUse, learn_use
 from softcal.core.adapt_cycle import KEPT, Cycle, CycleCutter
-from softcal.core.drift import FOLLOWED, HELD, JUMP_CYCLES, JUMPED, DriftTracker, Observation
+from softcal.core.drift import FOLLOWED, HELD, JUMP_CYCLES, JUMPED, TRIED, DriftTracker, Observation
 from softcal.core.recording import Array, OutputRecording
 
 RATE_HZ = 50.0
 PERIOD_S = 4.0
 
 
-def presses(seconds: float, seed: int = 0, depth: float = 1.0, power: float = 2.0, scatter: float = 0.02) -> Array:
-    """Presses from a rest at 1 to about 2; `power` sets the shape, `scatter` how depths differ."""
+def presses(
+    seconds: float, seed: int = 0, depth: float = 1.0, power: float = 2.0, scatter: float = 0.02, timing: float = 0.0
+) -> Array:
+    """Presses from a rest at 1 to about 2: `power` is their shape, depths differ by `scatter`, times by `timing`."""
     rng = np.random.default_rng(seed)
     t_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
-    depths = depth * (1 + scatter * rng.normal(size=int(seconds / PERIOD_S) + 1))
-    wave = np.abs(np.sin(np.pi * t_s / PERIOD_S)) ** power * depths[(t_s / PERIOD_S).astype(int)]
-    return np.asarray(1.0 + wave + 0.002 * rng.normal(size=len(t_s)))
+    count = int(1.5 * seconds / PERIOD_S) + 2
+    depths = depth * (1 + scatter * rng.normal(size=count))
+    starts_s = np.concatenate([[0.0], np.cumsum(PERIOD_S * (1 + timing * rng.normal(size=count)))])
+    index = np.searchsorted(starts_s, t_s, side="right") - 1
+    phase = (t_s - starts_s[index]) / np.diff(starts_s)[index]
+    return np.asarray(1.0 + np.abs(np.sin(np.pi * phase)) ** power * depths[index] + 0.002 * rng.normal(size=len(t_s)))
 
 
-def calibrated_use(output: Array | None = None) -> CalibratedUse:
+def calibrated_use(output: Array | None = None, zero_output: float | None = None) -> CalibratedUse:
     output = presses(120.0) if output is None else output
-    return learn_use(OutputRecording("A1", np.arange(len(output)) / RATE_HZ, output, RATE_HZ), rest_is_low=True)
+    return learn_use(OutputRecording("A1", np.arange(len(output)) / RATE_HZ, output, RATE_HZ), True, zero_output)
 
 
 def cycles_of(output: Array, use: CalibratedUse, start_s: float = 0.0) -> list[Cycle]:
@@ -112,6 +117,67 @@ def test_deeper_presses_from_the_same_rest_are_use_and_not_drift() -> None:
     assert error_of(tracker, 1.0, 0.0) < 0.02
 
 
+def test_presses_of_a_person_that_slowly_grow_harder_are_not_taken_for_gain() -> None:
+    use = calibrated_use(presses(200.0, timing=0.04))
+    tracker = DriftTracker(use, is_improved=True)
+    output = presses(1200.0, seed=4, timing=0.04)
+    grown = 1 + (output - 1) * np.linspace(1.0, 1.25, len(output))
+    start = tracker.doubt_at(0.0)[1]
+
+    seen = observe(tracker, grown, use)
+
+    assert error_of(tracker, 1.0, 0.0) < 0.02
+    assert "only a reference can tell" in seen[-1].reason
+    assert tracker.doubt_at(1200.0)[1] > start + 0.2
+
+
+def test_weaker_presses_of_a_harder_use_do_not_drag_the_gain_after_it() -> None:
+    """They lie within reach of the old use; its sensor has drifted, so that a gain would be believed."""
+    use = calibrated_use(presses(400.0, scatter=0.05, timing=0.04))
+    tracker = DriftTracker(use, is_improved=False)
+    before = presses(800.0, seed=4, scatter=0.05, timing=0.04)
+    offset = np.linspace(0.0, 0.3, len(before))
+    harder = presses(800.0, seed=5, scatter=0.05, timing=0.04, depth=1.3)
+
+    seen = observe(tracker, np.concatenate([before + offset, harder + 0.3]), use)
+
+    assert any("the use changed, not the sensor" in observation.reason for observation in seen)
+    assert error_of(tracker, 1.0, 0.3) < 0.05
+
+
+def test_presses_of_a_machine_that_slowly_grow_larger_are_gain() -> None:
+    use = calibrated_use()
+    tracker = DriftTracker(use, is_improved=True)
+    output = presses(1200.0, seed=4)
+    gain = np.minimum(1.15, np.linspace(1.0, 1.25, len(output)))
+
+    observe(tracker, 1 + (output - 1) * gain, use)
+
+    assert error_of(tracker, 1.15, 1 - 1.15) < 0.03
+
+
+def test_pause_keeps_the_swing_that_cycles_are_cut_with() -> None:
+    use = calibrated_use()
+    walk = presses(100.0, seed=2)
+    pause = 1.0 + 0.002 * np.random.default_rng(3).normal(size=3000)
+
+    found = cycles_of(np.concatenate([walk, pause, walk]), use)
+
+    usual = [cycle for cycle in found if cycle.is_complete and cycle.scale > 0.2]
+    assert len(found) - len(usual) <= 3
+    assert sum(cycle.end_s > 165.0 for cycle in usual) >= 20
+
+
+def test_cycles_are_found_again_after_values_far_beyond_them() -> None:
+    use = calibrated_use()
+    walk = presses(100.0, seed=2)
+    fault = np.random.default_rng(3).choice([-20.0, 20.0], 1000)
+
+    found = cycles_of(np.concatenate([walk, fault, walk]), use)
+
+    assert sum(cycle.is_complete and cycle.end_s > 130.0 and cycle.scale < 0.5 for cycle in found) >= 15
+
+
 def test_reseated_sensor_is_followed_after_the_stated_cycles() -> None:
     use = calibrated_use()
     tracker = DriftTracker(use, is_improved=True)
@@ -122,6 +188,95 @@ def test_reseated_sensor_is_followed_after_the_stated_cycles() -> None:
     first = next(k for k, observation in enumerate(seen) if observation.verdict == JUMPED)
     assert first <= JUMP_CYCLES
     assert error_of(tracker, 0.95, 0.25) < 0.02
+
+
+def test_rest_that_moved_is_followed_after_one_cycle_and_the_gain_after_two() -> None:
+    use = calibrated_use(zero_output=1.0)
+    tracker = DriftTracker(use, is_improved=True)
+    observe(tracker, presses(200.0, seed=3), use)
+    # The sensor is re-seated in the midst of a press.
+    output = np.concatenate([presses(90.0, seed=5), 0.95 * presses(110.0, seed=5)[4500:] + 0.25])
+
+    seen = []
+    for cycle in cycles_of(output, use, 200.0):
+        seen.append(tracker.observe(cycle))
+        if seen[-1].verdict == TRIED:
+            break
+
+    assert seen[-1].t_s - 200.0 - 90.0 < 1.5 * PERIOD_S
+    assert error_of(tracker, 1.0, 0.20) < 0.02
+    assert tracker.is_unsettled
+
+
+def test_second_cycle_that_contradicts_the_first_rolls_it_back() -> None:
+    use = calibrated_use(zero_output=1.0)
+    tracker = DriftTracker(use, is_improved=True)
+    observe(tracker, presses(200.0, seed=3), use)
+    before = tracker.correction()
+    (lifted,) = cycles_of(presses(10.0, seed=6) + 0.2, use, 200.0)[:1]
+    (usual,) = cycles_of(presses(10.0, seed=7), use, 210.0)[:1]
+
+    assert tracker.observe(lifted).verdict == TRIED
+    assert tracker.correction() != before
+    assert tracker.observe(usual).verdict == FOLLOWED
+
+    assert tracker.correction() == pytest.approx(before, abs=0.005)
+    assert not tracker.is_unsettled
+
+
+def test_turning_point_above_zero_load_is_not_followed_after_one_cycle() -> None:
+    """A use that is preloaded moves it when it grows; two cycles tell whether the output at zero load moved as well."""
+    use = calibrated_use(zero_output=0.8)
+    tracker = DriftTracker(use, is_improved=True)
+    observe(tracker, presses(200.0, seed=3), use)
+    before = tracker.correction()
+    (lifted,) = cycles_of(presses(10.0, seed=6) + 0.2, use, 200.0)[:1]
+
+    assert tracker.observe(lifted).verdict == HELD
+    assert tracker.correction() == pytest.approx(before, abs=1e-9)
+
+
+def test_one_cycle_moves_the_map_no_longer_than_the_next_one_is_due() -> None:
+    use = calibrated_use(zero_output=1.0)
+    tracker = DriftTracker(use, is_improved=True)
+    observe(tracker, presses(200.0, seed=3), use)
+    before = tracker.correction()
+    (lifted,) = cycles_of(presses(10.0, seed=6) + 0.2, use, 200.0)[:1]
+    tracker.observe(lifted)
+
+    tracker.expire(lifted.end_s + PERIOD_S)
+    assert tracker.correction() != before
+    tracker.expire(lifted.end_s + 2 * PERIOD_S)
+    assert tracker.correction() == before
+
+
+def test_gain_known_before_a_reseating_is_known_after_it() -> None:
+    use = calibrated_use(presses(200.0, timing=0.04))
+    tracker = DriftTracker(use, is_improved=True)
+    output = presses(1200.0, seed=4, timing=0.04)
+    share = np.minimum(1.0, np.arange(len(output)) / (0.7 * len(output)))
+    drifted = output * (1 - 0.08 * share) + 0.25 * share
+    reseated = presses(40.0, seed=6, timing=0.04) * 0.92 + 0.45
+
+    for cycle in cycles_of(np.concatenate([drifted, reseated]), use):
+        if tracker.observe(cycle).verdict == JUMPED:
+            break
+
+    assert cycle.end_s < 1200.0 + 4 * PERIOD_S
+    assert error_of(tracker, 0.92, 0.45) < 0.03
+
+
+def test_reseating_does_not_vouch_for_a_gain_that_comes_later() -> None:
+    use = calibrated_use(presses(200.0, timing=0.04))
+    tracker = DriftTracker(use, is_improved=True)
+    output = 0.95 * presses(1600.0, seed=4, timing=0.04) + 0.25
+    rest = 0.95 + 0.25
+    grown = rest + (output - rest) * np.linspace(1.0, 1.25, len(output))
+
+    seen = observe(tracker, np.concatenate([presses(100.0, seed=9, timing=0.04), grown]), use)
+
+    assert JUMPED in {observation.verdict for observation in seen}
+    assert error_of(tracker, 0.95, 0.25) < 0.06
 
 
 def test_jump_beyond_the_trust_region_is_held_and_alarmed() -> None:
@@ -177,6 +332,21 @@ def test_doubt_grows_while_nothing_is_seen() -> None:
     doubts = [tracker.doubt_at(t_s)[0] for t_s in (200.0, 1000.0, 10_000.0)]
 
     assert doubts[0] < doubts[1] < doubts[2]
+
+
+def test_predicted_error_grows_with_use_that_says_nothing() -> None:
+    use = calibrated_use()
+    tracker = DriftTracker(use, is_improved=False)
+    observe(tracker, presses(200.0, seed=3), use)
+    doubts = [tracker.doubt_at(200.0)[1]]
+
+    for start_s in (200.0, 240.0):
+        observe(tracker, presses(40.0, seed=2, power=0.4), use, start_s)
+        doubts.append(tracker.doubt_at(start_s + 40.0)[1])
+
+    assert doubts[0] < doubts[1] < doubts[2]
+    observe(tracker, presses(40.0, seed=7), use, 280.0)
+    assert tracker.doubt_at(320.0)[1] < doubts[1]
 
 
 def test_state_goes_through_json_and_back() -> None:

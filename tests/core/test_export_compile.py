@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import UnitRefused
-from softcal.core.export.compile_map import InputScale, compile_map
+from softcal.core.export.compile_map import InputScale, compile_map, fine_forms
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.maps.interface import FitProblem
 from softcal.core.network import Network
@@ -55,8 +55,8 @@ def test_a_bent_map_fits_into_32_knots(linear_network: Network, press: Press) ->
 
 
 def test_the_stated_deviation_is_what_the_estimate_changes(linear_network: Network, press: Press) -> None:
-    unit, bent = press(2).unlabelled, _Map(lambda x: 0.6 + 0.2 * np.tanh(6 * (x - 0.6)))
-    compiled = compile_map(bent, linear_network, unit, 0.05, knots=5)
+    unit, bent = press(2).unlabelled, _Map(lambda x: 0.6 + 0.2 * np.tanh(30 * (x - 0.6)))
+    compiled = compile_map(bent, linear_network, unit, 0.05)
     change = linear_network.evaluate(compiled.form.apply(unit.windows)) - linear_network.evaluate(
         bent.apply(unit.windows)
     )
@@ -70,23 +70,45 @@ def test_a_falling_map_stays_falling(linear_network: Network, press: Press) -> N
     assert np.all(np.diff(compiled.form.curve.values) < 0)
 
 
-def test_a_map_over_the_window_becomes_the_matrix_it_is(
+def test_a_map_over_the_window_becomes_the_matrix_it_is_where_there_is_room(
     linear_network: Network, press: Press, rng: np.random.Generator
 ) -> None:
     matrix = 0.9 * np.eye(TAPS) + 0.15 * np.eye(TAPS, k=-1) + 0.1 * rng.normal(size=(TAPS, TAPS)) / TAPS
     windowed = _Map(lambda x: 0.02 + x @ matrix.T)
-    compiled = compile_map(windowed, linear_network, press(2).unlabelled, 0.001)
+    compiled = compile_map(windowed, linear_network, press(2).unlabelled, 0.001, fine_forms)
     assert compiled.form.curve is None and compiled.form.linear is not None
     assert np.allclose(compiled.form.linear.matrix, matrix, atol=1e-3)
 
 
-def test_a_bend_and_a_lag_together_take_a_curve_and_a_linear_part(linear_network: Network, press: Press) -> None:
-    lag = 0.5 * np.eye(TAPS) + 0.5 * np.eye(TAPS, k=-6)
-    lag[:6] = np.eye(TAPS)[:6]
-    both = _Map(lambda x: (0.6 + 0.2 * np.tanh(6 * (x - 0.6))) @ lag.T)
-    compiled = compile_map(both, linear_network, press(2).unlabelled, LIMIT_N)
-    assert compiled.form.curve is not None and compiled.form.linear is not None
-    assert compiled.rms_deviation < LIMIT_N
+def _lag(samples: int) -> Array:
+    """Half of every sample comes `samples` late; the oldest ones stay as they are."""
+    lag = 0.5 * np.eye(TAPS) + 0.5 * np.eye(TAPS, k=-samples)
+    lag[:samples] = np.eye(TAPS)[:samples]
+    return lag
+
+
+def _smoothing() -> Array:
+    """A least-squares parabola through every window."""
+    basis = np.vander(np.linspace(-1, 1, TAPS), 3)
+    return np.asarray(basis @ np.linalg.pinv(basis))
+
+
+MATRICES = {
+    "lag": _lag(6),
+    "short FIR": 0.7 * np.eye(TAPS) + 0.2 * np.eye(TAPS, k=-1) + 0.1 * np.eye(TAPS, k=-2),
+    "smoothing": _smoothing(),
+    "rank two": np.eye(TAPS) + 0.02 * np.outer(np.linspace(0, 1, TAPS) ** 2, np.linspace(1, -1, TAPS)),
+    "creep": np.eye(TAPS) - 0.15 * np.linspace(1, 0, TAPS)[:, None] * np.linspace(-1, 1, TAPS)[None, :] / 4,
+}
+
+
+@pytest.mark.parametrize("name", sorted(MATRICES))
+def test_a_bend_and_a_linear_part_take_a_curve_and_a_mix(name: str, linear_network: Network, press: Press) -> None:
+    unit, matrix = press(2).unlabelled, MATRICES[name]
+    both = _Map(lambda x: (0.6 + 0.2 * np.tanh(6 * (x - 0.6))) @ matrix.T)
+    compiled = compile_map(both, linear_network, unit, LIMIT_N)
+    assert compiled.rms_deviation < 0.5 * LIMIT_N
+    assert compiled.form.curve is not None and (compiled.form.linear is not None or name in ("creep", "rank two"))
 
 
 def test_a_map_that_has_no_small_form_is_refused_with_its_deviation(linear_network: Network, press: Press) -> None:

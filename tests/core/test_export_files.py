@@ -2,7 +2,9 @@
 
 import json
 import locale
+import shutil
 import struct
+import subprocess
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,9 +16,9 @@ import pytest
 from softcal.core.errors import UnitRefused
 from softcal.core.export.blob import Cause, FileRefused, NetworkFile, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
-from softcal.core.export.compile_map import Curve, InputScale, Linear, MapForm
+from softcal.core.export.compile_map import Curve, InputScale, MapForm
 from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
-from softcal.core.export.integer_network import DeviceMap, PiecewiseMap
+from softcal.core.export.integer_network import DeviceMap, IntegerMix, PiecewiseMap
 from softcal.core.export.intel_hex import intel_hex
 from softcal.core.export.json_text import (
     json_text,
@@ -27,6 +29,7 @@ from softcal.core.export.json_text import (
 )
 from softcal.core.export.loader import open_sensor, run_self_test
 from softcal.core.export.quantise import quantise_map
+from softcal.core.export.shape_mix import Mix
 from softcal.core.maps.affine import AffineMap
 from softcal.core.network import Network
 from softcal.core.recording import LabelledRecording
@@ -100,6 +103,44 @@ def test_every_flipped_bit_and_every_cut_is_refused(network_file: NetworkFile, u
             read(data)
 
 
+def test_of_a_hundred_thousand_damaged_files_python_reads_none(
+    network_file: NetworkFile, unit_file: UnitFile, rng: np.random.Generator
+) -> None:
+    files = [(read_unit, unit_file.to_bytes(), 80_000), (read_network, network_file.to_bytes(), 20_000)]
+    accepted = 0
+    for read, good, rounds in files:
+        places, bits = rng.integers(0, len(good), (rounds, 3)), rng.integers(1, 256, (rounds, 3), dtype=np.uint8)
+        for at, change in zip(places, bits, strict=True):
+            data = np.frombuffer(good, np.uint8).copy()
+            data[at] ^= change
+            try:
+                read(data.tobytes())
+                accepted += data.tobytes() != good
+            except FileRefused:
+                continue
+    assert accepted == 0
+
+
+def test_a_forged_file_is_refused_in_words_or_read_never_a_crash(
+    network_file: NetworkFile, unit_file: UnitFile, rng: np.random.Generator
+) -> None:
+    released = [(RELEASED / name).read_bytes() for name in ("both-1.0.ssc", "mix-1.1.ssc")]
+    files = [(read_unit, data) for data in (unit_file.to_bytes(), *released)]
+    files.append((read_network, network_file.to_bytes()))
+    causes = set()
+    for read, good in files:
+        for _ in range(1500):
+            data = np.frombuffer(good, np.uint8)[: rng.integers(40, len(good) + 1)].copy()
+            data[rng.integers(0, len(data), 4)] = rng.integers(0, 256, 4)
+            sealed = bytearray(data[: len(data) // 4 * 4].tobytes())
+            sealed[:12] = good[:8] + struct.pack("<I", len(sealed))
+            try:
+                read(_resealed(bytes(sealed)))
+            except FileRefused as refusal:
+                causes.add(refusal.cause)
+    assert Cause.LAYOUT in causes
+
+
 def _flipped(data: bytes, bit: int) -> bytes:
     changed = bytearray(data)
     changed[bit // 8] ^= 1 << bit % 8
@@ -137,7 +178,7 @@ def test_a_network_changed_behind_its_id_is_refused(network_file: NetworkFile) -
 
 def test_a_later_minor_version_may_append_what_this_one_skips(unit_file: UnitFile) -> None:
     data = bytearray(unit_file.to_bytes()[:-4] + b"more" + b"crc!")
-    data[6] = 1
+    data[6] = 2
     data[8:12] = struct.pack("<I", len(data))
     later = read_unit(_resealed(bytes(data)))
     assert later.to_bytes() == unit_file.to_bytes()
@@ -179,28 +220,75 @@ def test_estimates_read_back_are_close_to_the_float_ones(
     assert np.allclose((upper - estimate)[inside], 0.2, atol=0.005)
 
 
-@pytest.mark.parametrize("has_curve", [False, True])
-def test_a_linear_part_on_windows_carries_its_matrix(
+def _mix(rng: np.random.Generator, shapes: int) -> Mix:
+    """A mix near the identity, of a unit with 0.01 V more at every tap."""
+    weights = rng.integers(-127, 128, (shapes, 15))
+    return Mix(64, weights, np.full(shapes, 7), np.r_[0.01, np.zeros(shapes - 1)])
+
+
+@pytest.mark.parametrize(("shapes", "knots"), [(3, 21), (5, 12), (6, 7)])
+def test_a_file_with_a_mix_holds_all_of_it_in_one_flash_row(
     network_file: NetworkFile,
     unit_file: UnitFile,
     linear_network: Network,
     press: Press,
     rng: np.random.Generator,
-    has_curve: bool,
+    shapes: int,
+    knots: int,
 ) -> None:
-    linear = Linear(np.eye(15) + 0.02 * rng.normal(size=(15, 15)), np.full(15, 0.01))
-    curve = Curve(np.array([0.2, 0.6, 1.2]), np.array([0.3, 0.6, 1.0])) if has_curve else None
-    form = MapForm(curve, linear)
+    outputs = np.linspace(0.3, 1.2, knots)
+    form = MapForm(Curve(outputs, 0.5 + 0.4 * np.tanh(outputs - 0.5)), _mix(rng, shapes))
     device_map = quantise_map(form, unit_file.scale, network_file.network)
-    tests = tuple(replace(t, expected=run_self_test(network_file.network, device_map, t)) for t in unit_file.self_tests)
-    file = replace(unit_file, device_map=device_map, self_tests=tests)
+    tests = tuple(
+        replace(t, expected=run_self_test(network_file.network, device_map, t)) for t in unit_file.self_tests[2:]
+    )
+    bands = (*[replace(unit_file.bands[0], level=k) for k in range(3)], unit_file.bands[-1])
+    file = replace(unit_file, device_map=device_map, self_tests=tests, bands=bands)
+    assert len(file.to_bytes()) <= 256 < len(file.to_bytes()) + 8
+    assert file.to_bytes()[6] == 1
     sensor = open_sensor(network_file.to_bytes(), file.to_bytes())
     unit_windows = press(2, gain=1.1).windows
     estimate, *_ = sensor.estimate_output(unit_windows)
     exact = np.clip(linear_network.evaluate(form.apply(unit_windows)), file.out_min / 1000, file.out_max / 1000)
-    assert np.abs(estimate - exact).max() < 0.02
-    assert len(file.to_bytes()) <= 864
+    assert np.abs(estimate - exact).max() < 0.01
     assert unit_from_values(json.loads(json_text(unit_values(file)))).to_bytes() == file.to_bytes()
+
+
+def test_a_mix_that_could_overflow_or_leaves_its_fields_is_no_mix(rng: np.random.Generator) -> None:
+    weights = rng.integers(-127, 128, (2, 15))
+    fine = IntegerMix(64, weights, np.array([6, 6]), np.array([0, 0]))
+    assert fine.apply(np.zeros((3, 15), dtype=np.int64)).tolist() == [[0] * 15] * 3
+    for broken in (
+        {"keep": 256},
+        {"weights": weights * 2},
+        {"weights": weights[:1]},
+        {"shift": np.array([6, 32])},
+        {"bias": np.array([0, 32_768])},
+        {"weights": np.full((6, 15), 127), "shift": np.zeros(6, dtype=np.int64), "bias": np.zeros(6, dtype=np.int64)},
+    ):
+        with pytest.raises(ValueError, match=r"mix|weight|shifts|bias"):
+            replace(fine, **broken)
+
+
+def test_no_window_at_all_takes_a_mix_out_of_32_bits(rng: np.random.Generator) -> None:
+    # Python's own integers against NumPy's 64 bits, on the windows that reach furthest.
+    mix = IntegerMix(255, rng.integers(-127, 128, (5, 15)), np.full(5, 4), rng.integers(-32_767, 32_768, 5))
+    for row in mix.weights:
+        window = [32_767 if w > 0 else -32_767 for w in row]
+        steps = [
+            (sum(int(w) * x for w, x in zip(mix.weights[k], window, strict=True)) >> int(mix.shift[k]))
+            + 64 * int(mix.bias[k])
+            for k in range(5)
+        ]
+        found = []
+        for tap in range(-7, 8):
+            total = before = 0
+            for step in reversed(steps):
+                assert abs(tap * total) < 2**31
+                total, before = step + (tap * total >> 2) - before, total
+            assert abs(total + 255 * window[tap + 7] + 32) < 2**31
+            found.append(max(-32_767, min(32_767, (total + 255 * window[tap + 7] + 32) >> 6)))
+        assert mix.apply(np.array([window])).tolist() == [found]
 
 
 def test_a_network_too_large_for_the_format_is_refused(press: Press) -> None:
@@ -230,10 +318,28 @@ def test_intel_hex_decodes_to_the_bytes_at_their_address(unit_file: UnitFile, ad
     assert min(memory) == address
 
 
-def test_files_of_format_1_0_open_for_ever() -> None:
-    expected = json.loads((RELEASED / "expected-1.0.json").read_text())
+RELEASES = {"1.0": ("unit", "linear", "both"), "1.1": ("mix",)}
+
+
+def test_a_foreign_tool_reads_the_hex_back(
+    unit_file: UnitFile, tmp_path: Path, require: Callable[[object, str], None]
+) -> None:
+    require(shutil.which("objcopy"), "objcopy is missing; apt-get install binutils")
+    source, target = tmp_path / "unit.hex", tmp_path / "unit.bin"
+    source.write_text(intel_hex(unit_file.to_bytes(), 0x3FF00))
+    subprocess.run(["objcopy", "-I", "ihex", "-O", "binary", str(source), str(target)], check=True)
+    assert target.read_bytes() == unit_file.to_bytes()
+    listed = subprocess.run(["objdump", "-h", str(source)], capture_output=True, text=True, check=True).stdout
+    assert "0003ff00" in listed
+
+
+@pytest.mark.parametrize("release", sorted(RELEASES))
+def test_files_of_every_released_format_open_for_ever(release: str) -> None:
+    expected = json.loads((RELEASED / f"expected-{release}.json").read_text())
     network = (RELEASED / "network-1.0.ssc").read_bytes()
-    for name in ("unit-1.0", "linear-1.0", "both-1.0"):
-        sensor = open_sensor(network, (RELEASED / f"{name}.ssc").read_bytes(), "A1")
+    for name in RELEASES[release]:
+        content = (RELEASED / f"{name}-{release}.ssc").read_bytes()
+        sensor = open_sensor(network, content, "A1")
         codes = np.array(expected["codes"], dtype=np.int64)
-        assert sensor.estimate(codes).value.tolist() == expected[name]
+        assert sensor.estimate(codes).value.tolist() == expected[f"{name}-{release}"]
+        assert sensor.unit_file.to_bytes() == content

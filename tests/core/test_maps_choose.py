@@ -78,6 +78,28 @@ def test_late_clock_is_found_and_undone(source: LabelledRecording, trained: Trai
     assert find_synchrony(source.unlabelled, late).lag_s == pytest.approx(0.24, abs=0.011)
 
 
+def test_opening_that_both_recordings_share_is_paired_and_the_rest_is_not(
+    source: LabelledRecording, trained: TrainedNetwork
+) -> None:
+    parts_at = 1500
+    own_way = presses(50, 1500)
+    problem = unit(source, trained, np.concatenate([source.reference[:parts_at], own_way]))
+    chosen = choose_map(problem)
+    mapped, raw = after(problem, chosen)
+    assert chosen.family == "synchronous"
+    assert 20.0 < float(chosen.evidence["shared_until_s"]) < parts_at / 50.0
+    assert mapped < 1.5 * trained.validation_rmse < raw / 3
+
+
+def test_one_slow_rise_alike_is_no_opening(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    rise = np.linspace(0.0, 3.0, 1500)
+    known = LabelledRecording(
+        recording("S", np.concatenate([rise, presses(3, 1500)])), np.concatenate([rise, presses(3, 1500)])
+    )
+    target = recording("T", np.concatenate([rise, presses(4, 1500)]), GAIN, OFFSET, 9)
+    assert not find_synchrony(known.unlabelled, target).is_synchronous
+
+
 def test_stage_position_pairs_another_programme(source: LabelledRecording, trained: TrainedNetwork) -> None:
     problem = unit(source, trained, 0.6 * presses(8, 2000), stage=True)
     chosen = choose_map(problem)
@@ -102,10 +124,36 @@ def test_unit_like_the_source_is_left_alone(source: LabelledRecording, trained: 
     assert choose_map(problem).family == "identity"
 
 
-def test_noise_instead_of_presses_makes_the_choice_abstain(source: LabelledRecording, trained: TrainedNetwork) -> None:
+def test_noise_instead_of_presses_is_refused(source: LabelledRecording, trained: TrainedNetwork) -> None:
     hiss = np.random.default_rng(2).uniform(0, 3, 2000)
-    chosen = choose_map(unit(source, trained, hiss))
-    assert chosen.family == "affine" and "abstain" in str(chosen.evidence["decision"])
+    with pytest.raises(UnitRefused, match="stands out of its noise"):
+        choose_map(unit(source, trained, hiss))
+
+
+def test_far_quicker_swings_make_the_choice_abstain(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    shaken = 1.5 + 1.5 * np.sin(np.arange(2000) * 2 * np.pi / 8)
+    chosen = choose_map(unit(source, trained, shaken))
+    assert chosen.family == "label_shift" and "abstain" in str(chosen.evidence["decision"])
+
+
+@pytest.mark.parametrize("share", [0.25, 0.1, 0.05])
+def test_short_recording_never_makes_the_unit_much_worse_than_it_was(
+    source: LabelledRecording, trained: TrainedNetwork, share: float
+) -> None:
+    whole = unit(source, trained, presses(4, 3000))
+    part = replace(whole, target=whole.target.part(0, round(share * 3000)))
+    mapped, raw = after(part, choose_map(part))
+    assert mapped < 1.2 * raw
+
+
+def test_scattered_windows_of_the_same_programme_are_enough(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    whole = unit(source, trained, source.reference)
+    starts = 15 * np.sort(np.random.default_rng(0).choice(200, 20, replace=False))
+    rows = (starts[:, None] + np.arange(15)).ravel()
+    target = replace(whole.target, t_s=whole.target.t_s[rows], output=whole.target.output[rows])
+    chosen = choose_map(replace(whole, target=target))
+    mapped, raw = after(whole, chosen)
+    assert chosen.family == "synchronous" and mapped < 0.2 * raw
 
 
 def test_still_unit_is_refused(source: LabelledRecording, trained: TrainedNetwork) -> None:

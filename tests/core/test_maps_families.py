@@ -11,7 +11,8 @@ from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.affine import AffineMap
 from softcal.core.maps.catalogue import FAMILIES, family, map_from_arrays
 from softcal.core.maps.crossing import level_path, turning_points
-from softcal.core.maps.curve import CurveMap
+from softcal.core.maps.curve import CurveMap, continued
+from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem, UnitMap, map_sha256
 from softcal.core.maps.label_shift import level_weights
 from softcal.core.maps.plan import barycentric, solve_exact
@@ -157,6 +158,31 @@ def test_joint_transport_uses_labels_where_windows_alone_are_lost() -> None:
 def test_curve_goes_straight_on_beyond_its_knots() -> None:
     curve = CurveMap(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 3.0]), "monotone")
     assert np.allclose(curve(np.array([-1.0, 0.5, 1.5, 4.0])), [-1.0, 0.5, 2.0, 7.0])
+
+
+def test_continued_curve_is_the_same_inside_and_bounded_beyond() -> None:
+    curve = CurveMap(np.array([0.0, 1.0, 2.0, 2.1]), np.array([0.0, 1.0, 2.0, 4.0]), "monotone")
+    longer = continued(curve, source_span=4.0)
+    inside = np.linspace(0.0, 2.1, 50)
+    assert np.allclose(longer(inside), curve(inside))
+    overall = 4.0 / 2.1
+    for beyond in (-1.0, 3.1):
+        slope = (longer(np.array([beyond + 0.1])) - longer(np.array([beyond]))) / 0.1
+        assert 0.5 * overall <= slope[0] <= 2 * overall
+
+
+def test_slope_beyond_a_glimpse_is_drawn_to_one() -> None:
+    glimpse = CurveMap(np.array([0.0, 0.1]), np.array([0.0, 0.3]), "monotone")
+    seen_whole, seen_little = (continued(glimpse, span)(np.array([1.1])) - 0.3 for span in (0.3, 30.0))
+    assert seen_whole[0] == pytest.approx(3.0)
+    assert 1.0 < seen_little[0] < 2.0
+
+
+def test_ends_match_a_short_recording_to_stretches_as_short() -> None:
+    lot = problem(presses(1, 6000), presses(2, 250))
+    match = match_ends(lot.source, lot.target)
+    assert match.gain == pytest.approx(GAIN, rel=0.25)
+    assert match.gain_error > 3 * match_ends(lot.source, problem(presses(1), presses(2, 6000)).target).gain_error
 
 
 @pytest.mark.parametrize("name", ["affine", "label_shift", "monotone"])

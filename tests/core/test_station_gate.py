@@ -10,6 +10,7 @@ from softcal.core.station_gate import (
     CellCertificate,
     GoldenCheck,
     Override,
+    RigFacts,
     StationFacts,
     may_run,
     quarantined,
@@ -18,20 +19,22 @@ from softcal.core.station_gate import (
 NOW = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
 GOOD = StationFacts(
     now=NOW,
-    switched_on=NOW - timedelta(hours=2),
     certificate=CellCertificate("K-17", date(2027, 1, 1), 20.0, 0.02),
     largest_force_N=12.0,
     shift_began=NOW - timedelta(hours=1),
     golden=GoldenCheck(NOW - timedelta(minutes=30), "G1", True),
+    rig=RigFacts(timedelta(hours=2), is_homed=True),
 )
+
+WARM = RigFacts(timedelta(hours=2))
 
 REASONS = {
     "no certificate": ({"certificate": None}, "no certificate"),
     "out of date": ({"certificate": CellCertificate("K-17", date(2026, 3, 1), 20.0, 0.02)}, "ended on 2026-03-01"),
     "range": ({"largest_force_N": 25.0}, "certificate ends at 20 N"),
-    "warm-up": ({"switched_on": NOW - timedelta(minutes=5)}, "10 more min"),
-    "zero": ({"zero_return_N": -0.31}, "zero moved by -0.31 N"),
-    "homing": ({"is_homing_possible": False}, "could not be homed"),
+    "warm-up": ({"rig": RigFacts(timedelta(minutes=5))}, "10 more min"),
+    "zero": ({"rig": replace(WARM, zero_return_N=-0.31)}, "zero moved by -0.31 N"),
+    "homing": ({"rig": replace(WARM, homing_fault="ALARM:9")}, "could not be homed (ALARM:9)"),
     "no golden": ({"golden": None}, "no golden unit"),
     "golden of the last shift": ({"golden": GoldenCheck(NOW - timedelta(hours=9), "G1", True)}, "in this shift"),
     "golden out": ({"golden": GoldenCheck(NOW, "G1", False)}, "outside its control limits"),
@@ -50,8 +53,25 @@ def test_each_reason_alone_closes_the_gate(change, reason):
     assert reason in gate.reasons[0]
 
 
+def test_what_is_good_is_told_too():
+    names = [condition.name for condition in may_run(GOOD).conditions]
+    assert names == ["certificate", "force range", "warm-up", "zero return", "homing", "golden unit"]
+    assert all(condition.is_good and condition.says for condition in may_run(GOOD).conditions)
+
+
+def test_a_rig_without_a_load_cell_is_not_asked_for_its_certificate():
+    facts = replace(GOOD, certificate=None, has_cell=False, rig=RigFacts())
+    assert [condition.name for condition in may_run(facts).conditions] == ["homing", "golden unit"]
+
+
+def test_a_bench_in_development_may_do_without_certificate_and_golden_unit():
+    facts = replace(GOOD, certificate=None, golden=None, needs_certificate=False, needs_golden=False)
+    assert may_run(facts).is_open
+
+
 def test_all_reasons_are_said_at_once():
-    facts = replace(GOOD, certificate=None, zero_return_N=1.0, golden=None, is_homing_possible=False)
+    rig = replace(WARM, zero_fault="load cell: reads 3 N unloaded", homing_fault="ALARM:8")
+    facts = replace(GOOD, certificate=None, golden=None, rig=rig)
     assert len(may_run(facts).reasons) == 4
 
 
