@@ -11,10 +11,10 @@ from softcal.station.bench import Bench
 from softcal.station.contact import Search
 from softcal.station.interfaces import Move, Sample, StagePosition, Step
 from softcal.station.recording import Raw, RunFacts, StationRecording, assemble
-from softcal.station.safety import FollowWatch, ForceWatch, StreamWatch
+from softcal.station.safety import FollowWatch, ForceWatch, JumpWatch, StreamWatch
 from softcal.station.spool import Spool
 from softcal.station.steps import check_profile, steps_of
-from softcal.station.trajectory import DrivenMove, Trapezoid
+from softcal.station.trajectory import DrivenMove, Trapezoid, reconstruct
 
 TICK_S = 0.005
 """How often the devices are read while something may move; far below every latency that is promised."""
@@ -25,18 +25,30 @@ ARRIVAL_S = 2.0
 
 RETRACT_MM_S = 5.0
 
+HOMING, PRESSING = "homing", "pressing"
+RETURN_S = 3.5
+"""Lifting and reading the zero return, about."""
+
+
+class ZeroMoved(BadReply):
+    """The unloaded load cell does not read zero, before or after a run: its readings are not to be trusted."""
+
 
 @dataclass(frozen=True)
 class RunProgress:
-    """Where a run stands: what happens now, the done share of it, and the newest reading of each channel."""
+    """Where a run stands: what happens now, the done share of it, and the newest reading of each channel.
+
+    Readings are None before the first one, and where no such device is.
+    """
 
     phase: str
     fraction: float
     remaining_s: float
     t_s: float = 0.0
-    output: float = 0.0
+    output: float | None = None
     stage_mm: float = 0.0
     force_N: float | None = None
+    output_unit: str = "V"
 
 
 OnProgress = Callable[[RunProgress], None]
@@ -101,16 +113,18 @@ class _Run:
         self._total_s = profile.duration_s + 15.0
         self._force_watch = ForceWatch(bench.config.safety)
         self._follow_watch = FollowWatch(bench.config.fixture.contact_N)
+        self._jump_watch = JumpWatch()
         self._watches: dict[str, StreamWatch] = {}
 
     def perform(self, with_reference: bool) -> StationRecording:
         bench, fixture = self._bench, self._bench.config.fixture
         self._start()
-        self._phase = "homing"
         if not self._stage.is_position_known:
-            self._stage.home()
+            self._enter(HOMING)
+            # Force is no reason to stop homing: it moves away from the unit, and may have to begin under load.
+            self._stage.home(self._show_now_and_then)
             self._start()  # Nobody read while the stage was homing.
-        self._phase = "reading the unloaded channels"
+        self._enter("reading the unloaded channels")
         self._go(fixture.approach_mm, min(bench.config.safety.speed_mm_s, self._stage.max_speed_mm_s))
         zero_N = self._take_zero()
         contact_mm = self._find_contact()
@@ -120,11 +134,13 @@ class _Run:
         zero_mm = contact_mm - fixture.clearance_mm
         self._go(zero_mm, fixture.search_mm_s)
         self._wait(SETTLE_S)
-        self._phase, profile_began_s = "pressing", self._clock.now_s()
+        profile_began_s = self._clock.now_s()
+        self._total_s = profile_began_s - self._began_s + self._profile.duration_s + RETURN_S
+        self._enter(PRESSING)
         for step in steps_of(self._profile):
             self._do(step, zero_mm)
         profile_ended_s = self._clock.now_s()
-        self._phase = "reading the zero return"
+        self._enter("reading the zero return")
         self._go(fixture.approach_mm, RETRACT_MM_S)
         self._wait(SETTLE_S)
         facts = RunFacts(
@@ -184,17 +200,27 @@ class _Run:
         self._readings.force += force
         self._readings.output += output
         self._check(output, force)
-        now_s = self._clock.now_s()
-        if now_s - self._shown_s >= 0.1:
-            self._shown_s = now_s
-            gone_s = now_s - self._began_s
-            self._tell(min(0.99, gone_s / self._total_s), max(0.0, self._total_s - gone_s))
+        self._show_now_and_then()
+
+    def _show_now_and_then(self) -> None:
+        if self._clock.now_s() - self._shown_s >= 0.1:
+            self._show()
+
+    def _enter(self, phase: str) -> None:
+        self._phase = phase
+        self._show()
+
+    def _show(self) -> None:
+        self._shown_s = self._clock.now_s()
+        gone_s = self._shown_s - self._began_s
+        self._tell(min(0.99, gone_s / self._total_s), max(0.0, self._total_s - gone_s))
 
     def _check(self, output: Sequence[Sample], cell: Sequence[Sample]) -> None:
         pressed_mm = self._pressed_mm()
         for sample in cell:
             self._force_watch.check(sample)
             self._follow_watch.check(sample.values[0] - self._force_watch.zero_N, pressed_mm, sample.host_s)
+            self._jump_watch.check(sample.values[0], self._stage.is_moving, sample.host_s)
             self._watches["force"].check(sample, pressed_mm)
         for sample in output:
             self._watches["readout"].check(sample, pressed_mm)
@@ -250,7 +276,7 @@ class _Run:
         zero_N = float(np.mean([sample.values[0] for sample in self._readings.force[count:]]))
         allowed_N = self._bench.config.safety.zero_N
         if abs(zero_N) > allowed_N:
-            raise BadReply(f"load cell: reads {zero_N:.3g} N unloaded, at most {allowed_N:g} N is allowed; zero it")
+            raise ZeroMoved(f"load cell: reads {zero_N:.3g} N unloaded, at most {allowed_N:g} N is allowed; zero it")
         self._force_watch.zero_N = zero_N
         return zero_N
 
@@ -261,7 +287,7 @@ class _Run:
         change_N = float(np.mean(recent)) - zero_N
         allowed_N = self._bench.config.safety.zero_return_N
         if abs(change_N) > allowed_N:
-            raise BadReply(
+            raise ZeroMoved(
                 f"load cell: its zero moved by {change_N:.3g} N over the run, {allowed_N:g} N is allowed; let it warm "
                 "up, check its mounting"
             )
@@ -269,17 +295,19 @@ class _Run:
 
     def _find_contact(self) -> float:
         """Lower slowly until force (or output, without a load cell) changes; return the position of the contact."""
-        self._phase = "searching for contact"
+        self._enter("searching for contact")
         bench, fixture = self._bench, self._bench.config.fixture
         search = Search(fixture, bench.force is not None, self._readings.force, self._readings.output)
-        start_mm, began_s = self._stage.position_mm, self._clock.now_s()
-        self._stage.begin(Move(bench.config.safety.deepest_mm, fixture.search_mm_s))
+        deepest_mm, began_s = bench.config.safety.deepest_mm, self._clock.now_s()
+        path = Trapezoid(self._stage.position_mm, deepest_mm, fixture.search_mm_s, self._stage.acceleration_mm_s2)
+        self._stage.begin(Move(deepest_mm, fixture.search_mm_s))
         while self._stage.is_moving:
             self._tick()
-            touched_s = search.contact_s()
-            if touched_s is not None:
+            if search.is_over():
+                move = DrivenMove(path, began_s, self._clock.now_s())
+                polls = [poll for poll in self._readings.polls if poll.host_s >= began_s]
                 self._stage.stop()
-                return start_mm + fixture.search_mm_s * (touched_s - began_s)
+                return search.contact_mm(reconstruct(polls, [move]).at)
         raise SafetyStop(
             f"no contact down to {bench.config.safety.deepest_mm:g} mm; is a unit in the fixture and connected?"
         )
@@ -294,8 +322,9 @@ class _Run:
                 fraction,
                 remaining_s,
                 self._clock.now_s() - self._began_s,
-                output[-1].values[0] if output else 0.0,
+                output[-1].values[0] if output else None,
                 polls[-1].position_mm if polls else 0.0,
                 force[-1].values[0] if force else None,
+                self._bench.readout.unit,
             )
         )

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -19,9 +19,11 @@ from softcal.station.config import (
     StationConfig,
 )
 from softcal.station.drivers.arduino import ArduinoReadout
+from softcal.station.drivers.esm import EsmStage
 from softcal.station.drivers.grbl import GrblStage
 from softcal.station.drivers.hx711 import Hx711Cell
 from softcal.station.drivers.indicator import IndicatorCell
+from softcal.station.drivers.loadstar import LoadstarCell
 from softcal.station.drivers.mark10 import Mark10Gauge
 from softcal.station.drivers.zaber import ZaberStage
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
@@ -67,10 +69,16 @@ def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Be
             stack.callback(device.close)
             return device
 
-        stage = opened(lambda: _open_stage(config.stage, clock))
         readout = opened(lambda: _open_readout(config.readout, clock))
         force_config = config.force
-        force = opened(lambda: _open_force(force_config, clock)) if force_config else None
+        stage: Stage | None = None
+        force: ForceReader | None = None
+        if config.stage.kind == "esm":
+            stage, force = _open_stand(config, clock, opened)
+        else:
+            stage = opened(lambda: _open_stage(config.stage, clock))
+        if force_config is not None and force_config.kind != "esm":
+            force = opened(lambda: _open_force(force_config, clock))
         if missing or stage is None or readout is None:
             raise NoReply("; ".join(missing))
         yield Bench(config, clock, stage, readout, force)
@@ -119,7 +127,7 @@ def simulated_config(station: SimulatedStation) -> StationConfig:
             channels=station.channels,
         ),
         ForceConfig(
-            station.force_wire.port,
+            station.stage_wire.port if station.force_kind == "esm" else station.force_wire.port,
             station.force_kind,
             counts_per_N=station.counts_per_N,
             zero_counts=station.zero_counts,
@@ -151,6 +159,21 @@ def _open_stage(config: StageConfig, clock: Clock) -> Stage:
         return GrblStage(link, config.axis, config.is_reversed)
 
 
+def _open_stand(
+    config: StationConfig, clock: Clock, opened: Callable[[Callable[[], Any]], Any]
+) -> tuple[Stage | None, ForceReader | None]:
+    """Open a stand, and the gauge behind its port where the station has one there."""
+
+    def open_stage() -> EsmStage:
+        with _link(config.stage, clock, "stage") as link:
+            return EsmStage(link, config.stage.travel_mm, config.stage.acceleration_mm_s2)
+
+    stand, force = opened(open_stage), config.force
+    if stand is None or force is None or force.kind != "esm":
+        return stand, None
+    return stand, opened(lambda: stand.gauge(force.capacity_N, force.sign, force.rate_Hz))
+
+
 def _open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
     with _link(config, clock, "sensor readout") as link:
         return ArduinoReadout(link, config.vref_V, config.adc_bits, config.rate_Hz, config.channels)
@@ -162,6 +185,8 @@ def _open_force(config: ForceConfig, clock: Clock) -> ForceReader:
             return Mark10Gauge(link, config.capacity_N, config.sign, config.rate_Hz)
         if config.kind == "indicator":
             return IndicatorCell(link, config.capacity_N, config.sign, config.rate_Hz)
+        if config.kind == "loadstar":
+            return LoadstarCell(link, config.capacity_N, config.sign, config.rate_Hz)
         return Hx711Cell(link, config.counts_per_N, config.zero_counts, config.capacity_N, config.rate_Hz)
 
 

@@ -93,6 +93,18 @@ def unwrap_ms(previous_ms: int, reported_ms: int) -> int:
     return previous_ms + (step if step < WRAP_MS // 2 else step - WRAP_MS)
 
 
+def seen_rate_Hz(device_s: Array) -> float:
+    """Return the rate of a stream by its own clock; samples that were lost do not count.
+
+    A clock of whole milliseconds shows 80 Hz as steps of 12 and 13 ms: their mean is right, no single one is.
+
+    Args:
+        device_s: (n,) device time stamps, n >= 2.
+    """
+    steps = np.diff(device_s)
+    return float(1.0 / np.mean(steps[steps < 1.5 * np.median(steps)]))
+
+
 CHANGE_SAMPLES = 5
 
 

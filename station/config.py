@@ -1,5 +1,6 @@
 """What belongs to one station and to no run: ports, dialects, capacities, safety bounds, from one TOML file."""
 
+import inspect
 import math
 import tomllib
 from dataclasses import dataclass, field, fields
@@ -8,8 +9,8 @@ from typing import Any, TypeVar
 
 from softcal.core.errors import InputError
 
-STAGE_KINDS = ("grbl", "zaber")
-FORCE_KINDS = ("hx711", "mark10", "indicator")
+STAGE_KINDS = ("grbl", "zaber", "esm")
+FORCE_KINDS = ("hx711", "mark10", "indicator", "loadstar", "esm")
 READOUT_KINDS = ("arduino",)
 
 
@@ -20,6 +21,7 @@ class StageConfig:
     Args:
         axis, is_reversed: GRBL: letter of the axis, and whether pressing is the negative machine direction.
         microstep_mm: Zaber: travel per microstep, from the data sheet.
+        travel_mm, acceleration_mm_s2: ESM: what may be used below the upper limit switch, and how it accelerates.
     """
 
     port: str
@@ -28,6 +30,8 @@ class StageConfig:
     axis: str = "Z"
     is_reversed: bool = True
     microstep_mm: float = 0.0001905
+    travel_mm: float = 100.0
+    acceleration_mm_s2: float = 200.0
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class ForceConfig:
     Args:
         serial: of the cell, as on its certificate.
         counts_per_N, zero_counts: HX711: from `softcal station calibrate-cell`.
-        sign: Mark-10 and indicators: 1 where compression reads positive, −1 otherwise.
+        sign: Mark-10, indicators, Loadstar: 1 where compression reads positive, −1 otherwise.
     """
 
     port: str
@@ -94,6 +98,7 @@ class FixtureConfig:
         approach_mm: stage position that is free of any unit; reached at full speed.
         search_mm_s: speed of the search for contact below it.
         contact_N: change of force that is contact.
+        touch_N: force at which the search ends; the contact is where the force began to rise towards it.
         contact_output: change of output that is contact, where no load cell reads.
         clearance_mm: a profile starts this far above the contact; it is position 0 of every recording.
     """
@@ -101,6 +106,7 @@ class FixtureConfig:
     approach_mm: float = 4.0
     search_mm_s: float = 0.5
     contact_N: float = 0.08
+    touch_N: float = 0.3
     contact_output: float = 0.03
     clearance_mm: float = 0.3
 
@@ -126,6 +132,8 @@ class StationConfig:
         _known("readout.kind", self.readout.kind, READOUT_KINDS)
         if self.force is not None:
             _known("force.kind", self.force.kind, FORCE_KINDS)
+            if self.force.kind == "esm" and (self.stage.kind != "esm" or self.force.port != self.stage.port):
+                raise InputError("station file: force.kind esm is the gauge on an ESM stand: the same port as [stage]")
             if self.force.counts_per_N == 0:
                 raise InputError("station file: force.counts_per_N is 0; run `softcal station calibrate-cell`")
             _within("safety.force_N", self.safety.force_N, 0.0, self.force.capacity_N)
@@ -175,13 +183,20 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
 
 
 def station_toml(config: StationConfig) -> str:
-    """Return the station file of a configuration, every key in it, so that it can be read and edited."""
+    """Return the station file of a configuration, every key in it and what it means, to be read and edited."""
     lines = [f"name = {_toml(config.name)}"]
-    for name in _SECTIONS:
+    for name, kind in _SECTIONS.items():
         section = getattr(config, name)
         if section is not None:
-            lines += ["", f"[{name}]"] + [f"{f.name} = {_toml(getattr(section, f.name))}" for f in fields(section)]
+            lines += ["", f"[{name}]", *(f"# {line.strip()}" for line in _meanings(kind))]
+            lines += [f"{f.name} = {_toml(getattr(section, f.name))}" for f in fields(section)]
     return "\n".join(lines) + "\n"
+
+
+def _meanings(kind: type[Any]) -> list[str]:
+    """What the keys of a section mean, from where they are documented."""
+    first, _, rest = (inspect.getdoc(kind) or "").partition("Args:")
+    return [line for line in (rest or first).splitlines() if line.strip()]
 
 
 def _section(name: str, kind: type[_T], table: object) -> _T:

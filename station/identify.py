@@ -2,8 +2,11 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from softcal.core.errors import BadReply, NoReply
-from softcal.station.frames import gcl2, grbl, zaber
+from softcal.station.clock import seen_rate_Hz
+from softcal.station.frames import esm, gcl2, grbl, loadstar, zaber
 from softcal.station.frames.indicator import parse_N
 from softcal.station.frames.text_stream import parse as parse_stream
 from softcal.station.interfaces import Clock
@@ -26,7 +29,7 @@ class Identity:
         kind: the dialect, as in the station file.
         description: what it said of itself, or why it is not known.
         rate_Hz: of a stream, by its own clock.
-        channels: of a stream.
+        channels: of a stream; of a stand 1 where a gauge answers behind it.
     """
 
     port: str
@@ -46,7 +49,7 @@ def identify(port: str, clock: Clock) -> Identity:
     link = Link(port, clock)
     try:
         unknown = Identity(port, "", "", "answers in no dialect that softcal knows")
-        return _stream(link) or _grbl(link) or _zaber(link) or _mark10(link) or unknown
+        return _stream(link) or _esm(link) or _grbl(link) or _zaber(link) or _mark10(link) or _loadstar(link) or unknown
     finally:
         link.close()
 
@@ -66,14 +69,29 @@ def _stream(link: Link) -> Identity | None:
             continue
     if len(lines) < 5:
         return None
-    steps = sorted(b.device_ms - a.device_ms for a, b in zip(lines, lines[1:], strict=False))
-    rate_Hz = 1000.0 / max(1, steps[len(steps) // 2])
+    rate_Hz = seen_rate_Hz(np.array([line.device_ms for line in lines]) / 1000.0)
     largest = max(abs(count) for line in lines for count in line.counts)
     # Without a banner the width of the numbers tells a 24-bit bridge amplifier from a 10- to 16-bit converter.
     is_cell = "load cell" in banner or (not banner and largest >= 2**16)
     role, kind = ("force", "hx711") if is_cell else ("readout", "arduino")
     what = banner or f"text stream of {'24-bit' if is_cell else 'converter'} counts"
     return Identity(link.port, role, kind, what, rate_Hz, len(lines[0].counts))
+
+
+def _esm(link: Link) -> Identity | None:
+    # Asked before all others: the slash of a Zaber command would open the stand's channel to its gauge.
+    link.discard()
+    link.write(esm.STATUS)
+    try:
+        esm.parse_status(link.next_line(QUICK_S).text)
+    except (BadReply, NoReply):
+        return None
+    link.write(esm.to_gauge("LIST"))
+    try:
+        settings = gcl2.parse_settings(link.next_line(QUICK_S).text)
+    except (BadReply, NoReply):
+        return Identity(link.port, "stage", "esm", "Mark-10 stand without a gauge that answers")
+    return Identity(link.port, "stage", "esm", f"Mark-10 stand, its gauge in {settings.unit}", 50.0, 1)
 
 
 def _grbl(link: Link) -> Identity | None:
@@ -125,4 +143,18 @@ def _mark10(link: Link) -> Identity | None:
         except NoReply:
             return None
         return Identity(link.port, "force", "mark10", f"Mark-10 gauge in {settings.unit}", 50.0, 1)
+    return None
+
+
+def _loadstar(link: Link) -> Identity | None:
+    link.discard()
+    link.write(loadstar.PING + loadstar.MODEL)
+    end_s = link.clock.now_s() + QUICK_S
+    while link.clock.now_s() < end_s:
+        try:
+            line = link.next_line(end_s - link.clock.now_s()).text
+        except NoReply:
+            return None
+        if any(known in line for known in loadstar.KNOWN_MODELS):
+            return Identity(link.port, "force", "loadstar", f"Loadstar {line.decode('ascii', 'replace')}", 80.0, 1)
     return None

@@ -1,6 +1,6 @@
 """What the acquisition needs of a clock, a stage, a load cell and a sensor readout, whatever their dialect."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
@@ -46,6 +46,14 @@ class StagePosition:
     position_mm: float
 
 
+OnWait: TypeAlias = Callable[[], None]
+"""Called every few milliseconds by whatever waits for a device."""
+
+
+def ignore_wait() -> None:
+    """Do nothing while a device is waited for."""
+
+
 class Clock(Protocol):
     """The host's clock. On a simulated rig waiting is what lets time pass."""
 
@@ -78,8 +86,8 @@ class Stage(Protocol):
         """Whether the last move that was begun has not yet been confirmed as finished."""
         ...
 
-    def home(self) -> None:
-        """Find the homing switch and wait until it is done."""
+    def home(self, on_wait: OnWait = ignore_wait) -> None:
+        """Find the homing switch and wait until it is done; what `on_wait` raises ends the wait, not yet the motion."""
         ...
 
     def begin(self, move: Move) -> None:

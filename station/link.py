@@ -100,8 +100,11 @@ class Link:
             pass
 
     def _receive(self) -> None:
+        content = b""
         try:
-            content = self._serial.read(65536)
+            # One read may give less than has arrived (a tty hands over what its line discipline has taken so far).
+            while piece := self._serial.read(65536):
+                content += piece
         except (serial.SerialException, OSError) as error:
             raise self._gone() from error
         if not content:

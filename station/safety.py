@@ -2,7 +2,10 @@
 
 from collections import deque
 
+import numpy as np
+
 from softcal.core.errors import BadReply, NoReply, SafetyStop
+from softcal.station.clock import seen_rate_Hz
 from softcal.station.config import SafetyConfig
 from softcal.station.interfaces import ForceReader, Readout, Sample
 
@@ -14,6 +17,9 @@ FROZEN_MM = 0.6
 
 PRESSED_MM, MISSING_S = 0.8, 0.15
 """A unit pressed this deep for so long must show a force."""
+
+JUMP_N, STANDING_S = 1.0, 0.3
+"""More from one sample to the next, while the stage stands for so long, is no force of the unit."""
 
 SLOPE_SAMPLES = 4
 RATE_SAMPLES = 16
@@ -79,6 +85,25 @@ class FollowWatch:
             raise BadReply(
                 f"load cell: {force_N:.2f} N although the stage is {pressed_mm:.2f} mm below the contact; check the "
                 "cell's bridge, the fixture and whether the stage is blocked"
+            )
+
+
+class JumpWatch:
+    """Whether the force jumps while nothing moves: a cable, an amplifier, or a hand at the rig."""
+
+    def __init__(self) -> None:
+        self._last_N: float | None = None
+        self._moved_s = 0.0
+
+    def check(self, force_N: float, is_moving: bool, now_s: float) -> None:
+        """Raise `BadReply` when one sample differs from the one before by what no unit at rest can do."""
+        if is_moving:
+            self._moved_s = now_s
+        last_N, self._last_N = self._last_N, force_N
+        if last_N is not None and now_s - self._moved_s > STANDING_S and abs(force_N - last_N) > JUMP_N:
+            raise BadReply(
+                f"load cell: jumped from {last_N:.2f} N to {force_N:.2f} N while the stage stands still; check its "
+                "cable and mounting, keep hands off the rig"
             )
 
 
@@ -152,16 +177,13 @@ class StreamWatch:
         self._times.append(device_s)
         if len(self._times) < RATE_SAMPLES:
             return
-        recent = list(self._times)[-RATE_SAMPLES:]
-        steps = sorted(later - earlier for earlier, later in zip(recent, recent[1:], strict=False))
-        usual_s = steps[len(steps) // 2]
-        seen_Hz = 1.0 / usual_s
+        seen_Hz = seen_rate_Hz(np.array(self._times)[-RATE_SAMPLES:])
         if not 0.9 < seen_Hz / self._reader.rate_Hz < 1.1:
             raise BadReply(
                 f"{self._reader.name}: sends {seen_Hz:.3g} samples a second, {self._reader.rate_Hz:g} were expected; "
                 "check its firmware and the station file"
             )
-        lost = round((device_s - self._times[0]) / usual_s) + 1 - len(self._times)
+        lost = round((device_s - self._times[0]) * seen_Hz) + 1 - len(self._times)
         if lost > LOST_SAMPLES:
             raise BadReply(
                 f"{self._reader.name}: {lost} of {lost + len(self._times)} samples did not come; check its cable and "

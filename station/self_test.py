@@ -7,11 +7,14 @@ import numpy as np
 
 from softcal.core.errors import DeviceError
 from softcal.station.bench import Bench
-from softcal.station.clock import fit_clock
+from softcal.station.clock import fit_clock, seen_rate_Hz
 from softcal.station.interfaces import ForceReader, Move, Readout, Sample
 from softcal.station.recording import LARGEST_DRIFT
 
-LISTEN_S = 3.0
+LISTEN_S = 5.0
+LOOK_S = 0.001
+"""How often the readers are read: arrival times are no finer than this."""
+
 STEP_MM = 2.0
 POSITION_MM = 0.02
 RATE_SHARE = 0.05
@@ -56,7 +59,7 @@ def self_test(bench: Bench, may_move: bool = True) -> list[Finding]:
             reader.start()
         end_s = bench.clock.now_s() + LISTEN_S
         while bench.clock.now_s() < end_s:
-            bench.clock.sleep_s(TICK_S)
+            bench.clock.sleep_s(LOOK_S)
             for reader in readers:
                 samples[reader.name] += reader.poll()
     except DeviceError as error:
@@ -81,16 +84,20 @@ def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -
         return findings
     device_s = np.array([sample.device_s for sample in samples], dtype=np.float64)
     fit = fit_clock(device_s, np.array([sample.host_s for sample in samples]))
-    rate_Hz = 1.0 / float(np.median(np.diff(device_s)))
+    rate_Hz = seen_rate_Hz(device_s)
     is_right = abs(rate_Hz / reader.rate_Hz - 1) < RATE_SHARE
     slow = f"{reader.rate_Hz:g} Hz were expected; correct rate_Hz in the station file or the firmware"
     drift = "clock far off; check the firmware" if abs(fit.rate - 1) > LARGEST_DRIFT else ""
     return [
         *findings,
         Finding(reader.name, "rate", f"{rate_Hz:.4g} Hz", "" if is_right else slow),
-        Finding(reader.name, "clock drift", f"{1e6 * (fit.rate - 1):+.0f} ppm", drift),
+        Finding(reader.name, "clock drift", f"{_ppm(1 - fit.rate)} ppm, give or take {_ppm(LOOK_S / LISTEN_S)}", drift),
         Finding(reader.name, "latency", f"median {1e3 * fit.late_s:.1f} ms, largest {1e3 * fit.latest_s:.1f} ms"),
     ]
+
+
+def _ppm(share: float) -> str:
+    return f"{1e6 * share:.0f}"
 
 
 def _zero_findings(bench: Bench, samples: Sequence[Sample]) -> list[Finding]:

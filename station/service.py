@@ -1,13 +1,13 @@
 """The resident owner of a station: one order at a time, one sentence for every stop. No database, no page here."""
 
 import re
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
-
-import numpy as np
 
 from softcal.core.errors import (
     BadReply,
@@ -20,14 +20,16 @@ from softcal.core.errors import (
 from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.profiles import Profile
-from softcal.core.station_gate import Gate
-from softcal.station.acquisition import RunProgress, record
+from softcal.core.station_gate import Gate, RigFacts
+from softcal.station.acquisition import HOMING, RunProgress, ZeroMoved, record
 from softcal.station.bench import Bench
+from softcal.station.interfaces import Reader, Stage
 from softcal.station.recording import StationRecording
 from softcal.station.self_test import Finding, self_test
 from softcal.station.spool import Spool
 
 CODES: Mapping[type[SoftcalError], str] = {
+    ZeroMoved: "E-ZERO",
     CommandRefused: "E-REFUSED",
     BadReply: "E-REPLY",
     NoReply: "E-SILENT",
@@ -37,6 +39,12 @@ CODES: Mapping[type[SoftcalError], str] = {
 """Stable code of the message for each kind of error; the screen's catalogue is keyed by it."""
 
 SIGNAL_POINTS = 400
+
+CHECK_S = 12.0
+"""How long a self-test takes, about."""
+
+SILENT_S = 2.0
+"""Between runs a stream that says nothing for so long is gone; in a run the safety bounds are far tighter."""
 
 
 class Cancelled(DeviceError):
@@ -50,12 +58,12 @@ class Hooks:
     Args:
         report: takes progress; called about ten times a second of station time.
         is_stop_wanted: whether somebody asked to stop the run in progress.
-        gate: whether an order of this kind may run now.
+        gate: whether an order of this kind may run now, with this rig.
     """
 
     report: Callable[[Progress], None]
     is_stop_wanted: Callable[[], bool]
-    gate: Callable[[OrderKind], Gate]
+    gate: Callable[[OrderKind, RigFacts], Gate]
 
 
 class StationService:
@@ -81,9 +89,24 @@ class StationService:
         self._open_bench, self._profiles, self._spool_folder, self._hooks = open_bench, profiles, spool_folder, hooks
         self._open = ExitStack()
         self._bench: Bench | None = None
+        self._started_s = time.monotonic()
+        self._heard_s: dict[str, float] = {}
+        self._cell_clock_s = self._zero_return_N = 0.0
+        self._homing_fault = self._zero_fault = ""
         self.state = StationState.STARTING
         self.reasons: tuple[str, ...] = ()
+        self.gate = Gate()
         self.findings: list[Finding] = []
+
+    @property
+    def rig(self) -> RigFacts:
+        """What the gate may want to know of the rig."""
+        # Opening its port resets an Arduino's clock though its cell stays powered: the longer of the two is true.
+        powered_s = max(self._cell_clock_s, time.monotonic() - self._started_s)
+        is_homed = self._bench is not None and self._bench.stage.is_position_known
+        return RigFacts(
+            timedelta(seconds=powered_s), is_homed, self._homing_fault, self._zero_fault, self._zero_return_N
+        )
 
     def start(self) -> None:
         """Open the ports; a device that is missing leaves the station stopped, with all of them named."""
@@ -94,15 +117,30 @@ class StationService:
         except DeviceError as error:
             self.state, self.reasons = StationState.STOPPED, (str(error),)
             return
+        self._heard_s = {}
         self.settle()
 
     def settle(self) -> None:
         """Look at the gate again, between orders."""
         if self.state in (StationState.STOPPED, StationState.RUNNING):
             return
-        gate = self._hooks.gate(OrderKind.UNIT)
-        self.state = StationState.READY if gate.is_open else StationState.CLOSED
-        self.reasons = gate.reasons
+        self.gate = self._hooks.gate(OrderKind.UNIT, self.rig)
+        self.state = StationState.READY if self.gate.is_open else StationState.CLOSED
+        self.reasons = self.gate.reasons
+
+    def watch(self, seconds: float) -> None:
+        """Let a little time pass between orders and read what comes: a device that is gone is seen now."""
+        bench = self._bench
+        if bench is None or self.state not in (StationState.READY, StationState.CLOSED):
+            return
+        try:
+            bench.clock.sleep_s(seconds)
+            _look_at(bench.stage)
+            for reader in (bench.readout, bench.force):
+                if reader is not None:
+                    self._listen(bench, reader)
+        except DeviceError as error:
+            self.state, self.reasons = StationState.STOPPED, (str(error),)
 
     def acknowledge(self) -> None:
         """Somebody has read why the station stopped: open the ports again; the next run homes first."""
@@ -118,17 +156,23 @@ class StationService:
             self.acknowledge()
             self._end(order, RunState.DONE, "", "acknowledged")
             return None
-        refusal = self._refusal(order)
+        code, refusal = self._refusal(order)
         if refusal:
-            self._end(order, RunState.ERROR, "E-GATE", refusal)
+            self._end(order, RunState.ERROR, code, refusal)
             return None
+        relay = _Relay(order, self._hooks)
         try:
             self.state, self.reasons = StationState.RUNNING, ()
-            return self._run(order)
+            self._heard_s = {}  # In a run the acquisition listens.
+            return self._run(order, relay)
         except Cancelled as error:
             self._stop(order, RunState.CANCELLED, "E-STOPPED", error)
         except SoftcalError as error:
+            self._remember(error, relay.phase)
             self._stop(order, RunState.ERROR, _code(error), error)
+        except Exception:
+            self.state, self.reasons = StationState.STOPPED, ("a defect of softcal ended the run; its log has more",)
+            raise
         return None
 
     def spool_path(self, order: Order) -> Path:
@@ -142,38 +186,67 @@ class StationService:
         self._bench = None
         self.state = StationState.OFF
 
-    def _refusal(self, order: Order) -> str:
-        if self.state is StationState.STOPPED or self._bench is None:
-            return f"the station is stopped: {'; '.join(self.reasons)}; acknowledge first"
-        gate = self._hooks.gate(order.kind)
-        return "" if gate.is_open else "; ".join(gate.reasons)
+    def _listen(self, bench: Bench, reader: Reader) -> None:
+        now_s = bench.clock.now_s()
+        try:
+            samples = reader.poll()
+        except BadReply:
+            # A hand at the fixture saturates a cell, a restart sets a clock back: it speaks, the next run will judge.
+            reader.start()
+            self._heard_s[reader.name] = now_s
+            return
+        if samples:
+            self._heard_s[reader.name] = now_s
+            if reader is bench.force and samples[-1].device_s is not None:
+                self._cell_clock_s = samples[-1].device_s
+        silent_s = now_s - self._heard_s.setdefault(reader.name, now_s)
+        if silent_s > SILENT_S:
+            raise NoReply(f"{reader.name}: nothing for {silent_s:.0f} s; check its cable and supply")
 
-    def _run(self, order: Order) -> StationRecording | None:
+    def _refusal(self, order: Order) -> tuple[str, str]:
+        """Return code and reason why an order may not run; both empty when it may."""
+        if self.state is StationState.STOPPED or self._bench is None:
+            return "E-GATE", f"the station is stopped: {'; '.join(self.reasons)}; acknowledge first"
+        gate = self._hooks.gate(order.kind, self.rig)
+        return ("", "") if gate.is_open else ("E-GATE", "; ".join(gate.reasons))
+
+    def _remember(self, error: SoftcalError, phase: str) -> None:
+        """Keep what closes the gate until a self-test is good."""
+        if isinstance(error, ZeroMoved):
+            self._zero_fault = _first_clause(error)
+        elif phase == HOMING:
+            self._homing_fault = _first_clause(error)
+
+    def _run(self, order: Order, relay: "_Relay") -> StationRecording | None:
         bench = self._bench
         if bench is None:
             raise NoReply("the station has no open devices; acknowledge first")
         if order.kind is OrderKind.CHECK:
-            self.findings = self_test(bench)
-            faults = [f"{f.device}, {f.what}: {f.cure}" for f in self.findings if not f.is_good]
-            if faults:
-                raise BadReply("; ".join(faults))
-            self._end(order, RunState.DONE, "", "all devices are good")
-            self._ready()
+            self._check(order, bench)
             return None
-        relay = _Relay(order, self._hooks, bench.readout.unit)
         with_reference = order.kind in (OrderKind.SOURCE, OrderKind.GOLDEN)
-        path = self.spool_path(order)
         header = {"serial": order.serial, "order": order.order_id, "station": order.station, "lot": order.lot_id}
-        with Spool(path, header | {"kind": order.kind, "profile": self._profiles[order.kind].name}) as spool:
-            recording = record(
-                bench, order.serial, self._profiles[order.kind], with_reference, relay.on_progress, spool
-            )
+        profile = self._profiles[order.kind]
+        with Spool(self.spool_path(order), header | {"kind": order.kind, "profile": profile.name}) as spool:
+            recording = record(bench, order.serial, profile, with_reference, relay.on_progress, spool)
+        self._zero_return_N = recording.zero_return_N
         self._ready()
         return recording
 
+    def _check(self, order: Order, bench: Bench) -> None:
+        self._hooks.report(Progress(order.order_id, RunState.RUNNING, "self-test", 0.0, CHECK_S))
+        self.findings = self_test(bench)
+        faults = [f"{f.device}, {f.what}: {f.cure}" for f in self.findings if not f.is_good]
+        if faults:
+            raise BadReply("; ".join(faults))
+        self._homing_fault = self._zero_fault = ""
+        self._zero_return_N = 0.0
+        self._end(order, RunState.DONE, "", "all devices are good")
+        self._ready()
+
     def _ready(self) -> None:
+        # The gate is asked between orders: a registry that is away must not cost a run that is done.
         self.state = StationState.READY
-        self.settle()
 
     def _stop(self, order: Order, state: RunState, code: str, error: SoftcalError) -> None:
         self.state, self.reasons = StationState.STOPPED, (str(error),)
@@ -186,32 +259,45 @@ class StationService:
 class _Relay:
     """Run progress in, order progress out, with the newest stretch of the signal."""
 
-    def __init__(self, order: Order, hooks: Hooks, output_unit: str) -> None:
-        self._order, self._hooks, self._output_unit = order, hooks, output_unit
-        self._points: deque[tuple[float, float, float, float]] = deque(maxlen=SIGNAL_POINTS)
+    def __init__(self, order: Order, hooks: Hooks) -> None:
+        self._order, self._hooks = order, hooks
+        self._points: deque[tuple[float, float, float, float | None]] = deque(maxlen=SIGNAL_POINTS)
+        self._unit = ""
+        self.phase = ""
 
     def on_progress(self, progress: RunProgress) -> None:
         if self._hooks.is_stop_wanted():
             raise Cancelled("stopped by a person")
-        force_N = float("nan") if progress.force_N is None else progress.force_N
-        self._points.append((progress.t_s, progress.output, progress.stage_mm, force_N))
-        self._hooks.report(
-            Progress(
-                self._order.order_id,
-                RunState.RUNNING,
-                progress.phase,
-                progress.fraction,
-                progress.remaining_s,
-                signal=self._signal(),
-            )
-        )
+        self.phase = progress.phase
+        if progress.output is not None:
+            self._points.append((progress.t_s, progress.output, progress.stage_mm, progress.force_N))
+            self._unit = progress.output_unit
+        told = (progress.phase, progress.fraction, progress.remaining_s)
+        self._hooks.report(Progress(self._order.order_id, RunState.RUNNING, *told, signal=self._signal()))
 
     def _signal(self) -> Signal:
-        points = np.array(self._points)
-        t_s, output, stage_mm, force_N = (tuple(column.tolist()) for column in points.T)
-        has_force = not np.isnan(points[-1, 3])
-        return Signal(t_s, output, stage_mm, force_N if has_force else (), self._output_unit)
+        """Return the newest stretch; before the load cell's first sample there is no force to draw."""
+        points = [point for point in self._points if point[3] is not None] or list(self._points)
+        if not points:
+            return Signal()
+        t_s, output, stage_mm, force_N = zip(*points, strict=True)
+        return Signal(t_s, output, stage_mm, () if force_N[0] is None else force_N, self._unit)
+
+
+def _look_at(stage: Stage) -> None:
+    was_known = stage.is_position_known
+    try:
+        stage.poll()
+    except NoReply:
+        raise
+    except DeviceError:
+        if was_known:
+            raise  # A stage that was never homed is locked, and says so; that is no news.
 
 
 def _code(error: SoftcalError) -> str:
-    return CODES.get(type(error), CODES[DeviceError])
+    return next(code for kind, code in CODES.items() if isinstance(error, kind) or kind is DeviceError)
+
+
+def _first_clause(error: SoftcalError) -> str:
+    return str(error).split(";")[0]

@@ -6,7 +6,7 @@ import numpy as np
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
 from softcal.station.frames import grbl
-from softcal.station.interfaces import Move, StagePosition
+from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
 from softcal.station.link import POLL_S, Line, Link
 from softcal.station.trajectory import Trapezoid
 
@@ -42,7 +42,7 @@ class GrblStage:
         self._link, self._axis, self._index = link, axis, "XYZ".index(axis)
         self._sign = -1.0 if is_reversed else 1.0
         self._offset_mm: tuple[float, ...] | None = None
-        self._is_homed = False
+        self._is_homed = self._is_homing = False
         self._in_flight: deque[int] = deque()
         self._pieces: deque[tuple[float, bytes]] = deque()
         self._began_s = 0.0
@@ -65,8 +65,11 @@ class GrblStage:
         """Whether the last move has not yet been confirmed as finished."""
         return bool(self._pieces or self._in_flight)
 
-    def home(self) -> None:
+    def home(self, on_wait: OnWait = ignore_wait) -> None:
         """Find the homing switch and wait until it is done.
+
+        Args:
+            on_wait: called every few milliseconds; what it raises ends the wait.
 
         Raises:
             DeviceError: the switch is missing or stuck; the position stays unknown.
@@ -76,8 +79,9 @@ class GrblStage:
         self._link.discard()
         self._unlock_after_alarm()
         self._link.write(grbl.HOME)
-        self._wait_for_ok(HOMING_S, "homing")
-        self._is_homed = True
+        self._is_homing = True
+        self._wait_until_homed(on_wait)
+        self._is_homed, self._is_homing = True, False
         self._await_status()
 
     def begin(self, move: Move) -> None:
@@ -130,7 +134,9 @@ class GrblStage:
         self._forget_motion()
         self._link.write(grbl.HOLD)
         self._link.discard()
-        has_stopped = self._has_stopped(answers_before)
+        # Homing ignores the hold and answers no poll: only a reset ends it, and there is no position to lose.
+        has_stopped = not self._is_homing and self._has_stopped(answers_before)
+        self._is_homing = False
         self._link.write(grbl.RESET)
         self._is_homed = self._is_homed and has_stopped
         self._wait_for_greeting(ANSWER_S)
@@ -219,14 +225,14 @@ class GrblStage:
         return None
 
     def _position(self, status: grbl.Status, host_s: float) -> StagePosition:
+        asked_s = host_s if self._asked_s is None else self._asked_s
+        self._asked_s = None
         if status.state == "Door":
             raise DeviceError("stage: the safety door is open; close it, then start again")
         if status.state in ("Alarm", "Sleep"):
             self._is_homed = False
             raise DeviceError(f"stage: the controller is in {status.state}; look at the rig, then home it")
         self._offset_mm = status.offset_mm or self._offset_mm
-        asked_s = host_s if self._asked_s is None else self._asked_s
-        self._asked_s = None
         self.position_mm = self._sign * self._machine_mm(status)
         return StagePosition((asked_s + host_s) / 2, self.position_mm)
 
@@ -295,13 +301,22 @@ class GrblStage:
             if isinstance(reply, grbl.Greeting):
                 return reply.text
 
-    def _wait_for_ok(self, within_s: float, what: str) -> None:
-        end_s = self._link.clock.now_s() + within_s
-        while True:
-            reply = grbl.parse(self._link.next_line(max(0.0, end_s - self._link.clock.now_s())).text)
-            if isinstance(reply, grbl.Ok):
-                return
-            if isinstance(reply, grbl.Refusal):
-                raise CommandRefused(f"stage: {what} was refused: {reply}; check the settings of the controller")
-            if isinstance(reply, (grbl.Alarm, grbl.Greeting)):
-                raise DeviceError(f"stage: {what} failed: {reply}; check the homing switch and its cable")
+    def _wait_until_homed(self, on_wait: OnWait) -> None:
+        end_s = self._link.clock.now_s() + HOMING_S
+        while self._link.clock.now_s() < end_s:
+            for line in self._link.read_lines():
+                reply = grbl.parse(line.text)
+                if isinstance(reply, grbl.Ok):
+                    return
+                self._check_homing(reply)
+            self._link.clock.sleep_s(POLL_S)
+            on_wait()
+        raise NoReply(f"stage: not at home after {HOMING_S:g} s; look for what blocks it")
+
+    def _check_homing(self, reply: grbl.Reply) -> None:
+        if isinstance(reply, grbl.Refusal):
+            self._is_homing = False
+            raise CommandRefused(f"stage: homing was refused: {reply}; check the settings of the controller")
+        if isinstance(reply, (grbl.Alarm, grbl.Greeting)):
+            self._is_homing = False
+            raise DeviceError(f"stage: homing failed: {reply}; check the homing switch and its cable")

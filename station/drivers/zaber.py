@@ -3,7 +3,7 @@
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
 from softcal.station.command import Control, Measurement
 from softcal.station.frames import zaber
-from softcal.station.interfaces import Move, StagePosition
+from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
 from softcal.station.link import POLL_S, Link
 
 ANSWER_S = 0.5
@@ -60,8 +60,11 @@ class ZaberStage:
         """Whether the last move has not yet been confirmed as finished."""
         return self._is_moving
 
-    def home(self) -> None:
+    def home(self, on_wait: OnWait = ignore_wait) -> None:
         """Find the home sensor and wait until it is done.
+
+        Args:
+            on_wait: called at every look; what it raises ends the wait.
 
         Raises:
             DeviceError: the axis stalled or cannot be homed.
@@ -74,6 +77,7 @@ class ZaberStage:
             if self._link.clock.now_s() > end_s:
                 raise NoReply(f"stage: not at home after {HOMING_S:g} s; look for what blocks it")
             self._link.clock.sleep_s(STATUS_S)
+            on_wait()
         self._check(reply)
         self.position_mm = self.position * self._microstep_mm
         self._is_homed = True

@@ -1,4 +1,4 @@
-"""Load cells with their own electronics at the far end of a serial line: a Mark-10 gauge and a weighing indicator."""
+"""Load cells with their own electronics at the far end of a serial line: Mark-10, Loadstar, a weighing indicator."""
 
 from collections.abc import Callable
 
@@ -27,7 +27,7 @@ class SimulatedMark10:
         """Take what the host has written and answer every whole command."""
         *lines, self._received = (self._received + self.wire.receive()).split(b"\r")
         for line in lines:
-            answer = self._answer(line.strip().decode("ascii", "replace"), now_s)
+            answer = self.answer(line.strip().decode("ascii", "replace"), now_s)
             if answer:
                 self.wire.send(answer.encode() + b"\r\n", now_s)
 
@@ -39,7 +39,8 @@ class SimulatedMark10:
         """Let bytes reach the host."""
         self.wire.deliver(now_s)
 
-    def _answer(self, command: str, now_s: float) -> str:
+    def answer(self, command: str, now_s: float) -> str:
+        """Return what the gauge says to one command, "" where it says nothing."""
         if command in ("?", "?C"):
             name, factor = PER_NEWTON[self.unit]
             reading = f"{(self._force_N(now_s) - self._zero_N) * factor:.3f}"
@@ -89,5 +90,42 @@ class SimulatedIndicator:
             state = "OL" if abs(force_N) > self._capacity_N else "US"
             sign = "-" if force_N < 0 else "+"
             self.wire.send(f"{state},GS,{sign}{abs(force_N) / 9.80665:7.4f}kg\r\n".encode(), self._due_s)
+            self._due_s += self._period_s
+        self.wire.deliver(now_s)
+
+
+class SimulatedLoadstar:
+    """A DI-1000 that streams in pounds once it is asked to.
+
+    Args:
+        wire: the serial line.
+        force_N: (true time) -> force.
+        rate_Hz: lines per second.
+    """
+
+    def __init__(self, wire: Wire, force_N: Callable[[float], float], rate_Hz: float = 80.0) -> None:
+        self.wire, self._force_N, self._period_s = wire, force_N, 1.0 / rate_Hz
+        self.model, self.unit, self.is_faulty = "FCM DI-1000", "lb", False
+        self._due_s = float("inf")
+        self._received = b""
+
+    def receive(self, now_s: float) -> None:
+        """Take what the host has written and answer every whole command."""
+        *lines, self._received = (self._received + self.wire.receive()).split(b"\r")
+        for line in lines:
+            self._due_s = now_s + self._period_s if line == b"WC" else float("inf")
+            answer = {b"": "A", b"MODEL": self.model, b"UNITS": self.unit, b"WC": ""}.get(line, "E")
+            if answer:
+                self.wire.send(answer.encode() + b"\r\n", now_s)
+
+    def next_event_s(self) -> float:
+        """Return the time of the next line or arrival."""
+        return min(self._due_s, self.wire.next_arrival_s())
+
+    def advance(self, now_s: float) -> None:
+        """Print the lines that are due and let bytes reach the host."""
+        while self._due_s <= now_s:
+            value = "E" if self.is_faulty else f"{self._force_N(self._due_s) / 4.4482216152605:.6f}"
+            self.wire.send(value.encode() + b"\r\n", self._due_s)
             self._due_s += self._period_s
         self.wire.deliver(now_s)

@@ -56,6 +56,14 @@ class Axis:
         if braking_s > 0:
             self._phases.append(_Phase(braking_s, -math.copysign(self.acceleration_mm_s2, self.velocity_mm_s)))
 
+    def brake(self) -> None:
+        """Brake at the drive's acceleration and forget the queue."""
+        speed = self.velocity_mm_s
+        stop_mm = self.position_mm + math.copysign(speed**2 / (2 * self.acceleration_mm_s2), speed)
+        self.queue.clear()
+        if speed:
+            self.add(Block(stop_mm, abs(speed)))
+
     def resume(self) -> None:
         """Go on with the queue after a hold."""
         self.is_held = False

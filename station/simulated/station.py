@@ -6,7 +6,8 @@ import numpy as np
 
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin, TwinStream
-from softcal.station.simulated.force_gauge import SimulatedIndicator, SimulatedMark10
+from softcal.station.simulated.esm import SimulatedEsm
+from softcal.station.simulated.force_gauge import SimulatedIndicator, SimulatedLoadstar, SimulatedMark10
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.rig import Rig
@@ -71,6 +72,9 @@ class SimulatedStation:
             self.world.add(far_end)
 
     def _stage_end(self) -> FarEnd:
+        if self.stage_kind == "esm":
+            gauge = SimulatedMark10(self.force_wire, lambda now_s: self.rig.read(now_s)[0])
+            return SimulatedEsm(self.stage_wire, self.axis, gauge)
         return SimulatedZaber(self.stage_wire, self.axis) if self.stage_kind == "zaber" else self.stage
 
     def _force_end(self) -> FarEnd:
@@ -78,6 +82,8 @@ class SimulatedStation:
             return SimulatedMark10(self.force_wire, lambda now_s: self.rig.read(now_s)[0])
         if self.force_kind == "indicator":
             return SimulatedIndicator(self.force_wire, lambda now_s: self.rig.read(now_s)[0])
+        if self.force_kind == "loadstar":
+            return SimulatedLoadstar(self.force_wire, lambda now_s: self.rig.read(now_s)[0])
         return self.force
 
     def mount(self, unit: Twin) -> None:

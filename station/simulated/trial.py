@@ -1,13 +1,15 @@
 """One run on the simulated station with one fault: what the operator reads, when the stage stood, what was kept."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile, moves
 from softcal.station.acquisition import RunProgress, record
 from softcal.station.bench import open_simulated_bench
-from softcal.station.simulated.faults import Fault
+from softcal.station.simulated.faults import DOWN_S, PRESS, Fault
 from softcal.station.simulated.station import SimulatedStation
 from softcal.station.spool import Spool, read_spool
 
@@ -49,6 +51,10 @@ def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> Outcome:
         folder: where the spool goes.
         seed: of the simulated station.
     """
+    return _tried(fault, folder, seed, lambda path: Spool(path, {"serial": "F1"}))
+
+
+def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], Spool]) -> Outcome:
     with open_simulated_bench(seed=seed) as (bench, station):
         watch = _Watch(station, fault)
         if not fault.phase:
@@ -57,7 +63,7 @@ def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> Outcome:
         error, record_state = None, "none"
         path = folder / "run.spool"
         try:
-            with Spool(path, {"serial": "F1"}) as spool:
+            with make_spool(path) as spool:
                 record(bench, "F1", PROFILE, True, watch.on_progress, spool)
             record_state = "good"
         except DeviceError as caught:
@@ -74,6 +80,63 @@ def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> Outcome:
             record_state,
             read_spool(path).end,
         )
+
+
+def run_with_full_disk(folder: Path, seed: int = 0) -> Outcome:
+    """Press while the disk fills up: the spool's next line cannot be written."""
+    spool: list[_FillingSpool] = []
+
+    def make_spool(path: Path) -> Spool:
+        spool.append(_FillingSpool(path, {"serial": "F1"}))
+        return spool[0]
+
+    fault = Fault("disk full while pressing", PRESS, DOWN_S, lambda station: spool[0].fill())
+    return _tried(fault, folder, seed, make_spool)
+
+
+def run_with_dead_host(folder: Path, seed: int = 0) -> Outcome:
+    """Press until the host process is gone from one instant to the next: nothing is read or sent any more."""
+    path = folder / "run.spool"
+    with open_simulated_bench(seed=seed) as (bench, station):
+        died_s = float("nan")
+        spool_says = ""
+
+        def on_progress(progress: RunProgress) -> None:
+            nonlocal died_s, spool_says
+            if progress.phase != PRESS or progress.stage_mm < station.free_mm + 2.0:
+                return
+            died_s = station.world.now_s()
+            station.world.sleep_s(COAST_S)
+            spool_says = read_spool(path).end
+            raise _HostDied
+
+        try:
+            with Spool(path, {"serial": "F1"}) as spool:
+                record(bench, "F1", PROFILE, True, on_progress, spool)
+        except _HostDied:
+            pass
+        stands_s = max(0.0, station.axis.standstills_s[-1] - died_s)
+        message = "the station's service was started again; press the unit again"
+        force_N = station.rig.largest_force_N
+        return Outcome(
+            "host process killed while pressing", "none", message, 0.0, stands_s, force_N, "none", spool_says
+        )
+
+
+class _HostDied(BaseException):
+    """The host is gone; what follows in this process is no part of the trial."""
+
+
+class _FillingSpool(Spool):
+    """A spool whose disk can fill up."""
+
+    def fill(self) -> None:
+        # The file of before stays open: the writing thread may be in the middle of a line.
+        self._before, self._file = self._file, Path("/dev/full").open("ab")
+
+    def __exit__(self, *exception: Any) -> None:
+        super().__exit__(*exception)
+        self._before.close()
 
 
 class _Watch:

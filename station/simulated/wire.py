@@ -15,7 +15,7 @@ class Wire:
     """The device's side of a serial line.
 
     Faults are switches: `is_silent` (nothing leaves), `garbage` (this share of lines comes as noise), `repeat` and
-    `loss` (share of lines sent twice or never), `unplug()`.
+    `loss` (share of lines sent twice or never), `unplug()`, and the delays below.
 
     Args:
         rng: draws delays and faults.
@@ -27,7 +27,7 @@ class Wire:
     def __init__(
         self, rng: np.random.Generator, delay_s: float = 0.001, jitter_s: float = 0.002, stall_s: float = 0.1
     ) -> None:
-        self._rng, self._delay_s, self._jitter_s, self._stall_s = rng, delay_s, jitter_s, stall_s
+        self._rng, self.delay_s, self.jitter_s, self.stall_s = rng, delay_s, jitter_s, stall_s
         self._master, slave = pty.openpty()
         tty.setraw(slave)
         os.set_blocking(self._master, False)
@@ -42,21 +42,24 @@ class Wire:
 
     def receive(self) -> bytes:
         """Return what the host has written since the last call."""
+        content = b""
         if not self.is_plugged:
-            return b""
+            return content
         try:
-            return os.read(self._master, 65536)
+            # One read may give less than was written; what comes a step later would be another simulation.
+            while True:
+                content += os.read(self._master, 65536)
         except BlockingIOError:
-            return b""
+            return content
 
     def send(self, content: bytes, now_s: float) -> None:
         """Hand bytes to the line; the host sees them after the delays of the line, in order."""
         if self.is_silent or not self.is_plugged:
             return
         for copy in self._with_faults(content):
-            arrival_s = now_s + self._delay_s + len(copy) * BYTE_S + self._rng.exponential(self._jitter_s)
-            if self._stall_s and self._rng.random() < 0.005:
-                self._open_at_s = now_s + self._rng.uniform(0.2, 1.0) * self._stall_s
+            arrival_s = now_s + self.delay_s + len(copy) * BYTE_S + self._rng.exponential(self.jitter_s)
+            if self.stall_s and self._rng.random() < 0.005:
+                self._open_at_s = now_s + self._rng.uniform(0.2, 1.0) * self.stall_s
             arrival_s = max(arrival_s, self._open_at_s, self._outbox[-1][0] if self._outbox else 0.0)
             self._outbox.append((arrival_s, copy))
 

@@ -12,6 +12,8 @@ from heapq import heappop, heappush
 from itertools import count
 from typing import Protocol
 
+LARGEST_LAG_S = 0.1
+
 
 class FarEnd(Protocol):
     """Something that lives in simulated time."""
@@ -50,8 +52,9 @@ class World:
         self._far_ends.append(far_end)
 
     def at(self, time_s: float, happening: Callable[[], None]) -> None:
-        """Let something happen at a simulated time, for example a fault."""
-        heappush(self._planned, (time_s, next(self._order), happening))
+        """Let something happen at a simulated time, for example a fault; any thread may ask for it."""
+        with self._lock:
+            heappush(self._planned, (time_s, next(self._order), happening))
 
     def now_s(self) -> float:
         """Return the simulated time in s."""
@@ -65,6 +68,9 @@ class World:
             ahead_s = self._now_s / self._time_factor - (time.monotonic() - self._started_s)
             if ahead_s > 0:
                 time.sleep(ahead_s)
+            elif ahead_s < -LARGEST_LAG_S:
+                # Nobody waited for a while: time lost is not made up for by running faster.
+                self._started_s -= ahead_s
 
     @contextmanager
     def in_background(self, step_s: float = 0.002) -> Iterator[None]:

@@ -1,7 +1,5 @@
 """A Zaber stage with one axis at the far end of a serial line (Zaber ASCII manual)."""
 
-import math
-
 from softcal.core.errors import BadReply
 from softcal.station.drivers.zaber import ACCELERATION_UNIT, SPEED_UNIT
 from softcal.station.frames import zaber
@@ -113,7 +111,8 @@ class SimulatedZaber:
                 self._is_homed = not self.axis.is_moving
                 return True, "0"
             case ["stop"]:
-                self._brake()
+                self.axis.brake()
+                self._is_homing = False
                 return True, "0"
             case ["estop"]:
                 self.axis.flush()
@@ -128,11 +127,3 @@ class SimulatedZaber:
         self.axis.flush()
         self.axis.add(Block(to_mm, self.settings["maxspeed"] / SPEED_UNIT * self.microstep_mm))
         return True, "0"
-
-    def _brake(self) -> None:
-        speed = self.axis.velocity_mm_s
-        stop_mm = self.axis.position_mm + math.copysign(speed**2 / (2 * self.axis.acceleration_mm_s2), speed)
-        self.axis.queue.clear()
-        if speed:
-            self.axis.add(Block(stop_mm, abs(speed)))
-        self._is_homing = False

@@ -1,14 +1,15 @@
-"""Mark-10 gauges and weighing indicators: bytes of their manuals, then the drivers on simulated far ends."""
+"""Mark-10 gauges, Loadstar interfaces, indicators: bytes of their manuals, then the drivers on simulated far ends."""
 
 import pytest
 
-from softcal.core.errors import BadReply, CommandRefused
+from softcal.core.errors import BadReply, CommandRefused, NoReply
 from softcal.station.drivers.indicator import IndicatorCell
+from softcal.station.drivers.loadstar import LoadstarCell
 from softcal.station.drivers.mark10 import Mark10Gauge
-from softcal.station.frames import gcl2
+from softcal.station.frames import gcl2, loadstar
 from softcal.station.frames.indicator import parse_N
 from softcal.station.link import Link
-from softcal.station.simulated.force_gauge import SimulatedIndicator, SimulatedMark10
+from softcal.station.simulated.force_gauge import SimulatedIndicator, SimulatedLoadstar, SimulatedMark10
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
 
@@ -99,3 +100,49 @@ def test_an_indicator_stream_in_newtons_until_it_is_overloaded(rig):
     assert all(s.values[0] == pytest.approx(s.host_s, abs=0.12) for s in samples)
     with pytest.raises(BadReply, match="overloaded"):
         collect(world, reader, 1.5)
+
+
+def test_loadstar_lines_of_its_command_set():
+    assert loadstar.parse_N(b"3.04", "N") == 3.04
+    assert loadstar.parse_N(b"-0.000456\r", "kgf") == pytest.approx(-0.000456 * 9.80665)
+    assert loadstar.parse_unit(b"lb\r") == "lb"
+    for line in (b"E", b"", b"A", b"3.0.4", b"\xff"):
+        with pytest.raises(BadReply):
+            loadstar.parse_N(line, "N")
+    with pytest.raises(BadReply, match="'psi'"):
+        loadstar.parse_unit(b"psi")
+
+
+@pytest.mark.parametrize("model", ["FCM DI-1000", "FCM DI-100"])
+def test_a_loadstar_stream_in_pounds_is_read_in_newtons(rig, model):
+    world, wire, force = rig
+    far_end = SimulatedLoadstar(wire, force)
+    far_end.model = model
+    world.add(far_end)
+    reader = LoadstarCell(Link(wire.port, world), 50.0)
+    samples = collect(world, reader, 2.0)
+    assert len(samples) > 140
+    assert all(s.values[0] == pytest.approx(s.host_s, abs=0.12) for s in samples)
+    reader.close()
+    world.sleep_s(0.1)
+    assert far_end.next_event_s() == float("inf")  # The stream has ended.
+
+
+def test_a_loadstar_that_only_reports_errors_is_no_load_cell(rig):
+    world, wire, force = rig
+    far_end = SimulatedLoadstar(wire, force)
+    world.add(far_end)
+    reader = LoadstarCell(Link(wire.port, world), 50.0)
+    far_end.is_faulty = True
+    with pytest.raises(BadReply, match="'E'"):
+        collect(world, reader, 1.0)
+
+
+@pytest.mark.parametrize(("name", "value", "error"), [("model", "PS-100", NoReply), ("unit", "psi", BadReply)])
+def test_a_loadstar_of_another_kind_is_refused_before_anything_moves(rig, name, value, error):
+    world, wire, force = rig
+    far_end = SimulatedLoadstar(wire, force)
+    setattr(far_end, name, value)
+    world.add(far_end)
+    with pytest.raises(error):
+        LoadstarCell(Link(wire.port, world), 50.0)

@@ -59,7 +59,9 @@ def test_without_motion_nothing_moves():
 
 
 @pytest.mark.parametrize(
-    ("stage_kind", "force_kind"), [("zaber", "mark10"), ("grbl", "indicator")], ids=lambda kind: kind
+    ("stage_kind", "force_kind"),
+    [("zaber", "mark10"), ("grbl", "indicator"), ("grbl", "loadstar"), ("esm", "mark10")],
+    ids=lambda kind: kind,
 )
 def test_other_dialects_are_known_too(rng, stage_kind, force_kind):
     station = SimulatedStation(Twin(), rng, stage_kind=stage_kind, force_kind=force_kind)

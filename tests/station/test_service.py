@@ -1,11 +1,12 @@
 """The resident service: one order at a time, a stop needs an acknowledgement, ports are opened again after a fault."""
 
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 
-from softcal.core.errors import NoReply
-from softcal.core.orders import Order, OrderKind, RunState, StationState
+from softcal.core.errors import NoReply, RegistryError
+from softcal.core.orders import Condition, Order, OrderKind, RunState, StationState
 from softcal.core.profiles import ramps
 from softcal.core.station_gate import Gate
 from softcal.station.bench import open_simulated_bench
@@ -21,6 +22,7 @@ class Host:
     def __init__(self) -> None:
         self.reports, self.stations, self.reasons = [], [], ()
         self.stop_at_phase = ""
+        self.stage_kind = "grbl"
         self.on_report = lambda progress: None
 
     def report(self, progress):
@@ -30,12 +32,14 @@ class Host:
     def is_stop_wanted(self):
         return bool(self.stop_at_phase) and bool(self.reports) and self.reports[-1].phase == self.stop_at_phase
 
-    def gate(self, kind):
-        return Gate(() if kind in (OrderKind.GOLDEN, OrderKind.CHECK) else self.reasons)
+    def gate(self, kind, rig):
+        self.rig = rig
+        reasons = () if kind in (OrderKind.GOLDEN, OrderKind.CHECK) else self.reasons
+        return Gate(tuple(Condition("golden unit", False, reason) for reason in reasons))
 
     @contextmanager
     def open_bench(self):
-        with open_simulated_bench(seed=len(self.stations)) as (bench, station):
+        with open_simulated_bench(seed=len(self.stations), stage_kind=self.stage_kind) as (bench, station):
             self.stations.append(station)
             yield bench
 
@@ -102,6 +106,20 @@ def test_a_stop_of_a_person_cancels_the_run_and_lifts_the_stage(host, service):
     assert not host.stations[-1].axis.is_moving
 
 
+@pytest.mark.parametrize("kind", ["grbl", "zaber", "esm"])
+def test_a_stop_of_a_person_ends_homing_too(host, tmp_path, kind):
+    host.stage_kind = kind
+    service = host.service(tmp_path)
+    host.stations[-1].axis.position_mm = 30.0
+    host.stop_at_phase = "homing"
+    assert service.perform(order()) is None
+    assert host.reports[-1].state is RunState.CANCELLED
+    assert host.stations[-1].axis.position_mm > 5.0  # on its way, not at its switch
+    assert not host.stations[-1].axis.is_moving
+    assert not service.rig.is_homed
+    service.close()
+
+
 def test_a_self_test_reports_that_all_is_good(host, service):
     assert service.perform(Order("1", "s1", OrderKind.CHECK)) is None
     assert host.reports[-1].state is RunState.DONE
@@ -118,3 +136,70 @@ def test_missing_devices_leave_the_station_stopped_with_all_of_them_named(host, 
     service.start()
     assert service.state is StationState.STOPPED
     assert "/dev/a" in service.reasons[0] and "/dev/b" in service.reasons[0]
+
+
+def test_a_device_that_goes_between_two_runs_is_seen_at_once(host, service):
+    service.watch(0.01)
+    assert service.state is StationState.READY
+    host.stations[-1].readout_wire.unplug()
+    service.watch(0.01)
+    assert service.state is StationState.STOPPED
+    assert "sensor readout" in service.reasons[0]
+
+
+def test_a_stream_that_falls_silent_between_two_runs_is_seen(host, service):
+    host.stations[-1].force_wire.is_silent = True
+    for _ in range(30):
+        service.watch(0.1)
+    assert service.state is StationState.STOPPED
+    assert service.reasons[0].startswith("load cell: nothing for 2 s")
+
+
+def test_a_hand_at_the_fixture_between_two_runs_stops_nothing(host, service):
+    host.stations[-1].rig.force_fault = lambda now_s, force_N: 1e6
+    for _ in range(30):
+        service.watch(0.1)
+    assert service.state is StationState.READY
+
+
+@pytest.mark.parametrize(
+    ("break_it", "fault"),
+    [
+        (lambda station: setattr(station.stage, "switch", "missing"), "homing_fault"),
+        (lambda station: setattr(station.rig, "force_fault", lambda now_s, force_N: force_N + 3.0), "zero_fault"),
+    ],
+)
+def test_a_fault_of_homing_or_zero_is_told_to_the_gate_until_a_self_test_is_good(host, service, break_it, fault):
+    break_it(host.stations[-1])
+    service.perform(order())
+    assert host.reports[-1].state is RunState.ERROR
+    service.perform(order(OrderKind.ACKNOWLEDGE, order_id="2"))
+    assert getattr(host.rig, fault)
+    service.perform(Order("3", "s1", OrderKind.CHECK))
+    service.settle()
+    assert not getattr(host.rig, fault)
+    assert host.rig.is_homed
+
+
+def test_no_number_of_the_live_signal_is_missing(host, service):
+    service.perform(order())
+    for report in host.reports:
+        for name in ("t_s", "output", "stage_mm", "force_N"):
+            assert all(value == value and value is not None for value in getattr(report.signal, name))
+
+
+def test_a_registry_that_goes_away_at_the_end_of_a_run_costs_no_recording(host, service):
+    def away(kind, rig):
+        raise RegistryError("the registry is away")
+
+    host.on_report = lambda progress: setattr(host, "gate", away) if progress.phase == "pressing" else None
+    service._hooks = replace(service._hooks, gate=lambda kind, rig: host.gate(kind, rig))
+    assert service.perform(order()) is not None
+
+
+def test_a_defect_in_a_run_stops_the_station_and_the_stage(host, service):
+    host.on_report = lambda progress: 1 / 0 if progress.phase == "pressing" else None
+    with pytest.raises(ZeroDivisionError):
+        service.perform(order())
+    assert service.state is StationState.STOPPED
+    assert not host.stations[-1].axis.is_moving

@@ -5,12 +5,13 @@ import math
 import pytest
 
 from softcal.station.simulated.faults import FAULTS
-from softcal.station.simulated.trial import run_with_fault
+from softcal.station.simulated.trial import run_with_dead_host, run_with_fault, run_with_full_disk
 
 STANDS_WITHIN_S = 0.5
 
-SEEN_LATE = {"load cell zero jumps", "readout loses every tenth line"}
-"""Only the whole run shows these: a jump of the zero looks like force, and single lost lines are no danger."""
+SEEN_LATE = {"load cell zero moves while pressing", "readout loses every tenth line"}
+"""Only the whole run shows these: a zero that moves while the stage moves looks like force, and single lost lines are
+no danger."""
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
@@ -24,6 +25,19 @@ def test_fault_stops_the_stage_and_records_nothing(fault, tmp_path):
     if fault.name not in SEEN_LATE:
         assert math.isnan(outcome.stopped_s) or outcome.stopped_s <= STANDS_WITHIN_S
     assert outcome.largest_force_N < 14.0
+
+
+def test_a_full_disk_in_mid_run_stops_the_stage_and_records_nothing(tmp_path):
+    outcome = run_with_full_disk(tmp_path)
+    assert "No space left" in outcome.message
+    assert (outcome.record, outcome.spool) == ("none", "cut off")
+    assert outcome.stopped_s <= STANDS_WITHIN_S
+
+
+def test_a_host_that_dies_in_mid_run_leaves_a_standing_stage_and_no_recording(tmp_path):
+    outcome = run_with_dead_host(tmp_path)
+    assert (outcome.record, outcome.spool) == ("none", "cut off")
+    assert 0.0 < outcome.stopped_s <= STANDS_WITHIN_S
 
 
 def test_there_are_as_many_faults_as_promised():

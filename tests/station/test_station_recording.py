@@ -66,7 +66,10 @@ def test_a_target_unit_keeps_no_reference():
         recording.labelled_recording()
 
 
-@pytest.mark.parametrize(("stage", "force"), [("zaber", "hx711"), ("grbl", "mark10"), ("zaber", "indicator")])
+@pytest.mark.parametrize(
+    ("stage", "force"),
+    [("zaber", "hx711"), ("grbl", "mark10"), ("zaber", "indicator"), ("grbl", "loadstar"), ("esm", "esm")],
+)
 def test_every_dialect_records_the_same_unit(stage, force):
     with open_simulated_bench(seed=3, stage_kind=stage, force_kind=force) as (bench, station):
         recording = record(bench, "A0", ramps([2.0, 3.0], 3.0, rest_s=0.5), with_reference=True)

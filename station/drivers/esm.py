@@ -1,0 +1,293 @@
+"""Driver of a Mark-10 ESM301 or ESM303 stand with its gauge, both on the stand's one port (frames/esm.py)."""
+
+from collections import deque
+from collections.abc import Callable
+
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
+from softcal.station.frames import esm, gcl2
+from softcal.station.interfaces import Move, OnWait, Sample, StagePosition, ignore_wait
+from softcal.station.link import POLL_S, Line, Link
+
+STOPS_WITHIN_S = 1.0
+SILENCE_S = 0.25
+STATUS_S = 0.05
+HOMING_S, HOMING_MM_S = 60.0, 5.0
+
+AT_MM = 0.02
+"""The stand's limits are set in steps of 0.01 mm."""
+
+STARTS_WITHIN_S = 0.2
+
+
+class SharedPort:
+    """Questions and answers of stage and gauge on one port: the stand answers in the order it was asked."""
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self._open: deque[tuple[float, Callable[[Line, float], None]]] = deque()
+
+    def ask(self, question: bytes, take: Callable[[Line, float], None]) -> None:
+        """Send a question; `take` gets its answer, and when it was asked."""
+        self._open.append((self.link.clock.now_s(), take))
+        self.link.write(question)
+
+    def read(self) -> None:
+        """Hand out the answers that have arrived.
+
+        Raises:
+            NoReply: the port is gone, or a question was not answered in time.
+        """
+        for line in self.link.read_lines():
+            if self._open:
+                asked_s, take = self._open.popleft()
+                take(line, asked_s)
+        if self._open and self.link.clock.now_s() - self._open[0][0] > SILENCE_S:
+            raise NoReply(f"stage: no answer for {SILENCE_S:g} s; check the stand's power and cable, then home")
+
+    def resynchronise(self) -> None:
+        """Begin again after an answer was lost: without it every answer would be taken for the one before."""
+        self._open.clear()
+        self.link.clock.sleep_s(SILENCE_S)
+        self.link.discard()
+
+    def answer(self, question: bytes) -> bytes:
+        """Ask and wait for the answer; those to questions of before are handed out on the way.
+
+        Raises:
+            NoReply: none came.
+        """
+        answers: list[bytes] = []
+        self.ask(question, lambda line, asked_s: answers.append(line.text))
+        while not answers:
+            self.link.clock.sleep_s(POLL_S)
+            self.read()
+        return answers[0]
+
+
+class EsmStage:
+    """The stand's crosshead, positive downward, 0 at its upper limit switch.
+
+    A move is a travel limit in limit mode: the stand itself stops there, whatever becomes of the host.
+
+    Args:
+        link: the stand's port; PC control must be installed and the console chosen in its menu.
+        travel_mm: length that may be used below the switch.
+        acceleration_mm_s2: of the crosshead; only the reconstruction of corners depends on it.
+
+    Raises:
+        NoReply: no stand answers.
+    """
+
+    name = "stage"
+
+    def __init__(self, link: Link, travel_mm: float = 100.0, acceleration_mm_s2: float = 200.0) -> None:
+        self.port = SharedPort(link)
+        self.travel_mm, self.acceleration_mm_s2 = travel_mm, acceleration_mm_s2
+        self.max_speed_mm_s = esm.SPEED_MM_MIN[1] / 60.0
+        self.position_mm = self._target_mm = 0.0
+        self._is_homed = self._is_moving = False
+        self._began_s = self._next_status_s = 0.0
+        self._positions: list[StagePosition] = []
+        link.write(esm.STOP + esm.MILLIMETRES)
+        esm.parse_status(self.port.answer(esm.STATUS))
+
+    @property
+    def is_position_known(self) -> bool:
+        """Whether the crosshead was homed and nothing happened since that could have lost the position."""
+        return self._is_homed
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the last move has not yet been confirmed as finished."""
+        return self._is_moving
+
+    def home(self, on_wait: OnWait = ignore_wait) -> None:
+        """Drive up to the upper limit switch, and call that 0.
+
+        Args:
+            on_wait: called at every look; what it raises ends the wait.
+
+        Raises:
+            DeviceError: the crosshead stopped before the switch, or did not get there in time.
+        """
+        self._is_homed = self._is_moving = False
+        self._tell(esm.STOP, esm.MANUAL_MODE, esm.speed(HOMING_MM_S), esm.PROGRAMMED_SPEED, esm.UP)
+        end_s = self.port.link.clock.now_s() + HOMING_S
+        status = self._status()
+        while status.limit != "UL":
+            self.port.link.clock.sleep_s(STATUS_S)
+            on_wait()
+            if status.motion != "U" or self.port.link.clock.now_s() > end_s:
+                self._tell(esm.STOP)
+                raise DeviceError("stage: homing failed: the upper limit was not reached; look for what blocks it")
+            status = self._status()
+        self._tell(esm.STOP, esm.ZERO_TRAVEL)
+        self.position_mm = self._travel_position(self.port.answer(esm.TRAVEL))
+        if abs(self.position_mm) > AT_MM:
+            raise BadReply(
+                f"stage: travel reads {-self.position_mm:.2f} mm after it was zeroed; switch the stand to mm"
+            )
+        self._is_homed = True
+
+    def begin(self, move: Move) -> None:
+        """Start a move and return at once.
+
+        Raises:
+            CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
+        """
+        slowest_mm_s, to_mm = esm.SPEED_MM_MIN[0] / 60.0, round(move.to_mm, 2)
+        if not self._is_homed or self._is_moving:
+            why = "not homed" if not self._is_homed else "the move before is not finished"
+            raise CommandRefused(f"stage: {why}; nothing was sent")
+        if not 0.0 <= to_mm <= min(self.travel_mm, esm.LIMIT_MM):
+            raise CommandRefused(f"stage: {move.to_mm:g} mm is outside [0, {self.travel_mm:g}] mm; nothing was sent")
+        if not slowest_mm_s <= move.speed_mm_s <= self.max_speed_mm_s * (1 + 1e-9):
+            raise CommandRefused(
+                f"stage: {move.speed_mm_s:g} mm/s is outside [{slowest_mm_s:.3g}, {self.max_speed_mm_s:.3g}] mm/s; "
+                "nothing was sent"
+            )
+        self._target_mm, self._began_s = to_mm, self.port.link.clock.now_s()
+        if abs(to_mm - self.position_mm) < AT_MM / 2:
+            return
+        is_down = to_mm > self.position_mm
+        lower_mm, upper_mm = (-to_mm, 0.0) if is_down else (-self.travel_mm, -to_mm)
+        self.port.link.write(
+            esm.LIMIT_MODE
+            + esm.lower_limit(lower_mm)
+            + esm.upper_limit(upper_mm)
+            + esm.speed(move.speed_mm_s)
+            + esm.PROGRAMMED_SPEED
+            + (esm.DOWN if is_down else esm.UP)
+        )
+        self._is_moving = True
+
+    def poll(self) -> list[StagePosition]:
+        """Read what the stand said, and ask for travel and status when it is time.
+
+        Raises:
+            NoReply: the port is gone, or a question was not answered.
+            DeviceError: the crosshead stopped short of its target.
+        """
+        self.port.read()
+        now_s = self.port.link.clock.now_s()
+        if now_s >= self._next_status_s:
+            self._next_status_s = now_s + STATUS_S
+            self.port.ask(esm.TRAVEL, self._take_travel)
+            self.port.ask(esm.STATUS, self._take_status)
+        positions, self._positions = self._positions, []
+        return positions
+
+    def stop(self) -> None:
+        """Stop; the stand takes the command at any time.
+
+        Raises:
+            NoReply: the stand does not answer; it was told to stop all the same.
+        """
+        self._is_moving = False
+        self._tell(esm.STOP)
+        try:
+            self._await_standstill()
+        except DeviceError:
+            self.port.resynchronise()
+            self._is_homed, was_homed = False, self._is_homed
+            self._await_standstill()
+            self._is_homed = was_homed
+
+    def gauge(self, capacity_N: float, sign: float, rate_Hz: float) -> "EsmGauge":
+        """Return the gauge that sits on the crosshead, behind the same port."""
+        return EsmGauge(self.port, capacity_N, sign, rate_Hz)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self.port.link.close()
+
+    def _await_standstill(self) -> None:
+        end_s = self.port.link.clock.now_s() + STOPS_WITHIN_S
+        while self._status().motion != "S" and self.port.link.clock.now_s() < end_s:
+            self.port.link.clock.sleep_s(POLL_S)
+        self.position_mm = self._travel_position(self.port.answer(esm.TRAVEL))
+
+    def _tell(self, *commands: bytes) -> None:
+        for command in commands:
+            self.port.link.write(command)
+
+    def _status(self) -> esm.Status:
+        return esm.parse_status(self.port.answer(esm.STATUS))
+
+    def _travel_position(self, line: bytes) -> float:
+        return -esm.parse_travel_mm(line)
+
+    def _take_travel(self, line: Line, asked_s: float) -> None:
+        self.position_mm = self._travel_position(line.text)
+        self._positions.append(StagePosition((asked_s + line.host_s) / 2, self.position_mm))
+
+    def _take_status(self, line: Line, asked_s: float) -> None:
+        status = esm.parse_status(line.text)
+        if not self._is_moving or status.motion != "S" or asked_s <= self._began_s:
+            return
+        if abs(self.position_mm - self._target_mm) <= AT_MM:
+            self._is_moving = False
+        elif asked_s > self._began_s + STARTS_WITHIN_S:
+            self._is_moving = False
+            raise DeviceError(
+                f"stage: stopped at {self.position_mm:.2f} mm on its way to {self._target_mm:.2f} mm (limit switch, or "
+                "somebody at its panel); look at the stand, then start the run again"
+            )
+
+
+class EsmGauge:
+    """The gauge on the stand, asked through the stand's port; it has no clock of its own.
+
+    Args:
+        port: the stand's port.
+        capacity_N: rated load.
+        sign: 1 where compression reads positive, −1 where the polarity is inverted.
+        rate_Hz: questions per second.
+
+    Raises:
+        NoReply: no gauge answers behind the stand.
+        CommandRefused: peak mode, or readings without unit or sign, which its menu must change.
+    """
+
+    name = "load cell"
+    unit = "N"
+
+    def __init__(self, port: SharedPort, capacity_N: float, sign: float = 1.0, rate_Hz: float = 50.0) -> None:
+        self._port, self.capacity_N, self._sign, self.rate_Hz = port, capacity_N, sign, rate_Hz
+        self._samples: list[Sample] = []
+        self._next_s = 0.0
+        for command in ("CUR", "N"):
+            port.link.write(esm.to_gauge(command))
+        settings = gcl2.parse_settings(port.answer(esm.to_gauge("LIST")))
+        if (settings.mode, settings.unit) != ("CUR", "N"):
+            raise NoReply(f"load cell: the gauge stays in {settings.mode} and {settings.unit}; switch it to CUR and N")
+        if not settings.has_units or not settings.has_sign:
+            raise CommandRefused("load cell: readings lack unit or sign; switch both on in the gauge's menu")
+
+    def start(self) -> None:
+        """Throw away what was read and begin to ask."""
+        self._port.read()
+        self._samples.clear()
+        self._next_s = 0.0
+
+    def poll(self) -> list[Sample]:
+        """Return the readings that arrived, in N, and ask for the next one when it is time.
+
+        Raises:
+            NoReply: the port is gone, or a question was not answered.
+            BadReply: the gauge answers with an error code, or without its unit.
+        """
+        self._port.read()
+        now_s = self._port.link.clock.now_s()
+        if now_s >= self._next_s:
+            self._next_s = now_s + 1.0 / self.rate_Hz
+            self._port.ask(esm.GAUGE_READING, self._take)
+        samples, self._samples = self._samples, []
+        return samples
+
+    def close(self) -> None:
+        """The port belongs to the stage, which gives it back."""
+
+    def _take(self, line: Line, asked_s: float) -> None:
+        force_N = self._sign * gcl2.parse_reading_N(line.text)
+        self._samples.append(Sample((asked_s + line.host_s) / 2, None, (force_N,)))

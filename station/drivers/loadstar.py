@@ -1,0 +1,94 @@
+"""Driver of a Loadstar DI-100 or DI-1000 interface that streams its readings (frames/loadstar.py has the source)."""
+
+from softcal.core.errors import BadReply, NoReply
+from softcal.station.drivers.text_stream import BAD_IN_A_ROW
+from softcal.station.frames import loadstar
+from softcal.station.interfaces import Sample
+from softcal.station.link import Link
+
+ANSWER_S = 1.0
+
+
+class LoadstarCell:
+    """Streamed readings as N, in whatever unit the interface is calibrated.
+
+    The lines carry no time: where cell and unit meet within some milliseconds matters, use a cell with a clock.
+
+    Args:
+        link: its port; 9600 baud, 230400 in the high-speed model.
+        capacity_N: rated load.
+        sign: 1 where compression reads positive, −1 otherwise.
+        rate_Hz: lines per second it sends.
+
+    Raises:
+        NoReply: no such interface answers.
+        BadReply: it is calibrated in a unit that is none of force.
+    """
+
+    name = "load cell"
+    unit = "N"
+
+    def __init__(self, link: Link, capacity_N: float, sign: float = 1.0, rate_Hz: float = 80.0) -> None:
+        self._link, self.capacity_N, self._sign, self.rate_Hz = link, capacity_N, sign, rate_Hz
+        self._is_synchronised = False
+        self._bad_in_a_row = 0
+        self._stop_stream()
+        self.model = self._ask(loadstar.MODEL)
+        if not any(known in self.model.encode() for known in loadstar.KNOWN_MODELS):
+            raise NoReply(
+                f"load cell: {self.model[:40]!r} is no DI-100 or DI-1000; check force.kind in the station file"
+            )
+        self.native_unit = loadstar.parse_unit(self._ask(loadstar.UNITS).encode())
+
+    def start(self) -> None:
+        """Throw away what lies in the buffers and begin to stream."""
+        self._link.discard()
+        self._is_synchronised, self._bad_in_a_row = False, 0
+        self._link.write(loadstar.STREAM)
+
+    def poll(self) -> list[Sample]:
+        """Return the readings that arrived, in N.
+
+        Raises:
+            NoReply: the port is gone.
+            BadReply: nothing but noise or errors.
+        """
+        samples = []
+        for line in self._link.read_lines():
+            if not self._is_synchronised:
+                self._is_synchronised = True  # The end of a line of before.
+                continue
+            try:
+                force_N = self._sign * loadstar.parse_N(line.text, self.native_unit)
+            except BadReply:
+                self._bad_in_a_row += 1
+                if self._bad_in_a_row >= BAD_IN_A_ROW:
+                    raise
+                continue
+            samples.append(Sample(line.host_s, None, (force_N,)))
+            self._bad_in_a_row = 0
+        return samples
+
+    def close(self) -> None:
+        """End the stream and give the port back."""
+        try:
+            self._link.write(loadstar.PING)
+        except NoReply:
+            pass  # It is gone, and its stream with it.
+        self._link.close()
+
+    def _stop_stream(self) -> None:
+        """The first carriage return ends a stream or a line of before; the second must be answered."""
+        self._link.write(loadstar.PING)
+        self._link.clock.sleep_s(0.2)
+        self._link.discard()
+        self._link.write(loadstar.PING)
+        answer = self._link.next_line(ANSWER_S).text
+        if answer != loadstar.READY:
+            raise NoReply(
+                f"load cell: answered {answer[:40]!r}, a Loadstar interface says 'A'; check port and baud rate"
+            )
+
+    def _ask(self, question: bytes) -> str:
+        self._link.write(question)
+        return self._link.next_line(ANSWER_S).text.decode("ascii", "replace").strip()

@@ -1,0 +1,107 @@
+"""A Mark-10 ESM stand with its gauge at the far end of one serial line (ESM303 User's Guide, section 6.2)."""
+
+import re
+
+from softcal.station.simulated.force_gauge import SimulatedMark10
+from softcal.station.simulated.motion import Axis, Block
+from softcal.station.simulated.wire import Wire
+
+_COMMAND = re.compile(
+    rb"/(?P<gauge>[^\\]*)\\|e(?P<speed>\d{4}\.\d)|g(?P<lower>-?\d{3}\.\d\d)|h(?P<upper>-?\d{3}\.\d\d)|(?P<letter>[^/egh])"
+)
+
+
+class SimulatedEsm:
+    """A crosshead that goes down from its upper limit switch, and a gauge on it.
+
+    Faults are switches: `is_switch_missing`, `press_panel()`, and all the wire can do.
+
+    Args:
+        wire: the serial line.
+        axis: the drive; its position counts downward from the upper limit switch, mm.
+        gauge: what answers behind the stand.
+        travel_mm: where the lower limit switch is.
+    """
+
+    def __init__(self, wire: Wire, axis: Axis, gauge: SimulatedMark10, travel_mm: float = 300.0) -> None:
+        self.wire, self.axis, self._gauge, self._travel_mm = wire, axis, gauge, travel_mm
+        self.is_switch_missing = False
+        self.mode, self._zero_mm, self._speed_mm_s = "M", axis.position_mm, 1.0
+        self.lower_mm, self.upper_mm = 0.0, 0.0
+        self._motion = "S"
+        self._received = b""
+
+    def receive(self, now_s: float) -> None:
+        """Take what the host has written, command by command."""
+        content = self.wire.receive()
+        if not content:
+            return
+        self.axis.advance(now_s)
+        self._received += content
+        while found := _COMMAND.match(self._received):
+            self._received = self._received[found.end() :]
+            answer = self._do(found, now_s)
+            if answer:
+                self.wire.send(answer.encode() + b"\r\n", now_s)
+
+    def next_event_s(self) -> float:
+        """Return the time of the next thing that happens by itself."""
+        return min(self.axis.next_event_s(), self.wire.next_arrival_s())
+
+    def advance(self, now_s: float) -> None:
+        """Move, and let bytes reach the host."""
+        self.axis.advance(now_s)
+        if not self.axis.is_moving:
+            self._motion = "S"
+        self.wire.deliver(now_s)
+
+    def press_panel(self) -> None:
+        """Somebody presses stop at the stand."""
+        self.axis.brake()
+
+    def _do(self, found: re.Match[bytes], now_s: float) -> str:
+        if found["gauge"] is not None:
+            return self._gauge.answer(found["gauge"].decode(), now_s)
+        if found["speed"] is not None:
+            self._speed_mm_s = float(found["speed"]) / 60.0
+        elif found["lower"] is not None:
+            self.lower_mm = float(found["lower"])
+        elif found["upper"] is not None:
+            self.upper_mm = float(found["upper"])
+        else:
+            return self._letter(found["letter"], now_s)
+        return ""
+
+    def _letter(self, letter: bytes, now_s: float) -> str:
+        match letter:
+            case b"x":
+                return f"{self._zero_mm - self.axis.position_mm:.2f} mm"
+            case b"p":
+                return f"{self._motion} {self.mode} {self._limit()}".strip()
+            case b"?":
+                return self._gauge.answer("?", now_s)
+            case b"z":
+                self._zero_mm = self.axis.position_mm
+            case b"m" | b"l":
+                self.mode = letter.decode().upper()
+            case b"s":
+                self.axis.brake()
+            case b"u":
+                is_free = self.mode == "M"
+                self._go("U", 0.0 if is_free else max(0.0, self._zero_mm - self.upper_mm))
+            case b"d":
+                is_free = self.mode == "M"
+                self._go("D", self._travel_mm if is_free else min(self._travel_mm, self._zero_mm - self.lower_mm))
+        return ""
+
+    def _go(self, motion: str, to_mm: float) -> None:
+        is_onward = to_mm < self.axis.position_mm if motion == "U" else to_mm > self.axis.position_mm
+        if is_onward:
+            self.axis.flush()
+            self.axis.add(Block(to_mm, self._speed_mm_s))
+            self._motion = motion
+
+    def _limit(self) -> str:
+        if self.axis.position_mm <= 1e-6:
+            return "" if self.is_switch_missing else "UL"
+        return "DL" if self.axis.position_mm >= self._travel_mm - 1e-6 else ""

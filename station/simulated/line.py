@@ -1,0 +1,73 @@
+"""A simulated station as a service owns it: every order finds its unit in the fixture, faults come on demand."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+
+from softcal.core.errors import InputError
+from softcal.core.twin.simulate import Twin
+from softcal.station.bench import Bench, open_simulated_bench
+from softcal.station.simulated.faults import FAULTS, Fault
+from softcal.station.simulated.station import SimulatedStation
+
+NAMES = {fault.name: fault for fault in FAULTS}
+
+
+class SimulatedLine:
+    """Opens simulated stations one after the other, as a real one is opened again after a fault.
+
+    Args:
+        unit_of: the twin of a serial.
+        seed: of noise, delays and mounting.
+        time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
+    """
+
+    def __init__(self, unit_of: Callable[[str], Twin], seed: int = 0, time_factor: float | None = None) -> None:
+        self._unit_of, self._seed, self._time_factor = unit_of, seed, time_factor
+        self._station: SimulatedStation | None = None
+        self._armed: list[Fault] = []
+        self._phase = ""
+
+    @contextmanager
+    def open(self) -> Iterator[Bench]:
+        """Open the station; what was broken before is whole again."""
+        self._seed += 1
+        with open_simulated_bench(None, self._seed, self._time_factor) as (bench, self._station):
+            self._armed.clear()
+            yield bench
+
+    def mount(self, serial: str) -> None:
+        """Put the unit of this serial under the stage."""
+        self._phase = ""
+        if self._station is not None and serial:
+            self._station.mount(self._unit_of(serial))
+        self._release("")
+
+    def follow(self, phase: str) -> None:
+        """Take the phase a run is in; faults that wait for it come now."""
+        if phase != self._phase:
+            self._phase = phase
+            self._release(phase)
+
+    def inject(self, name: str) -> str:
+        """Break something in the phase the fault's name says, in this run or the next; return what will happen.
+
+        Raises:
+            InputError: there is no such fault; the known ones are named.
+        """
+        fault = NAMES.get(name)
+        if fault is None:
+            raise InputError(f"fault {name!r} is unknown; known: {', '.join(NAMES)}")
+        self._armed.append(fault)
+        if fault.phase and fault.phase == self._phase:
+            self._release(fault.phase)
+        return f"{name}: comes {f'while {fault.phase}' if fault.phase else 'with the next run'}"
+
+    def _release(self, phase: str) -> None:
+        station = self._station
+        if station is None:
+            return
+        due = [fault for fault in self._armed if fault.phase == phase]
+        self._armed = [fault for fault in self._armed if fault.phase != phase]
+        for fault in due:
+            station.world.at(station.world.now_s() + fault.after_s, partial(fault.inject, station))

@@ -1,0 +1,58 @@
+"""Where the stage touches: found within some micrometres, whatever the stiffness, the noise and the delays."""
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import BadReply
+from softcal.core.profiles import ramps
+from softcal.core.twin.parameters import BaseParameters
+from softcal.core.twin.simulate import Twin
+from softcal.station.acquisition import record
+from softcal.station.bench import open_simulated_bench
+from softcal.station.config import FixtureConfig
+from softcal.station.contact import Search, bend
+from softcal.station.interfaces import Sample
+
+TOUCH = ramps([0.5], 4.0, rest_s=0.1)
+
+
+@pytest.mark.parametrize("stiffness_N_mm", [0.4, 1.0, 5.0])
+def test_the_bend_is_found_whatever_the_stiffness(rng, stiffness_N_mm):
+    stage_mm = np.arange(0.0, 5.2 + 0.3 / stiffness_N_mm, 0.00625)  # 0.5 mm/s at 80 Hz
+    force_N = stiffness_N_mm * np.maximum(0.0, stage_mm - 5.2) + rng.normal(0, 0.013, len(stage_mm))
+    # Standard error of a line's foot: about 2 sigma / (k sqrt(n)); three of them.
+    touching = np.sum(stage_mm > 5.2)
+    assert bend(stage_mm, force_N + 0.7) == pytest.approx(5.2, abs=6 * 0.013 / stiffness_N_mm / np.sqrt(touching))
+
+
+def test_units_of_other_stiffness_are_aligned_within_micrometres():
+    errors_mm = []
+    with open_simulated_bench(seed=4) as (bench, station):
+        for k1_N_mm in (0.7, 1.0, 1.4, 1.0, 1.0, 0.7):
+            unit = Twin(BaseParameters(k1_N_mm=k1_N_mm))
+            station.mount(unit)
+            found_mm = record(bench, "A1", TOUCH, with_reference=True).contact_mm
+            errors_mm.append(found_mm - station.rig.clearance_mm - unit.parameters.u0_mm)
+    assert np.max(np.abs(errors_mm)) < 0.02
+    assert np.std(errors_mm) < 0.008
+
+
+def test_a_cell_that_shows_nothing_while_the_output_changes_is_dead():
+    cell = [Sample(0.01 * k, None, (0.0,)) for k in range(40)]
+    output = [Sample(0.01 * k, None, (1.0,)) for k in range(40)]
+    search = Search(FixtureConfig(), True, cell, output)
+    assert not search.is_over()
+    output.append(Sample(0.5, None, (1.2,)))
+    with pytest.raises(BadReply, match="shows no contact although the output has changed by 0.2"):
+        search.is_over()
+
+
+def test_an_output_far_ahead_of_a_force_that_is_felt_is_no_fault():
+    cell = [Sample(0.01 * k, None, (0.0,)) for k in range(40)]
+    output = [Sample(0.01 * k, None, (1.0,)) for k in range(40)]
+    search = Search(FixtureConfig(), True, cell, output)
+    cell.append(Sample(0.5, None, (0.1,)))
+    output.append(Sample(0.5, None, (1.2,)))
+    assert not search.is_over()
+    cell.append(Sample(0.6, None, (0.31,)))
+    assert search.is_over()

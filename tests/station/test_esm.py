@@ -1,0 +1,155 @@
+"""Mark-10 ESM stand: bytes of its manual, then stage and gauge on one simulated port."""
+
+import pytest
+
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
+from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
+from softcal.station.drivers.esm import EsmStage
+from softcal.station.frames import esm
+from softcal.station.interfaces import Move
+from softcal.station.link import Link
+from softcal.station.simulated.esm import SimulatedEsm
+from softcal.station.simulated.force_gauge import SimulatedMark10
+from softcal.station.simulated.motion import Axis
+from softcal.station.simulated.wire import Wire
+from softcal.station.simulated.world import World
+
+
+def test_commands_of_the_manual():
+    # ESM303 User's Guide, section 6.2: e0200.3 = 200.3 mm/min, g-007.52 = -7.52 mm, h010.70 = 10.7 mm.
+    assert esm.speed(200.3 / 60) == b"e0200.3"
+    assert esm.lower_limit(-7.52) == b"g-007.52"
+    assert esm.upper_limit(10.7) == b"h010.70"
+    assert esm.to_gauge("LIST") == b"/LIST\\"
+
+
+def test_answers_of_the_manual():
+    assert esm.parse_status(b"SMUL") == esm.Status("S", "M", "UL")
+    assert esm.parse_status(b"D L") == esm.Status("D", "L", "")
+    assert esm.parse_travel_mm(b"-7.52 mm") == -7.52
+    assert esm.parse_travel_mm(b"-0.550 in") == pytest.approx(-13.97)
+
+
+@pytest.mark.parametrize("line", [b"", b"X", b"-18.78 lbF", b"\xff", b"7.5.2"])
+def test_anything_else_is_no_answer(line):
+    with pytest.raises(BadReply):
+        esm.parse_status(line)
+    with pytest.raises(BadReply):
+        esm.parse_travel_mm(line)
+
+
+@pytest.fixture
+def stand(rng):
+    world, wire, nowhere = World(), Wire(rng), Wire(rng)
+    axis = Axis(200.0)
+    axis.position_mm = 12.0
+    far_end = SimulatedEsm(wire, axis, SimulatedMark10(nowhere, lambda now_s: axis.position_mm / 10))
+    world.add(far_end)
+    yield world, far_end
+    wire.close()
+    nowhere.close()
+
+
+@pytest.fixture
+def stage(stand):
+    world, far_end = stand
+    return EsmStage(Link(far_end.wire.port, world))
+
+
+def finish(stage, world):
+    while stage.is_moving:
+        world.sleep_s(0.005)
+        stage.poll()
+
+
+def test_home_is_the_upper_limit_switch(stage, stand):
+    world, far_end = stand
+    with pytest.raises(CommandRefused, match="not homed"):
+        stage.begin(Move(5.0, 4.0))
+    stage.home()
+    assert far_end.axis.position_mm == pytest.approx(0.0, abs=1e-6)
+    assert stage.position_mm == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_missing_switch_is_said(stage, stand):
+    world, far_end = stand
+    far_end.is_switch_missing = True
+    with pytest.raises(DeviceError, match="upper limit was not reached"):
+        stage.home()
+    assert not stage.is_position_known
+    assert not far_end.axis.is_moving
+
+
+def test_moves_down_and_up_end_at_their_targets(stage, stand):
+    world, far_end = stand
+    stage.home()
+    for to_mm in (20.0, 5.37, 5.37, 8.0):
+        stage.begin(Move(to_mm, 5.0))
+        finish(stage, world)
+        assert far_end.axis.position_mm == pytest.approx(to_mm, abs=0.006)
+        assert stage.position_mm == pytest.approx(to_mm, abs=0.02)
+
+
+def test_out_of_range_sends_nothing(stage, stand):
+    world, far_end = stand
+    stage.home()
+    for move, message in ((Move(101.0, 4.0), r"outside \[0, 100\] mm"), (Move(5.0, 30.0), "mm/s")):
+        with pytest.raises(CommandRefused, match=message):
+            stage.begin(move)
+    world.sleep_s(0.2)
+    assert not far_end.axis.is_moving
+
+
+def test_stop_stands_at_once_and_keeps_the_position(stage, stand):
+    world, far_end = stand
+    stage.home()
+    stage.begin(Move(50.0, 15.0))
+    world.sleep_s(1.0)
+    began_s = world.now_s()
+    stage.stop()
+    assert world.now_s() - began_s < 0.5
+    assert not far_end.axis.is_moving
+    assert stage.is_position_known
+    assert stage.position_mm == pytest.approx(far_end.axis.position_mm, abs=0.01)
+
+
+def test_a_stop_at_the_panel_is_no_finished_move(stage, stand):
+    world, far_end = stand
+    stage.home()
+    stage.begin(Move(50.0, 10.0))
+    world.at(world.now_s() + 1.0, far_end.press_panel)
+    with pytest.raises(DeviceError, match="on its way to 50.00 mm"):
+        finish(stage, world)
+
+
+def test_a_stand_that_falls_silent_is_seen(stage, stand):
+    world, far_end = stand
+    stage.home()
+    stage.begin(Move(50.0, 10.0))
+    far_end.wire.is_silent = True
+    began_s = world.now_s()
+    with pytest.raises(NoReply):
+        finish(stage, world)
+    assert world.now_s() - began_s < 0.5
+
+
+def test_the_gauge_answers_through_the_stand_while_it_moves(stage, stand):
+    world, far_end = stand
+    stage.home()
+    gauge = stage.gauge(50.0, 1.0, 50.0)
+    stage.begin(Move(40.0, 10.0))
+    gauge.start()
+    samples, polls = [], []
+    while stage.is_moving:
+        world.sleep_s(0.005)
+        polls += stage.poll()
+        samples += gauge.poll()
+    assert len(samples) > 150
+    assert len(polls) > 60
+    # 10 mm/s and 0.1 N/mm: a reading 20 ms off its time would be 0.02 N off.
+    assert samples[-1].values[0] == pytest.approx(4.0, abs=0.03)
+
+
+def test_a_gauge_on_a_stand_needs_the_stand():
+    with pytest.raises(InputError, match="same port"):
+        StationConfig(StageConfig("/dev/a"), ReadoutConfig("/dev/b"), ForceConfig("/dev/a", "esm"))
