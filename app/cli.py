@@ -4,6 +4,7 @@ import argparse
 import importlib
 import sys
 from importlib.metadata import version
+from typing import Any
 
 from softcal.core.errors import DeviceError, InputError, RegistryError, SoftcalError
 
@@ -15,6 +16,7 @@ COMMANDS = (
     "train",
     "batch",
     "estimate",
+    "explain",
     "adapt",
     "station",
     "export",
@@ -28,6 +30,9 @@ COMMANDS = (
 )
 """Modules of `softcal.app.commands`, in the order of `softcal --help`; each has `add_parser` and sets `run`."""
 
+LOGGED = ("demo", "import_", "train", "batch", "adapt", "station", "lot", "ui")
+"""Commands whose runs are in the log: with what they were called, what they did, how they ended."""
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit code (0 done, 1 some unit did not pass, 2 use, 3 rig, 4 registry).
@@ -35,25 +40,50 @@ def main(arguments: list[str] | None = None) -> int:
     A defect of softcal itself is one line for the person, too; its traceback goes to the log.
     """
     options = _parser().parse_args(arguments)
+    log = _log_of(options, sys.argv[1:] if arguments is None else arguments)
+    code, message = _outcome(options)
+    if log is not None:
+        from softcal.app.logs import end_run
+
+        end_run(log, code, message)
+    if message:
+        print(f"softcal: {message}", file=sys.stderr)
+    return code
+
+
+def _outcome(options: argparse.Namespace) -> tuple[int, str]:
+    """Run the command; return its exit code, and what is to be said where it did not end well."""
     try:
-        return int(options.run(options))
+        return int(options.run(options)), ""
     except InputError as error:
-        return _say(error, WRONG_USE)
+        return WRONG_USE, str(error)
     except DeviceError as error:
-        return _say(error, RIG_FAILED)
+        return RIG_FAILED, str(error)
     except RegistryError as error:
-        return _say(error, REGISTRY_FAILED)
+        return REGISTRY_FAILED, str(error)
     except SoftcalError as error:
-        return _say(error, WRONG_USE)
+        return WRONG_USE, str(error)
     except KeyboardInterrupt:
-        return _say("stopped by the keyboard; what was finished is kept, run the same command to go on", WRONG_USE)
+        return WRONG_USE, "stopped by the keyboard; what was finished is kept, run the same command to go on"
     except BrokenPipeError:
         sys.stderr.close()
-        return DONE
+        return DONE, ""
     except Exception as error:
         from softcal.app.logs import log_crash
 
-        return _say(log_crash(error, str(options.run.__module__)), WRONG_USE)
+        return WRONG_USE, log_crash(error, str(options.run.__module__))
+
+
+def _log_of(options: argparse.Namespace, arguments: list[str]) -> Any:
+    """Begin the log of a command that works long or changes something; None for all the others."""
+    command = str(options.run.__module__).rpartition(".")[2]
+    if command not in LOGGED:
+        return None
+    from softcal.app.logs import begin_run
+
+    names = ("lot", "serial", "station", "actor")
+    context = {name: str(value) for name in names if (value := getattr(options, name, None)) is not None}
+    return begin_run(command.strip("_"), arguments, **context)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -67,11 +97,6 @@ def _parser() -> argparse.ArgumentParser:
     for name in COMMANDS:
         importlib.import_module(f"softcal.app.commands.{name}").add_parser(commands)
     return parser
-
-
-def _say(message: object, code: int) -> int:
-    print(f"softcal: {message}", file=sys.stderr)
-    return code
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -17,21 +18,9 @@ from softcal.app.bootstrap import registry_url
 from softcal.app.output import say
 from softcal.core.errors import InputError
 
-MAIN = Path(__file__).with_name("main.py")
 FIRST_PORT, PORTS = 8501, 50
 START_TIMEOUT_S = 60.0
 WINDOW_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge", "microsoft-edge")
-
-FLAGS = {
-    "server.headless": "true",
-    "server.fileWatcherType": "none",
-    "runner.magicEnabled": "false",
-    "browser.gatherUsageStats": "false",
-    "client.toolbarMode": "minimal",
-    "client.showErrorDetails": "none",
-    "server.disconnectedSessionTTL": "600",
-}
-"""Settings of a factory floor: no watching of files, nothing sent out, no stack trace shown to the operator."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +33,8 @@ class UiOptions:
         address: address to listen on.
         is_window, is_kiosk: open as an application window, full screen.
         opens_browser: otherwise open the default browser.
-        station: station file of the rig at this screen.
+        station: name of the station at this screen.
+        accounts: TOML file that names the identity provider for sign-in by company account.
     """
 
     registry: str | None = None
@@ -53,7 +43,8 @@ class UiOptions:
     is_window: bool = False
     is_kiosk: bool = False
     opens_browser: bool = True
-    station: Path | None = None
+    station: str | None = None
+    accounts: Path | None = None
 
 
 def serve(options: UiOptions) -> int:
@@ -65,6 +56,7 @@ def serve(options: UiOptions) -> int:
     window = _window_browser() if options.is_window else None
     port = options.port or _free_port(options.address)
     url = f"http://{options.address}:{port}"
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a terminated `softcal ui` takes its server with it
     server = subprocess.Popen(_server_command(options, port), env=_environment(options))
     try:
         _wait_until_healthy(server, url)
@@ -83,14 +75,16 @@ def serve(options: UiOptions) -> int:
 
 
 def _server_command(options: UiOptions, port: int) -> list[str]:
-    flags = FLAGS | {"server.port": str(port), "server.address": options.address}
-    return [sys.executable, "-m", "streamlit", "run", str(MAIN), *(f"--{k}={v}" for k, v in flags.items())]
+    flags = {"server.port": str(port), "server.address": options.address, "logger.level": "error"}
+    if options.accounts is not None:
+        flags["secrets.files"] = str(options.accounts.resolve())
+    return [sys.executable, "-m", "softcal.app.server", *(f"--{key}={value}" for key, value in flags.items())]
 
 
 def _environment(options: UiOptions) -> dict[str, str]:
     extra = {"SOFTCAL_REGISTRY": registry_url(options.registry)}
     if options.station is not None:
-        extra["SOFTCAL_STATION"] = str(options.station.resolve())
+        extra["SOFTCAL_STATION"] = options.station
     return dict(os.environ) | extra
 
 

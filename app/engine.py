@@ -6,12 +6,16 @@ given out again, and never the rest.
 
 import multiprocessing
 import os
+import signal
+import threading
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from dataclasses import dataclass, replace
+from multiprocessing.connection import wait as wait_for_end
+from typing import Any, Generic, Protocol, TypeVar
 
 from softcal.core.errors import InputError
 
@@ -21,6 +25,10 @@ Work = Callable[[Any, Any], Any]
 """(what all items share, one item) -> result; a module-level function, so that it travels to a worker."""
 
 ENGINES = ("local", "dask")
+ITEMS_AHEAD = 2
+"""Items given out per worker: one it computes, one that waits, so that no worker stands still."""
+
+WORKERS_WITHIN_S = 60.0
 TRIES_ALONE = 2
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -56,37 +64,67 @@ class WorkerLost(Generic[Item]):
     item: Item
 
 
-def run_all(choice: EngineChoice, work: Work, shared: Any, items: Iterable[Item]) -> Iterator[Any]:
+class WorkerDied(Exception):
+    """The worker that held an item is gone; the item may be innocent."""
+
+
+class Pool(Protocol):
+    """Workers that hold what all items share."""
+
+    @property
+    def workers(self) -> int:
+        """How many there are now."""
+        ...
+
+    @property
+    def is_broken(self) -> bool:
+        """Whether it takes no more items."""
+        ...
+
+    def submit(self, work: Work, item: Any) -> "Future[Any]":
+        """Compute one item; the future raises `WorkerDied` when its worker is gone."""
+        ...
+
+
+def run_all(
+    choice: EngineChoice,
+    work: Work,
+    shared: Any,
+    items: Iterable[Item],
+    split: Callable[[Item], Iterable[Item]] = lambda item: (item,),
+) -> Iterator[Any]:
     """Yield `work(shared, item)` for every item, in the order they finish; at most a few items per worker wait.
 
-    When a worker dies, every item that was under way is tried again alone, so that the one that kills its worker is
-    found; it comes back as `WorkerLost` and the rest goes on. An exception that `work` raises is raised here.
+    When a worker dies, every item that was under way is split and its parts are tried again alone, so that the one
+    that kills its worker is found; it comes back as `WorkerLost` and the rest goes on. An exception that `work` raises
+    is raised here.
     """
     if choice.engine == "local" and choice.jobs == 1:
         yield from (work(shared, item) for item in items)
         return
     opener = _process_pool if choice.engine == "local" else _dask_pool
     waiting = iter(items)
-    suspects: list[Item] = []
     while True:
         with opener(choice, shared) as pool:
-            suspects = yield from _drain(pool, work, waiting, 2 * choice.jobs)
+            suspects = yield from _drain(pool, work, waiting)
         if not suspects:
             return
-        for item in suspects:
-            yield _try_alone(work, shared, item)
+        alone = deque((part, 1) for item in suspects for part in split(item))
+        while alone:
+            with opener(replace(choice, jobs=1), shared) as pool:
+                yield from _try_alone(pool, work, alone)
 
 
-def _drain(pool: Executor, work: Work, items: Iterator[Item], depth: int) -> Generator[Any, None, list[Item]]:
-    """Feed the pool until all is done or it breaks; return what was under way when it broke."""
+def _drain(pool: Pool, work: Work, items: Iterator[Item]) -> Generator[Any, None, list[Item]]:
+    """Feed the pool until all is done or a worker dies; return what was under way with it."""
     running: dict[Future[Any], Item] = {}
     suspects: list[Item] = []
     while True:
-        while not suspects and len(running) < depth:
+        while not suspects and len(running) < ITEMS_AHEAD * pool.workers:
             item = next(items, _END)
             if item is _END:
                 break
-            running[pool.submit(_call, work, item)] = item
+            running[pool.submit(work, item)] = item
         if not running:
             return suspects
         done, _ = wait(running, return_when=FIRST_COMPLETED)
@@ -94,20 +132,24 @@ def _drain(pool: Executor, work: Work, items: Iterator[Item], depth: int) -> Gen
             item = running.pop(future)
             try:
                 result = future.result()
-            except BrokenProcessPool:
+            except WorkerDied:
                 suspects.append(item)
                 continue
             yield result
 
 
-def _try_alone(work: Work, shared: Any, item: Item) -> Any:
-    for _ in range(TRIES_ALONE):
-        with _process_pool(EngineChoice(jobs=1), shared) as pool:
-            try:
-                return pool.submit(_call, work, item).result()
-            except BrokenProcessPool:
+def _try_alone(pool: Pool, work: Work, alone: deque[tuple[Any, int]]) -> Iterator[Any]:
+    """Compute one item at a time until all are done or the pool breaks; `alone` keeps what is left."""
+    while alone and not pool.is_broken:
+        item, attempt = alone.popleft()
+        try:
+            result = pool.submit(work, item).result()
+        except WorkerDied:
+            if attempt < TRIES_ALONE:
+                alone.appendleft((item, attempt + 1))
                 continue
-    return WorkerLost(item)
+            result = WorkerLost(item)
+        yield result
 
 
 def _call(work: Work, item: Any) -> Any:
@@ -117,20 +159,64 @@ def _call(work: Work, item: Any) -> Any:
 def _start_worker(shared: Any) -> None:
     global _shared
     _shared = shared
+    # Ctrl-C reaches the whole group; the process that gave out the work decides what becomes of it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    # A parent that was killed closes no pipe, and its workers would wait for ever.
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait_for_end([parent.sentinel])
+        os._exit(1)
+
+
+class _Processes:
+    """Processes of this machine."""
+
+    def __init__(self, executor: ProcessPoolExecutor, workers: int) -> None:
+        self._executor, self.workers, self.is_broken = executor, workers, False
+
+    def submit(self, work: Work, item: Any) -> "Future[Any]":
+        answer: Future[Any] = Future()
+        try:
+            task = self._executor.submit(_call, work, item)
+        except BrokenProcessPool:
+            self._died(answer)
+        else:
+            task.add_done_callback(lambda task: self._pass_on(task, answer))
+        return answer
+
+    def _pass_on(self, task: "Future[Any]", answer: "Future[Any]") -> None:
+        if task.cancelled():
+            answer.cancel()
+            return
+        error = task.exception()
+        if error is None:
+            answer.set_result(task.result())
+        elif isinstance(error, BrokenProcessPool):
+            self._died(answer)
+        else:
+            answer.set_exception(error)
+
+    def _died(self, answer: "Future[Any]") -> None:
+        self.is_broken = True
+        answer.set_exception(WorkerDied())
 
 
 @contextmanager
-def _process_pool(choice: EngineChoice, shared: Any) -> Iterator[Executor]:
+def _process_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
     # Workers read the thread limits when they import their libraries: two workers must not start four threads.
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
-    pool = ProcessPoolExecutor(
+    executor = ProcessPoolExecutor(
         choice.jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker, initargs=(shared,)
     )
     try:
-        yield pool
+        yield _Processes(executor, choice.jobs)
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        executor.shutdown(wait=True, cancel_futures=True)
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
@@ -139,50 +225,66 @@ def _process_pool(choice: EngineChoice, shared: Any) -> Iterator[Executor]:
 
 
 @contextmanager
-def _dask_pool(choice: EngineChoice, shared: Any) -> Iterator[Executor]:
+def _dask_pool(choice: EngineChoice, shared: Any) -> Iterator[Pool]:
     try:
+        import dask
         from distributed import Client, LocalCluster
     except ImportError as error:
         raise InputError("engine dask needs an extra: pip install 'softcal[cluster]'") from error
     local = None
     if choice.scheduler is None:
+        # An item whose worker died comes back at once: it is tried again alone, which tells more than on other workers.
+        dask.config.set({"distributed.scheduler.allowed-failures": 0})
         local = LocalCluster(n_workers=choice.jobs, threads_per_worker=1, dashboard_address=None, processes=True)
     try:
         client = Client(local if local is not None else choice.scheduler, timeout="10 s")
+        client.wait_for_workers(1, timeout=WORKERS_WITHIN_S)
     except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(f"no Dask scheduler answers at {choice.scheduler}: {error}") from error
+        raise InputError(f"no Dask scheduler with workers answers at {choice.scheduler}: {error}") from error
     try:
-        yield _DaskPool(client, shared)
+        yield _Cluster(client, shared)
     finally:
         client.close()
         if local is not None:
             local.close()
 
 
-class _DaskPool(Executor):
-    """`submit` on a Dask client; what all items share is sent to each worker once."""
+class _Cluster:
+    """Workers of a Dask cluster, which may come and go."""
+
+    is_broken = False
 
     def __init__(self, client: Any, shared: Any) -> None:
         self._client = client
-        self._shared = client.scatter(shared, broadcast=True, hash=False)
+        # A task and no scattered data: when every worker that holds it dies, the scheduler makes it again.
+        self._shared = client.submit(_hold, shared, pure=False)
 
-    def submit(self, function: Callable[..., Any], /, *arguments: Any, **keywords: Any) -> Future[Any]:
-        work, item = arguments
+    @property
+    def workers(self) -> int:
+        return max(1, int(sum(self._client.nthreads().values())))
+
+    def submit(self, work: Work, item: Any) -> "Future[Any]":
         answer: Future[Any] = Future()
-        self._client.submit(work, self._shared, item, pure=False).add_done_callback(
-            lambda task: _pass_on(task, item, answer)
-        )
+        task = self._client.submit(work, self._shared, item, pure=False)
+        task.add_done_callback(lambda task: _pass_on(task, answer))
         return answer
 
 
-def _pass_on(task: Any, item: Any, answer: Future[Any]) -> None:
+def _hold(shared: Any) -> Any:
+    return shared
+
+
+def _pass_on(task: Any, answer: "Future[Any]") -> None:
+    from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
 
-    error = task.exception()
+    error = FutureCancelledError(task.key, None) if task.cancelled() else task.exception()
     if error is None:
         answer.set_result(task.result())
     elif isinstance(error, KilledWorker):
-        # The cluster has already tried the item on several workers.
-        answer.set_result(WorkerLost(item))
+        answer.set_exception(WorkerDied())
+    elif isinstance(error, FutureCancelledError):
+        gone = "the Dask scheduler is gone; what was finished is kept, run the same command again"
+        answer.set_exception(InputError(gone))
     else:
         answer.set_exception(error)

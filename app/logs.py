@@ -1,20 +1,30 @@
 """What softcal writes down for support: JSON lines with the run they belong to, one file a day, without secrets."""
 
+import contextlib
 import os
 import re
+import sys
 import time
 import traceback
 import uuid
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Mapping, MutableMapping, Sequence
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from softcal.app.bootstrap import data_folder
+from softcal.core.errors import SoftcalError
 
 LOGS_VARIABLE = "SOFTCAL_LOGS"
 KEPT_DAYS = 30
-PASSWORD_IN_URL = re.compile(r"(://[^:/@\s]*):[^@\s]*@")
+LARGEST_BYTES = 50_000_000
+"""A file this large is set aside and another one begun: one editor must still open it."""
+
+PASSWORD_IN_URL = re.compile(r"(://[^:/@\s]*):[^\s\"']*@")
+"""From the colon to the last @ of the word: a password may hold an @ itself."""
+
+PASSWORD_IN_QUERY = re.compile(r"((?:password|sslpassword)=)[^&\s\"']*", re.IGNORECASE)
 SECRET_KEYS = ("pin", "password", "token", "secret")
 
 
@@ -26,16 +36,22 @@ def log_folder() -> Path:
 
 
 class DayFiles:
-    """Appends whole lines to the file of the day; open only while a line is written."""
+    """Appends whole lines to the file of the day; open only while a line is written.
+
+    Work goes on where the log cannot be written: the disk that is full for it is full for the registry, which says so.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def msg(self, line: str) -> None:
-        """Append one line."""
+        """Append one line; a file of the day that grew too large is set aside first."""
         path = self._folder / f"softcal-{datetime.now(UTC):%Y-%m-%d}.jsonl"
-        with path.open("a", encoding="utf-8") as file:
-            file.write(f"{line}\n")
+        with contextlib.suppress(OSError):
+            if path.exists() and path.stat().st_size > LARGEST_BYTES:
+                path.rename(path.with_name(f"{path.stem}-{datetime.now(UTC):%H%M%S%f}.jsonl"))
+            with path.open("a", encoding="utf-8") as file:
+                file.write(f"{line}\n")
 
     debug = info = warning = error = critical = msg
 
@@ -66,11 +82,43 @@ def start_logging(**context: str) -> Any:
     return structlog.get_logger()
 
 
+def begin_run(command: str, arguments: Sequence[str], **context: str) -> Any:
+    """Begin the log of one command; return its logger, or None where no log can be written."""
+    try:
+        log = start_logging(command=command, **context)
+    except (OSError, ImportError, SoftcalError):
+        return None
+    log.info("begun", arguments=list(arguments), version=version("softcal"))
+    return log
+
+
+def end_run(log: Any, code: int, message: str) -> None:
+    """End the log of a command with its exit code and what it said where it did not end well."""
+    import structlog
+
+    log.info("ended", code=code, said=message)
+    structlog.contextvars.clear_contextvars()
+
+
+def note(event: str, **facts: object) -> None:
+    """Put what happened into the log of the run that is under way; nothing where none was begun."""
+    log = _log_of_run()
+    if log is not None:
+        log.info(event, **facts)
+
+
+def _log_of_run() -> Any:
+    structlog = sys.modules.get("structlog")
+    is_begun = structlog is not None and "run" in structlog.contextvars.get_contextvars()
+    return structlog.get_logger() if structlog is not None and is_begun else None
+
+
 def log_crash(error: BaseException, command: str) -> str:
     """Write a defect of softcal with its traceback to the log and return the one line for the person."""
     what = masked(f"{type(error).__name__}: {error}".splitlines()[0])
     try:
-        start_logging(command=command).error("crash", error=what, traceback="".join(traceback.format_exception(error)))
+        log = _log_of_run() or start_logging(command=command)
+        log.error("crash", error=what, traceback="".join(traceback.format_exception(error)))
         where = f"the details are in {log_folder()}; `softcal doctor --out FILE.zip` collects them"
     except (OSError, ImportError) as trouble:
         where = f"the log could not be written: {trouble}"
@@ -84,12 +132,14 @@ def without_secrets(logger: object, method: str, event: MutableMapping[str, Any]
             event[key] = "***"
         elif isinstance(value, str):
             event[key] = masked(value)
+        elif isinstance(value, list):
+            event[key] = [masked(part) if isinstance(part, str) else part for part in value]
     return event
 
 
 def masked(text: str) -> str:
     """Return a text with the passwords in its URLs masked."""
-    return PASSWORD_IN_URL.sub(r"\1:***@", text)
+    return PASSWORD_IN_QUERY.sub(r"\1***", PASSWORD_IN_URL.sub(r"\1:***@", text))
 
 
 def _remove_old(folder: Path) -> None:

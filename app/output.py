@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from softcal.app.files import write_text
+from softcal.app.files.atomic import write_text
 
 
 def say(line: str) -> None:
@@ -40,23 +40,36 @@ def write_json(target: str, value: object) -> None:
 
 
 class Progress:
-    """Lines like `3/40 units, 12 s, about 2 min left` on standard error: rewritten in place on a terminal."""
+    """Lines like `3/40 units, 12 s, 4.1 units/s, about 9 s left` on standard error: rewritten on a terminal.
 
-    def __init__(self, what: str, total: int) -> None:
-        self._what, self._total, self._start, self._done, self._shown_s = what, total, time.monotonic(), 0, 0.0
+    Args:
+        what: what is counted, in the plural.
+        total: how many there are.
+        done: how many were done before; they count for the share and not for the speed.
+    """
+
+    def __init__(self, what: str, total: int, done: int = 0) -> None:
+        self._what, self._total, self._start, self._shown_s = what, total, time.monotonic(), 0.0
+        self._before = self._done = done
 
     def step(self, note: str = "", count: int = 1) -> None:
         """Count finished items and show where the work stands."""
-        self._done += count
+        self.reach(self._done + count, note)
+
+    def reach(self, done: int, note: str = "") -> None:
+        """Show that so many items are finished by now, whoever finished them."""
+        self._done = done
         elapsed_s = time.monotonic() - self._start
         is_last = self._done >= self._total
         is_terminal = sys.stderr.isatty()
         if not is_last and elapsed_s - self._shown_s < (0.1 if is_terminal else 5.0):
             return
         self._shown_s = elapsed_s
-        left_s = elapsed_s / max(1, self._done) * (self._total - self._done)
+        speed_per_s = (self._done - self._before) / max(elapsed_s, 1e-9)
         line = f"{self._done}/{self._total} {self._what}, {_duration(elapsed_s)}"
-        line += "" if is_last else f", about {_duration(left_s)} left"
+        if speed_per_s:
+            line += f", {speed_per_s:.3g} {self._what}/s"
+            line += "" if is_last else f", about {_duration((self._total - self._done) / speed_per_s)} left"
         line += f"  {note}" if note else ""
         print(
             f"\r\x1b[K{line}" if is_terminal else line,

@@ -9,20 +9,69 @@ import threading
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
+from typing import Protocol
 
-from softcal.app.workflow.station_gate import check_golden
 from softcal.core.errors import InputError, RegistryError, SoftcalError
-from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState
-from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.station_gate import Gate
-from softcal.db.registry import Registry
+from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
+from softcal.db.order_queue import OrderQueue
 from softcal.station.recording import StationRecording
-from softcal.station.service import Hooks, StationService
+from softcal.station.service import StationService
 
 BEAT_S = 1.0
 REPORT_S = 0.2
 IDLE_S = 0.2
 """Between two looks for an order; one transaction each."""
+
+LISTEN_S = 0.01
+"""How long the devices are listened to at every such look."""
+
+INTERRUPTED = "the station's service was started again; press the unit again"
+
+
+class Keeper(Protocol):
+    """Knows which runs can be kept, and keeps them."""
+
+    def check(self, order: Order) -> None:
+        """Raise `InputError` where the run of an order could not be kept."""
+        ...
+
+    def keep(self, order: Order, recording: StationRecording, tell: Callable[[Progress], None]) -> Progress:
+        """Store a finished run and return how its order ended."""
+        ...
+
+
+class Fixture(Protocol):
+    """What holds the unit: a person on a real station, a program on the simulated one."""
+
+    def mount(self, serial: str) -> None:
+        """Put the unit of this serial under the stage."""
+        ...
+
+    def follow(self, phase: str) -> None:
+        """Take the phase a run is in."""
+        ...
+
+    def inject(self, name: str) -> str:
+        """Break something, and say what will happen."""
+        ...
+
+
+class HandFixture:
+    """A person puts the unit in, and nothing breaks on demand."""
+
+    def mount(self, serial: str) -> None:
+        """The unit is there, or the search for contact will say that it is not."""
+
+    def follow(self, phase: str) -> None:
+        """Nothing follows."""
+
+    def inject(self, name: str) -> str:
+        """Refuse.
+
+        Raises:
+            InputError: always; a real station breaks by itself.
+        """
+        raise InputError("faults can be ordered on a simulated station only; nothing was done")
 
 
 class StationHost:
@@ -32,52 +81,65 @@ class StationHost:
     never keeps the service from watching force and travel.
 
     Args:
-        registry: where orders come from and recordings go.
+        queue: where orders come from and progress goes.
         station: name of the station.
-        gate: whether an order of a kind may run now.
-        make_service: the service for these hooks; it is started by `run`.
+        keeper: takes finished runs.
+        override: takes an engineer's decision to open the gate: who and why.
+        make_service: the service for its two hooks, progress and stop; it is started by `run`.
+        fixture: what holds the unit.
+        log: takes (event, facts) for support.
     """
 
     def __init__(
         self,
-        registry: Registry,
+        queue: OrderQueue,
         station: str,
-        gate: Callable[[OrderKind], Gate],
-        make_service: Callable[[Hooks], StationService],
+        keeper: Keeper,
+        override: Callable[[str, str], None],
+        make_service: Callable[[Callable[[Progress], None], Callable[[], bool]], StationService],
+        fixture: Fixture | None = None,
+        log: Callable[[str, dict[str, object]], None] | None = None,
     ) -> None:
-        self._registry, self._queue, self._station = registry, registry.order_queue, station
+        self._queue, self._station, self._keeper, self._override = queue, station, keeper, override
+        self._fixture = fixture or HandFixture()
+        self._log = log or (lambda event, facts: None)
         self._process = f"{socket.gethostname()}:{os.getpid()}"
         self._active = ""
         self._newest: Progress | None = None
         self._is_stop_wanted, self._is_over = threading.Event(), threading.Event()
+        self._lost = ""
         self._at_desk = threading.Lock()
         self._late: list[tuple[Order, StationRecording]] = []
-        self._service = make_service(Hooks(self._report, self._is_stop_wanted.is_set, gate))
+        self._unsaid: list[Progress] = []
+        self._service = make_service(self._report, self._is_stop_wanted.is_set)
 
     def run(self, goes_on: Callable[[], bool]) -> None:
-        """Serve until `goes_on` says no; then give the ports back.
+        """Serve until `goes_on` says no; a run in progress is stopped then. Give the ports back at the end.
 
         Raises:
             InputError: another process serves this station.
         """
         self._beat()
-        self._queue.interrupt(self._station, "the station's service was started again; press the unit again")
-        desk = threading.Thread(target=self._keep_desk, name="station desk", daemon=True)
+        self._queue.interrupt(self._station, INTERRUPTED)
+        desk = threading.Thread(target=self._keep_desk, args=(goes_on,), name="station desk", daemon=True)
         desk.start()
         try:
             self._service.start()
-            while goes_on():
+            while goes_on() and not self._lost:
                 self._turn()
         finally:
             self._service.close()
             self._is_over.set()
             desk.join()
-            self._beat()
+        if self._lost:
+            raise InputError(self._lost)
+        self._beat()
 
     def _turn(self) -> None:
         """Do one order, or wait a moment for one."""
         order = None
         try:
+            self._service.watch(LISTEN_S)
             self._service.settle()
             self._store_late()
             order = self._queue.take(self._station)
@@ -85,26 +147,41 @@ class StationHost:
             pass  # The registry is away: nothing new is started, nothing is lost.
         if order is None:
             time.sleep(IDLE_S)
-        elif order.kind is OrderKind.STOP:
-            self._say(Progress(order.order_id, RunState.DONE, message="nothing was running"))
-        else:
+        elif order.kind is OrderKind.ACKNOWLEDGE or order.kind.is_run:
             self._perform(order)
+        else:
+            self._answer(order)
 
     def _perform(self, order: Order) -> None:
         self._is_stop_wanted.clear()
         self._active = order.order_id
         try:
+            self._keeper.check(order)
+            self._fixture.mount(order.serial)
             recording = self._service.perform(order)
             if recording is not None:
                 self._late.append((order, recording))
+                self._store_late()
+        except InputError as error:
+            self._report(Progress(order.order_id, RunState.ERROR, "", 1.0, code="E-ORDER", message=str(error)))
         except RegistryError as error:
-            self._report(Progress(order.order_id, RunState.ERROR, code="E-REGISTRY", message=str(error)))
+            if not self._late:
+                self._report(Progress(order.order_id, RunState.ERROR, code="E-REGISTRY", message=str(error)))
+        except Exception as error:  # The line must go on: a defect ends this run alone.
+            self._report(self._defect(order, error))
         finally:
             with self._at_desk:
                 self._active, self._newest = "", None
 
+    def _defect(self, order: Order, error: Exception) -> Progress:
+        """Write a defect into the log, for support, and return how its order ends."""
+        self._log("defect", {"order": order.order_id, "error": repr(error), "exc_info": error})
+        kind = type(error).__name__
+        message = f"a defect of softcal ended this run ({kind}); the details are in its log, press again"
+        return Progress(order.order_id, RunState.ERROR, "", 1.0, code="E-INTERNAL", message=message)
+
     def _store_late(self) -> None:
-        """Store what was recorded; what the registry cannot take now is tried again at every turn.
+        """Keep what was recorded; what the registry cannot take now is tried again at every turn.
 
         Raises:
             RegistryError: the registry is away; the recording is kept here and in its spool.
@@ -112,49 +189,62 @@ class StationHost:
         while self._late:
             order, recording = self._late[0]
             try:
-                progress = self._stored(order, recording)
+                progress = self._keeper.keep(order, recording, self._report)
             except InputError as error:
                 progress = Progress(order.order_id, RunState.ERROR, code="E-RECORDING", message=str(error))
-            self._queue.report(progress)
+            except RegistryError:
+                raise
+            except Exception as error:
+                progress = self._defect(order, error)
             self._late.pop(0)
             if progress.recording_sha256:
                 self._service.spool_path(order).unlink(missing_ok=True)
-
-    def _stored(self, order: Order, recording: StationRecording) -> Progress:
-        sha256, message = "", "recorded"
-        if order.lot_id:
-            kind, value = _kind_and_value(order, recording)
-            sha256 = self._registry.add_recording(order.lot_id, value, kind, actor=order.actor or None)
-        if order.kind is OrderKind.GOLDEN:
-            run = check_golden(self._registry, self._station, recording.labelled_recording(), order.actor)
-            message = "golden unit within its limits" if run.passed else "; ".join(run.reasons)
-        return Progress(order.order_id, RunState.DONE, "done", 1.0, message=message, recording_sha256=sha256)
+            self._unsaid.append(progress)
+        self._say_ends()
 
     def _report(self, progress: Progress) -> None:
         """Take progress from the service; the end of a run is written at once, all else by the desk."""
         if progress.state.is_active:
+            self._fixture.follow(progress.phase)
             self._newest = progress
             return
+        self._unsaid.append(progress)
+        try:
+            self._say_ends()
+        except RegistryError:
+            pass  # Said again at every turn: until then the order occupies its station.
+
+    def _say_ends(self) -> None:
+        """Write how orders ended.
+
+        Raises:
+            RegistryError: the registry is away; what could not be said is kept.
+        """
         with self._at_desk:
             # From here on a new order may come: it is not for the desk.
             self._active, self._newest = "", None
-        self._say(progress)
-
-    def _say(self, progress: Progress) -> None:
-        try:
+        while self._unsaid:
+            progress = self._unsaid[0]
             self._queue.report(progress)
-        except RegistryError:
-            pass  # A run goes on without its screen.
+            self._unsaid.pop(0)
+            self._log("order", {"order": progress.order_id, "state": progress.state, "message": progress.message})
 
-    def _keep_desk(self) -> None:
-        beaten_s = time.monotonic()
+    def _keep_desk(self, goes_on: Callable[[], bool]) -> None:
+        beaten_s = 0.0
         while not self._is_over.wait(REPORT_S):
+            if not goes_on():
+                self._is_stop_wanted.set()
             try:
                 with self._at_desk:
                     self._attend()
                 if time.monotonic() - beaten_s >= BEAT_S:
                     beaten_s = time.monotonic()
                     self._beat()
+            except InputError as error:
+                # Two owners of one station: whoever was silent too long gives way.
+                self._lost = f"{error}; this service was silent too long and has given up"
+                self._is_stop_wanted.set()
+                return
             except SoftcalError:
                 continue  # Away for a moment: the next turn tries again.
 
@@ -165,24 +255,49 @@ class StationHost:
             self._listen()
 
     def _listen(self) -> None:
-        """Take what a person says during a run: a stop, or an acknowledgement that comes too early."""
+        """Take what a person says during a run."""
         order = self._queue.take(self._station)
         if order is None:
             return
-        is_stop = order.kind is OrderKind.STOP
-        message = "the run is being stopped" if is_stop else "a run is in progress; nothing to acknowledge"
-        if is_stop:
+        if order.kind is OrderKind.ACKNOWLEDGE:
+            self._say(order, RunState.DONE, "a run is in progress; nothing to acknowledge")
+        elif order.kind is OrderKind.STOP:
             self._is_stop_wanted.set()
-        self._queue.report(Progress(order.order_id, RunState.DONE, message=message))
+            self._say(order, RunState.DONE, "the run is being stopped")
+        else:
+            self._answer(order)
+
+    def _answer(self, order: Order) -> None:
+        """Do what is no run."""
+        try:
+            match order.kind:
+                case OrderKind.STOP:
+                    cancelled = self._queue.cancel_queued(self._station, "cancelled before it began")
+                    self._say(order, RunState.DONE, "cancelled before it began" if cancelled else "nothing was running")
+                case OrderKind.OVERRIDE:
+                    self._override(order.actor, order.reason)
+                    self._say(order, RunState.DONE, "the gate is open for this shift; the reason is in the audit trail")
+                case OrderKind.FAULT:
+                    self._say(order, RunState.DONE, self._fixture.inject(order.reason))
+        except InputError as error:
+            self._say(order, RunState.ERROR, str(error))
+
+    def _say(self, order: Order, state: RunState, message: str) -> None:
+        code = "" if state is RunState.DONE else "E-ORDER"
+        self._queue.report(Progress(order.order_id, state, "", 1.0, code=code, message=message))
 
     def _beat(self) -> None:
         service = self._service
+        is_off = service.state is StationState.OFF
         self._queue.beat(
-            Heartbeat(self._station, service.state, datetime.now(UTC), service.reasons, self._process, self._active)
+            Heartbeat(
+                self._station,
+                service.state,
+                datetime.now(UTC),
+                () if is_off else service.reasons,
+                self._process,
+                self._active,
+                () if is_off else service.gate.conditions,
+                not is_off and service.gate.is_overridden,
+            )
         )
-
-
-def _kind_and_value(order: Order, recording: StationRecording) -> tuple[str, OutputRecording | LabelledRecording]:
-    if recording.force_N is None:
-        return "unit", recording.output_recording()
-    return "source" if order.kind is OrderKind.SOURCE else "audit", recording.labelled_recording()

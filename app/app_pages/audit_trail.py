@@ -3,7 +3,8 @@
 import pandas as pd
 import streamlit as st
 
-from softcal.app.desk import choose_language, empty, errors_in_words, registry, words
+from softcal.app.desk import empty, errors_in_words, registry, words
+from softcal.app.panels import heading
 
 NEWEST = 500
 
@@ -12,10 +13,8 @@ def render() -> None:
     """Draw the page."""
     say = words()
     with errors_in_words():
-        _, right = st.columns([5, 1])
-        with right:
-            choose_language()
-        rows = registry().audit_rows()[-NEWEST:]
+        heading("audit_trail")
+        rows = registry().newest_audit_rows(NEWEST)
         if not rows:
             empty(say("audit.none"), say("empty.lots.how"))
             return
@@ -27,6 +26,6 @@ def render() -> None:
                 say("column.entity"): f"{row.entity} {row.key}",
                 say("column.reason"): row.reason,
             }
-            for row in reversed(rows)
+            for row in rows
         ]
         st.dataframe(pd.DataFrame(table), width="stretch", hide_index=True, height=640)

@@ -1,77 +1,23 @@
-"""One unit by serial: why its verdict is what it is, its map, its estimates, its history."""
+"""One unit by serial: why its verdict is what it is, its map, its estimates, its history and its files."""
 
-import pandas as pd
 import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
 
-from softcal.app import charts
-from softcal.app.desk import (
-    choose,
-    choose_language,
-    colours,
-    empty,
-    errors_in_words,
-    registry,
-    show_figure,
-    verdict_badge,
-    words,
-)
-from softcal.app.views import UnitView, number, unit_view
-from softcal.db.entries import StoredCalibration, UnitEntry
+from softcal.app.charts import unit as charts_unit
+from softcal.app.charts.why import HEIGHT, why_figure
+from softcal.app.components.unit_choice import choose_unit
+from softcal.app.components.unit_files import unit_files
+from softcal.app.components.unit_history import unit_history, unit_recordings
+from softcal.app.desk import colours, empty, errors_in_words, registry, verdict_badge, words
+from softcal.app.first_paint import rest_may_follow
+from softcal.app.panels import figure_under, heading, numbers
+from softcal.app.reasons import all_said, said
+from softcal.app.views.common import number, percent
+from softcal.app.views.unit import UnitView, unit_view
+from softcal.db.entries import StoredCalibration
 
-
-def render() -> None:
-    """Draw the page."""
-    say = words()
-    with errors_in_words():
-        units = {unit.serial: unit for unit in registry().units() if unit.role == "target" and unit.verdict}
-        if not units:
-            empty(say("empty.units"), say("empty.units.how"))
-            return
-        left, middle, right = st.columns([4, 1, 1])
-        with right:
-            choose_language()
-        with left:
-            serial = choose(say("choose.unit"), list(units), "unit") or next(iter(units))
-        history = registry().history(serial)
-        if not history:
-            _refused(units[serial])
-            return
-        with middle:
-            revision = st.selectbox(say("choose.revision"), [entry.revision for entry in reversed(history)])
-        _unit(unit_view(registry(), serial, revision))
-        _history(history)
-
-
-def _refused(unit: UnitEntry) -> None:
-    verdict_badge(unit.verdict)
-    empty(words()("empty.calibration"), "; ".join(unit.reasons))
-
-
-def _unit(view: UnitView) -> None:
-    say, record, unit = words(), view.stored.record, view.lot.reference_unit
-    left, right = st.columns([1, 3])
-    with left:
-        verdict_badge(record.verdict)
-        st.metric(say("lot.predicted"), number(record.predicted_rmse, unit), border=True)
-        if record.after_rmse is not None:
-            scores = {name: number(getattr(record, f"{name}_rmse"), unit) for name in ("before", "after", "own")}
-            st.caption(say("unit.audit", **scores))
-        st.caption(say("unit.flags", flagged=view.flagged, rows=len(view.estimate.flag)))
-    with right:
-        st.subheader(say("unit.why"))
-        for reason in record.reasons:
-            st.markdown(f"- {reason}")
-    for row in (("contributions", "interval_by_load"), ("output_distributions", "map_curve")):
-        for column, name in zip(st.columns(2), row, strict=True):
-            with column:
-                _chart(view, name)
-    _chart(view, "estimate_band")
-    _chart(view, "hysteresis")
-
-
+TABS = ("why", "map", "estimates", "recordings", "history", "files")
 TITLES = {
-    "contributions": "unit.contributions",
-    "interval_by_load": "unit.error",
     "output_distributions": "unit.outputs",
     "map_curve": "unit.map",
     "hysteresis": "unit.hysteresis",
@@ -79,25 +25,76 @@ TITLES = {
 }
 
 
-def _chart(view: UnitView, name: str) -> None:
+def render() -> None:
+    """Draw the page."""
     say = words()
-    st.subheader(say(TITLES[name]))
-    show_figure(getattr(charts, name)(view, colours(), say), name)
+    with errors_in_words():
+        with heading("unit"):
+            serial = choose_unit()
+        if serial is None:
+            empty(say("empty.units"), say("empty.units.how"))
+            return
+        if done := st.session_state.pop("unit-done", ""):
+            st.success(done, icon=":material/check:")
+        history = registry().history(serial)
+        if not history:
+            _refused(serial)
+            return
+        _revision(serial, history)
 
 
-def _history(history: list[StoredCalibration]) -> None:
+def _refused(serial: str) -> None:
+    unit = registry().units(serial=serial)[-1]
+    verdict_badge(unit.verdict)
+    empty(words()("empty.calibration"), all_said(unit.reasons, words()))
+    unit_recordings(serial, registry().lot(unit.lot_id))
+
+
+def _revision(serial: str, history: list[StoredCalibration]) -> None:
     say = words()
-    rows = [
-        {
-            say("column.revision"): entry.revision,
-            say("column.made"): f"{entry.made_at:%Y-%m-%d %H:%M:%S} UTC",
-            say("column.verdict"): say(f"verdict.{entry.record.verdict}"),
-            say("column.predicted"): entry.record.predicted_rmse,
-            say("column.family"): entry.record.family,
-            say("column.actor"): entry.actor,
-            say("column.reason"): entry.reason,
-        }
-        for entry in reversed(history)
-    ]
-    st.subheader(say("unit.history"))
-    st.dataframe(pd.DataFrame(rows), width="stretch", hide_index=True)
+    current = next(entry.revision for entry in history if entry.is_current)
+    revisions = [entry.revision for entry in reversed(history)]
+    left, right = st.columns([1, 4], vertical_alignment="bottom")
+    revision = right.selectbox(say("choose.revision"), revisions, index=revisions.index(current)) or current
+    stored = next(entry for entry in history if entry.revision == revision)
+    with left:
+        verdict_badge(stored.record.verdict)
+    _verdict(stored, registry().lot(stored.lot_id).reference_unit)
+    if not rest_may_follow():
+        return
+    view = unit_view(registry(), serial, revision)
+    share = percent(view.flagged / len(view.estimate.flag))
+    st.caption(say("unit.flags", flagged=view.flagged, rows=len(view.estimate.flag), share=share))
+    why, map_tab, estimates, recordings, changes, files = st.tabs([say(f"unit.tab.{name}") for name in TABS])
+    with why:
+        # The head of the figure says what stands above it already.
+        figure = why_figure(view, colours(), say).update_layout(title=None, margin_t=40, height=HEIGHT)
+        figure_under("unit.why", figure, "why")
+    _figures(map_tab, view, ("output_distributions", "map_curve"))
+    _figures(estimates, view, ("hysteresis", "estimate_band"))
+    with recordings:
+        unit_recordings(serial, view.lot)
+    with changes:
+        unit_history(history, view.lot.reference_unit)
+    with files:
+        unit_files(serial, revision)
+
+
+def _verdict(stored: StoredCalibration, unit: str) -> None:
+    say, record = words(), stored.record
+    scores = [(say(f"column.{n}"), getattr(record, f"{n}_rmse"), None) for n in ("before", "after", "own")]
+    cells = [(say("lot.predicted"), record.predicted_rmse, say("unit.predicted.help")), *scores]
+    numbers([(label, number(value, unit), tip) for label, value, tip in cells if value is not None])
+    for reason in record.reasons:
+        st.markdown(f"- {said(reason, say)}")
+
+
+def _figures(place: DeltaGenerator, view: UnitView, names: tuple[str, ...]) -> None:
+    with place:
+        for column, name in zip(st.columns(2), names, strict=True):
+            with column:
+                _figure(view, name)
+
+
+def _figure(view: UnitView, name: str) -> None:
+    figure_under(TITLES[name], getattr(charts_unit, name)(view, colours(), words()), name)

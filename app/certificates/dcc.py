@@ -46,7 +46,8 @@ def certificate_xml(facts: Certificate) -> bytes:
 
 def _child(parent: ET.Element, name: str, text: str | None = None, **attributes: str) -> ET.Element:
     element = ET.SubElement(parent, f"{{{DCC}}}{name}", attributes)
-    element.text = text
+    # The PTB's strings neither begin nor end with a space.
+    element.text = None if text is None else " ".join(text.split())
     return element
 
 
@@ -85,7 +86,7 @@ def _software(parent: ET.Element, facts: Certificate) -> None:
 def _item(parent: ET.Element, facts: Certificate) -> None:
     _text(parent, "name", f"Soft sensor {facts.serial}")
     _text(_child(parent, "manufacturer"), "name", facts.laboratory.laboratory.name)
-    if facts.sensor_model:
+    if facts.sensor_model.strip():
         _child(parent, "model", facts.sensor_model)
     identifications = _child(parent, "identifications")
     _identification(identifications, "manufacturer", facts.serial, "Serial number")

@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 from softcal.core.errors import InputError
 
 NOT_STATED = "not stated"
+NO_COUNTRY = "ZZ"
+"""ISO 3166-1: no country, by agreement of its users."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +20,7 @@ class Party:
 
     name: str = NOT_STATED
     email: str = NOT_STATED
-    country: str = "ZZ"
+    country: str = NO_COUNTRY
     city: str = NOT_STATED
 
     def __post_init__(self) -> None:

@@ -1,9 +1,7 @@
 """The certificate as a PDF for people: vector plots, embedded fonts, the same bytes for the same facts."""
 
-import html
 import io
 from collections.abc import Sequence
-from functools import cache
 
 from reportlab.graphics.barcode.qr import QrCodeWidget
 from reportlab.graphics.shapes import Drawing
@@ -11,26 +9,24 @@ from reportlab.lib import colors
 from reportlab.lib.pagesizes import A4
 from reportlab.lib.styles import ParagraphStyle
 from reportlab.lib.units import mm
-from reportlab.pdfbase import pdfmetrics
-from reportlab.pdfbase.ttfonts import TTFont
 from reportlab.pdfgen.canvas import Canvas
 from reportlab.platypus import Flowable, KeepTogether, Paragraph, SimpleDocTemplate, Spacer, Table, TableStyle
 
 from softcal.app.certificates.content import DECISION_RULE, METHOD, Certificate
-from softcal.app.certificates.laboratory import Party
+from softcal.app.certificates.fonts import BOLD, PLAIN, marked_up, register
+from softcal.app.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
 from softcal.app.certificates.plots import SHOWN_S, estimate_plot, map_plot
 
 MARGIN = 18 * mm
 WIDTH = A4[0] - 2 * MARGIN
 FRAME_PADDING = 6  # ReportLab's own, inside the margins
-PLAIN, BOLD = "Vera", "VeraBd"
 INK, QUIET, RULE = colors.HexColor("#1a1f26"), colors.HexColor("#5a6472"), colors.HexColor("#c9d0d8")
 VERDICT_COLOURS = {"pass": "#1b7f3b", "conditional": "#8a6100", "fail": "#b3261e", "retest": "#5a6472"}
 
 
 def certificate_pdf(facts: Certificate) -> bytes:
     """Return the document."""
-    _register_fonts()
+    register()
     buffer = io.BytesIO()
     document = SimpleDocTemplate(
         buffer,
@@ -50,12 +46,6 @@ def certificate_pdf(facts: Certificate) -> bytes:
 
     document.build(_story(facts), canvasmaker=canvas)
     return buffer.getvalue()
-
-
-@cache
-def _register_fonts() -> None:
-    for name in (PLAIN, BOLD):
-        pdfmetrics.registerFont(TTFont(name, f"{name}.ttf"))
 
 
 class _NumberedCanvas(Canvas):  # type: ignore[misc]
@@ -105,8 +95,8 @@ def _head(facts: Certificate) -> Flowable:
     title = [
         Paragraph("Calibration certificate", _style(18, BOLD)),
         Spacer(1, 5 * mm),
-        _paragraph(f"{facts.laboratory.laboratory.name}, {facts.laboratory.laboratory.city}"),
-        _paragraph(f"Certificate {facts.identifier}, {facts.made_on.isoformat()}"),
+        _paragraph(f"Laboratory: {_stated(facts.laboratory.laboratory.name, facts.laboratory.laboratory.city)}"),
+        _paragraph(f"Certificate {facts.identifier}, calibrated on {facts.made_on.isoformat()}"),
     ]
     return Table([[title, picture]], colWidths=[WIDTH - 26 * mm, 26 * mm], style=_flush())
 
@@ -114,7 +104,7 @@ def _head(facts: Certificate) -> Flowable:
 def _verdict(facts: Certificate) -> Flowable:
     colour = VERDICT_COLOURS[facts.verdict]
     word = facts.conformity or facts.verdict
-    lines = [Paragraph(f'<font color="{colour}">{_safe(word.upper())}</font>', _style(13, BOLD))]
+    lines = [Paragraph(f'<font color="{colour}">{marked_up(word.upper())}</font>', _style(13, BOLD))]
     lines += [_paragraph(reason) for reason in facts.reasons]
     box = TableStyle(
         [("LINEBEFORE", (0, 0), (0, -1), 3, colors.HexColor(colour)), ("LEFTPADDING", (0, 0), (-1, -1), 8)]
@@ -123,7 +113,7 @@ def _verdict(facts: Certificate) -> Flowable:
 
 
 def _section(title: str, body: Flowable) -> list[Flowable]:
-    heading = Paragraph(_safe(title), _style(10, BOLD))
+    heading = Paragraph(marked_up(title), _style(10, BOLD))
     return [Spacer(1, 4.5 * mm), KeepTogether([heading, Spacer(1, 1.5 * mm), body])]
 
 
@@ -136,12 +126,16 @@ def _unit_rows(facts: Certificate) -> list[tuple[str, str]]:
         ("Conditions", _conditions(facts)),
         ("Laboratory", _party(facts.laboratory.laboratory)),
         ("Customer", _party(facts.laboratory.customer)),
-        ("Responsible", f"{facts.laboratory.person.name}, {facts.laboratory.person.role}"),
+        ("Responsible", _stated(facts.laboratory.person.name, facts.laboratory.person.role)),
     ]
 
 
 def _party(party: Party) -> str:
-    return ", ".join((party.name, party.city, party.country, party.email))
+    return _stated(party.name, party.city, party.country if party.country != NO_COUNTRY else NOT_STATED, party.email)
+
+
+def _stated(*parts: str) -> str:
+    return ", ".join(part for part in parts if part != NOT_STATED) or NOT_STATED
 
 
 def _conditions(facts: Certificate) -> str:
@@ -182,8 +176,8 @@ def _trace_rows(facts: Certificate) -> list[tuple[str, str]]:
     days = [day.isoformat() if day else "not stated" for day in (cell.issued_on, cell.due_on)]
     return [
         *rows,
-        ("Load cell", f"{cell.manufacturer} {cell.model}, serial {cell.serial}"),
-        ("Its certificate", f"{cell.certificate} by {cell.laboratory}, issued {days[0]}, due {days[1]}"),
+        ("Load cell", f"{_stated(cell.manufacturer, cell.model)}; serial: {cell.serial}"),
+        ("Its certificate", f"{cell.certificate}; by: {cell.laboratory}; issued: {days[0]}; due: {days[1]}"),
         ("Its uncertainty", uncertainty),
     ]
 
@@ -225,12 +219,7 @@ def _flush() -> TableStyle:
 
 
 def _paragraph(text: str, size: float = 8, colour: colors.Color = INK) -> Paragraph:
-    return Paragraph(_safe(text), _style(size, PLAIN, colour))
-
-
-def _safe(text: str) -> str:
-    """Escape markup, and say in Latin-1 what the font has no glyph for."""
-    return html.escape(text.encode("cp1252", errors="replace").decode("cp1252"))
+    return Paragraph(marked_up(text), _style(size, PLAIN, colour))
 
 
 def _style(size: float, font: str, colour: colors.Color = INK) -> ParagraphStyle:

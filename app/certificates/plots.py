@@ -8,9 +8,10 @@ from reportlab.graphics.shapes import Drawing, Line, Polygon, PolyLine, String
 from reportlab.lib import colors
 
 from softcal.app.certificates.content import Certificate
+from softcal.app.certificates.fonts import font_for
 from softcal.core.recording import Array
 
-FONT, SIZE = "Vera", 7
+SIZE = 7
 AXIS, CURVE, BAND = colors.HexColor("#5a6472"), colors.HexColor("#0b5cad"), colors.HexColor("#bcd6f2")
 LEFT, RIGHT, BOTTOM, TOP = 46.0, 8.0, 26.0, 8.0
 HEIGHT = 112.0
@@ -87,7 +88,7 @@ class _Axes:
 
 
 def _label(x: float, y: float, text: str, anchor: str) -> String:
-    return String(x, y, text, fontName=FONT, fontSize=SIZE, fillColor=AXIS, textAnchor=anchor)
+    return String(x, y, text, fontName=font_for(text), fontSize=SIZE, fillColor=AXIS, textAnchor=anchor)
 
 
 def _padded(values: Array, share: float) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.commands.options import add_json, add_registry, registry_of
-from softcal.app.output import say, write_json
+from softcal.app.output import Progress, say, write_json
 
 if TYPE_CHECKING:
     from softcal.app.workflow.adapt import AdaptOptions, AdaptReport
@@ -82,13 +82,16 @@ def is_live(source: str) -> bool:
 
 def _follow(registry: "Registry", options: argparse.Namespace, adapt: "AdaptOptions") -> "AdaptReport":
     if is_live(options.source):
-        from softcal.app.live import LiveOptions, adapt_live
+        from softcal.app.live.run import LiveOptions, adapt_live
 
         live = LiveOptions(options.source, options.out, options.station, options.duration, options.view)
         return adapt_live(registry, options.serial, live, adapt)
+    from softcal.app.files.stream_file import count_rows
     from softcal.app.workflow.adapt import adapt_file
 
-    return adapt_file(registry, options.serial, Path(options.source), Path(options.out), adapt)
+    source = Path(options.source)
+    progress = Progress("rows", count_rows(source))
+    return adapt_file(registry, options.serial, source, Path(options.out), adapt, progress.reach)
 
 
 def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptReport") -> None:

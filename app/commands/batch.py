@@ -28,6 +28,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
     add_registry(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="write calibration files of the passed units here")
+    parser.add_argument("--plots", type=Path, metavar="DIR", help="write a figure per unit: why its verdict")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes (default 1)")
     parser.add_argument("--engine", choices=("local", "dask"), default="local")
     parser.add_argument("--scheduler", metavar="ADDR", help="a running Dask scheduler; default: one for this run")
@@ -41,10 +42,12 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 def run(options: argparse.Namespace) -> int:
     """Run the batch, print the table, write the report."""
-    from softcal.app.anchors import read_anchors
     from softcal.app.engine import EngineChoice
-    from softcal.app.lot_folder import open_lot_folder
-    from softcal.app.workflow.batch import TABLE_HEADER, BatchConfig, report_json, run_batch, table_row
+    from softcal.app.files.anchors import read_anchors
+    from softcal.app.files.lot_folder import open_lot_folder
+    from softcal.app.workflow.batch import run_batch
+    from softcal.app.workflow.batch_report import TABLE_HEADER, audit_lines, report_json, table_row
+    from softcal.app.workflow.lot_work import BatchConfig
 
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:
@@ -65,10 +68,18 @@ def run(options: argparse.Namespace) -> int:
             passed = [u.serial for u in report.units if u.verdict in ("pass", "conditional")]
             export_units(registry, passed, ("json",), options.out)
             say(f"{options.out}: calibration files of {len(passed)} units")
+        if options.plots is not None:
+            from softcal.app.workflow.explain import explain_units
+
+            mapped = [u.serial for u in report.units if u.made is not None]
+            explain_units(registry, mapped, options.plots)
+            say(f"{options.plots}: figures of {len(mapped)} units")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     for unit in report.units:
         if unit.verdict != "pass":
             print(f"{unit.serial} {unit.verdict}: {'; '.join(unit.reasons)}")
+    for line in audit_lines(report):
+        print(line)
     print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
     if options.json:
         write_json(options.json, report_json(report))

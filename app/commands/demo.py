@@ -9,7 +9,8 @@ from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
   softcal demo
-  softcal demo --units 3 --seed 7 --out somewhere --json -
+  softcal demo --units 3 --out somewhere --json -
+  softcal demo --twin rig-7.twin.json         units like the twin that explains a rig
 then look around:
   softcal registry list --registry sqlite:///softcal-demo/registry.db
   softcal ui --registry sqlite:///softcal-demo/registry.db
@@ -29,6 +30,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     parser.add_argument("--out", type=Path, default=Path("softcal-demo"), metavar="DIR", help="default: softcal-demo")
     parser.add_argument("--units", type=int, default=6, metavar="N", help="target units (default 6)")
+    parser.add_argument("--twin", type=Path, metavar="FILE", help="units like this twin (softcal gap apply)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="worker processes (default 2)")
     add_network(parser)
     add_json(parser)
@@ -39,13 +41,16 @@ def run(options: argparse.Namespace) -> int:
     """Run the demo and print its table."""
     from softcal.app.bootstrap import open_chosen_registry
     from softcal.app.engine import EngineChoice
-    from softcal.app.workflow.batch import BatchConfig, report_json
+    from softcal.app.workflow.batch_report import report_json
     from softcal.app.workflow.demo import TABLE_HEADER, DemoConfig, press_demo_lot, run_demo, table_row
+    from softcal.app.workflow.diagnose import read_twin
     from softcal.app.workflow.export import export_units
+    from softcal.app.workflow.lot_work import BatchConfig
 
     start_s = time.monotonic()
     batch = BatchConfig(network=network_config(options), engine=EngineChoice("local", options.jobs), chunk=1)
-    config = DemoConfig(units=options.units, batch=batch)
+    twin = read_twin(options.twin) if options.twin else None
+    config = DemoConfig(units=options.units, batch=batch, twin=twin)
     folder = press_demo_lot(config, options.out / "lot", say)
     url = f"sqlite:///{options.out / 'registry.db'}"
     with open_chosen_registry(url) as registry:
@@ -53,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         passed = [unit.serial for unit in report.units if unit.verdict in ("pass", "conditional")]
         export_units(registry, passed, ("json",), options.out / "files")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
-    fits_s = [unit.record.fit_s for unit in report.units if unit.record and unit.record.fit_s]
+    fits_s = [unit.made.fit_s for unit in report.units if unit.made and unit.made.fit_s]
     train_s = report.network.metrics["train_s"]
     print(f"\ntraining f took {train_s:.1f} s, a map {sorted(fits_s)[len(fits_s) // 2]:.3f} s (median)")
     print(f"all in all {time.monotonic() - start_s:.0f} s; registry, recordings and files are in {options.out}/")

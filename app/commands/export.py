@@ -1,6 +1,7 @@
 """`softcal export`: calibration files for devices, PCs and auditors."""
 
 import argparse
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,8 @@ formats:
   pdf   calibration certificate                           dcc   Digital Calibration Certificate (PTB, XML)
 
 A unit that failed gets json, pdf and dcc, which say so, but no file that gives numbers unless --failed-too is given.
-Every folder has a manifest.json with the SHA-256 of every file.
+Every folder has a manifest.json with the SHA-256 of every file. The table shows what the device form changes: `map` by
+its small curve, `error` in all, both as changes of the estimate on the unit's own recording.
 """
 
 
@@ -116,8 +118,9 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
     refused = [unit for unit in units if unit.refusal]
     if len(units) == 1 and refused:
         raise UnitRefused(f"{refused[0].refusal}; written: {', '.join(refused[0].files) or 'nothing'}")
-    header = ("serial", "revision", "verdict", "bytes", "map rms", "error rms", "error max", "files")
+    header = ("serial", "revision", "verdict", "bytes", "map rms", "error rms", "error max", "unit", "files")
     print_table(header, [_row(unit.serial, unit.revision, unit.verdict, unit.device, unit.files) for unit in units])
+    _say_cost([unit.device for unit in units if unit.device])
     for unit in refused:
         say(f"refused: {unit.refusal}")
     return [vars(unit) for unit in units], 1 if refused else 0
@@ -125,8 +128,20 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
 
 def _row(serial: str, revision: int, verdict: str, device: object, files: tuple[str, ...]) -> list[object]:
     facts = device if isinstance(device, dict) else {}
-    numbers = [facts.get(name) for name in ("unit_bytes", "map_rms_deviation", "rms_error", "max_error")]
+    numbers = [facts.get(name) for name in ("unit_bytes", "map_rms_deviation", "rms_error", "max_error", "unit")]
     return [serial, revision, verdict, *numbers, len(files)]
+
+
+def _say_cost(devices: Sequence[Mapping[str, object]]) -> None:
+    """Print what the dearest unit needs on a small device."""
+    if not devices:
+        return
+    dearest = max(devices, key=lambda facts: float(str(facts["cortex_m0_ms"])))
+    ms = float(str(dearest["cortex_m0_ms"]))
+    say(
+        f"on a Cortex-M0+ at 48 MHz: network {dearest['network_bytes']} B, code 1.5 KB, RAM {dearest['ram_bytes']} B, "
+        f"about {ms:.2f} ms per estimate (at most {1000 / ms:.0f} Hz)"
+    )
 
 
 def _options(options: argparse.Namespace) -> "ExportOptions":

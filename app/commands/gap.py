@@ -4,22 +4,26 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.commands import gap_challenge
+from softcal.app.commands import gap_challenge, gap_transfer
 from softcal.app.commands.options import add_json
 from softcal.app.output import print_table, say, write_json
+from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Cause, Diagnosis
+    from softcal.core.twin.parameters import ReadoutMetadata
 
 _EXAMPLES = """examples:
   softcal gap diagnose rig-7 --json rig-7.gap.json --page rig-7.html
-  softcal gap apply rig-7 --out rig-7.twin.json
+  softcal gap apply --report rig-7.gap.json --out rig-7.twin.json
+  softcal gap transfer --report rig-7.gap.json --lot lot-1
   softcal gap challenge --cases 40 --out sealed
 """
 _CASE_HELP = "folder with runs/<n>/recording.csv and recording.json, or one such run"
 _DIAGNOSE_EXAMPLES = """examples:
   softcal gap diagnose rig-7 --json rig-7.gap.json
   softcal gap diagnose rig-7/runs/2 --json - --page run-2.html
+  softcal gap diagnose S1.csv --vref-V 5 --adc-bits 10 --rate-Hz 50 --page S1.html
 
 columns of recording.csv: t_s, stage_mm, force_N, output_V, temperature_C (what is missing narrows the diagnosis)
 keys of recording.json:   vref_V, adc_bits, r_series_ohm, sample_rate_Hz, serial, profile, kind, sensor_type, dummy_ohm
@@ -27,6 +31,9 @@ kind: press (default), rest, rigid_block, dummy_resistor, dead_weights
 """
 _APPLY_EXAMPLES = """examples:
   softcal gap apply rig-7 --out rig-7.twin.json
+  softcal gap apply --report rig-7.gap.json --out rig-7.twin.json    without diagnosing again
+  softcal station unit --simulated --twin rig-7.twin.json --serial A1 --out A1.csv
+  softcal demo --twin rig-7.twin.json
 """
 
 
@@ -43,6 +50,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_diagnose(inner)
     _add_apply(inner)
+    gap_transfer.add_parser(inner)
     gap_challenge.add_parsers(inner)
 
 
@@ -55,7 +63,14 @@ def _add_diagnose(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
         epilog=_DIAGNOSE_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("case", type=Path, metavar="CASE", help=_CASE_HELP)
+    parser.add_argument("case", type=Path, metavar="CASE", help=f"{_CASE_HELP}; or a plain table")
+    table = parser.add_argument_group("electronics of a plain table (a case states its own)")
+    table.add_argument("--vref-V", type=float, dest="vref_V", metavar="V", help="supply of divider and ADC")
+    table.add_argument("--adc-bits", type=int, metavar="N", help="resolution of the ADC")
+    table.add_argument("--rate-Hz", type=float, dest="rate_Hz", metavar="HZ", help="sample rate")
+    table.add_argument(
+        "--series-ohm", type=float, metavar="OHM", help="series resistor; without it resistances come as shares of it"
+    )
     add_json(parser)
     parser.add_argument("--page", type=Path, metavar="FILE", help="write a page of figures (standalone HTML)")
     parser.set_defaults(run=_diagnose)
@@ -70,7 +85,8 @@ def _add_apply(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         epilog=_APPLY_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("case", type=Path, metavar="CASE", help=_CASE_HELP)
+    parser.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
+    parser.add_argument("--report", type=Path, metavar="FILE", help="take the twin of this report instead of CASE")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="twin as JSON")
     add_json(parser)
     parser.set_defaults(run=_apply)
@@ -79,18 +95,42 @@ def _add_apply(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 def _diagnose(options: argparse.Namespace) -> int:
     from softcal.app.workflow.diagnose import diagnose_case, write_page
 
-    diagnosis = diagnose_case(options.case, say)
+    diagnosis = diagnose_case(options.case, say, _table_readout(options))
     if options.page:
         write_page(options.page, diagnosis)
     _show(diagnosis, options.json)
     return 0
 
 
-def _apply(options: argparse.Namespace) -> int:
-    from softcal.app.workflow.diagnose import apply_case
+def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
+    """Return the electronics given for a plain table; only R/Rs enters the divider, so Rs may stay unknown."""
+    from softcal.core.twin.parameters import ReadoutMetadata
 
+    given = (options.vref_V, options.adc_bits, options.rate_Hz)
+    if all(value is None for value in (*given, options.series_ohm)):
+        return None
+    if options.case.is_dir():
+        raise InputError(f"{options.case}: a case states its electronics in recording.json; leave the options out")
+    if any(value is None for value in given):
+        raise InputError("a plain table needs --vref-V, --adc-bits and --rate-Hz together")
+    if options.series_ohm is None:
+        say("series resistor not given: resistances are shares of it")
+    return ReadoutMetadata(options.vref_V, options.adc_bits, options.series_ohm or 1.0, options.rate_Hz)
+
+
+def _apply(options: argparse.Namespace) -> int:
+    from softcal.app.workflow.diagnose import apply_case, apply_report
+
+    if (options.case is None) == (options.report is None):
+        raise InputError("give either a case to diagnose or --report with the JSON of a diagnosis")
+    if options.report is not None:
+        twin = apply_report(options.report, options.out)
+        causes = ", ".join(setting.effect_id for setting in twin.effects) or "no effect, the refitted base alone"
+        say(f"twin written to {options.out}: {causes}")
+        return 0
     diagnosis = apply_case(options.case, options.out, say)
-    say(f"twin written to {options.out}")
+    said = "; nothing explains the gap, so it is the refitted base alone" if diagnosis.verdict == "unknown" else ""
+    say(f"twin written to {options.out}{said}")
     _show(diagnosis, options.json)
     return 0
 
@@ -123,6 +163,8 @@ def _show(diagnosis: "Diagnosis", target: str | None) -> None:
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
     if diagnosis.case.missing_channels:
         print(f"missing     {', '.join(diagnosis.case.missing_channels)}")
+    if diagnosis.case.unseen_stages:
+        print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
 
 
 def _values(cause: "Cause") -> str:

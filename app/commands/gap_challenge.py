@@ -15,6 +15,7 @@ _CHALLENGE_EXAMPLES = """examples:
 _ASK_EXAMPLES = """examples:
   softcal gap ask sealed case-007 --experiment rate_sweep --seal sealed.seal.json
   softcal gap ask sealed case-007 --experiment dead_weights --seal sealed.seal.json
+  softcal gap ask sealed case-007 --lot lot-7 --seal sealed.seal.json       units made with the sealed one
 """
 _SCORE_EXAMPLES = """examples:
   softcal gap score sealed --reports reports --seal sealed.seal.json
@@ -58,7 +59,10 @@ def _add_ask(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     )
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of the challenge")
     parser.add_argument("case", metavar="CASE", help="name of the case")
-    parser.add_argument("--experiment", required=True, metavar="NAME", help="name of the experiment")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--experiment", metavar="NAME", help="name of the experiment")
+    what.add_argument("--lot", type=Path, metavar="DIR", help="press a lot of units on the rig into this new folder")
+    parser.add_argument("--units", type=int, default=6, metavar="N", help="target units of the lot (default 6)")
     parser.add_argument("--seal", type=Path, required=True, metavar="FILE", help="file with the labels")
     parser.set_defaults(run=_ask)
 
@@ -93,8 +97,11 @@ def _challenge(options: argparse.Namespace) -> int:
 
 
 def _ask(options: argparse.Namespace) -> int:
-    from softcal.app.workflow.challenge import ask_rig
+    from softcal.app.workflow.challenge import ask_rig, press_rig_lot
 
+    if options.lot is not None:
+        print(press_rig_lot(options.folder, options.seal, options.case, options.units, options.lot))
+        return 0
     print(ask_rig(options.folder, options.seal, options.case, options.experiment))
     return 0
 

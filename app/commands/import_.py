@@ -60,7 +60,7 @@ def _rows(text: str) -> tuple[int, int]:
 
 def run(options: argparse.Namespace) -> int:
     """Import, and say what was made."""
-    from softcal.app.importing import Columns, ImportPlan, import_lot, median_rate_Hz
+    from softcal.app.files.importing import Columns, ImportPlan, import_lot, median_rate_Hz
     from softcal.core.lot import Lot
 
     if options.sample_rate is None and options.time_column is None:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from softcal.app.output import Progress, say
 
 if TYPE_CHECKING:
-    from softcal.app.workflow.batch import Watch
+    from softcal.app.workflow.batch_report import UnitResult
+    from softcal.app.workflow.lot_work import Watch
     from softcal.core.training import EpochReport, NetworkConfig
     from softcal.db.registry import Registry
 
@@ -34,6 +35,14 @@ def add_network(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--hidden", type=_widths, default=(120, 70, 35), metavar="N,N,..", help="default 120,70,35")
     group.add_argument("--seed", type=int, default=0, help="drives initial weights and batch order (default 0)")
     group.add_argument("--members", type=int, default=1, metavar="N", help="networks averaged into one (default 1)")
+
+
+def positive(text: str) -> float:
+    """Return a number above 0, for argparse."""
+    value = float(text)
+    if not 0 < value < 1e5:
+        raise argparse.ArgumentTypeError(f"{text}: a number above 0 was expected")
+    return value
 
 
 def _widths(text: str) -> tuple[int, ...]:
@@ -73,11 +82,35 @@ def say_epoch(report: "EpochReport", unit: str) -> None:
 
 def batch_watch(unit: str) -> "Watch":
     """Return a watch that prints the progress of a batch; errors are in `unit`."""
-    from softcal.app.workflow.batch import Watch
+    from softcal.app.workflow.lot_work import Watch
 
-    progress: list[Progress] = []
-    return Watch(
-        on_epoch=lambda report: say_epoch(report, unit),
-        on_start=lambda total: progress.append(Progress("units", total)),
-        on_unit=lambda result: progress[0].step(f"{result.serial} {result.verdict}"),
-    )
+    return _BatchProgress(unit).watch(Watch)
+
+
+class _BatchProgress:
+    """Progress of a lot that other batches may work at, too."""
+
+    def __init__(self, unit: str) -> None:
+        self._unit, self._total, self._note = unit, 0, ""
+        self._progress: Progress | None = None
+
+    def watch(self, kind: "type[Watch]") -> "Watch":
+        return kind(
+            on_epoch=lambda report: say_epoch(report, self._unit),
+            on_start=self._start,
+            on_unit=self._told,
+            on_done=self._reached,
+            on_wait=lambda held: say(f"waiting for {held} units that other batches hold"),
+        )
+
+    def _start(self, total: int) -> None:
+        self._total = total
+
+    def _told(self, result: "UnitResult") -> None:
+        self._note = f"{result.serial} {result.verdict}"
+
+    def _reached(self, done: int) -> None:
+        if self._progress is None:
+            self._progress = Progress("units", self._total, done)
+        else:
+            self._progress.reach(done, self._note)

@@ -88,7 +88,7 @@ def _answer(options: argparse.Namespace, line: str, value: dict[str, object]) ->
 
 
 def _list(options: argparse.Namespace) -> int:
-    from softcal.app.spreadsheet import write_table
+    from softcal.app.files.spreadsheet import write_table
     from softcal.app.workflow.registry import UNIT_HEADER, unit_json, unit_row
 
     with _existing(options) as registry:

@@ -1,17 +1,18 @@
 """`softcal station`: find and test the rig, press the source unit or a target unit and record it."""
 
 import argparse
-import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.commands.options import add_json, add_registry
+from softcal.app.commands.options import add_json, positive
+from softcal.app.commands.station_service import add_service_actions
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.app.workflow.station_recover import Recovered
+    from softcal.core.twin.simulate import Twin
     from softcal.station.acquisition import OnProgress
     from softcal.station.self_test import Finding
 
@@ -23,9 +24,13 @@ EXAMPLES = """examples:
   softcal station unit --station station.toml --serial A1 --out lot-1/units/A1.csv
   softcal station unit --simulated --serial A1 --out A1.csv   the same on the simulated rig
   softcal station unit --simulated --serial A1 A2 A3 --out units   several channels pressed at once
+  softcal station unit --simulated --twin rig-7.twin.json --serial A1 --out A1.csv   on the twin of a diagnosis
 
+  softcal station profiles --write unit unit.toml             a profile as a file: edit it, give it to --profile
   softcal station calibrate-cell --station station.toml --weights 0 0.2 0.5 1
   softcal station serve --station station.toml --name line-1  own the ports for screens and programs
+  softcal station order --name line-1 unit --serial A1 --lot L1  press a unit on it, and wait for the verdict
+  softcal station status                                      every station, its gate, its run, its quarantine
   softcal station recover --out recovered                     after a power cut in mid-run
 
 Exit code 3: a device is missing or failed; the stage was stopped and no file was written.
@@ -47,9 +52,10 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     _add_check(actions)
     for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
         _add_press(actions, kind, what)
+    _add_profiles(actions)
     _add_calibrate_cell(actions)
     _add_recover(actions)
-    _add_serve(actions)
+    add_service_actions(actions)
 
 
 def _add_check(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -69,22 +75,42 @@ def _add_check(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
 
 
 def _add_press(actions: "argparse._SubParsersAction[argparse.ArgumentParser]", kind: str, what: str) -> None:
+    name = "source unit" if kind == "source" else "unit"
     press = actions.add_parser(
         kind,
-        help=f"press a {kind} unit and record it {what}",
+        help=f"press a {name} and record it {what}",
         description=f"Home, find contact, press with the {kind} profile and record {what}. Whole or not at all.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     press.add_argument("--serial", nargs="+", required=True, metavar="S", help="serial; one per channel of the readout")
     press.add_argument("--out", type=Path, required=True, metavar="FILE", help="CSV or Parquet; a folder for channels")
-    press.add_argument("--seconds", type=_positive, metavar="S", help="how long to press")
-    press.add_argument("--depth", type=_positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
+    press.add_argument("--seconds", type=positive, metavar="S", help="how long to press")
+    press.add_argument("--depth", type=positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
+    press.add_argument("--profile", type=Path, metavar="FILE", help="TOML file of moves instead (`station profiles`)")
     press.add_argument("--profile-seed", type=int, default=0, help="draws the random presses (default 0)")
     press.add_argument("--spool", type=Path, metavar="DIR", help=SPOOL_HELP)
     _add_station(press)
+    press.add_argument(
+        "--twin", type=Path, metavar="FILE", help="with --simulated: the unit of this twin (softcal gap apply)"
+    )
     add_json(press)
     press.set_defaults(run=run_press, kind=kind)
+
+
+def _add_profiles(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    profiles = actions.add_parser(
+        "profiles",
+        help="the stage profiles there are, and how long each takes",
+        description="List the built-in profiles, or write one as a file to edit and give to --profile.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    profiles.add_argument("--depth", type=positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
+    profiles.add_argument("--profile-seed", type=int, default=0, help="draws the random presses (default 0)")
+    profiles.add_argument("--write", nargs=2, metavar=("NAME", "FILE"), help="write this profile into a TOML file")
+    add_json(profiles)
+    profiles.set_defaults(run=run_profiles)
 
 
 def _add_calibrate_cell(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -101,25 +127,6 @@ def _add_calibrate_cell(actions: "argparse._SubParsersAction[argparse.ArgumentPa
     )
     add_json(calibrate)
     calibrate.set_defaults(run=run_calibrate_cell)
-
-
-def _add_serve(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    serve = actions.add_parser(
-        "serve",
-        help="own the ports and perform what screens and programs order through the registry",
-        description="The resident service of one station. Ctrl-C gives the ports back; nothing resumes by itself.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    serve.add_argument("--name", required=True, metavar="NAME", help="name of the station, as orders call it")
-    serve.add_argument("--spool", type=Path, metavar="DIR", help=SPOOL_HELP)
-    serve.add_argument("--warm-up", type=float, default=15.0, metavar="MIN", help="of the load cell (default 15 min)")
-    serve.add_argument("--shift", type=float, default=8.0, metavar="H", help="a golden unit each so many h (default 8)")
-    serve.add_argument("--override", metavar="REASON", help="run in spite of a closed gate for 8 h; it is audited")
-    serve.add_argument("--depth", type=_positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
-    _add_station(serve)
-    add_registry(serve)
-    serve.set_defaults(run=run_serve)
 
 
 def _add_recover(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -144,13 +151,6 @@ def _add_station(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e5:
-        raise argparse.ArgumentTypeError(f"{text}: a number above 0 was expected")
-    return value
-
-
 def _weight(text: str) -> float:
     value = float(text)
     if not 0 <= value < 1000:
@@ -168,11 +168,11 @@ def run_check(options: argparse.Namespace) -> int:
     if check.findings:
         print_table(("device", "what", "value", "to do"), [_row(finding) for finding in check.findings])
     if options.write:
-        from softcal.app.files import write_text
+        from softcal.app.files.atomic import write_text
         from softcal.station.config import station_toml
 
         write_text(options.write, station_toml(check.config))
-        say(f"{options.write}: station file written; set the safety bounds and the load cell's calibration in it")
+        say(f"{options.write}: station file written; set the safety bounds, the load cell's serial and its scale in it")
     if options.json:
         write_json(options.json, check.as_json())
     faults = [finding for finding in check.findings if not finding.is_good]
@@ -182,12 +182,39 @@ def run_check(options: argparse.Namespace) -> int:
     return 3 if faults else 0
 
 
+def run_profiles(options: argparse.Namespace) -> int:
+    """List the profiles, or write one."""
+    import numpy as np
+
+    from softcal.app.files.atomic import write_text
+    from softcal.app.files.profile_file import profile_toml
+    from softcal.core.profiles import BUILT_IN
+
+    made = {name: make(np.random.default_rng(options.profile_seed), options.depth) for name, make in BUILT_IN.items()}
+    if options.write:
+        name, file = options.write
+        if name not in made:
+            raise InputError(f"profile {name!r} is unknown; known are {', '.join(made)}")
+        write_text(Path(file), profile_toml(made[name]))
+        say(f"{file}: profile {name!r} written; edit it, then give it to --profile")
+        return 0
+    names = ("duration_s", "presses", "deepest_mm", "fastest_mm_s")
+    rows = [{"name": name} | {fact: getattr(profile, fact) for fact in names} for name, profile in made.items()]
+    print_table(
+        ("profile", "seconds", "presses", "deepest, mm", "fastest, mm/s"), [tuple(row.values()) for row in rows]
+    )
+    if options.json:
+        write_json(options.json, {"schema": "softcal.station-profiles/1", "profiles": rows})
+    return 0
+
+
 def run_press(options: argparse.Namespace) -> int:
     """Press one unit and write its recording."""
     from softcal.app.workflow.station import chosen_bench, profile_for, record_to_files, run_json, spool_folder
 
-    profile = profile_for(options.kind, options.profile_seed, options.seconds, options.depth)
-    with chosen_bench(options.station, options.simulated, len(options.serial)) as bench:
+    profile = profile_for(options.kind, options.profile_seed, options.seconds, options.depth, options.profile)
+    twin = _chosen_twin(options)
+    with chosen_bench(options.station, options.simulated, len(options.serial), twin) as bench:
         with_reference, spools = options.kind == "source", spool_folder(options.spool)
         run = record_to_files(bench, options.serial, options.out, profile, with_reference, spools, _progress())
     for path in run.files:
@@ -197,9 +224,19 @@ def run_press(options: argparse.Namespace) -> int:
     return 0
 
 
+def _chosen_twin(options: argparse.Namespace) -> "Twin | None":
+    from softcal.app.workflow.diagnose import read_twin
+
+    if options.twin is None:
+        return None
+    if options.simulated is None:
+        raise InputError("--twin is the unit of the simulated rig; give --simulated as well, or leave it out")
+    return read_twin(options.twin)
+
+
 def run_calibrate_cell(options: argparse.Namespace) -> int:
     """Ask for weights, fit, write the station file."""
-    from softcal.app.files import write_text
+    from softcal.app.files.atomic import write_text
     from softcal.app.workflow.station_cell import calibrate_cell
     from softcal.station.config import read_station_file, station_toml
 
@@ -227,46 +264,14 @@ def run_recover(options: argparse.Namespace) -> int:
     found = recover(spool_folder(options.spool), options.out)
     print_table(("serial", "profile", "ended", "samples", "file"), [_recovered_row(run) for run in found])
     if options.json:
-        runs = [vars(run) | {"spool": str(run.spool), "file": str(run.file)} for run in found]
+        runs = [vars(run) | {"spool": str(run.spool), "files": [str(file) for file in run.files]} for run in found]
         write_json(options.json, {"schema": "softcal.station-recover/1", "runs": runs})
     say(f"{len(found)} spool(s) read; they were left where they are")
     return 0
 
 
-def run_serve(options: argparse.Namespace) -> int:
-    """Serve until Ctrl-C or a terminate signal."""
-    from datetime import UTC, datetime, timedelta
-
-    from softcal.app.bootstrap import current_user, open_chosen_registry
-    from softcal.app.workflow.station import spool_folder
-    from softcal.app.workflow.station_gate import GateRules
-    from softcal.app.workflow.station_serve import Serving, serve
-    from softcal.core.station_gate import Override
-
-    override = None
-    if options.override:
-        override = Override(current_user(), options.override, datetime.now(UTC) + timedelta(hours=8))
-    rules = GateRules(timedelta(minutes=options.warm_up), timedelta(hours=options.shift))
-    serving = Serving(
-        options.name, options.station, options.simulated, depth_mm=options.depth, rules=rules, override=override
-    )
-    is_wanted = True
-
-    def end(signal_number: int, frame: object) -> None:
-        nonlocal is_wanted
-        is_wanted = False
-
-    signal.signal(signal.SIGTERM, end)
-    signal.signal(signal.SIGINT, end)
-    say(f"station {options.name}: serving; Ctrl-C ends it after the order in progress")
-    with open_chosen_registry(options.registry) as registry:
-        serve(registry, serving, spool_folder(options.spool), lambda: is_wanted)
-    say(f"station {options.name}: ports given back")
-    return 0
-
-
 def _recovered_row(run: "Recovered") -> tuple[str, str, str, int, str]:
-    return run.serial, run.profile, run.end[:60], run.samples, str(run.file)
+    return run.serial, run.profile, run.end[:60], run.samples, ", ".join(map(str, run.files))
 
 
 def _row(finding: "Finding") -> tuple[str, str, str, str]:

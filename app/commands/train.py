@@ -31,7 +31,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 def run(options: argparse.Namespace) -> int:
     """Train or find f, and print what it is."""
-    from softcal.app.lot_folder import open_lot_folder
+    from softcal.app.files.lot_folder import open_lot_folder
     from softcal.app.workflow.train import train_or_find
 
     folder = open_lot_folder(options.lot)

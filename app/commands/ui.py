@@ -9,6 +9,7 @@ EXAMPLES = """examples:
   softcal ui                       open the application in the default browser
   softcal ui --window              as an application window (Chromium or Edge)
   softcal ui --window --kiosk      full screen, for the panel at the line
+  softcal ui --station line-1      the screen of one of several stations
   softcal ui --no-browser --port 8501 --registry postgresql://line@db/softcal
 
 Closing the application never stops the station: its service is a process of its own (softcal station serve).
@@ -30,7 +31,10 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--window", action="store_true", help="open as an application window instead of a browser tab")
     parser.add_argument("--kiosk", action="store_true", help="with --window: full screen")
     parser.add_argument("--no-browser", action="store_true", help="serve only")
-    parser.add_argument("--station", type=Path, metavar="FILE", help="station file of the rig at this screen")
+    parser.add_argument("--station", metavar="NAME", help="the station at this screen; default: the only one there is")
+    parser.add_argument(
+        "--accounts", type=Path, metavar="FILE", help="TOML with [auth]: sign in by company account (OIDC)"
+    )
     parser.set_defaults(run=run)
 
 
@@ -47,5 +51,6 @@ def run(options: argparse.Namespace) -> int:
             is_kiosk=options.kiosk,
             opens_browser=not options.no_browser,
             station=options.station,
+            accounts=options.accounts,
         )
     )

@@ -4,14 +4,14 @@ import hashlib
 from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from softcal.app.adaptation_chart import adaptation_figure
-from softcal.app.adaptation_trace import Trace
-from softcal.app.files import write_text
-from softcal.app.stream_file import estimate_writer, read_stream
+from softcal.app.charts.adaptation import adaptation_figure
+from softcal.app.files.atomic import write_text
+from softcal.app.files.stream_file import estimate_writer, read_stream
+from softcal.app.live.trace import Trace
 from softcal.core.adaptation import AdaptConfig, Adapter, MapUpdate
 from softcal.core.calibration import Calibration
 from softcal.core.errors import InputError
@@ -101,6 +101,13 @@ def source_calibration(source: LabelledRecording, network: Network) -> Calibrati
     )
 
 
+MAPS_S = 2.0
+"""Most seconds of a live stream whose maps a crash can lose."""
+
+FILE_MAPS_ROWS = 100_000
+"""Rows of a file between two writes of its maps; its state is kept at its end only."""
+
+
 @dataclass(frozen=True)
 class AdaptOptions:
     """How a stream is followed.
@@ -110,7 +117,7 @@ class AdaptOptions:
         revision: calibration to start from; None for the one in use.
         stream: name under which the registry keeps the course; None makes one from the file's content.
         resume: go on from the last state of the stream in the registry.
-        checkpoint_s: most seconds of a live stream that a crash can lose.
+        checkpoint_s: seconds of a live stream between two states to resume from.
     """
 
     config: AdaptConfig = AdaptConfig()
@@ -149,10 +156,10 @@ class Follower:
 
     Args:
         keeper: writes to the registry while estimates go on; None writes at once.
-        is_of_content: the name of the stream comes from its content, so that a stream of this name is this one.
+        is_repeatable: the same rows will come again after a crash, from the first on, as those of a file do.
 
     Raises:
-        InputError: another stream has the name, and it is not to be gone on with.
+        InputError: the stream has begun already and is not to be gone on with, or cannot be by this version.
     """
 
     def __init__(
@@ -162,24 +169,53 @@ class Follower:
         stream: str,
         options: AdaptOptions,
         keeper: Executor | None = None,
-        is_of_content: bool = False,
+        is_repeatable: bool = False,
     ) -> None:
+        serial = unit.calibration.serial
         self._registry, self._keeper = registry, keeper
         self._writing: Future[int] | None = None
         self._adapter = Adapter(unit.network, unit.calibration, unit.recording, options.config)
-        last = registry.last_adaptation(unit.calibration.serial, unit.revision, stream)
-        if last is not None and not options.resume and not is_of_content:
-            raise InputError(f"stream {stream!r} has begun already; go on with --resume, or give --stream another name")
-        # The same stream again from its first row gives the same steps; those that are kept already stay as they are.
-        self._kept_until = -1 if last is None else int(last["sample"])
+        newest = registry.last_adaptation(serial, unit.revision, stream)
+        # The same rows again give the same steps; those that are kept already stay as they are.
+        self._kept_until = -1 if newest is None else int(newest["sample"])
+        self._began: int | None = 0
+        self._state_until = -1
+        last = registry.last_checkpoint(serial, unit.revision, stream)
+        # A file that was broken off is begun again, and so is one whose content names its stream.
+        has_begun = last is not None and options.stream is not None if is_repeatable else newest is not None
         if options.resume and last is not None:
-            self._adapter.restore(last["state"])
-            self._adapter.reconnect()
+            self._restore(stream, last["state"])
+            self._began = last.get("began")
+        elif not options.resume and has_begun:
+            raise InputError(f"stream {stream!r} has begun already; go on with --resume, or give --stream another name")
+        if last is not None:
+            self._state_until = int(last["sample"])
         self._pending: list[MapUpdate] = []
-        self._since_checkpoint = 0
-        self._checkpoint_rows = max(1, round(options.checkpoint_s * unit.recording.sample_rate_Hz))
-        serial, mode = unit.calibration.serial, options.config.mode
-        self.report = AdaptReport(serial, unit.revision, stream, mode, self._adapter.current)
+        rate_Hz = unit.recording.sample_rate_Hz
+        self._maps_rows, self._state_rows = (max(1, round(s * rate_Hz)) for s in (MAPS_S, options.checkpoint_s))
+        self._since_maps = self._since_state = 0
+        self.report = AdaptReport(serial, unit.revision, stream, options.config.mode, self._adapter.current)
+
+    def _restore(self, stream: str, state: Mapping[str, Any]) -> None:
+        try:
+            self._adapter.restore(state)
+        except InputError as error:
+            begin = "begin again from the calibration with another --stream NAME"
+            raise InputError(f"stream {stream!r} cannot be gone on with: {error}; {begin}") from error
+
+    @property
+    def rows_since_begin(self) -> int | None:
+        """Rows the state to go on from has taken of the input now open; None where it has taken of others too."""
+        return None if self._began is None else self._adapter.row - self._began
+
+    def reconnect(self) -> None:
+        """Go on with rows that do not follow the last ones taken."""
+        self._began = None
+        self._adapter.reconnect(self._kept_until + 1)
+
+    def begin_file(self) -> None:
+        """Go on with the first row of another file; one that was broken off before gives the same steps again."""
+        self._adapter.reconnect()
 
     def advance(self, t_s: Array, output: Array) -> Estimate:
         """Take (n,) further samples and return their rows."""
@@ -192,27 +228,46 @@ class Follower:
         report.verdicts.update(update.verdict for update in updates)
         report.current = self._adapter.current
         report.trace.add(rows, output, report.current)
-        self._since_checkpoint += len(output)
-        if self._since_checkpoint >= self._checkpoint_rows and self._pending:
-            self.checkpoint()
+        self._since_maps += len(output)
+        self._since_state += len(output)
         return rows
 
+    def keep(self) -> None:
+        """Keep the maps, and now and then the state, of rows whose estimates are written; never waits for a write."""
+        if self._writing is not None and not self._writing.done():
+            return
+        if self._since_state >= self._state_rows:
+            self.checkpoint()
+        elif self._pending and self._since_maps >= self._maps_rows:
+            self.keep_maps()
+
+    def keep_maps(self) -> None:
+        """Keep every map since the last time."""
+        self._write(None)
+
     def checkpoint(self) -> None:
-        """Keep every map since the last checkpoint and the state now, in one transaction."""
-        report, state = self.report, self._adapter.state()
-        last = {"stream": report.stream, "sample": self._adapter.row, "event": "checkpoint", "state": state}
-        entries = [*(_entry(report.stream, update) for update in self._pending), last]
-        new = [entry for entry in entries if int(entry["sample"]) > self._kept_until]
+        """Keep every map since the last time and the state now, in one transaction."""
+        state = {"event": "checkpoint", "state": self._adapter.state(), "began": self._began}
+        self._write({"stream": self.report.stream, "sample": self._adapter.row, **state})
+        self._since_state = 0
+
+    def _write(self, state: dict[str, Any] | None) -> None:
+        report = self.report
+        maps = [_entry(report.stream, update) for update in self._pending]
+        new = [entry for entry in maps if int(entry["sample"]) > self._kept_until]
+        self._kept_until = max([self._kept_until, *(int(entry["sample"]) for entry in new)])
+        if state is not None and self._adapter.row > self._state_until:
+            self._state_until = self._adapter.row
+            new.append(state)
         self.settle()
         if new and self._keeper is None:
             self._registry.add_adaptations(report.serial, report.revision, new)
         elif new and self._keeper is not None:
             self._writing = self._keeper.submit(self._registry.add_adaptations, report.serial, report.revision, new)
-        self._pending, self._since_checkpoint = [], 0
-        self._kept_until = max(self._kept_until, self._adapter.row)
+        self._pending, self._since_maps = [], 0
 
     def settle(self) -> None:
-        """Wait until the last checkpoint is in the registry.
+        """Wait until all that was to be kept is in the registry.
 
         Raises:
             RegistryError: it could not be written.
@@ -243,14 +298,17 @@ def adapt_file(
     """
     unit = unit_in_use(registry, serial, options.revision)
     stream = options.stream or _stream_of(source, options.config.mode)
-    # A file that is begun again gives the same maps; its state is worth keeping at its end only.
-    follower = Follower(
-        registry, unit, stream, replace(options, checkpoint_s=3600.0), is_of_content=options.stream is None
-    )
+    follower = Follower(registry, unit, stream, options, is_repeatable=True)
+    if options.resume:
+        follower.begin_file()
+    kept = 0
     with estimate_writer(target) as writer:
         for t_s, output in read_stream(source):
             writer.write(follower.advance(t_s, output))
             on_rows(follower.report.rows)
+            if follower.report.rows - kept >= FILE_MAPS_ROWS:
+                follower.keep_maps()
+                kept = follower.report.rows
     follower.checkpoint()
     return follower.report
 

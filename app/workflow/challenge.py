@@ -10,14 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from softcal.app.files import write_text
+from softcal.app.files.atomic import whole_folder, write_text
+from softcal.app.files.lot_folder import write_lot_toml
+from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError
 from softcal.core.gap.challenge.cases import EXPERIMENTS, RunPlan, SealedCase
 from softcal.core.gap.challenge.draw import LINES, draw_case, draw_challenge
+from softcal.core.gap.challenge.lot import press_lot
 from softcal.core.gap.challenge.realised import realised_shrink
 from softcal.core.gap.challenge.rig import Measured
 from softcal.core.gap.challenge.seal import Label, open_seal, seal_labels
 from softcal.core.gap.score import ScoreSheet, score_reports
+from softcal.core.lot import Lot
 
 SCHEMA = "softcal.challenge/1"
 FOLDER_FILE = "challenge.json"
@@ -135,16 +139,40 @@ def ask_rig(folder: Path, seal_file: Path, case_name: str, experiment: str) -> P
     Raises:
         InputError: the seal is broken, no such case, or an experiment that is not on the menu.
     """
-    labels = {label.case.name: label for label in open_challenge(folder, seal_file)}
-    if case_name not in labels:
-        raise InputError(f"{case_name}: no case of {folder}; known are {', '.join(labels)}")
+    case = _labelled(folder, seal_file, case_name).case
     if experiment not in EXPERIMENTS:
         raise InputError(f"{experiment}: not on the menu; known are {', '.join(EXPERIMENTS)}")
     runs = folder / case_name / "runs"
     number = 1 + sum(path.name.startswith("asked") for path in runs.iterdir())
-    case = labels[case_name].case
     write_run(runs / f"asked-{number}", case, RunPlan(experiment, case.kept_back.seed + number))
     return runs / f"asked-{number}"
+
+
+def press_rig_lot(folder: Path, seal_file: Path, case_name: str, units: int, out: Path) -> Path:
+    """Press a lot on a sealed rig, with its hidden causes, and write it as a lot folder with audits.
+
+    Raises:
+        InputError: the seal is broken, no such case, no unit asked for, or `out` exists.
+    """
+    if units < 1:
+        raise InputError(f"--units {units}: at least one unit was expected")
+    case = _labelled(folder, seal_file, case_name).case
+    with whole_folder(out) as part:
+        write_lot_toml(part, Lot(case_name, "R00", case.rig.sample_rate_Hz, "sealed rig"))
+        for run in press_lot(case, units):
+            columns = run.measured.columns
+            written = [("t_s", columns["t_s"]), ("output", columns["output_V"]), ("stage_mm", columns["stage_mm"])]
+            if run.place != "units":
+                written.append(("reference", columns["force_N"]))
+            write_columns(part / run.place / f"{run.serial}.csv", written)
+    return out
+
+
+def _labelled(folder: Path, seal_file: Path, case_name: str) -> Label:
+    labels = {label.case.name: label for label in open_challenge(folder, seal_file)}
+    if case_name not in labels:
+        raise InputError(f"{case_name}: no case of {folder}; known are {', '.join(labels)}")
+    return labels[case_name]
 
 
 def open_challenge(folder: Path, seal_file: Path) -> list[Label]:

@@ -6,15 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from softcal.app.files import whole_folder
-from softcal.app.lot_folder import LotFolder, open_lot_folder, write_lot_toml
-from softcal.app.recording_file import write_columns
-from softcal.app.workflow.batch import BatchConfig, BatchReport, UnitResult, Watch, run_batch
+from softcal.app.files.atomic import whole_folder
+from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_toml
+from softcal.app.files.recording_file import write_columns
+from softcal.app.workflow.batch import run_batch
+from softcal.app.workflow.batch_report import BatchReport, UnitResult
+from softcal.app.workflow.lot_work import BatchConfig, Watch
 from softcal.app.workflow.station import PressedLot, PressTimes, press_simulated_lot
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import draw_twins
+from softcal.core.twin.simulate import Twin
 from softcal.db.registry import Registry
 
 TABLE_HEADER = ("unit", "verdict", "before [N]", "after [N]", "own [N]", "after/own", "before/own", "predicted [N]")
@@ -29,12 +32,14 @@ class DemoConfig:
         seed: of the units' differences, of mounting, noise and profiles.
         times: how long each run presses. An audit is as long as it takes to train a fair own calibration on it.
         batch: how the lot is calibrated.
+        twin: the nominal unit, of a diagnosis for example; None draws one.
     """
 
     units: int = 6
     seed: int = 20201900178
     times: PressTimes = PressTimes(source_s=300.0, unit_s=150.0, audit_s=90.0)
     batch: BatchConfig = BatchConfig()
+    twin: Twin | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.units <= 99:
@@ -53,7 +58,8 @@ def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], Non
         return open_lot_folder(folder)
     serials = [f"DEMO-{k:02d}" for k in range(config.units + 1)]
     rng = np.random.default_rng(config.seed)
-    pressed = press_simulated_lot(draw_twins(rng, len(serials)), serials, config.seed, config.times, on_run)
+    twins = draw_twins(rng, len(serials), twin=config.twin)
+    pressed = press_simulated_lot(twins, serials, config.seed, config.times, on_run)
     _write(
         folder, pressed, Lot("demo", serials[0], pressed.source.unlabelled.sample_rate_Hz, "simulated eGaIn channel")
     )
@@ -67,12 +73,12 @@ def run_demo(config: DemoConfig, folder: LotFolder, registry: Registry, watch: W
 
 def table_row(unit: UnitResult) -> list[object]:
     """Return one row of the table like the paper's Table 1, under `TABLE_HEADER`."""
-    record = unit.record
-    if record is None:
+    made = unit.made
+    if made is None:
         return [unit.serial, unit.verdict, *[None] * 6]
-    before, after, own = record.before_rmse, record.after_rmse, record.own_rmse
+    before, after, own = made.before_rmse, made.after_rmse, made.own_rmse
     ratios = [after / own if after and own else None, before / own if before and own else None]
-    return [unit.serial, unit.verdict, before, after, own, *ratios, record.predicted_rmse]
+    return [unit.serial, unit.verdict, before, after, own, *ratios, made.predicted_rmse]
 
 
 def _write(folder: Path, pressed: PressedLot, lot: Lot) -> None:

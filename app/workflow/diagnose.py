@@ -5,39 +5,49 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softcal.app.case_folder import open_case
-from softcal.app.files import write_text
+from softcal.app.files.atomic import write_text
+from softcal.app.files.case_folder import open_case, open_table
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
-from softcal.core.gap.explained import explained_twin
-from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
-from softcal.core.twin.simulate import EffectSetting, Twin
+from softcal.core.twin.parameters import ReadoutMetadata
+from softcal.core.twin.record import twin_from_record, twin_record
+from softcal.core.twin.simulate import Twin
 
 if TYPE_CHECKING:
-    from softcal.app.gap_figures import RunView
-
-TWIN_SCHEMA = "softcal.twin/1"
+    from softcal.app.charts.gap import RunView
 
 
-def diagnose_case(folder: Path, progress: Callable[[str], None] | None = None) -> Diagnosis:
+def diagnose_case(
+    place: Path, progress: Callable[[str], None] | None = None, readout: ReadoutMetadata | None = None
+) -> Diagnosis:
     """Read a case and diagnose it.
 
+    Args:
+        place: folder of a case, or a plain table.
+        readout: the electronics of a plain table; a case folder states its own.
+
     Raises:
-        InputError: the case cannot be read.
+        InputError: the case cannot be read, or a table comes without its electronics.
     """
-    return diagnose(open_case(folder), progress)
+    if not place.is_file():
+        return diagnose(open_case(place), progress)
+    if readout is None:
+        raise InputError(
+            f"{place}: a plain table does not say its electronics; give --vref-V, --adc-bits and --rate-Hz"
+        )
+    return diagnose(open_table(place, readout), progress)
 
 
 def write_page(path: Path, diagnosis: Diagnosis) -> None:
     """Write the page of figures of a diagnosis, whole or not at all."""
-    from softcal.app.gap_page import gap_page
+    from softcal.app.charts.gap_page import gap_page
 
     write_text(path, gap_page(diagnosis.report(), run_views(diagnosis), diagnosis.case.serial))
 
 
 def run_views(diagnosis: Diagnosis) -> list["RunView"]:
     """Return what a page shows of every pressed run: measured and predicted channels before and after the causes."""
-    from softcal.app.gap_figures import ChannelView, RunView
+    from softcal.app.charts.gap import ChannelView, RunView
 
     views = []
     for k, run in enumerate(diagnosis.case.runs):
@@ -62,40 +72,50 @@ def run_views(diagnosis: Diagnosis) -> list["RunView"]:
 def apply_case(folder: Path, out: Path, progress: Callable[[str], None] | None = None) -> Diagnosis:
     """Diagnose a case and write the twin that explains it, whole or not at all."""
     diagnosis = diagnose_case(folder, progress)
-    write_twin(out, explained_twin(diagnosis))
+    write_twin(out, diagnosis.explained)
     return diagnosis
+
+
+def apply_report(report_file: Path, out: Path) -> Twin:
+    """Write the twin that a report of `softcal gap diagnose` holds.
+
+    Raises:
+        InputError: the report cannot be read or holds no twin.
+    """
+    report = _read_json(report_file)
+    if not isinstance(report.get("twin"), dict):
+        raise InputError(f"{report_file}: holds no twin; diagnose the case again with softcal gap diagnose --json")
+    twin = twin_from_record(report["twin"], str(report_file))
+    write_twin(out, twin)
+    return twin
 
 
 def write_twin(path: Path, twin: Twin) -> None:
     """Write a twin as JSON, ready for the simulated station and for simulated lots."""
-    content = {
-        "schema": TWIN_SCHEMA,
-        "parameters": vars(twin.parameters),
-        "metadata": vars(twin.metadata),
-        "effects": [
-            {"effect": s.effect_id, "values": dict(s.values), "episodes": [list(row) for row in s.episodes]}
-            for s in twin.effects
-        ],
-    }
-    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+    write_text(path, json.dumps(twin_record(twin), indent=2, allow_nan=False) + "\n")
 
 
-def read_twin(path: Path) -> Twin:
-    """Read a twin that `write_twin` wrote.
+def read_twin(path: Path, key: str = "twin") -> Twin:
+    """Read a twin that `write_twin` wrote, or the one a report of a diagnosis holds.
+
+    Args:
+        key: of a report, `twin` for the explained one or `base_twin` for the refitted base alone.
 
     Raises:
         InputError: the file is missing or does not describe a twin.
     """
+    content = _read_json(path)
+    record = content[key] if isinstance(content.get(key), dict) else content
+    return twin_from_record(record, str(path))
+
+
+def _read_json(path: Path) -> Mapping[str, Any]:
     try:
-        content: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if content["schema"] != TWIN_SCHEMA:
-            raise InputError(f"{path}: schema {content['schema']!r}; {TWIN_SCHEMA} was expected")
-        effects = tuple(
-            EffectSetting(e["effect"], e["values"], tuple((float(a), float(b)) for a, b in e["episodes"]))
-            for e in content["effects"]
-        )
-        return Twin(BaseParameters(**content["parameters"]), effects, ReadoutMetadata(**content["metadata"]))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except ValueError as error:
         raise InputError(f"{path}: does not describe a twin ({error}); write it with softcal gap apply") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: does not describe a twin; a JSON object was expected")
+    return content

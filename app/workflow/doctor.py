@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from softcal.app.bootstrap import data_folder, open_chosen_registry, registry_url
-from softcal.app.files import whole_file
+from softcal.app.files.atomic import whole_file
 from softcal.app.logs import log_folder, masked
 from softcal.core.errors import SoftcalError
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from softcal.app.recording_file import read_recording, write_columns
+from softcal.app.files.recording_file import read_recording, write_columns
 from softcal.core.calibration import Calibration
 from softcal.core.estimate import Estimate, estimate
 from softcal.core.lot import Lot

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from softcal.app.files import write_bytes
+from softcal.app.files.atomic import write_bytes
 from softcal.app.workflow.calibrated_unit import REFUSED_VERDICTS, CalibratedUnit, ExportOptions, UnitLoader
 from softcal.app.workflow.export_formats import WRITERS, Writer, device_summary
 from softcal.app.workflow.manifest import FileEntry, Manifest, read_manifest, write_manifest

@@ -11,7 +11,8 @@ import numpy as np
 from softcal.app.workflow.calibrated_unit import CalibratedUnit
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.c_text import network_header, unit_header
-from softcal.core.export.compile_map import FINE_KNOTS, compile_map
+from softcal.core.export.compile_map import compile_map, fine_forms
+from softcal.core.export.cost import device_cost
 from softcal.core.export.device import device_limit
 from softcal.core.export.graph import compose
 from softcal.core.export.intel_hex import intel_hex
@@ -101,12 +102,12 @@ def _hex_files(unit: CalibratedUnit) -> dict[str, bytes]:
 
 
 def _onnx_files(unit: CalibratedUnit) -> dict[str, bytes]:
-    from softcal.app.onnx_file import onnx_bytes
+    from softcal.app.files.onnx_file import onnx_bytes
 
     unit.check_usable()
     record = unit.stored.record
     limit = device_limit(unit.facts, unit.network, unit.options.device)
-    compiled = compile_map(unit.calibration.unit_map, unit.network, unit.recording, limit, FINE_KNOTS)
+    compiled = compile_map(unit.calibration.unit_map, unit.network, unit.recording, limit, fine_forms)
     metadata = {
         "serial": unit.serial,
         "revision": str(unit.stored.revision),
@@ -140,6 +141,7 @@ def _dcc_files(unit: CalibratedUnit) -> dict[str, bytes]:
 def device_summary(unit: CalibratedUnit) -> dict[str, object]:
     """Return sizes of the device form and what it costs in accuracy; `UnitRefused` where there is none."""
     device, network = unit.device_unit, unit.shared.file.network
+    cost = device_cost(network, device.file.device_map)
     return {
         "network_file_id": unit.shared.file.id.hex(),
         "unit_bytes": len(device.file.to_bytes()),
@@ -150,6 +152,9 @@ def device_summary(unit: CalibratedUnit) -> dict[str, object]:
         "rms_error": device.rms_error,
         "max_error": device.max_error,
         "limit": device.limit,
+        "ram_bytes": cost.ram_bytes,
+        "cortex_m0_instructions": cost.instructions,
+        "cortex_m0_ms": cost.estimate_ms,
         "unit": unit.network.reference_unit,
     }
 

@@ -10,6 +10,7 @@ from softcal.core.export.blob import (
     CONDITIONAL,
     FAILED,
     MAGIC,
+    MAJOR,
     NetworkFile,
     UnitFile,
 )
@@ -92,10 +93,11 @@ def _unit_rows(file: UnitFile) -> list[tuple[str, str]]:
     words = {0: "passed", CONDITIONAL: "passed conditionally", FAILED: "DID NOT PASS, exported on demand"}
     made = datetime.fromtimestamp(file.time_s, UTC).isoformat() if file.time_s else "unknown"
     parts = [] if form.curve is None else [f"curve of {len(form.curve.codes)} knots on every sample"]
-    parts += [] if form.layer is None else ["linear part on every window"]
+    parts += [] if form.layer is None else ["linear layer on every window"]
+    parts += [] if form.mix is None else [f"mix of {len(form.mix.bias)} shapes on every window"]
     bands = ", ".join(f"up to {b.level}: -{b.minus} +{b.plus}" for b in file.bands)
     return [
-        ("kind", "unit, format 1.0"),
+        ("kind", f"unit, format {MAJOR}.{file.minor}"),
         ("serial", file.serial),
         ("network", file.network_id.hex()),
         ("revision", f"{file.revision}, calibrated {made}"),

@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from softcal.app.files import write_bytes
+from softcal.app.files.atomic import write_bytes
 from softcal.core.errors import InputError
 from softcal.core.export.json_text import json_text
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from softcal.app.bootstrap import data_folder
-from softcal.app.recording_file import write_columns
+from softcal.app.files.profile_file import read_profile
+from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError, NoReply
 from softcal.core.lot import check_serial
 from softcal.core.profiles import Profile, source_profile, unit_profile
@@ -26,22 +27,30 @@ from softcal.station.recording import StationRecording
 from softcal.station.self_test import Finding, self_test
 from softcal.station.spool import Spool
 
-LOOKED_FOR = "a stage (GRBL, Zaber), a load cell (HX711, Mark-10, indicator) and a sensor readout"
+SERIALS_APART = ","
+"""Between the serials of several channels in the header of a spool; no serial contains it."""
+
+LOOKED_FOR = (
+    "a stage (GRBL, Zaber, Mark-10 stand), a load cell (HX711, Mark-10, Loadstar, indicator) and a sensor readout"
+)
 
 
 @contextmanager
-def chosen_bench(station_file: Path | None, simulated_seed: int | None, simulated_channels: int = 1) -> Iterator[Bench]:
+def chosen_bench(
+    station_file: Path | None, simulated_seed: int | None, simulated_channels: int = 1, twin: Twin | None = None
+) -> Iterator[Bench]:
     """Open the simulated bench where a seed is given, else the one the station file describes.
 
     Args:
         simulated_channels: units under the simulated stage, one per channel.
+        twin: what stands under the simulated stage; further channels hold units like it. None for a drawn lot.
 
     Raises:
         InputError: neither is given, or the file cannot be read.
         DeviceError: devices are missing; all of them are named.
     """
     if simulated_seed is not None:
-        twins = draw_lot(np.random.default_rng(simulated_seed), simulated_channels)
+        twins = _units_like(twin, simulated_seed, simulated_channels)
         with open_simulated_bench(twins[0], simulated_seed, beside=twins[1:]) as (bench, _):
             yield bench
     elif station_file is None:
@@ -51,6 +60,13 @@ def chosen_bench(station_file: Path | None, simulated_seed: int | None, simulate
     else:
         with open_bench(read_station_file(station_file)) as bench:
             yield bench
+
+
+def _units_like(twin: Twin | None, seed: int, count: int) -> tuple[Twin, ...]:
+    rng = np.random.default_rng(seed)
+    if twin is None:
+        return draw_lot(rng, count)
+    return (twin, *draw_lot(rng, count - 1, twin.parameters, twin.metadata, twin.effects))
 
 
 def find_devices(ports: Sequence[str]) -> list[Identity]:
@@ -83,9 +99,11 @@ def station_of(devices: Sequence[Identity]) -> StationConfig:
     missing = [name for role, name in (("stage", "a stage"), ("readout", "a sensor readout")) if role not in by_role]
     if missing:
         raise NoReply(f"not found: {' and '.join(missing)}; looked at {', '.join(d.port for d in devices)}")
-    readout, force = by_role["readout"], by_role.get("force")
+    readout, stage, force = by_role["readout"], by_role["stage"], by_role.get("force")
+    if force is None and stage.kind == "esm" and stage.channels:
+        force = stage  # The gauge on the stand, behind the same port.
     return StationConfig(
-        StageConfig(by_role["stage"].port, by_role["stage"].kind),
+        StageConfig(stage.port, stage.kind),
         ReadoutConfig(readout.port, rate_Hz=round(readout.rate_Hz, 1), channels=readout.channels),
         ForceConfig(force.port, force.kind, rate_Hz=round(force.rate_Hz, 1)) if force else None,
     )
@@ -163,7 +181,8 @@ def record_to_files(
         raise InputError(f"{len(set(serials))} serials for {bench.readout.channels} channels; give one per channel")
     began_s = bench.clock.now_s()
     spool_path = new_spool(spool_folder, serials[0])
-    with Spool(spool_path, {"serial": serials[0], "profile": profile.name, "station": bench.config.name}) as spool:
+    header = {"serial": serials[0], "serials": SERIALS_APART.join(serials), "profile": profile.name}
+    with Spool(spool_path, header | {"station": bench.config.name}) as spool:
         recording = record(bench, serials[0], profile, with_reference, on_progress, spool)
     paths = [out] if len(serials) == 1 else [out / f"{serial}.csv" for serial in serials]
     for channel, path in enumerate(paths):
@@ -208,8 +227,10 @@ def columns(recording: StationRecording, channel: int = 0) -> list[tuple[str, Ar
     return [*named, ("stage_mm", np.round(recording.stage_mm, 5))]
 
 
-def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float) -> Profile:
-    """Return the source or the short unit profile."""
+def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float, file: Path | None = None) -> Profile:
+    """Return the profile of a file where one is given, else the source or the short unit profile."""
+    if file is not None:
+        return read_profile(file)
     rng = np.random.default_rng(seed)
     if kind == "source":
         return source_profile(rng, seconds or 170.0, depth_mm)

@@ -1,6 +1,5 @@
 """What the registry knows of a station, as facts for its gate; and the check of a golden unit that opens it."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -17,6 +16,7 @@ from softcal.core.station_gate import (
     Gate,
     GoldenCheck,
     Override,
+    RigFacts,
     StationFacts,
     may_run,
     quarantined,
@@ -36,43 +36,67 @@ class GateRules:
     Args:
         warm_up: how long the load cell must be powered.
         shift: a golden unit must have been pressed within this time.
+        needs_certificate, needs_golden: a bench in development may do without; a line may not.
     """
 
     warm_up: timedelta = timedelta(minutes=15)
     shift: timedelta = timedelta(hours=8)
+    needs_certificate: bool = True
+    needs_golden: bool = True
 
 
-def gate_from_registry(
-    registry: Registry,
-    station: str,
-    config: StationConfig,
-    switched_on: datetime,
-    rules: GateRules,
-    override: Override | None = None,
-) -> Callable[[OrderKind], Gate]:
-    """Return the gate of a station: asked anew for every order, from what the registry holds then.
+RIG_ONLY = GateRules(timedelta(0), needs_certificate=False, needs_golden=False)
+"""What the rig alone shows; all that a simulated station can be asked for."""
+
+
+class StationGate:
+    """The gate of one station: asked anew for every order, from what registry and rig say then.
 
     Args:
-        switched_on: since when the load cell is powered; the start of the service where nobody knows better.
-        override: an engineer's decision, already in the audit trail.
+        registry: knows certificates and golden runs.
+        station: name of the station.
+        config: its load cell and safety bounds.
+        rules: how strict the line is.
     """
 
-    def gate(kind: OrderKind) -> Gate:
-        now = datetime.now(UTC)
-        golden = registry.golden_runs(station)
+    def __init__(self, registry: Registry, station: str, config: StationConfig, rules: GateRules) -> None:
+        self._registry, self._station, self._config, self._rules = registry, station, config, rules
+        self._override: Override | None = None
+
+    def __call__(self, kind: OrderKind, rig: RigFacts) -> Gate:
+        """Return whether an order of this kind may run now."""
+        now, rules, config = datetime.now(UTC), self._rules, self._config
+        golden = self._registry.golden_runs(self._station, since=now - rules.shift)
         facts = StationFacts(
             now=now,
-            switched_on=switched_on,
-            certificate=_certificate(registry, config),
+            certificate=_certificate(self._registry, config),
             largest_force_N=config.safety.force_N,
             shift_began=now - rules.shift,
             golden=_check(golden[-1]) if golden else None,
+            rig=rig,
+            zero_return_limit_N=config.safety.zero_return_N,
             warm_up=rules.warm_up,
-            override=override,
+            has_cell=config.force is not None,
+            needs_certificate=rules.needs_certificate,
+            needs_golden=rules.needs_golden,
+            override=self._override,
         )
         return may_run(facts, kind)
 
-    return gate
+    def override(self, actor: str, reason: str) -> None:
+        """Open the gate for a shift in spite of its reasons; the decision goes into the audit trail.
+
+        Raises:
+            InputError: no reason.
+        """
+        if not reason.strip():
+            raise InputError("an override needs a reason; the gate is as it was")
+        until = datetime.now(UTC) + self._rules.shift
+        facts = {"until": until.isoformat()}
+        self._registry.add_event(
+            "override", "station_gate", (self._station,), facts, reason=reason, actor=actor or None
+        )
+        self._override = Override(actor, reason, until)
 
 
 def check_golden(registry: Registry, station: str, recording: LabelledRecording, actor: str = "") -> GoldenRun:
@@ -82,19 +106,18 @@ def check_golden(registry: Registry, station: str, recording: LabelledRecording,
     within three sigma of its own control chart, before that below the limit of its lot.
 
     Raises:
-        InputError: the unit has no calibration in the registry, or its lot no limit.
+        InputError: the unit has no calibration in the registry.
     """
     lot, network, calibration = calibrated_unit(registry, recording.serial)
     found = estimate(network, calibration, recording.unlabelled).estimate
     value = float(np.sqrt(np.nanmean((found - recording.reference) ** 2)))
     earlier = [run.value for run in registry.golden_runs(station, recording.serial) if run.passed]
-    limit = registry.limit(lot.id)
     if len(earlier) >= FIRST_RUNS:
         largest, what = control_chart(np.array(earlier)).upper, "its control limit"
-    elif limit is not None and limit.rmse is not None:
-        largest, what = limit.rmse, "the limit of its lot"
     else:
-        raise InputError(f"lot {lot.id!r} has no limit: it is needed for the first {FIRST_RUNS} runs of a golden unit")
+        # Without a limit of its lot, the one that its own verdict was given by.
+        largest = lot.limit_rmse or float(str(calibration.evidence["limit_rmse"]))
+        what = "the limit of its lot"
     passed = value <= largest
     unit = recording.reference_unit
     reasons = () if passed else (f"error {value:.3g} {unit} is above {what}, {largest:.3g} {unit}",)

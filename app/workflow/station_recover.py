@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from softcal.app.recording_file import write_columns
-from softcal.app.workflow.station import columns
+from softcal.app.files.recording_file import write_columns
+from softcal.app.workflow.station import SERIALS_APART, columns
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial
 from softcal.station.recording import restore
-from softcal.station.spool import read_spool
+from softcal.station.spool import SpooledRun, read_spool
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Recovered:
         serial, profile: of the run.
         end: "done", or how it ended.
         samples: how many samples of the output it holds.
-        file: what was written from it.
+        files: what was written from it: one file per channel of a finished run.
     """
 
     spool: Path
@@ -30,7 +30,7 @@ class Recovered:
     profile: str
     end: str
     samples: int
-    file: Path
+    files: tuple[Path, ...]
 
 
 def recover(folder: Path, out: Path) -> list[Recovered]:
@@ -51,12 +51,20 @@ def _recover(path: Path, out: Path) -> Recovered:
     serial, profile = check_serial(run.header.get("serial", "unknown")), run.header.get("profile", "")
     if run.is_whole and run.facts:
         recording = restore(run)
-        file = out / f"{serial}.csv"
-        write_columns(file, columns(recording))
-        return Recovered(path, serial, profile, run.end, len(recording.t_s), file)
+        files = tuple(out / f"{check_serial(name)}.csv" for name in _serials(run, recording.output.shape[1]))
+        for channel, file in enumerate(files):
+            write_columns(file, columns(recording, channel))
+        return Recovered(path, serial, profile, run.end, len(recording.t_s), files)
     file = out / f"{path.stem}.aborted.csv"
     channels = len(run.output[0].values) if run.output else 0
     device_s = [sample.host_s if sample.device_s is None else sample.device_s for sample in run.output]
     outputs = [(f"output_{c}", np.array([s.values[c] for s in run.output])) for c in range(channels)]
     write_columns(file, [("device_s", np.array(device_s)), *outputs, ("aborted", [run.end] * len(device_s))])
-    return Recovered(path, serial, profile, run.end, len(run.output), file)
+    return Recovered(path, serial, profile, run.end, len(run.output), (file,))
+
+
+def _serials(run: SpooledRun, channels: int) -> list[str]:
+    """Return the serial of each channel: as the run was told, else numbered behind the substrate's."""
+    serial = run.header.get("serial", "unknown")
+    told = run.header.get("serials", serial).split(SERIALS_APART)
+    return told if len(told) == channels else [f"{serial}-{channel + 1}" for channel in range(channels)]

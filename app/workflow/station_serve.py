@@ -1,20 +1,30 @@
 """A resident station: its rig, its gate and its registry, joined and served until somebody says no."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from softcal.app.station_host import StationHost
-from softcal.app.workflow.station import chosen_bench, profile_for
-from softcal.app.workflow.station_gate import GateRules, gate_from_registry
+from softcal.app.bootstrap import current_user
+from softcal.app.logs import start_logging
+from softcal.app.station_host import Fixture, HandFixture, StationHost
+from softcal.app.workflow.pressed_run import RunKeeper
+from softcal.app.workflow.station import profile_for
+from softcal.app.workflow.station_gate import GateRules, StationGate
 from softcal.core.errors import InputError
-from softcal.core.orders import OrderKind
-from softcal.core.station_gate import Gate, Override
+from softcal.core.orders import OrderKind, Progress
+from softcal.core.profiles import Profile
+from softcal.core.simulated_lot import twin_of
+from softcal.core.training import NetworkConfig
 from softcal.db.registry import Registry
-from softcal.station.config import read_station_file
+from softcal.station.bench import Bench, open_bench
+from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
 from softcal.station.service import Hooks, StationService
+from softcal.station.simulated.line import SimulatedLine
+
+SIMULATED = StationConfig(StageConfig(""), ReadoutConfig(""), ForceConfig("", serial="SIM-CELL"), name="simulated")
+"""What the gate of the simulated station looks at: its load cell and its safety bounds."""
 
 
 @dataclass(frozen=True)
@@ -23,19 +33,36 @@ class Serving:
 
     Args:
         station: its name, as orders call it.
-        station_file, simulated_seed: which rig.
-        profile_seed, depth_mm: of the profiles it presses with.
+        station_file: the rig; None for the simulated one.
+        simulated_seed: of the simulated rig and its lot of units; None for a real one.
+        speed: simulated seconds per second.
+        source_s, unit_s, depth_mm, profile_seed: of the profiles it presses with.
+        source_profile, unit_profile: files of profiles, where others are wanted.
         rules: how strict its gate is.
-        override: an engineer's decision to run in spite of the gate.
+        override: an engineer's reason to run in spite of the gate; "" where there is none.
+        network: how f is trained from a source's recording.
     """
 
     station: str
-    station_file: Path | None
-    simulated_seed: int | None
-    profile_seed: int = 0
+    station_file: Path | None = None
+    simulated_seed: int | None = None
+    speed: float = 1.0
+    source_s: float | None = None
+    unit_s: float | None = None
     depth_mm: float = 3.5
+    profile_seed: int = 0
+    source_profile: Path | None = None
+    unit_profile: Path | None = None
     rules: GateRules = GateRules()
-    override: Override | None = None
+    override: str = ""
+    network: NetworkConfig = NetworkConfig()
+
+    @property
+    def profiles(self) -> dict[OrderKind, Profile]:
+        """The profile of each kind of order."""
+        source = profile_for("source", self.profile_seed, self.source_s, self.depth_mm, self.source_profile)
+        unit = profile_for("unit", self.profile_seed, self.unit_s, self.depth_mm, self.unit_profile)
+        return {OrderKind.SOURCE: source, OrderKind.UNIT: unit, OrderKind.GOLDEN: unit}
 
 
 def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[[], bool]) -> None:
@@ -44,26 +71,30 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
     Raises:
         InputError: no station is named, its file cannot be read, or another process serves it.
     """
-    config = None if serving.station_file is None else read_station_file(serving.station_file)
-    gate: Callable[[OrderKind], Gate] = _open_gate
-    if config is not None:
-        now = datetime.now(UTC)
-        gate = gate_from_registry(registry, serving.station, config, now, serving.rules, serving.override)
-    elif serving.simulated_seed is None:
+    config, fixture, opened = _rig(serving)
+    gate = StationGate(registry, serving.station, config, serving.rules)
+    if serving.override:
+        gate.override(current_user(), serving.override)
+    profiles = serving.profiles
+    log = start_logging(command="station serve", station=serving.station)
+
+    def make_service(report: Callable[[Progress], None], is_stop_wanted: Callable[[], bool]) -> StationService:
+        return StationService(opened, profiles, spools, Hooks(report, is_stop_wanted, gate))
+
+    def write_log(event: str, facts: dict[str, object]) -> None:
+        log.info(event, **facts)
+
+    keeper = RunKeeper(registry, serving.station, serving.network)
+    StationHost(registry.order_queue, serving.station, keeper, gate.override, make_service, fixture, write_log).run(
+        goes_on
+    )
+
+
+def _rig(serving: Serving) -> tuple[StationConfig, Fixture, Callable[[], AbstractContextManager[Bench]]]:
+    if serving.simulated_seed is not None:
+        line = SimulatedLine(partial(twin_of, serving.simulated_seed), serving.simulated_seed, serving.speed)
+        return SIMULATED, line, line.open
+    if serving.station_file is None:
         raise InputError("which station? give --station FILE or --simulated")
-    if serving.override is not None:
-        facts = {"until": serving.override.until.isoformat()}
-        registry.add_event("override", "station_gate", (serving.station,), facts, reason=serving.override.reason)
-    source, unit = (profile_for(kind, serving.profile_seed, None, serving.depth_mm) for kind in ("source", "unit"))
-    profiles = {OrderKind.SOURCE: source, OrderKind.UNIT: unit, OrderKind.GOLDEN: unit}
-
-    def make_service(hooks: Hooks) -> StationService:
-        opened = partial(chosen_bench, serving.station_file, serving.simulated_seed)
-        return StationService(opened, profiles, spools, hooks)
-
-    StationHost(registry, serving.station, gate, make_service).run(goes_on)
-
-
-def _open_gate(kind: OrderKind) -> Gate:
-    """The simulated rig has no load cell that could be out of date."""
-    return Gate(())
+    config = read_station_file(serving.station_file)
+    return config, HandFixture(), partial(open_bench, config)

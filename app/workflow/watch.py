@@ -5,8 +5,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from softcal.app.lot_folder import LotFolder, open_lot_folder
-from softcal.app.workflow.batch import BatchConfig, BatchReport, Watch, run_batch
+from softcal.app.files.lot_folder import LotFolder, open_lot_folder
+from softcal.app.workflow.batch import run_batch
+from softcal.app.workflow.batch_report import BatchReport
+from softcal.app.workflow.lot_work import BatchConfig, Watch
 from softcal.db.registry import Registry
 
 Seen = dict[str, tuple[int, int]]

@@ -11,6 +11,7 @@ import pytest
 from softcal.app.cli import main
 from softcal.db.connection import open_registry
 
+RELEASED = Path(__file__).parents[1] / "core" / "released"
 NETWORK = ("--hidden", "16,8")
 
 
@@ -138,6 +139,23 @@ def test_another_stream_under_the_same_name_is_refused(bench: Path, stream: Path
 
     assert adapt(bench, stream, tmp_path / "second.csv", "--stream", "hall-4") == 2
     assert not (tmp_path / "second.csv").exists()
+
+
+def test_state_of_an_earlier_version_is_refused_in_one_line_that_says_what_to_do(
+    bench: Path, stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    state = json.loads((RELEASED / "adapt-state-without-format.json").read_text())
+    with open_registry(url(bench)) as registry:
+        entry = {"stream": "hall-5", "sample": state["row"], "event": "checkpoint", "state": state, "began": 0}
+        registry.add_adaptations("A1", 1, [entry])
+
+    assert adapt(bench, stream, tmp_path / "out.csv", "--stream", "hall-5", "--resume") == 2
+
+    error = capsys.readouterr().err
+    assert "stream 'hall-5' cannot be gone on with" in error and "another --stream NAME" in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out.csv").exists()
+    assert adapt(bench, stream, tmp_path / "out.csv", "--stream", "hall-6") == 0
 
 
 def test_figure_stands_alone(bench: Path, stream: Path, tmp_path: Path) -> None:

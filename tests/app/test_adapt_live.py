@@ -1,11 +1,15 @@
 """The live form of `softcal adapt`: pipes, sockets, a simulated sensor over its serial protocol, and their faults."""
 
 import io
+import os
+import pty
 import shutil
 import socket
 import sys
 import threading
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +17,12 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli import main
-from softcal.app.live_sink import open_sink
-from softcal.app.live_source import SILENCE_S, lines_of, readings
-from softcal.app.live_view import WIDTH, bar
+from softcal.app.live.sink import open_sink
+from softcal.app.live.source import AWAY_S, SILENCE_S, lines_of, on_one_clock, readings, replugged
+from softcal.app.live.view import WIDTH, bar
 from softcal.core.errors import BadReply, InputError, NoReply
 from softcal.db.connection import open_registry
+from softcal.station.frames.text_stream import StreamLine, format_line
 from softcal.station.interfaces import Sample
 
 
@@ -169,6 +174,68 @@ def test_device_that_starts_again_is_listened_to_again() -> None:
 
     assert pieces == [[], [(0.02, 1.5)]]
     assert readout.starts == 2
+
+
+def test_readout_that_is_unplugged_is_listened_to_again_when_it_is_back() -> None:
+    plugs: list[object] = [
+        ScriptedReadout([[Sample(0.0, 7.0, (1.0,))], NoReply("gone")]),
+        NoReply("no such port"),
+        NoReply("no such port"),
+        ScriptedReadout([[Sample(0.0, 0.02, (1.5,)), Sample(0.0, 0.04, (1.6,))]]),
+    ]
+
+    def plug() -> ScriptedReadout:
+        found = plugs.pop(0)
+        if isinstance(found, NoReply):
+            raise found
+        return found  # type: ignore[return-value]
+
+    clock = Clock()
+    pieces = on_one_clock(replugged(plug, clock), clock)
+
+    samples = [next(s for s in pieces if s) for _ in range(2)]
+    assert samples[0] == [(7.0, 1.0)]
+    assert [output for _, output in samples[1]] == [1.5, 1.6]
+    assert 7.0 < samples[1][0][0] < samples[1][1][0] < 20.0
+    with pytest.raises(NoReply):
+        for _ in pieces:
+            plugs[:] = [NoReply("no such port")]
+    assert clock.now > AWAY_S
+
+
+def test_serial_port_is_read_over_an_unplugging(bench: Path, tmp_path: Path) -> None:
+    port, target = tmp_path / "ttyUSB0", tmp_path / "live.csv"
+    device = threading.Thread(target=plug_twice, args=(port,))
+    device.start()
+    while not port.exists():
+        time.sleep(0.01)
+
+    assert adapt(bench, f"serial:{port}", str(target), "--duration", "4.5", "--stream", "plugged") == 0
+
+    device.join(20)
+    rows = pd.read_csv(target)
+    assert rows["t_s"].is_monotonic_increasing
+    flags = rows["flag"].fillna("").tolist()
+    assert flags[:14] == ["warm-up"] * 14
+    assert flags.count("gap") >= 14
+    assert rows["estimate"].notna().sum() > 100
+
+
+def plug_twice(port: Path) -> None:
+    """A readout at a pseudo-terminal that is pulled after a while and comes back under the same name, started anew."""
+    for _ in range(2):
+        master, slave = pty.openpty()
+        port.unlink(missing_ok=True)
+        port.symlink_to(os.ttyname(slave))
+        with suppress(OSError):
+            for k in range(150):
+                counts = int(150 + 40 * np.sin(2 * np.pi * k / 60))
+                os.write(master, format_line(StreamLine(1000 + 20 * k, (counts,))))
+                time.sleep(0.02)
+        port.unlink()
+        os.close(slave)
+        os.close(master)
+        time.sleep(0.5)
 
 
 def test_header_of_a_pipe_says_which_columns_count() -> None:

@@ -40,6 +40,19 @@ def test_every_unit_gets_a_verdict_and_the_audit_confirms_the_map(lot_folder: Pa
         assert unit["map"]["revision"] == 1
 
 
+def test_the_log_tells_what_became_of_every_unit(
+    lot_folder: Path, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SOFTCAL_LOGS", str(tmp_path / "logs"))
+    code, report = _batch(lot_folder, url, "--no-own")
+    (path,) = (tmp_path / "logs").glob("*.jsonl")
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    assert len({line["run"] for line in lines}) == 1
+    assert [line["event"] for line in lines] == ["begun", *["unit"] * 3, "ended"] and lines[-1]["code"] == code
+    told = {line["serial"]: line["verdict"] for line in lines[1:-1]}
+    assert told == {unit["serial"]: unit["verdict"] for unit in report["units"]}
+
+
 def test_a_second_run_fits_nothing_again(lot_folder: Path, url: str) -> None:
     first_code, first = _batch(lot_folder, url, "--no-own")
     second_code, second = _batch(lot_folder, url, "--no-own")
@@ -81,25 +94,22 @@ def test_bad_units_get_their_reason_and_the_rest_is_done(lot_folder: Path, url: 
 def test_a_lot_stopped_in_the_middle_goes_on_where_it_was(
     lot_folder: Path, url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from softcal.app.workflow import batch
+    from softcal.app.workflow import lot_work, unit_work
 
-    fit, fitted = batch._fit_unit, []
+    fit, fitted = unit_work._work_on_unit, []
 
     def interrupted(shared, task):
-        fitted.append(task.recording.serial)
+        fitted.append(task.serial)
         if len(fitted) == 2:
             raise KeyboardInterrupt
         return fit(shared, task)
 
-    monkeypatch.setattr(batch, "_fit_unit", interrupted)
-    monkeypatch.setattr(batch.BatchConfig, "__init__", _with_chunks_of_one(batch.BatchConfig.__init__))
+    monkeypatch.setattr(unit_work, "_work_on_unit", interrupted)
+    monkeypatch.setattr(lot_work, "FIRST_CHUNK", 1)
+    monkeypatch.setattr(lot_work, "LARGEST_CHUNK", 1)
     assert _batch(lot_folder, url, "--no-own")[0] == 2
     assert _batch(lot_folder, url, "--no-own")[0] in (0, 1)
     assert fitted == ["A1", "A2", "A2", "A3"]
-
-
-def _with_chunks_of_one(init):
-    return lambda self, **given: init(self, **(given | {"chunk": 1}))
 
 
 def test_a_lot_without_its_source_is_refused(lot_folder: Path, url: str, capsys: pytest.CaptureFixture[str]) -> None:

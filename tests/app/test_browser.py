@@ -1,80 +1,62 @@
-"""The application in a real browser: it starts by its command, shows a lot, and asks nobody outside this machine."""
+"""The application in a real browser: its pages, who may open them, and that nobody outside this machine is asked."""
 
-import shutil
-import socket
-import subprocess
-import sys
-import time
-import urllib.error
-import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, expect
 
-from softcal.app.cli import main
-
-CHROMIUM_FLAGS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--disable-background-networking",
-    "--disable-sync",
-]
-START_S = 120
+QUALITY_ONLY = "audit_trail"
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+@pytest.fixture(scope="module")
+def desk(
+    small_calibrated: Path, tmp_path_factory: pytest.TempPathFactory, serve: Callable, add_everybody: Callable
+) -> Iterator[str]:
+    """The address of the application on a registry with one calibrated lot and one person of each role."""
+    file = tmp_path_factory.mktemp("desk") / "desk.db"
+    file.write_bytes(small_calibrated.read_bytes())
+    add_everybody(f"sqlite:///{file}")
+    with serve(f"sqlite:///{file}") as screen:
+        yield screen.address
 
 
-@pytest.fixture
-def served(lot_folder: Path, registry_url: str) -> Iterator[str]:
-    """The address of the application on a registry with one calibrated lot."""
-    assert main(["batch", str(lot_folder), "--registry", registry_url, "--hidden", "16,8", "--no-own"]) in (0, 1)
-    port = _free_port()
-    command = [str(Path(sys.executable).with_name("softcal")), "ui", "--no-browser", "--port", str(port)]
-    server = subprocess.Popen(
-        [*command, "--registry", registry_url], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    try:
-        _wait_for(f"http://127.0.0.1:{port}/_stcore/health")
-        yield f"http://127.0.0.1:{port}"
-    finally:
-        server.terminate()
-        server.wait(timeout=30)
+def test_a_lot_and_a_unit_are_shown(desk: str, page: Page) -> None:
+    page.goto(f"{desk}/lot")
+    page.get_by_role("heading", name="Units that need a look").wait_for()
+    page.goto(f"{desk}/unit?unit=A2")
+    page.get_by_role("heading", name="Why this verdict").wait_for()
+    page.get_by_role("tab", name="History").wait_for()
 
 
-def _wait_for(url: str) -> None:
-    deadline_s = time.monotonic() + START_S
-    while time.monotonic() < deadline_s:
-        try:
-            with urllib.request.urlopen(url, timeout=2):
-                return
-        except (urllib.error.URLError, OSError):
-            time.sleep(0.2)
-    pytest.fail(f"{url} did not answer within {START_S} s")
+def test_a_page_a_role_may_not_open_is_neither_listed_nor_reached_by_its_address(desk: str, page: Page) -> None:
+    page.goto(f"{desk}/{QUALITY_ONLY}")
+    page.get_by_text("Page not found").wait_for()
+    expect(page.get_by_role("link", name="Audit trail")).to_have_count(0)
 
 
-@pytest.fixture
-def page(require) -> Iterator[Page]:
-    chromium = shutil.which("chromium")
-    require(chromium, "no chromium on this machine; install Debian's package chromium")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=CHROMIUM_FLAGS)
-        yield browser.new_page(viewport={"width": 1280, "height": 900})
-        browser.close()
+def test_a_sign_in_outlives_a_reload_and_ends_with_the_sign_out(desk: str, page: Page, sign_in: Callable) -> None:
+    sign_in(desk, "quality")
+    page.goto(f"{desk}/{QUALITY_ONLY}")
+    page.get_by_role("link", name="Audit trail").wait_for()
+    page.get_by_test_id("stDataFrame").wait_for()
+    page.get_by_role("link", name="Quinn").click()
+    page.get_by_role("button", name="Sign out").click()
+    page.get_by_role("heading", name="Sign in").wait_for()
+    page.goto(f"{desk}/{QUALITY_ONLY}")
+    page.get_by_text("Page not found").wait_for()
 
 
-def test_a_lot_and_a_unit_are_shown_without_any_outside_request(served: str, page: Page) -> None:
-    asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
-    page.goto(served)
-    page.get_by_role("heading", name="Units that need a look").wait_for(timeout=90_000)
-    page.goto(f"{served}/unit?unit=A2")
-    page.get_by_role("heading", name="What the predicted error is made of").wait_for(timeout=90_000)
-    page.get_by_role("heading", name="History").wait_for(timeout=90_000)
-    assert not [url for url in asked if not url.startswith((served, "data:", "blob:"))]
+def test_the_language_is_taken_from_the_address(desk: str, page: Page) -> None:
+    page.goto(f"{desk}/lot?lang=ko")
+    page.get_by_role("heading", name="확인이 필요한 제품").wait_for()
+
+
+def test_a_chosen_language_outlives_a_reload(desk: str, page: Page, remembered: Callable) -> None:
+    page.goto(f"{desk}/sign_in")
+    page.get_by_role("combobox").click()
+    page.get_by_role("option", name="한국어").click()
+    page.get_by_role("heading", name="로그인").wait_for()
+    remembered(page, "lang")
+    page.reload()
+    page.get_by_role("heading", name="로그인").wait_for()

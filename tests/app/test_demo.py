@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli import main
-from softcal.app.workflow.batch import BatchConfig, Watch
 from softcal.app.workflow.demo import TABLE_HEADER, DemoConfig, press_demo_lot, run_demo, table_row
+from softcal.app.workflow.lot_work import BatchConfig, Watch
 from softcal.app.workflow.station import PressTimes
 from softcal.core.training import NetworkConfig
 from softcal.db.connection import open_registry

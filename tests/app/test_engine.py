@@ -1,6 +1,11 @@
 """Engines: the same results from each, and a worker that dies costs its item nothing but time."""
 
+import operator
 import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -39,6 +44,45 @@ def test_every_item_is_computed_once(choice: EngineChoice) -> None:
 @pytest.mark.filterwarnings("ignore")  # the cluster's own event loops warn while they close
 def test_dask_gives_the_same(require) -> None:
     assert sorted(run_all(EngineChoice("dask", 1), _add, 100, range(5))) == list(range(100, 105))
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_killed_worker_of_a_cluster_loses_nothing(tmp_path: Path) -> None:
+    assert sorted(run_all(EngineChoice("dask", 1), _die_once, str(tmp_path), range(2, 5))) == [2, 3, 4]
+
+
+@pytest.fixture
+def cluster_elsewhere() -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """The address of a Dask scheduler in a process of its own, and its one worker."""
+    dask = [sys.executable, "-m", "dask"]
+    plain = ["--no-dashboard", "--host", "127.0.0.1"]
+    with subprocess.Popen([*dask, "scheduler", "--port", "0", *plain], stderr=subprocess.PIPE, text=True) as scheduler:
+        assert scheduler.stderr is not None
+        address = next(found[0] for line in scheduler.stderr if (found := re.search(r"tcp://[0-9.]+:[0-9]+", line)))
+        worker = subprocess.Popen(
+            [*dask, "worker", address, "--nworkers", "1", "--nthreads", "1", *plain],
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        yield address, worker
+        for process in (worker, scheduler):
+            process.terminate()
+            process.wait()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_that_runs_elsewhere_is_used_and_left_running(cluster_elsewhere) -> None:
+    address, worker = cluster_elsewhere
+    choice = EngineChoice("dask", scheduler=address)
+    for shared in (100, 200):
+        assert sorted(run_all(choice, operator.add, shared, range(5))) == list(range(shared, shared + 5))
+    assert worker.poll() is None
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_scheduler_that_does_not_answer_is_named() -> None:
+    with pytest.raises(InputError, match=r"no Dask scheduler with workers answers at tcp://127\.0\.0\.1:1:"):
+        list(run_all(EngineChoice("dask", scheduler="tcp://127.0.0.1:1"), operator.add, 1, range(2)))
 
 
 def test_a_killed_worker_loses_nothing(tmp_path: Path) -> None:

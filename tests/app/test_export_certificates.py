@@ -15,6 +15,7 @@ import xmlschema
 
 from softcal.app.certificates.content import Certificate, Uncertainty
 from softcal.app.certificates.dcc import SI_UNITS, certificate_xml
+from softcal.app.certificates.fonts import CANDIDATES
 from softcal.app.certificates.laboratory import Conditions, Laboratory, LoadCell, Party, Person, read_laboratory
 from softcal.app.certificates.pdf import certificate_pdf
 from softcal.core.errors import InputError
@@ -80,7 +81,15 @@ def schema() -> xmlschema.XMLSchema:
 def _variants(facts: Certificate) -> list[Certificate]:
     bare = replace(facts, laboratory=Laboratory(), sensor_model="", measured=None, before=None)
     unknown = replace(bare, expected=None, expected_interval=None, limit=None, conformity="", verdict="retest")
-    return [facts, bare, unknown, replace(facts, reference_unit="strain counts"), replace(facts, bands=())]
+    loose = replace(
+        facts, sensor_model=" eGaIn\n3 mm ", laboratory=Laboratory(Party(" Works ", "a@b.c ", "KR", "\tSeoul"))
+    )
+    others = [
+        replace(facts, reference_unit="strain counts"),
+        replace(facts, bands=()),
+        replace(facts, sensor_model=" "),
+    ]
+    return [facts, bare, unknown, loose, *others]
 
 
 def test_every_certificate_is_valid_against_the_schema(facts: Certificate, schema: xmlschema.XMLSchema) -> None:
@@ -143,6 +152,50 @@ def test_the_pdf_says_what_an_auditor_asks_for(
     ).stdout
     wanted = ("Press shop & Söhne", "eGaIn <3 mm>", "D-K-1", "U = 0.012 N, k = 2", "0.21 N (95 %: 0.15 to 0.3 N)", "A0")
     assert all(word in first for word in wanted)
+
+
+KOREAN = Laboratory(
+    laboratory=Party("한국소프트센서 교정실", "lab@example.co.kr", "KR", "서울특별시"),
+    customer=Party("Gesellschaft für Handschuhrobotik " * 4, "quality@example.com", "DE", "München"),
+    person=Person("전상훈", "교정 책임자"),
+)
+
+
+def test_names_in_other_letters_and_long_serials_are_written_in_full(
+    facts: Certificate, tmp_path: Path, require: Callable[[object, str], None]
+) -> None:
+    require(Path(CANDIDATES["linux"][0]).exists(), "a Korean font is missing; apt-get install fonts-nanum")
+    serial = "LINE-4-UNIT-" + "0123456789" * 12
+    named = replace(facts, laboratory=KOREAN, serial=serial)
+    content = certificate_pdf(named)
+    assert content == certificate_pdf(named)
+    path = tmp_path / "korean.pdf"
+    path.write_bytes(content)
+    text = "".join(_text_of(path).split())
+    assert "한국소프트센서교정실" in text and "전상훈,교정책임자" in text
+    assert serial in text
+    fonts = subprocess.run(["pdffonts", str(path)], capture_output=True, text=True, check=True).stdout.splitlines()[2:]
+    used = [line.split() for line in fonts if "Helvetica" not in line]  # ReportLab lists it, no text is set in it
+    assert len(used) == 3 and all(words[-5] == "yes" for words in used)  # embedded
+
+
+def test_a_name_no_font_can_write_is_refused_with_what_to_do(
+    facts: Certificate, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("SOFTCAL_FONT", str(tmp_path / "nowhere.ttf"))
+    with pytest.raises(InputError, match="SOFTCAL_FONT"):
+        certificate_pdf(replace(facts, laboratory=KOREAN))
+    (tmp_path / "broken.ttf").write_bytes(b"no font")
+    monkeypatch.setenv("SOFTCAL_FONT", str(tmp_path / "broken.ttf"))
+    with pytest.raises(InputError, match="no TrueType font"):
+        certificate_pdf(replace(facts, laboratory=KOREAN))
+
+
+def test_what_is_not_stated_is_said_once(facts: Certificate, tmp_path: Path) -> None:
+    path = tmp_path / "bare.pdf"
+    path.write_bytes(certificate_pdf(replace(facts, laboratory=Laboratory())))
+    text = _text_of(path)
+    assert "not stated, not stated" not in text and "ZZ" not in text
 
 
 def _text_of(pdf: Path) -> str:

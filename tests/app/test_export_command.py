@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -58,12 +59,20 @@ def test_every_format_is_written_and_reads_back(run: Run, tmp_path: Path) -> Non
     assert unit["device"]["rms_error"] <= unit["device"]["limit"]
 
 
-def test_the_same_calibration_gives_the_same_bytes(run: Run, tmp_path: Path) -> None:
+def test_the_same_calibration_gives_the_same_bytes_in_any_folder_and_time_zone(
+    run: Run, calibrated: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run("--serial", "A1", *_all_formats())
     first = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
-    shutil.rmtree(tmp_path / "out")
-    run("--serial", "A1", *_all_formats())
-    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == first
+    other = tmp_path / "a folder of another name" / "deeper"
+    monkeypatch.setenv("TZ", "Pacific/Kiritimati")
+    time.tzset()
+    try:
+        main(["export", "--registry", calibrated, "--out", str(other), "--serial", "A1", *_all_formats()])
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    assert {path.name: path.read_bytes() for path in other.iterdir()} == first
 
 
 def test_no_file_names_the_machine_it_was_made_on(run: Run, tmp_path: Path) -> None:

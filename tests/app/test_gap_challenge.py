@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from softcal.app.commands.gap_challenge import add_parsers
-from softcal.app.workflow.challenge import ask_rig, make_challenge, open_challenge, score_challenge
+from softcal.app.files.lot_folder import open_lot_folder
+from softcal.app.workflow.challenge import ask_rig, make_challenge, open_challenge, press_rig_lot, score_challenge
 from softcal.core.errors import InputError
 
 
@@ -129,3 +130,18 @@ def test_unknown_names_are_answered_with_the_known_ones(made: tuple[Path, Path],
         ask_rig(folder, seal, "case-9", "rest")
     with pytest.raises(InputError, match="known are .*usual"):
         make_challenge(tmp_path / "x", tmp_path / "x.json", 1, line="odd")
+
+
+def test_a_lot_pressed_on_a_sealed_rig_is_a_lot_folder_with_audits(made: tuple[Path, Path], tmp_path: Path) -> None:
+    folder, seal = made
+    assert run("ask", folder, "case-001", "--lot", tmp_path / "lot", "--units", 2, "--seal", seal) == 0
+    lot = open_lot_folder(tmp_path / "lot")
+    assert sorted(lot.unit_paths) == sorted(lot.audit_paths) == ["R01", "R02"]
+    audit = lot.read_audit("R01")
+    assert audit is not None and audit.unlabelled.stage_mm is not None
+    assert lot.read_source().unlabelled.t_s[-1] > 100.0
+
+
+def test_a_lot_needs_a_unit(made: tuple[Path, Path], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="at least one unit"):
+        press_rig_lot(*made, "case-001", 0, tmp_path / "lot")

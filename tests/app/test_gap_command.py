@@ -7,12 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.case_folder import open_case
 from softcal.app.cli import main
+from softcal.app.files.case_folder import open_case
 from softcal.app.workflow.diagnose import read_twin, run_views, write_twin
 from softcal.core import profiles
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import diagnose
+from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 
@@ -142,3 +143,53 @@ def test_a_broken_case_ends_with_one_clear_line(case, what, message, capsys, tmp
     said = capsys.readouterr().err.strip().splitlines()
     assert len(said) == 1 and message in said[0]
     assert not (tmp_path / "g.json").exists()
+
+
+def test_a_report_is_applied_without_diagnosing_again(case, tmp_path):
+    report, out = tmp_path / "g.json", tmp_path / "t.json"
+    assert main(["gap", "diagnose", str(case), "--json", str(report)]) == 0
+    assert main(["gap", "apply", "--report", str(report), "--out", str(out)]) == 0
+    assert [s.effect_id for s in read_twin(out).effects] == ["readout_lag"]
+    assert read_twin(report) == read_twin(out)
+    assert read_twin(report, "base_twin").effects == ()
+
+
+@pytest.mark.parametrize("given", [[], ["--report", "REPORT", "CASE"]])
+def test_apply_takes_either_a_case_or_a_report(case, tmp_path, given, capsys):
+    given = [{"REPORT": str(tmp_path / "g.json"), "CASE": str(case)}.get(word, word) for word in given]
+    assert main(["gap", "apply", *given, "--out", str(tmp_path / "t.json")]) == 2
+    assert "either a case" in capsys.readouterr().err
+
+
+def test_the_simulated_station_presses_the_twin_of_a_diagnosis(tmp_path):
+    twin = Twin(BaseParameters(r0_ohm=6.0), (LAG,), READOUT)
+    write_twin(tmp_path / "t.json", twin)
+    press = ["station", "unit", "--simulated", "--serial", "A1", "--seconds", "3", "--spool", str(tmp_path / "spool")]
+    assert main([*press, "--twin", str(tmp_path / "t.json"), "--out", str(tmp_path / "A1.csv")]) == 0
+    output_V = np.loadtxt(tmp_path / "A1.csv", delimiter=",", skiprows=1)[:, 1]
+    assert output_V[:20] == pytest.approx(READOUT.vref_V * 6.0 / (6.0 + READOUT.r_series_ohm), abs=0.01)
+    assert main([*press[:2], "--serial", "A1", "--twin", str(tmp_path / "t.json"), "--out", "x.csv"]) == 2
+
+
+def test_a_lot_can_be_simulated_around_a_twin():
+    twin = Twin(BaseParameters(r0_ohm=9.0), (LAG,), READOUT)
+    units = draw_twins(np.random.default_rng(1), 20, twin=twin)
+    assert np.mean([u.parameters.r0_ohm for u in units]) == pytest.approx(9.0, rel=0.1)
+    assert {s.effect_id for u in units for s in u.effects} == {"readout_lag"} and units[0].metadata == READOUT
+
+
+def test_a_plain_table_is_diagnosed_with_its_electronics_given(case, tmp_path, capsys):
+    table = pd.read_csv(case / "runs/2/recording.csv")[["force_N", "output_V"]]
+    table.rename(columns={"force_N": "reference", "output_V": "output"}).to_csv(tmp_path / "S1.csv", index=False)
+    electronics = ["--vref-V", "3.3", "--adc-bits", "12", "--rate-Hz", "50"]
+    assert main(["gap", "diagnose", str(tmp_path / "S1.csv"), *electronics, "--json", str(tmp_path / "r.json")]) == 0
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert report["missing_channels"] == ["stage_mm", "temperature_C"]
+    assert report["unseen_stages"] == ["motion", "mechanics"]
+    assert "motion, mechanics: these recordings cannot show them" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("options", [[], ["--vref-V", "3.3"]])
+def test_a_plain_table_without_its_electronics_is_refused(case, options, capsys):
+    assert main(["gap", "diagnose", str(case / "runs/2/recording.csv"), *options]) == 2
+    assert "--vref-V, --adc-bits and --rate-Hz" in capsys.readouterr().err

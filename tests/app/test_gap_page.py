@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softcal.app.gap_figures import ChannelView, RunView, direction, residual_map, trace_figure
-from softcal.app.gap_page import gap_page
+from softcal.app.charts.gap import ChannelView, RunView, direction, residual_map, trace_figure
+from softcal.app.charts.gap_page import gap_page
 
 REPORT: dict[str, Any] = {
     "schema": "softcal.gap/1",

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli import main
-from softcal.app.lot_folder import open_lot_folder
+from softcal.app.files.lot_folder import open_lot_folder
 
 
 def _table(folder: Path, name: str = "S1", rows: int = 60, **columns: object) -> Path:

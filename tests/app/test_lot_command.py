@@ -6,7 +6,7 @@ import pytest
 
 from softcal.app.cli import main
 from softcal.app.workflow import watch
-from softcal.app.workflow.batch import BatchConfig, Watch
+from softcal.app.workflow.lot_work import BatchConfig, Watch
 from softcal.app.workflow.watch import WatchConfig, watch_lot
 from softcal.core.lot import Lot
 from softcal.db.connection import open_registry
@@ -72,3 +72,28 @@ def test_a_limit_needs_a_reason_and_keeps_its_versions(tmp_path, capsys):
     assert [(v["version"], v["rmse"]) for v in versions] == [(1, 0.2), (2, 0.1)]
     assert main([*common, "--rmse", "0.3", "--reason", "late", "--expect", "1"]) == 2
     assert "changed to 0.1" in capsys.readouterr().err
+
+
+@pytest.fixture
+def known_lot(tmp_path):
+    url = f"sqlite:///{tmp_path / 'r.db'}"
+    with open_registry(url) as registry:
+        registry.add_lot(Lot("L1", "S0", 50.0))
+    return url
+
+
+def test_rules_of_a_lot_are_set_with_a_reason_and_shown_with_their_versions(known_lot, capsys):
+    change = ["--target", "6", "--retests", "fail=0", "--reason", "customer allows no second try"]
+    assert main(["lot", "rules", "L1", "--registry", known_lot, *change, "--json", "-"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert (shown["now"]["target"], shown["now"]["retests"]["fail"], shown["now"]["retests"]["retest"]) == (6, 0, 3)
+    assert [entry["reason"] for entry in shown["versions"]] == ["customer allows no second try"]
+
+
+@pytest.mark.parametrize(
+    "wrong", [["--target", "6"], ["--retests", "fail=x", "--reason", "why"], ["--serial-pattern", "A["]]
+)
+def test_senseless_rules_of_a_lot_change_nothing(known_lot, wrong):
+    assert main(["lot", "rules", "L1", "--registry", known_lot, *wrong]) == 2
+    with open_registry(known_lot) as registry:
+        assert registry.line_rules_versions("L1") == []

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.lot_folder import open_lot_folder, write_lot_toml
+from softcal.app.files.lot_folder import open_lot_folder, write_lot_toml
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 

@@ -10,7 +10,7 @@ import pytest
 
 from softcal.app import logs
 from softcal.app.cli import main
-from softcal.app.spreadsheet import write_table
+from softcal.app.files.spreadsheet import write_table
 from softcal.core.calibration import CalibrationRecord
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
@@ -137,7 +137,9 @@ def test_a_gauge_study_with_a_hole_names_it(tmp_path, capsys):
 
 def test_doctor_collects_without_secrets(url, capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("SOFTCAL_REGISTRY", "postgresql://line:hush@127.0.0.1:1/softcal")
-    logs.start_logging(command="test").info("opened", url="postgresql://line:hush@db/x", pin="2580")
+    log = logs.start_logging(command="test")
+    log.info("opened", url="postgresql://line:hush@db/x", pin="2580")
+    logs.end_run(log, 0, "")
     bundle = tmp_path / "support.zip"
     code, out, err = run(capsys, "doctor", "--out", bundle)
     with zipfile.ZipFile(bundle) as content:
@@ -145,6 +147,44 @@ def test_doctor_collects_without_secrets(url, capsys, tmp_path, monkeypatch):
         assert code == 0 and any(name.startswith("logs/") for name in content.namelist())
     assert "hush" not in everything and "2580" not in everything and "line:***@" in everything
     assert "problem:" in err, "a registry that does not answer is a problem"
+
+
+@pytest.mark.parametrize(
+    "secret",
+    [
+        "postgresql://line:hush@db/softcal",
+        "postgresql://line:hu:s@hush@db/softcal",
+        "postgresql://db/softcal?user=line&password=hush",
+        "connection to 'postgresql+psycopg://line:hush@db/softcal' failed",
+    ],
+)
+def test_a_password_never_reaches_the_log(secret, tmp_path, monkeypatch):
+    monkeypatch.setenv("SOFTCAL_LOGS", str(tmp_path))
+    log = logs.begin_run("test", ["batch", "--registry", secret], lot=secret)
+    log.info("event", text=secret, parts=[secret], pin="hush")
+    logs.log_crash(ValueError(secret), "test")
+    logs.end_run(log, 2, secret)
+    written = next(tmp_path.glob("*.jsonl")).read_text()
+    assert "hush" not in written and written.count("***") >= 6
+    assert {json.loads(line)["command"] for line in written.splitlines()} == {"test"}
+
+
+def test_a_log_that_grew_too_large_is_set_aside(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOFTCAL_LOGS", str(tmp_path))
+    monkeypatch.setattr(logs, "LARGEST_BYTES", 2_000)
+    log = logs.begin_run("test", [])
+    for k in range(40):
+        log.info("event", number=k)
+    logs.end_run(log, 0, "")
+    files = list(tmp_path.glob("softcal-*.jsonl"))
+    assert len(files) > 2 and sum(len(path.read_text().splitlines()) for path in files) == 42
+
+
+def test_work_goes_on_where_no_log_can_be_written(url, capsys, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("SOFTCAL_LOGS", str(tmp_path / "file" / "logs"))
+    code, _, err = run(capsys, "lot", "limit", "L1", "--registry", url)
+    assert code == 0 and "Traceback" not in err
 
 
 def test_a_defect_is_one_line_and_its_traceback_is_in_the_log(url, capsys, tmp_path, monkeypatch):

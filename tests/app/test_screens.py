@@ -1,46 +1,16 @@
 """The desk's pages, drawn in process from a registry: what they say, when there is nothing, and in two languages."""
 
-import shutil
-from collections.abc import Callable
 from pathlib import Path
 
-import pytest
-from streamlit.testing.v1 import AppTest
-
-from softcal.app import desk, texts
-from softcal.app.cli import main
-from softcal.app.views import lot_view
+from softcal.app import texts
+from softcal.app.views.lot import lot_view
 from softcal.db.connection import open_registry
 
-MAIN = Path(desk.__file__).with_name("main.py")
 
+def _lot_page() -> None:
+    from softcal.app.app_pages import lot
 
-@pytest.fixture(scope="module")
-def calibrated(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A registry with the small lot calibrated, one unit of it dead."""
-    root = tmp_path_factory.mktemp("screens")
-    shutil.copytree(trained_lot / "lot", root / "lot")
-    shutil.copy(trained_lot / "registry.db", root / "registry.db")
-    dead = "t_s,output\n" + "".join(f"{k / 50},0.5\n" for k in range(1500))
-    (root / "lot/units/A4.csv").write_text(dead)
-    url = f"sqlite:///{root / 'registry.db'}"
-    main(["batch", str(root / "lot"), "--registry", url, "--hidden", "16,8", "--no-own"])
-    return url
-
-
-@pytest.fixture
-def open_page(monkeypatch: pytest.MonkeyPatch):
-    def show(url: str, page: Callable[[], None] | None = None, **query: str) -> AppTest:
-        monkeypatch.setenv("SOFTCAL_REGISTRY", url)
-        desk.registry.clear()
-        screen = AppTest.from_file(str(MAIN)) if page is None else AppTest.from_function(page)
-        for key, value in query.items():
-            screen.query_params[key] = value
-        screen.run(timeout=120)
-        assert not screen.exception
-        return screen
-
-    return show
+    lot.render()
 
 
 def test_every_text_stands_in_every_language() -> None:
@@ -50,21 +20,22 @@ def test_every_text_stands_in_every_language() -> None:
 
 
 def test_the_lot_shows_its_units_and_the_one_that_needs_a_look(calibrated: str, open_page) -> None:
-    screen = open_page(calibrated)
+    screen = open_page(calibrated, _lot_page)
     shown = {metric.label: metric.value for metric in screen.metric}
     assert shown["Units"] == "4 / 4"
-    assert any("A4" in line.value and "constant" in line.value for line in screen.markdown)
+    worst = screen.dataframe[0].value.iloc[0]
+    assert worst["Serial"] == "A4" and "constant" in worst["Why"]
 
 
 def test_the_lot_counts_what_the_registry_holds(calibrated: str) -> None:
     with open_registry(calibrated) as registry:
         view = lot_view(registry, "small")
     assert sum(view.counts.values()) == 4
-    assert view.needing_a_look[0].serial == "A4"
+    assert view.looks[0].serial == "A4" and view.needing_a_look == sum(view.counts.values()) - view.counts["pass"]
 
 
 def test_an_empty_registry_says_how_to_begin(tmp_path: Path, open_page) -> None:
-    screen = open_page(f"sqlite:///{tmp_path / 'new.db'}")
+    screen = open_page(f"sqlite:///{tmp_path / 'new.db'}", _lot_page)
     assert "softcal batch" in screen.info[0].value
 
 
@@ -83,7 +54,7 @@ def _audit_page() -> None:
 def test_a_unit_shows_its_verdict_its_reasons_and_its_history(calibrated: str, open_page) -> None:
     screen = open_page(calibrated, _unit_page, unit="A1")
     assert any("limit" in line.value for line in screen.markdown)
-    assert screen.dataframe[0].value["Revision"].tolist() == [1]
+    assert any(table.value["Revision"].tolist() == [1] for table in screen.dataframe if "Revision" in table.value)
 
 
 def test_a_unit_without_a_map_says_why(calibrated: str, open_page) -> None:
@@ -97,5 +68,31 @@ def test_the_audit_trail_names_who_did_what(calibrated: str, open_page) -> None:
 
 
 def test_the_screens_speak_korean(calibrated: str, open_page) -> None:
-    screen = open_page(calibrated, lang="ko")
+    screen = open_page(calibrated, _lot_page, lang="ko")
     assert "제품 수" in {metric.label for metric in screen.metric}
+
+
+def test_reasons_are_said_in_korean(calibrated: str, open_page) -> None:
+    unit = open_page(calibrated, _unit_page, unit="A1", lang="ko")
+    assert any("예측 RMSE" in line.value and "한계" in line.value for line in unit.markdown)
+    assert "죽은 채널" in open_page(calibrated, _unit_page, unit="A4", lang="ko").info[0].value
+    lot = open_page(calibrated, _lot_page, lang="ko")
+    assert "죽은 채널" in lot.dataframe[-1].value["이유"][0]
+
+
+def test_a_filter_that_leaves_fewer_pages_goes_back_to_the_first(calibrated: str, open_page) -> None:
+    with open_registry(calibrated) as registry:
+        for k in range(60):
+            registry.add_refusal("small", f"B{k:02d}", "retest", ("cable",))
+    screen = open_page(calibrated, _lot_page)
+    screen.session_state["units-page-small"] = 2
+    screen.run()
+    assert len(screen.dataframe[-1].value) == 64 - 50
+    screen.text_input(key="units-find-small").set_value("a").run()
+    assert screen.dataframe[-1].value["Serial"].tolist()[0] == "A4" and not screen.exception
+
+
+def _lot_page() -> None:
+    from softcal.app.app_pages import lot
+
+    lot.render()

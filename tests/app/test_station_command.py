@@ -5,8 +5,8 @@ import json
 import pytest
 
 from softcal.app.commands import station as command
-from softcal.app.lot_folder import read_labelled
-from softcal.app.recording_file import read_recording
+from softcal.app.files.lot_folder import read_labelled
+from softcal.app.files.recording_file import read_recording
 from softcal.core.errors import DeviceError, InputError, NoReply
 
 
@@ -121,6 +121,31 @@ def test_calibrate_cell_writes_the_scale_into_the_station_file(softcal, tmp_path
     assert read_station_file(path).force.counts_per_N == pytest.approx(station.counts_per_N, rel=0.01)
 
 
+def test_a_rig_on_serial_ports_is_found_and_written_down_in_real_time(tmp_path):
+    import subprocess
+    import sys
+
+    import numpy as np
+
+    from softcal.core.twin.simulate import Twin
+    from softcal.station.config import read_station_file
+    from softcal.station.simulated.station import SimulatedStation
+
+    rig, path = SimulatedStation(Twin(), np.random.default_rng(3)), tmp_path / "station.toml"
+    wires = (rig.readout_wire, rig.force_wire, rig.stage_wire)
+    ports = [word for wire in wires for word in ("--port", wire.port)]
+    with rig.world.in_background():
+        command = [sys.executable, "-m", "softcal.app.cli", "station", "check", *ports, "--write", str(path)]
+        found = subprocess.run(command, capture_output=True, text=True, check=False)
+    rig.close()
+    # The scale of the cell is not known yet: the check says what to do, and writes the rest.
+    assert found.returncode == 3 and "unload the cell, then zero it" in found.stderr, found.stderr
+    config = read_station_file(path)
+    assert config.force is not None
+    assert [config.readout.port, config.force.port, config.stage.port] == [wire.port for wire in wires]
+    assert (config.stage.kind, config.force.kind) == ("grbl", "hx711")
+
+
 def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
     import signal
     import subprocess
@@ -148,6 +173,7 @@ def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
 
 
 def test_serve_performs_an_order_and_gives_the_ports_back(tmp_path):
+    from softcal.app.workflow.station_gate import RIG_ONLY
     from softcal.app.workflow.station_serve import Serving, serve
     from softcal.core.lot import Lot
     from softcal.core.orders import Order, OrderKind, RunState, StationState
@@ -162,7 +188,7 @@ def test_serve_performs_an_order_and_gives_the_ports_back(tmp_path):
                 queue.place(Order("o1", "s1", OrderKind.UNIT, "A1", "L1"))
             return queue.progress("o1").state.is_active
 
-        serve(registry, Serving("s1", None, 3), tmp_path / "spool", goes_on)
+        serve(registry, Serving("s1", None, 3, speed=1000.0, unit_s=6.0, rules=RIG_ONLY), tmp_path / "spool", goes_on)
         assert queue.progress("o1").state is RunState.DONE
         assert queue.heartbeat("s1").state is StationState.OFF
         assert [entry.serial for entry in registry.recordings("L1", kind="unit")] == ["A1"]

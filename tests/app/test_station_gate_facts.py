@@ -5,19 +5,19 @@ from datetime import UTC, date, datetime, timedelta
 import numpy as np
 import pytest
 
-from softcal.app.workflow.station_gate import GateRules, check_golden, gate_from_registry, quarantine
+from softcal.app.workflow.station_gate import GateRules, StationGate, check_golden, quarantine
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.station_gate import Override
+from softcal.core.station_gate import RigFacts
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
 
 CONFIG = StationConfig(StageConfig("a"), ReadoutConfig("b"), ForceConfig("c", serial="K1"))
 NOW = datetime.now(UTC)
-LONG_AGO = NOW - timedelta(days=1)
+WARM = RigFacts(timedelta(hours=1), is_homed=True)
 
 
 @pytest.fixture
@@ -35,13 +35,14 @@ def certify(registry):
 
 
 def test_the_gate_opens_when_certificate_and_golden_unit_are_there(registry):
-    gate = gate_from_registry(registry, "s1", CONFIG, LONG_AGO, GateRules())
-    assert len(gate(OrderKind.UNIT).reasons) == 2
+    gate = StationGate(registry, "s1", CONFIG, GateRules())
+    assert len(gate(OrderKind.UNIT, WARM).reasons) == 2
     certify(registry)
-    assert gate(OrderKind.GOLDEN).is_open
-    assert not gate(OrderKind.UNIT).is_open
+    assert gate(OrderKind.GOLDEN, WARM).is_open
+    assert not gate(OrderKind.UNIT, WARM).is_open
     golden(registry, passed=True)
-    assert gate(OrderKind.UNIT).is_open
+    assert gate(OrderKind.UNIT, WARM).is_open
+    assert not gate(OrderKind.UNIT, RigFacts()).is_open  # not warm
 
 
 def test_a_failed_golden_unit_closes_the_gate_and_quarantines(registry):
@@ -51,17 +52,20 @@ def test_a_failed_golden_unit_closes_the_gate_and_quarantines(registry):
     queue.place(Order("o1", "s1", OrderKind.UNIT, "A1", created=NOW - timedelta(hours=1)))
     queue.report(Progress("o1", RunState.DONE, recording_sha256="abc"))
     golden(registry, False)
-    assert (
-        "outside its control limits"
-        in gate_from_registry(registry, "s1", CONFIG, LONG_AGO, GateRules())(OrderKind.UNIT).reasons[0]
-    )
+    (reason,) = StationGate(registry, "s1", CONFIG, GateRules())(OrderKind.UNIT, WARM).reasons
+    assert "outside its control limits" in reason
     assert quarantine(registry, "s1", datetime.now(UTC)) == ("A1",)
 
 
-def test_an_override_opens_the_gate_in_spite_of_the_reasons(registry):
-    override = Override("kim", "certificate is in the post", NOW + timedelta(hours=1))
-    gate = gate_from_registry(registry, "s1", CONFIG, LONG_AGO, GateRules(), override)(OrderKind.UNIT)
-    assert gate.is_open and gate.reasons
+def test_an_override_opens_the_gate_in_spite_of_the_reasons_and_is_audited(registry):
+    gate = StationGate(registry, "s1", CONFIG, GateRules())
+    with pytest.raises(InputError, match="needs a reason"):
+        gate.override("kim", " ")
+    gate.override("kim", "certificate is in the post")
+    answer = gate(OrderKind.UNIT, WARM)
+    assert answer.is_open and answer.reasons
+    row = registry.audit_rows()[-1]
+    assert (row.action, row.actor, row.reason) == ("override", "kim", "certificate is in the post")
 
 
 def test_a_golden_unit_without_calibration_cannot_judge(registry):

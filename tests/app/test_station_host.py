@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 import pytest
 
 from softcal.app.station_host import StationHost
+from softcal.app.workflow.pressed_run import RunKeeper
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, RunState, StationState
@@ -38,10 +39,12 @@ class Opened:
 
 
 def make_host(registry, folder):
-    def service(hooks: Hooks) -> StationService:
+    def service(report, is_stop_wanted) -> StationService:
+        hooks = Hooks(report, is_stop_wanted, lambda kind, rig: Gate())
         return StationService(Opened, {OrderKind.SOURCE: QUICK, OrderKind.UNIT: QUICK}, folder, hooks)
 
-    return StationHost(registry, "s1", lambda kind: Gate(()), service)
+    keeper = RunKeeper(registry, "s1")
+    return StationHost(registry.order_queue, "s1", keeper, lambda actor, reason: None, service)
 
 
 def serve_until(host, is_done, limit_s=60.0):
@@ -51,6 +54,18 @@ def serve_until(host, is_done, limit_s=60.0):
 
 def state_of(registry, order_id):
     return registry.order_queue.progress(order_id).state
+
+
+def placed_and_ended(registry, lot):
+    """Return a look that places one order the first time, and tells whether it has ended."""
+    queue = registry.order_queue
+
+    def is_done():
+        if not queue.runs("s1"):
+            queue.place(Order("o1", "s1", OrderKind.UNIT, "A1", lot))
+        return not state_of(registry, "o1").is_active
+
+    return is_done
 
 
 def test_an_order_becomes_a_recording_in_the_registry(registry, tmp_path):
@@ -108,7 +123,6 @@ def test_a_stop_order_reaches_a_run_in_progress(registry, tmp_path):
 def test_a_recording_waits_for_a_registry_that_is_away(registry, tmp_path, monkeypatch):
     from softcal.core.errors import RegistryError
 
-    queue = registry.order_queue
     host = make_host(registry, tmp_path)
     away = {"left": 3}
     add = type(registry).add_recording
@@ -121,11 +135,36 @@ def test_a_recording_waits_for_a_registry_that_is_away(registry, tmp_path, monke
 
     monkeypatch.setattr(type(registry), "add_recording", sometimes)
 
-    def place_and_wait():
-        if not queue.runs("s1"):
-            queue.place(Order("o1", "s1", OrderKind.UNIT, "A1", "L1"))
-        return not state_of(registry, "o1").is_active
-
-    serve_until(host, place_and_wait)
+    serve_until(host, placed_and_ended(registry, "L1"))
     assert state_of(registry, "o1") is RunState.DONE
     assert away["left"] == 0
+
+
+def test_the_end_of_an_order_is_told_once_the_registry_is_back(registry, tmp_path, monkeypatch):
+    from softcal.core.errors import RegistryError
+    from softcal.db.order_queue import OrderQueue
+
+    away = {"left": 4}
+    report = OrderQueue.report
+
+    def sometimes(self, progress):
+        if not progress.state.is_active and away["left"]:
+            away["left"] -= 1
+            raise RegistryError("the registry is away")
+        report(self, progress)
+
+    monkeypatch.setattr(OrderQueue, "report", sometimes)
+
+    serve_until(make_host(registry, tmp_path), placed_and_ended(registry, "no such lot"))
+    assert (state_of(registry, "o1"), away["left"]) == (RunState.ERROR, 0)
+
+
+def test_a_defect_ends_its_run_alone(registry, tmp_path, monkeypatch):
+    queue, host = registry.order_queue, make_host(registry, tmp_path)
+    monkeypatch.setattr(host._keeper, "keep", lambda *_: 1 / 0)
+
+    serve_until(host, placed_and_ended(registry, "L1"))
+    progress = queue.progress("o1")
+    assert (progress.state, progress.code) == (RunState.ERROR, "E-INTERNAL")
+    assert "ZeroDivisionError" in progress.message
+    assert host._service.spool_path(Order("o1", "s1", OrderKind.UNIT, "A1")).exists()  # what was pressed is kept

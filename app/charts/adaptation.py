@@ -1,0 +1,99 @@
+"""Drift, map, estimate and predicted error of a unit in use over time, as one figure that needs no network."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from softcal.app.live.trace import Trace
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+BLUE, ORANGE, GREY, RED = "#1f5fa8", "#d0730f", "#8a8f98", "#b3261e"
+BANDS = {BLUE: "rgba(31, 95, 168, 0.18)", ORANGE: "rgba(208, 115, 15, 0.18)"}
+
+Course = Sequence[Mapping[str, Any]]
+
+
+def adaptation_figure(
+    title: str, trace: Trace, maps: Course, output_unit: str = "V", reference_unit: str = "N"
+) -> "Figure":
+    """Return the figure.
+
+    Args:
+        title: unit and stream.
+        trace: the course of output, estimate and predicted error.
+        maps: the steps of the stream, oldest first, as `workflow.adapt.maps_of` reads them from the registry.
+    """
+    from plotly.subplots import make_subplots
+
+    rows = (f"Output [{output_unit}]", "Drift, in scales of the calibrated use", "Map")
+    figure = make_subplots(
+        rows=5,
+        cols=1,
+        shared_xaxes=True,
+        vertical_spacing=0.04,
+        subplot_titles=(*rows, f"Estimate [{reference_unit}]", f"Predicted error [{reference_unit}]"),
+    )
+    _line(figure, 1, trace.t_s, trace.output, "output", GREY)
+    seen = [step for step in maps if step["t_s"] is not None]
+    times = [step["t_s"] for step in seen]
+    _drift(figure, seen, times)
+    _line(figure, 3, times, [step["gain"] for step in seen], "gain", BLUE, step=True)
+    _line(figure, 3, times, [step["offset"] for step in seen], f"offset [{output_unit}]", ORANGE, step=True)
+    _band(figure, 4, trace.t_s, trace.lower, trace.upper, "90 % interval", BLUE)
+    _line(figure, 4, trace.t_s, trace.estimate, "estimate", BLUE)
+    _line(figure, 5, trace.t_s, trace.predicted_rmse, "predicted error", BLUE, step=True)
+    _alarms(figure, seen)
+    figure.update_layout(title=title, template="plotly_white", height=1150, hovermode="x unified", margin={"t": 90})
+    figure.update_xaxes(title_text="time [s]", row=5, col=1)
+    figure.update_yaxes(rangemode="tozero", row=5, col=1)
+    return figure
+
+
+def _drift(figure: "Figure", seen: Course, times: list[float]) -> None:
+    for name, shown, colour in (("shift", "shift", BLUE), ("log_gain", "log gain", ORANGE)):
+        lower, upper = ([step[name] + sign * step[f"{name}_sd"] for step in seen] for sign in (-1, 1))
+        _band(figure, 2, times, lower, upper, f"{shown} ± sd", colour)
+        _line(figure, 2, times, [step[name] for step in seen], shown, colour)
+    for verdict, symbol in (("held", "x"), ("tried", "triangle-up"), ("jumped", "diamond")):
+        if steps := [step for step in seen if step["verdict"] == verdict]:
+            figure.add_scatter(
+                x=[step["t_s"] for step in steps],
+                y=[step["shift"] for step in steps],
+                mode="markers",
+                marker={"symbol": symbol, "color": RED, "size": 8},
+                name=verdict,
+                text=[step["reason"] for step in steps],
+                row=2,
+                col=1,
+            )
+
+
+def _alarms(figure: "Figure", seen: Course) -> None:
+    alarms = [step for step in seen if step["alarm"]]
+    if alarms:
+        figure.add_scatter(
+            x=[step["t_s"] for step in alarms],
+            y=[step["predicted_rmse"] for step in alarms],
+            mode="markers",
+            marker={"symbol": "triangle-up", "color": RED, "size": 9},
+            name="recalibration due",
+            text=[step["alarm"] for step in alarms],
+            row=5,
+            col=1,
+        )
+
+
+def _line(
+    figure: "Figure", row: int, x: list[float], y: list[float], name: str, colour: str, step: bool = False
+) -> None:
+    line = {"color": colour, "width": 1.4} | ({"shape": "hv"} if step else {})
+    figure.add_scatter(x=x, y=y, mode="lines", line=line, name=name, row=row, col=1)
+
+
+def _band(
+    figure: "Figure", row: int, x: list[float], lower: list[float], upper: list[float], name: str, colour: str
+) -> None:
+    edge = {"mode": "lines", "line": {"width": 0}, "row": row, "col": 1}
+    figure.add_scatter(x=x, y=lower, showlegend=False, hoverinfo="skip", **edge)
+    figure.add_scatter(x=x, y=upper, fill="tonexty", fillcolor=BANDS[colour], name=name, **edge)

@@ -1,0 +1,171 @@
+"""A lot into Plotly figures: predicted errors, audited scores, the control chart, why units did not pass."""
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from softcal.app.charts.palette import Palette
+from softcal.app.charts.style import Words, coloured, level_line, limit_line, nice_step, styled
+from softcal.app.reasons import said
+from softcal.app.views.lot import LotView, ProcessView, reason_kind
+from softcal.core.control_chart import FORBIDDING, ControlChart
+from softcal.core.recording import Array, Indices
+
+BINS = 48
+SHOWN_VALUES = 300
+"""The control chart shows this many of the newest values; its limits and rules come from all of them."""
+
+MOST_BARS = 24
+"""Up to so many audited units have bars with their serials; more are ranked."""
+
+MOST_REASONS = 8
+
+
+def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure:
+    """Draw how many units have which predicted error, by verdict, with the lot's limit; far outliers are counted."""
+    every = view.predicted()
+    figure = go.Figure()
+    top = _far_end(every, view.lot.limit_rmse)
+    edges = np.linspace(0.0, top, BINS + 1)
+    for verdict, colour in colours.verdict.items():
+        counts, _ = np.histogram(view.predicted(verdict), edges)
+        if counts.any():
+            name = words(f"verdict.{verdict}")
+            figure.add_bar(x=edges[:-1], y=counts, width=edges[1], offset=0, name=name, marker_color=colour)
+    figure.update_layout(barmode="stack", yaxis_tickformat="d", yaxis_rangemode="tozero")
+    # Without a step of their own the ticks would follow the bars, at odd numbers.
+    figure.update_xaxes(range=[0.0, top], dtick=nice_step(top), tick0=0)
+    if view.lot.limit_rmse is not None:
+        limit_line(figure, view.lot.limit_rmse, colours, words("chart.limit"))
+    beyond = int(np.sum(every > top))
+    if beyond:
+        text = words("chart.beyond", count=beyond, value=f"{top:.3g} {view.lot.reference_unit}")
+        where = {"xref": "paper", "yref": "paper", "x": 1, "y": 0.98, "showarrow": False, "xanchor": "right"}
+        figure.add_annotation(text=text, **where)
+    return styled(figure, colours, f"{words('column.predicted')} [{view.lot.reference_unit}]", words("chart.count"))
+
+
+def _far_end(values: Array, limit: float | None) -> float:
+    """Return where the axis ends: at the largest value, unless a few of them would squeeze all others together."""
+    if not len(values):
+        return 1.0
+    most = 2.5 * float(np.quantile(values, 0.8))
+    return max(min(1.02 * float(values.max()), most), 1.2 * (limit or 0.0))
+
+
+def audit_scores(view: LotView, colours: Palette, words: Words) -> go.Figure:
+    """Draw before, after and own of every audited unit; many units in the order of their error with the map."""
+    audited = sorted(view.audited, key=lambda row: row.after_rmse or 0.0) if _is_many(view) else view.audited
+    figure = go.Figure()
+    series = (("before", colours.raw), ("after", colours.mapped), ("own", colours.source))
+    for name, colour in series:
+        values = [getattr(row, f"{name}_rmse") for row in audited]
+        if not any(value is not None for value in values):
+            continue
+        if _is_many(view):
+            dots = {"color": colour, "size": 4}
+            figure.add_scatter(y=values, mode="markers", marker=dots, name=words(f"chart.{name}"))
+        else:
+            bars = [row.serial for row in audited]
+            figure.add_bar(x=bars, y=values, name=words(f"chart.{name}"), marker_color=colour)
+    title = words("chart.rank") if _is_many(view) else words("column.serial")
+    figure.update_xaxes(type="linear" if _is_many(view) else "category").update_yaxes(rangemode="tozero")
+    return styled(figure, colours, title, f"RMSE [{view.lot.reference_unit}]")
+
+
+def _is_many(view: LotView) -> bool:
+    return len(view.audited) > MOST_BARS
+
+
+def control_chart_figure(process: ProcessView, unit: str, colours: Palette, words: Words) -> go.Figure:
+    """Draw single values and moving ranges of the newest units with their control limits; broken rules stand out."""
+    chart = process.chart
+    if chart is None:
+        raise ValueError("no control chart without values")
+    first = max(0, len(chart.values) - SHOWN_VALUES)
+    at = np.arange(first, len(chart.values)) + 1
+    figure = make_subplots(rows=2, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.66, 0.34])
+    names = list(process.serials[first:])
+    _series(figure, 1, at, chart.values[first:], names, colours, f"%{{text}}: %{{y:.4g}} {unit}<extra></extra>")
+    ranges = np.concatenate([[np.nan], chart.moving_ranges])[first:]
+    _series(figure, 2, at, ranges, names, colours, f"%{{text}}: %{{y:.3g}} {unit}<extra></extra>")
+    _flagged(figure, chart, first, names, colours, words)
+    level_line(figure, chart.centre, colours.text, f"{chart.centre:.3g}")
+    for limit in (chart.lower, chart.upper):
+        level_line(figure, limit, colours.limit, f"{limit:.3g}", dash="dash")
+    level_line(figure, chart.range_upper, colours.limit, f"{chart.range_upper:.3g}", row=2, dash="dash")
+    figure.update_xaxes(title=words("chart.order"), row=2, col=1)
+    figure.update_yaxes(title=f"{words('column.predicted')} [{unit}]", automargin=True, row=1, col=1)
+    figure.update_yaxes(title=f"{words('chart.range')} [{unit}]", automargin=True, rangemode="tozero", row=2, col=1)
+    return coloured(figure, colours, 420).update_layout(showlegend=False, margin_t=20)
+
+
+def _series(
+    figure: go.Figure,
+    row: int,
+    at: Indices,
+    values: Array,
+    names: list[str],
+    colours: Palette,
+    hover: str,
+) -> None:
+    line = {"color": colours.source, "width": 1}
+    marker = {"color": colours.source, "size": 5}
+    figure.add_scatter(
+        x=at, y=values, text=names, mode="lines+markers", line=line, marker=marker, hovertemplate=hover, row=row, col=1
+    )
+
+
+def _flagged(
+    figure: go.Figure, chart: ControlChart, first: int, names: list[str], colours: Palette, words: Words
+) -> None:
+    rules: dict[int, list[int]] = {}
+    for signal in chart.signals:
+        if signal.index >= first and signal.rule in FORBIDDING:
+            rules.setdefault(signal.index, []).append(signal.rule)
+    text = [f"{names[k - first]}: {', '.join(words(f'rule.{rule}') for rule in found)}" for k, found in rules.items()]
+    figure.add_scatter(
+        x=[k + 1 for k in rules],
+        y=[chart.values[k] for k in rules],
+        text=text,
+        mode="markers",
+        marker={"color": colours.limit, "size": 10, "symbol": "diamond"},
+        hovertemplate="%{text}<extra></extra>",
+        row=1,
+        col=1,
+    )
+
+
+def reasons_pareto(view: LotView, colours: Palette, words: Words) -> go.Figure:
+    """Draw why units did not pass, the most frequent reason on top, with the running share of all."""
+    shown = view.reasons[:MOST_REASONS]
+    counts = np.array([count for _, count in shown], dtype=float)
+    every = sum(count for _, count in view.reasons)
+    running = np.cumsum(counts) / every
+    names = [_wrapped(reason_kind(said(reason, words))) for reason, _ in shown]
+    labels = [f"{count:.0f}  ({share:.0%})" for count, share in zip(counts, running, strict=True)]
+    figure = go.Figure(
+        go.Bar(
+            x=counts,
+            y=names,
+            orientation="h",
+            marker_color=colours.source,
+            text=labels,
+            textposition="outside",
+            cliponaxis=False,
+        )
+    )
+    figure.update_yaxes(autorange="reversed")
+    figure.update_xaxes(range=[0, 1.3 * counts.max()], tickformat="d", dtick=max(1, nice_step(counts.max())))
+    return styled(figure, colours, words("chart.count_running"), "").update_layout(showlegend=False)
+
+
+def _wrapped(reason: str, width: int = 38) -> str:
+    lines, line = [], ""
+    for word in reason.split():
+        if line and len(line) + 1 + len(word) > width:
+            lines.append(line)
+            line = word
+        else:
+            line = f"{line} {word}".strip()
+    return "<br>".join([*lines, line][:3])

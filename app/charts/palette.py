@@ -1,0 +1,45 @@
+"""Colours of the screens, light and dark. Every text colour has a contrast of 4.5:1 or more on its ground."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Colours of one theme.
+
+    Args:
+        text, grid: of charts.
+        source, raw, mapped: the three window spaces a chart compares.
+        band: fill of an interval.
+        limit: lines that decide.
+        verdict: ground of a verdict's badge, white text on it.
+        chosen: words of what is chosen among others, on the page's ground and on a tint of it.
+        soft, line, good, bad: labels, borders, and words that say well or not well, on the page's ground.
+    """
+
+    text: str
+    grid: str
+    source: str
+    raw: str
+    mapped: str
+    band: str
+    limit: str
+    verdict: dict[str, str]
+    chosen: str
+    soft: str
+    line: str
+    good: str
+    bad: str
+
+
+VERDICT = {"pass": "#0A7D33", "conditional": "#9A5B00", "fail": "#B3141D", "retest": "#0B5FFF", "none": "#3F5B7A"}
+
+LIGHT = Palette("#1B2733", "#DDE3EA", "#3F5B7A", "#B4690E", "#0B5FFF", "rgba(11,95,255,0.16)", "#B3141D", VERDICT,
+                "#0B4FD6", "#4A5B6C", "#C9D2DB", "#0A7D33", "#B3141D")  # fmt: skip
+DARK = Palette("#E6EBF0", "#33404D", "#9DB4CC", "#E0A458", "#6FA3FF", "rgba(111,163,255,0.22)", "#FF7A80", VERDICT,
+               "#8DB6FF", "#A9B8C6", "#3A4855", "#4CC38A", "#FF8F94")  # fmt: skip
+
+
+def palette(theme: str | None) -> Palette:
+    """Return the colours of a theme; light unless it is `dark`."""
+    return DARK if theme == "dark" else LIGHT

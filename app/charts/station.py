@@ -1,0 +1,108 @@
+"""Profiles, source recordings and golden units into Plotly figures, the live signal into ECharts options."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from softcal.app.charts.palette import Palette
+from softcal.app.charts.style import Words, coloured, level_line, styled
+from softcal.app.views.profile import course
+from softcal.core.control_chart import ControlChart
+from softcal.core.orders import Signal
+from softcal.core.profiles import Profile
+from softcal.db.entries import GoldenRun
+
+
+def profile_figure(
+    profile: Profile, deepest_mm: float, fastest_mm_s: float, colours: Palette, words: Words
+) -> go.Figure:
+    """Draw position and speed over time with the bounds of the station."""
+    t_s, stage_mm, speed_mm_s = course(profile)
+    figure = make_subplots(rows=2, shared_xaxes=True, vertical_spacing=0.07, row_heights=[0.6, 0.4])
+    figure.add_scatter(x=t_s, y=stage_mm, line={"color": colours.mapped, "width": 1.6}, row=1, col=1)
+    figure.add_scatter(x=t_s, y=speed_mm_s, line={"color": colours.source, "width": 1.2}, row=2, col=1)
+    level_line(figure, deepest_mm, colours.limit, f"{deepest_mm:g} mm", row=1, dash="dash")
+    for sign in (-1, 1):
+        level_line(figure, sign * fastest_mm_s, colours.limit, f"{sign * fastest_mm_s:g} mm/s", row=2, dash="dash")
+    figure.update_yaxes(title=f"{words('chart.stage')} [mm]", automargin=True, row=1, col=1)
+    figure.update_yaxes(title=f"{words('chart.speed')} [mm/s]", automargin=True, row=2, col=1)
+    figure.update_xaxes(title=words("chart.time"), row=2, col=1)
+    return coloured(figure, colours, 440).update_layout(showlegend=False, margin_t=20)
+
+
+def golden_figure(runs: Sequence[GoldenRun], chart: ControlChart | None, colours: Palette, words: Words) -> go.Figure:
+    """Draw the checks with one golden unit over time, with control limits where there are enough of them."""
+    figure = go.Figure()
+    for passed, symbol, colour in ((True, "circle", colours.source), (False, "x", colours.limit)):
+        mine = [run for run in runs if run.passed is passed]
+        figure.add_scatter(
+            x=[run.made_at for run in mine],
+            y=[run.value for run in mine],
+            mode="markers",
+            marker={"symbol": symbol, "color": colour, "size": 9},
+            name=words("golden.passed" if passed else "golden.failed"),
+        )
+    if chart is not None:
+        figure.add_hline(chart.centre, line={"color": colours.text, "width": 1})
+        figure.add_hline(chart.upper, line={"color": colours.limit, "width": 1.5, "dash": "dash"})
+    figure.update_yaxes(rangemode="tozero")
+    return styled(figure, colours, words("column.made"), f"{words('chart.error')} [{runs[0].unit}]", 280)
+
+
+def live_spec(signal: Signal, words: Words) -> dict[str, Any]:
+    """Return the live signal of a run as ECharts options: drawn in place at each update."""
+    rows = [("output", signal.output_unit, signal.output)]
+    rows += [("force", "N", signal.force_N)] if signal.force_N else [("stage", "mm", signal.stage_mm)]
+    height = 100 / len(rows)
+    return {
+        "animation": False,
+        "grid": [
+            {"left": 70, "right": 20, "top": f"{6 + k * height}%", "height": f"{height - 18}%"}
+            for k in range(len(rows))
+        ],
+        "xAxis": [
+            {"type": "value", "gridIndex": k, "name": words("chart.time"), "nameLocation": "middle", "nameGap": 24}
+            for k in range(len(rows))
+        ],
+        "yAxis": [
+            {
+                "type": "value",
+                "gridIndex": k,
+                "scale": True,
+                "name": f"{words(f'chart.{name}')} [{unit}]",
+                "nameLocation": "middle",
+                "nameGap": 48,
+            }
+            for k, (name, unit, _) in enumerate(rows)
+        ],
+        "series": [
+            {
+                "type": "line",
+                "showSymbol": False,
+                "xAxisIndex": k,
+                "yAxisIndex": k,
+                "data": np.column_stack([signal.t_s, values]).round(6).tolist(),
+            }
+            for k, (_, _, values) in enumerate(rows)
+        ],
+    }
+
+
+def source_curve(reference: Any, output: Any, units: tuple[str, str], colours: Palette, words: Words) -> go.Figure:
+    """Draw the output of a source over its reference, loading and unloading apart."""
+    rising = np.gradient(reference) >= 0
+    figure = go.Figure()
+    for name, rows, colour in (("loading", rising, colours.mapped), ("unloading", ~rising, colours.raw)):
+        step = max(1, int(rows.sum()) // 2500)
+        marker = {"color": colour, "size": 3, "opacity": 0.6}
+        figure.add_scatter(
+            x=reference[rows][::step],
+            y=output[rows][::step],
+            mode="markers",
+            marker=marker,
+            name=words(f"chart.{name}"),
+        )
+    return styled(figure, colours, f"{words('chart.reference')} [{units[0]}]", f"{words('chart.output')} [{units[1]}]")

@@ -1,0 +1,63 @@
+"""How every Plotly figure of the screens looks. Colours come from the palette: limit lines are seen in the dark too."""
+
+import math
+from collections.abc import Callable
+
+import plotly.graph_objects as go
+
+from softcal.app.charts.palette import Palette
+
+Words = Callable[..., str]
+
+HEIGHT = 320
+CLEAR = "rgba(0,0,0,0)"
+
+
+def styled(figure: go.Figure, colours: Palette, x_title: str, y_title: str, height: int = HEIGHT) -> go.Figure:
+    """Give a figure the look of the screens and its axes their titles, each with its unit."""
+    grid = {"gridcolor": colours.grid, "zerolinecolor": colours.grid, "linecolor": colours.grid}
+    # Thousands, not "k" and "M": these are measured values, not sums of money.
+    figure.update_xaxes(title=x_title, title_standoff=8, exponentformat="power", **grid)
+    figure.update_yaxes(title=y_title, title_standoff=8, exponentformat="power", automargin=True, **grid)
+    return coloured(figure, colours, height)
+
+
+def coloured(figure: go.Figure, colours: Palette, height: int = HEIGHT) -> go.Figure:
+    """Give a figure that has its titles the ground, text and grid of the theme."""
+    axis = {"gridcolor": colours.grid, "zerolinecolor": colours.grid, "linecolor": colours.grid}
+    figure.update_xaxes(**axis).update_yaxes(**axis)
+    figure.update_annotations(font_color=colours.text)
+    return figure.update_layout(
+        template="none",
+        height=height,
+        margin={"l": 72, "r": 16, "t": 48, "b": 52},
+        paper_bgcolor=CLEAR,
+        plot_bgcolor=CLEAR,
+        font={"color": colours.text, "size": 13},
+        hoverlabel={"bgcolor": colours.grid, "font_color": colours.text},
+        legend={"orientation": "h", "y": 1.08, "yanchor": "bottom", "x": 0},
+    )
+
+
+def nice_step(span: float, count: int = 6) -> float:
+    """Return 1, 2 or 5 times a power of ten, so that about so many steps make the span."""
+    power = 10.0 ** math.floor(math.log10(span / count))
+    return next(step * power for step in (1, 2, 5, 10) if step * power * count >= span)
+
+
+def limit_line(figure: go.Figure, at: float, colours: Palette, text: str) -> None:
+    """Draw a vertical line that decides, with its name."""
+    font = {"color": colours.limit, "size": 12}
+    note = {"text": text, "font": font, "yref": "paper", "y": 1.0, "yanchor": "bottom", "xanchor": "left"}
+    figure.add_vline(at, line={"color": colours.limit, "width": 2}, annotation=note)
+
+
+def level_line(figure: go.Figure, at: float, colour: str, text: str, row: int = 1, dash: str = "solid") -> None:
+    """Draw a horizontal line with its name at the right end."""
+    figure.add_hline(
+        at,
+        line={"color": colour, "width": 1.5, "dash": dash},
+        annotation={"text": text, "font": {"color": colour, "size": 12}, "xanchor": "right", "yanchor": "bottom"},
+        row=row,
+        col=1,
+    )

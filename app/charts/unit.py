@@ -1,0 +1,94 @@
+"""One unit into Plotly figures: its outputs, its map, its estimates, and what its predicted error is made of."""
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from softcal.app.charts.palette import Palette
+from softcal.app.charts.style import Words, coloured, styled
+from softcal.app.views.common import thinned
+from softcal.app.views.unit import UnitView
+from softcal.core.lot import Lot
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+
+BINS = 60
+
+
+def output_distributions(view: UnitView, colours: Palette, words: Words) -> go.Figure:
+    """Draw the distribution of the source's output and of the unit's, raw and mapped."""
+    figure = go.Figure()
+    series = (
+        ("source", view.source.unlabelled.output, colours.source),
+        ("raw", view.recording.output, colours.raw),
+        ("mapped", view.mapped, colours.mapped),
+    )
+    low = min(float(values.min()) for _, values, _ in series)
+    high = max(float(values.max()) for _, values, _ in series)
+    for name, values, colour in series:
+        share, edges = np.histogram(values, bins=BINS, range=(low, high))
+        line = {"color": colour, "width": 2, "shape": "hvh", "dash": "dot" if name == "raw" else "solid"}
+        figure.add_scatter(x=edges[:-1], y=share / len(values), name=words(f"chart.{name}"), line=line)
+    return styled(figure, colours, f"{words('chart.output')} [{view.lot.output_unit}]", words("chart.density"))
+
+
+def map_curve(view: UnitView, colours: Palette, words: Words) -> go.Figure:
+    """Draw what the map makes of a steady output."""
+    level, mapped = view.map_curve()
+    figure = go.Figure()
+    figure.add_scatter(x=level, y=level, name=words("chart.identity"), line={"color": colours.source, "dash": "dot"})
+    figure.add_scatter(x=level, y=mapped, name=words("chart.mapped"), line={"color": colours.mapped, "width": 3})
+    unit = view.lot.output_unit
+    return styled(figure, colours, f"{words('chart.raw')} [{unit}]", f"{words('chart.source')} [{unit}]")
+
+
+def estimate_band(view: UnitView, colours: Palette, words: Words) -> go.Figure:
+    """Draw the estimate over time with its interval."""
+    result, unit = view.estimate, view.lot.reference_unit
+    at = thinned(result.t_s)
+    figure = go.Figure()
+    figure.add_scatter(x=result.t_s[at], y=result.upper[at], line={"width": 0}, showlegend=False, hoverinfo="skip")
+    figure.add_scatter(
+        x=result.t_s[at],
+        y=result.lower[at],
+        name=words("chart.interval"),
+        line={"width": 0},
+        fill="tonexty",
+        fillcolor=colours.band,
+    )
+    line = {"color": colours.mapped, "width": 1.5}
+    figure.add_scatter(x=result.t_s[at], y=result.estimate[at], name=words("chart.estimate"), line=line)
+    return styled(figure, colours, words("chart.time"), f"{view.lot.reference_quantity} [{unit}]")
+
+
+def hysteresis(view: UnitView, colours: Palette, words: Words) -> go.Figure:
+    """Draw the output over the estimate, loading and unloading apart."""
+    value, output = view.estimate.estimate, view.recording.output
+    known = np.isfinite(value)
+    value, output = value[known], output[known]
+    rising = np.gradient(value) >= 0 if len(value) > 1 else np.ones(len(value), dtype=bool)
+    figure = go.Figure()
+    for name, rows, colour in (("loading", rising, colours.mapped), ("unloading", ~rising, colours.raw)):
+        figure.add_scatter(**_dots(value[rows], output[rows]), name=words(f"chart.{name}"), marker_color=colour)
+    unit = f"{words('chart.estimate')} [{view.lot.reference_unit}]"
+    return styled(figure, colours, unit, f"{words('chart.output')} [{view.lot.output_unit}]")
+
+
+def recording(found: OutputRecording | LabelledRecording, lot: Lot, colours: Palette, words: Words) -> go.Figure:
+    """Draw a recording over time: the output, and the reference below it where there is one."""
+    labelled, plain = (found, found.unlabelled) if isinstance(found, LabelledRecording) else (None, found)
+    at = thinned(plain.t_s)
+    figure = make_subplots(rows=1 if labelled is None else 2, shared_xaxes=True, vertical_spacing=0.08)
+    series = [(words("chart.output"), lot.output_unit, plain.output, colours.raw)]
+    if labelled is not None:
+        series.append((lot.reference_quantity, lot.reference_unit, labelled.reference, colours.source))
+    for row, (name, unit, values, colour) in enumerate(series, 1):
+        line = {"color": colour, "width": 1.3}
+        figure.add_scatter(x=plain.t_s[at], y=values[at], name=name, line=line, row=row, col=1)
+        figure.update_yaxes(title=f"{name} [{unit}]", automargin=True, row=row, col=1)
+    figure.update_xaxes(title=words("chart.time"), row=len(series), col=1)
+    return coloured(figure, colours, 220 + 160 * (len(series) - 1)).update_layout(showlegend=False, margin_t=20)
+
+
+def _dots(x: Array, y: Array) -> dict[str, object]:
+    at = thinned(x, 2000)
+    return {"x": x[at], "y": y[at], "mode": "markers", "marker_size": 4, "marker_opacity": 0.6}

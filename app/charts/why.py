@@ -1,0 +1,137 @@
+"""Why a unit's verdict is what it is, in one figure of four panels that the screens and the command line share."""
+
+import textwrap
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from softcal.app.charts.palette import Palette
+from softcal.app.charts.style import Words, coloured
+from softcal.app.reasons import said
+from softcal.app.views.common import thinned
+from softcal.app.views.unit import UnitView
+
+HEIGHT = 860
+WIDTH = 150
+"""Characters of a line of reasons."""
+
+MOST_REASONS = 5
+PARTS, LOADS, INTERVAL, TIME = (1, 1), (1, 2), (2, 1), (2, 2)
+
+
+def why_figure(view: UnitView, colours: Palette, words: Words) -> go.Figure:
+    """Draw verdict and reasons above four panels.
+
+    What the predicted error is made of, with its 95 % interval and the limit; how the unit's loads are distributed with
+    and without its map beside the source's; the half width of the 90 % interval by load and direction over the
+    source's; and the estimate over time with the windows that are unlike any of the source marked.
+
+    Args:
+        view: one revision of a unit.
+        colours, words: of the screen; `palette("light")` and a text function on the command line.
+    """
+    titles = [words(f"why.{name}") for name in ("parts", "loads", "interval", "time")]
+    figure = make_subplots(rows=2, cols=2, subplot_titles=titles, horizontal_spacing=0.1, vertical_spacing=0.14)
+    _parts(figure, view, colours, words)
+    _loads(figure, view, colours, words)
+    _interval(figure, view, colours, words)
+    _time(figure, view, colours, words)
+    coloured(figure, colours, HEIGHT)
+    head = _head(view, colours, words)
+    lines = 1 + head.count("<br>")
+    return figure.update_layout(
+        title={"text": head, "x": 0.01, "y": 1, "yanchor": "top", "pad": {"t": 16}, "font": {"size": 14}},
+        margin={"t": 60 + 21 * lines, "l": 110, "r": 24, "b": 70},
+        height=HEIGHT + 21 * lines,
+        legend={"orientation": "h", "y": -0.08, "yanchor": "top", "x": 0},
+    )
+
+
+def _head(view: UnitView, colours: Palette, words: Words) -> str:
+    verdict, reasons = view.calibration.verdict, view.calibration.verdict.reasons
+    badge = f"<b style='color:{colours.verdict[verdict.word]}'>{words(f'verdict.{verdict.word}')}</b>"
+    head = f"<b>{view.calibration.serial}</b>  {badge}  {view.calibration.unit_map.family}"
+    lines = [line for reason in reasons[:MOST_REASONS] for line in textwrap.wrap(f"• {said(reason, words)}", WIDTH)]
+    return "<br>".join([head, *lines])
+
+
+def _parts(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
+    found, unit = view.explanation, view.lot.reference_unit
+    names, values = list(found.contributions)[::-1], list(found.contributions.values())[::-1]
+    bars = go.Bar(x=values, y=names, orientation="h", marker_color=colours.source, showlegend=False)
+    _at(figure, PARTS, bars)
+    if found.forecast is not None:
+        low, middle, high = found.forecast
+        spread = {"type": "data", "symmetric": False, "array": [high - middle], "arrayminus": [middle - low]}
+        marker, name = {"color": colours.mapped, "size": 12, "symbol": "diamond"}, words("column.predicted")
+        _at(figure, PARTS, go.Scatter(x=[middle], y=[name], mode="markers", marker=marker, error_x=spread, name=name))
+    if found.limit is not None:
+        figure.add_vline(found.limit, line={"color": colours.limit, "width": 2}, row=PARTS[0], col=PARTS[1])
+        _at(figure, PARTS, _key(words("chart.limit"), colours.limit, "solid"))
+    _titled(figure, PARTS, f"{words('chart.error')} [{unit}]", "")
+    figure.update_xaxes(rangemode="tozero", row=PARTS[0], col=PARTS[1])
+
+
+def _loads(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
+    found = view.explanation
+    middles = (found.density_edges[1:] + found.density_edges[:-1]) / 2
+    for name, density, colour, dash in (
+        (words("chart.source"), found.source_density, colours.source, "solid"),
+        (words("chart.mapped"), found.mapped_density, colours.mapped, "solid"),
+        (words("chart.raw"), found.unmapped_density, colours.raw, "dot"),
+    ):
+        line = {"color": colour, "width": 2, "shape": "hvh", "dash": dash}
+        _at(figure, LOADS, go.Scatter(x=middles, y=density, name=name, line=line))
+    _titled(figure, LOADS, _load(view), words("chart.density"))
+
+
+def _interval(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
+    found = view.explanation
+    for k, direction in enumerate(found.directions):
+        dash = ("solid", "dash", "dot")[k % 3]
+        for half_width, colour, width in (
+            (found.source_half_width[k], colours.source, 1.5),
+            (found.half_width[k], colours.mapped, 2.5),
+        ):
+            line = {"color": colour, "dash": dash, "width": width}
+            _at(figure, INTERVAL, go.Scatter(x=found.levels, y=half_width, line=line, showlegend=False))
+        _at(figure, INTERVAL, _key(words(f"chart.{direction}"), colours.text, dash))
+    _titled(figure, INTERVAL, _load(view), f"± [{view.lot.reference_unit}]")
+    figure.update_yaxes(rangemode="tozero", row=INTERVAL[0], col=INTERVAL[1])
+
+
+def _time(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
+    found = view.explanation
+    at = thinned(found.t_s)
+    line = {"color": colours.mapped, "width": 1.2}
+    _at(figure, TIME, go.Scatter(x=found.t_s[at], y=found.estimate[at], line=line, name=words("chart.estimate")))
+    strange = np.flatnonzero(found.distance > found.familiar_distance)
+    if len(strange):
+        rows = strange[thinned(strange.astype(np.float64))]
+        marker = {"color": colours.limit, "size": 5}
+        name = words("why.unfamiliar")
+        _at(
+            figure,
+            TIME,
+            go.Scatter(x=found.t_s[rows], y=found.estimate[rows], mode="markers", marker=marker, name=name),
+        )
+    _titled(figure, TIME, words("chart.time"), _load(view))
+
+
+def _key(name: str, colour: str, dash: str) -> go.Scatter:
+    """Return an empty line that puts a name into the legend."""
+    return go.Scatter(x=[None], y=[None], mode="lines", line={"color": colour, "dash": dash}, name=name)
+
+
+def _load(view: UnitView) -> str:
+    return f"{view.lot.reference_quantity} [{view.lot.reference_unit}]"
+
+
+def _at(figure: go.Figure, place: tuple[int, int], trace: go.Bar | go.Scatter) -> None:
+    figure.add_trace(trace, row=place[0], col=place[1])
+
+
+def _titled(figure: go.Figure, place: tuple[int, int], x_title: str, y_title: str) -> None:
+    figure.update_xaxes(title_text=x_title, title_standoff=6, row=place[0], col=place[1])
+    figure.update_yaxes(title_text=y_title, title_standoff=6, automargin=True, row=place[0], col=place[1])

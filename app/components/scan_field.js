@@ -1,0 +1,96 @@
+// A field that always listens: a scanner is a keyboard that types fast and ends with Enter, Tab or nothing at all.
+const KEYSTROKE_MS = 45
+const SILENCE_MS = 300
+const SHORTEST = 2
+// A scan that the server has not taken is sent again, but never so late that it would surprise anybody.
+const AGAIN_MS = 1000
+const TOO_LATE_MS = 5000
+const waiting = []
+let timer
+
+export default function ({ data, parentElement, setTriggerValue }) {
+  const field = parentElement.querySelector("input")
+  const live = parentElement.querySelector("[aria-live]")
+  parentElement.querySelector("label span").textContent = data.label
+  field.placeholder = data.placeholder
+  if (live.textContent !== data.spoken) live.textContent = data.spoken
+
+  const hand = () => {
+    clearTimeout(timer)
+    const isDue = (scan) => scan.id > data.taken && Date.now() - scan.id < TOO_LATE_MS
+    waiting.splice(0, waiting.length, ...waiting.filter(isDue))
+    if (!waiting.length) return
+    setTriggerValue("scan", [...waiting])
+    timer = setTimeout(() => document.softcalHand(), AGAIN_MS)
+  }
+  document.softcalHand = hand
+  const take = (text) => {
+    waiting.push({ id: Math.max(Date.now(), (waiting.at(-1)?.id ?? 0) + 1), text })
+    hand()
+  }
+  const send = () => {
+    clearTimeout(field.silence)
+    const text = field.value
+    field.value = ""
+    field.strokes = []
+    if (text.trim()) take(text)
+  }
+
+  // Runs again on every change of data: handlers are assigned, so that there is always one of each.
+  field.onkeydown = (event) => {
+    if (event.key === "Enter" || (event.key === "Tab" && field.value)) {
+      event.preventDefault()
+      send()
+    } else if (event.ctrlKey && event.key === "]") {
+      event.preventDefault()
+      field.value += "\u001d"
+    } else if (event.key === "Escape") {
+      field.value = ""
+    }
+  }
+  field.oninput = (event) => {
+    const isFirst = field.value.length <= (event.data || "x").length
+    const strokes = (field.strokes = isFirst ? [] : (field.strokes ?? []))
+    // Some scanners hand all letters over at once.
+    for (const _ of event.data || "x") strokes.push(performance.now())
+    clearTimeout(field.silence)
+    const count = strokes.length
+    const isScanner = count >= SHORTEST && (strokes[count - 1] - strokes[0]) / (count - 1) < KEYSTROKE_MS
+    if (isScanner) field.silence = setTimeout(send, SILENCE_MS)
+  }
+
+  const isOther = (element) => element && element.matches?.("input, textarea, select, [contenteditable], [role=combobox]")
+  document.softcalScan?.abort()
+  const listening = (document.softcalScan = new AbortController())
+  document.addEventListener(
+    "keydown",
+    (event) => {
+      const command = data.keys[event.key]
+      if (command && !event.ctrlKey && !event.altKey && !event.metaKey) {
+        event.preventDefault()
+        take(`CMD:${command}`)
+        return
+      }
+      const at = event.composedPath()[0]
+      const isText = event.key.length === 1 && !event.ctrlKey && !event.altKey && !event.metaKey
+      const isPress = event.key === " " && at.matches?.("button, a, summary")
+      if (isText && !isPress && at !== field && !isOther(at)) field.focus()
+    },
+    { capture: true, signal: listening.signal },
+  )
+  document.addEventListener(
+    "pointerup",
+    (event) => {
+      const path = event.composedPath()
+      if (!path.some((element) => isOther(element))) setTimeout(() => field.focus({ preventScroll: true }), 150)
+    },
+    { signal: listening.signal },
+  )
+  if (!isOther(document.activeElement) && !document.activeElement?.matches("button, a")) {
+    field.focus({ preventScroll: true })
+  }
+  return () => {
+    clearTimeout(timer)
+    listening.abort()
+  }
+}

@@ -1,0 +1,46 @@
+"""The field every scan goes into: focus is always there, F-keys are commands, and it tells screen readers the state."""
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+
+import streamlit as st
+
+KEY, TAKEN = "scan-field", "scan-taken"
+HTML = """
+<label>
+  <svg width="34" height="28" viewBox="0 0 34 28" aria-hidden="true" fill="currentColor">
+    <path d="M0 0h3v28H0zM6 0h2v28H6zM11 0h4v28h-4zM18 0h2v28h-2zM23 0h3v28h-3zM29 0h1.5v28H29zM32 0h2v28h-2z"/>
+  </svg>
+  <span></span>
+  <input type="text" inputmode="none" autocomplete="off" autocapitalize="off" spellcheck="false">
+</label>
+<div role="status" aria-live="assertive"></div>
+"""
+
+
+def scan_field(texts: Mapping[str, str], keys: Mapping[str, str], on_scan: Callable[[str], None]) -> None:
+    """Draw the field.
+
+    Args:
+        texts: `label`, `placeholder`, and `spoken`: what screen readers say when it changes.
+        keys: function key → command; a press is the same as a scan of `CMD:COMMAND`.
+        on_scan: takes what was scanned, before the page is drawn again.
+    """
+
+    def hand_on() -> None:
+        for scan in st.session_state[KEY].scan or ():
+            # The browser sends a scan again until it hears that it was taken.
+            if scan["id"] > st.session_state.get(TAKEN, 0):
+                st.session_state[TAKEN] = scan["id"]
+                on_scan(str(scan["text"]))
+
+    # Registered here because a component needs a running server; the same again changes nothing.
+    draw = st.components.v2.component("softcal_scan", html=HTML, css=_beside(".css"), js=_beside(".js"))
+    taken = st.session_state.get(TAKEN, 0)
+    draw(data={**texts, "keys": dict(keys), "taken": taken}, key=KEY, on_scan_change=hand_on)
+
+
+@cache
+def _beside(suffix: str) -> str:
+    return Path(__file__).with_suffix(suffix).read_text(encoding="utf-8")

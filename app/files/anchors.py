@@ -1,0 +1,32 @@
+"""Known loads of target units from a table: `serial, output, reference` rows, or without serial for a lot of one."""
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from softcal.app.files.recording_file import column, named_column, read_table
+from softcal.core.errors import InputError
+from softcal.core.maps.interface import Anchors
+
+
+def read_anchors(path: Path, serials: Collection[str]) -> Mapping[str, Anchors]:
+    """Read the anchors of a lot by serial.
+
+    Raises:
+        InputError: the table cannot be read, names a unit that the lot does not have, or leaves open whose they are.
+    """
+    table = read_table(path)
+    output, reference = column(table, "output", path), column(table, "reference", path)
+    if "serial" not in table.columns:
+        if len(serials) != 1:
+            raise InputError(
+                f"{path}: no column 'serial', and the lot has {len(serials)} units; say whose anchors they are"
+            )
+        return {next(iter(serials)): Anchors(output, reference)}
+    owners = named_column(table, "serial", path).astype(str).to_numpy()
+    strangers = sorted(set(owners) - set(serials))
+    if strangers:
+        row = int(np.flatnonzero(owners == strangers[0])[0])
+        raise InputError(f"{path}: line {row + 2}: the lot has no unit {strangers[0]!r}")
+    return {serial: Anchors(output[owners == serial], reference[owners == serial]) for serial in sorted(set(owners))}

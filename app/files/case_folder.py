@@ -1,0 +1,163 @@
+"""A case for diagnosis on disk: runs of one unit on one rig, each a folder with recording.csv and recording.json."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from softcal.app.files.recording_file import column, naming, read_table
+from softcal.core.errors import InputError
+from softcal.core.gap.case import CHANNELS, KINDS, Case, Run
+from softcal.core.recording import Array
+from softcal.core.twin.parameters import ReadoutMetadata, SensorType
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+RECORDING, METADATA = "recording.csv", "recording.json"
+KNOWN_COLUMNS = (*CHANNELS, "known_force_N")
+
+
+def open_case(folder: Path) -> Case:
+    """Read a case: `runs/<name>/` below the folder, or the folder itself as its only run.
+
+    Raises:
+        InputError: a file is missing or cannot be read, metadata are missing or wrong, or the runs do not belong
+            together.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such folder; a case holds runs/<n>/{RECORDING} and {METADATA}")
+    places = _run_folders(folder)
+    runs = []
+    serials = []
+    for place in places:
+        metadata = _metadata(place / METADATA)
+        serials.append(str(metadata["serial"]))
+        runs.append(_run(place, folder, metadata))
+    with naming(folder):
+        if len(set(serials)) > 1:
+            raise InputError(f"runs of several units ({', '.join(sorted(set(serials)))}); a case is of one unit")
+        return Case(serials[0], tuple(runs))
+
+
+OTHER_NAMES = {"output": "output_V", "reference": "force_N"}
+"""Columns of a lot folder's audits, and what they are to the twin."""
+
+
+def open_table(path: Path, readout: ReadoutMetadata) -> Case:
+    """Read one plain table (CSV, .xlsx, Parquet) as the only run of a case.
+
+    Args:
+        path: columns `force_N, output_V` or those of a lot folder's audits, `stage_mm` and `t_s` where there are any.
+        readout: the electronics, which a plain table does not say.
+
+    Raises:
+        InputError: the table cannot be read or shows no gap.
+    """
+    table = read_table(path).rename(columns=OTHER_NAMES)
+    channels = {name: column(table, name, path) for name in CHANNELS if _is_recorded(table, name)}
+    with naming(path):
+        run = Run(
+            name=path.stem,
+            t_s=_time(table, path, readout.sample_rate_Hz),
+            readout=readout,
+            stage_mm=channels.get("stage_mm"),
+            force_N=channels.get("force_N"),
+            output_V=channels.get("output_V"),
+            temperature_C=channels.get("temperature_C"),
+        )
+        return Case(path.stem, (run,))
+
+
+def _run_folders(folder: Path) -> list[Path]:
+    if (folder / RECORDING).is_file():
+        return [folder]
+    inner = folder / "runs"
+    places = sorted((p for p in inner.iterdir() if p.is_dir()), key=_by_number) if inner.is_dir() else []
+    if not places:
+        tables = sorted(p.name for p in folder.iterdir() if p.suffix in (".csv", ".parquet", ".xlsx"))
+        hint = f"; to diagnose {tables[0]} alone, name it and give --vref-V, --adc-bits and --rate-Hz" if tables else ""
+        raise InputError(f"{folder}: neither {RECORDING} nor runs/<n>/{RECORDING}; this is no case{hint}")
+    for place in places:
+        if not (place / RECORDING).is_file():
+            raise InputError(f"{place}: there is no {RECORDING}; add it, or remove the folder")
+    return places
+
+
+def _by_number(place: Path) -> tuple[int, str]:
+    return (int(place.name), "") if place.name.isdigit() else (10**9, place.name)
+
+
+def _metadata(path: Path) -> Mapping[str, object]:
+    if not path.is_file():
+        raise InputError(
+            f"{path}: missing; it must declare vref_V, adc_bits, r_series_ohm, sample_rate_Hz and serial of the run"
+        )
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
+        raise InputError(f"{path}: cannot be read as JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: an object with names and values was expected")
+    missing = [k for k in ("vref_V", "adc_bits", "r_series_ohm", "sample_rate_Hz", "serial") if content.get(k) is None]
+    if missing:
+        raise InputError(f"{path}: {', '.join(missing)} missing; the diagnosis cannot guess the electronics")
+    return content
+
+
+def _number(metadata: Mapping[str, object], name: str, path: Path) -> float:
+    value = metadata[name]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{path}: {name} is {value!r}; a number was expected")
+    return float(value)
+
+
+def _run(place: Path, case: Path, metadata: Mapping[str, object]) -> Run:
+    path, described = place / RECORDING, place / METADATA
+    table = read_table(path)
+    kind = metadata.get("kind") or "press"
+    if kind not in KINDS:
+        raise InputError(f"{described}: kind {kind!r} is not known; known are {', '.join(KINDS)}")
+    bits = _number(metadata, "adc_bits", described)
+    if bits != int(bits):
+        raise InputError(f"{described}: adc_bits is {bits}; a whole number was expected")
+    with naming(described):
+        readout = ReadoutMetadata(
+            vref_V=_number(metadata, "vref_V", described),
+            adc_bits=int(bits),
+            r_series_ohm=_number(metadata, "r_series_ohm", described),
+            sample_rate_Hz=_number(metadata, "sample_rate_Hz", described),
+            sensor_type=cast(SensorType, metadata.get("sensor_type") or "pressure"),
+        )
+    channels = {name: column(table, name, path) for name in KNOWN_COLUMNS if _is_recorded(table, name)}
+    with naming(path):
+        return Run(
+            name=place.name if place != case else "recording",
+            t_s=_time(table, path, readout.sample_rate_Hz),
+            readout=readout,
+            dummy_ohm=_number(metadata, "dummy_ohm", described) if metadata.get("dummy_ohm") is not None else None,
+            kind=kind,
+            profile=str(metadata.get("profile") or ""),
+            stage_mm=channels.get("stage_mm"),
+            force_N=channels.get("force_N"),
+            output_V=channels.get("output_V"),
+            temperature_C=channels.get("temperature_C"),
+            known_force_N=channels.get("known_force_N"),
+        )
+
+
+def _is_recorded(table: "pd.DataFrame", name: str) -> bool:
+    """A column of nothing but empty cells is a channel that was not recorded."""
+    return name in table.columns and not bool(table[name].isna().all())
+
+
+def _time(table: "pd.DataFrame", path: Path, sample_rate_Hz: float) -> Array:
+    if "t_s" in table.columns:
+        return column(table, "t_s", path)
+    if not any(name in table.columns for name in KNOWN_COLUMNS):
+        seen = ", ".join(map(str, table.columns[:12]))
+        raise InputError(f"{path}: none of t_s, {', '.join(KNOWN_COLUMNS)}; the file has: {seen}")
+    return np.arange(len(table)) / sample_rate_Hz

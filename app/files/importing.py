@@ -1,0 +1,177 @@
+"""Make a lot folder out of the tables people have: one file per unit, or one wide file with a column per unit."""
+
+import fnmatch
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from softcal.app.files.atomic import whole_folder
+from softcal.app.files.lot_folder import write_lot_toml
+from softcal.app.files.recording_file import column, naming, read_table, write_columns
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot, check_serial
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Which columns of the tables hold what.
+
+    Args:
+        output: name of the output column; with `*` or `?` it names many, and each becomes a unit of that name.
+        reference: name of the reference column, None where a table has none.
+        time: name of the time column in s; None makes time stamps from the sample rate.
+        stage: name of the stage position column in mm, None where there is none.
+    """
+
+    output: str = "output"
+    reference: str | None = None
+    time: str | None = None
+    stage: str | None = None
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether one table holds a column per unit."""
+        return any(c in self.output for c in "*?[")
+
+
+@dataclass(frozen=True)
+class ImportPlan:
+    """What to import and what the lot is to be.
+
+    Args:
+        files: the tables.
+        columns: which columns hold what.
+        lot: facts of the lot; its `sample_rate_Hz` must be known unless there is a time column.
+        audit: whether references of target units are kept in audit/, where they only score.
+        fit_rows, audit_rows: (start, stop) of data rows, counted from 0, for recordings that fit and that score;
+            None takes all.
+        sheet: sheet of an Excel file; None takes the first.
+        serials: serial of each file in order; None takes the file names.
+    """
+
+    files: Sequence[Path]
+    columns: Columns
+    lot: Lot
+    audit: bool = False
+    fit_rows: tuple[int, int] | None = None
+    audit_rows: tuple[int, int] | None = None
+    sheet: str | None = None
+    serials: Sequence[str] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedUnit:
+    """One unit as read: the whole recording, and its reference where the table had one."""
+
+    recording: OutputRecording
+    reference: Array | None
+
+    def part(self, rows: tuple[int, int] | None) -> "ImportedUnit":
+        """Return the given data rows; the whole where `rows` is None."""
+        if rows is None:
+            return self
+        start, stop = rows
+        if not 0 <= start < stop <= len(self.recording):
+            raise InputError(f"rows {start}:{stop} of {self.recording.serial}: it has {len(self.recording)} rows")
+        reference = None if self.reference is None else self.reference[start:stop]
+        return ImportedUnit(self.recording.part(start, stop), reference)
+
+
+def import_lot(plan: ImportPlan, folder: Path) -> list[str]:
+    """Write a lot folder, whole or not at all, and return the serials of its target units.
+
+    Raises:
+        InputError: `folder` exists and is not empty, a table cannot be used, a serial comes twice, or the source is
+            not among the units or has no reference.
+    """
+    units = _read_units(plan)
+    source = units.get(plan.lot.source)
+    if source is None:
+        raise InputError(f"source {plan.lot.source!r} is none of the units {', '.join(list(units)[:8])}")
+    if source.reference is None:
+        raise InputError(f"source {plan.lot.source!r} has no reference; name its column with --reference-column")
+    with whole_folder(folder) as part:
+        _write(part, plan, units)
+    return [serial for serial in units if serial != plan.lot.source]
+
+
+def _write(folder: Path, plan: ImportPlan, units: dict[str, ImportedUnit]) -> None:
+    write_lot_toml(folder, plan.lot)
+    for serial, unit in units.items():
+        fit = unit.part(plan.fit_rows)
+        if serial == plan.lot.source:
+            # The check of both columns together happens here, so that a lot folder never holds a broken source.
+            LabelledRecording(fit.recording, _present(fit.reference))
+            _write_unit(folder / "source" / f"{serial}.csv", fit)
+        else:
+            _write_unit(folder / "units" / f"{serial}.csv", ImportedUnit(fit.recording, None))
+        if plan.audit and unit.reference is not None:
+            _write_unit(folder / "audit" / f"{serial}.csv", unit.part(plan.audit_rows))
+
+
+def _present(reference: Array | None) -> Array:
+    if reference is None:
+        raise InputError("the source has no reference")
+    return reference
+
+
+def _write_unit(path: Path, unit: ImportedUnit) -> None:
+    columns = [("t_s", unit.recording.t_s), ("output", unit.recording.output)]
+    if unit.reference is not None:
+        columns.append(("reference", unit.reference))
+    if unit.recording.stage_mm is not None:
+        columns.append(("stage_mm", unit.recording.stage_mm))
+    write_columns(path, columns)
+
+
+def _read_units(plan: ImportPlan) -> dict[str, ImportedUnit]:
+    if not plan.files:
+        raise InputError("no file to import; name at least one CSV, Excel or Parquet file")
+    if plan.serials is not None and (plan.columns.is_wide or len(plan.serials) != len(plan.files)):
+        raise InputError(
+            f"{len(plan.serials)} serials for {len(plan.files)} files; give one --serial per file, in order"
+        )
+    units: dict[str, ImportedUnit] = {}
+    for k, path in enumerate(plan.files):
+        table = read_table(path, plan.sheet)
+        if plan.columns.is_wide:
+            outputs = [str(c) for c in table.columns if fnmatch.fnmatchcase(str(c), plan.columns.output)]
+            if not outputs:
+                raise InputError(f"{path}: no column matches {plan.columns.output!r}")
+        else:
+            outputs = [plan.columns.output]
+        for output in outputs:
+            serial = output if plan.columns.is_wide else (plan.serials[k] if plan.serials else path.stem)
+            with naming(path):
+                check_serial(serial)
+                if serial in units:
+                    raise InputError(f"serial {serial!r} comes twice; every unit needs its own")
+                units[serial] = _read_unit(table, path, output, serial, plan)
+    return units
+
+
+def _read_unit(table: "pd.DataFrame", path: Path, output: str, serial: str, plan: ImportPlan) -> ImportedUnit:
+    columns, rate_Hz = plan.columns, plan.lot.sample_rate_Hz
+    values = column(table, output, path)
+    t_s = np.arange(len(values)) / rate_Hz if columns.time is None else column(table, columns.time, path)
+    stage_mm = None if columns.stage is None else column(table, columns.stage, path)
+    reference = None
+    if columns.reference is not None and (serial == plan.lot.source or columns.reference in table.columns):
+        reference = column(table, columns.reference, path)
+    return ImportedUnit(OutputRecording(serial, t_s, values, rate_Hz, plan.lot.output_unit, stage_mm), reference)
+
+
+def median_rate_Hz(path: Path, time_column: str, sheet: str | None = None) -> float:
+    """Return the sample rate that the time column of a table shows, rounded to five digits."""
+    t_s = column(read_table(path, sheet), time_column, path)
+    steps = np.diff(t_s)
+    if not np.any(steps > 0):
+        raise InputError(f"{path}: column {time_column!r} never advances; give --sample-rate or another --time-column")
+    return float(f"{1 / np.median(steps[steps > 0]):.5g}")

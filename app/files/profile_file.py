@@ -1,0 +1,59 @@
+"""A stage profile as a TOML file that people write and read: one move a line, target, speed and hold."""
+
+import math
+import tomllib
+from pathlib import Path
+
+from softcal.core.errors import InputError
+from softcal.core.profiles import Profile, moves
+
+KEYS = ("name", "moves")
+
+
+def read_profile(path: Path) -> Profile:
+    """Return the profile of a file.
+
+    Raises:
+        InputError: it cannot be read, a key is unknown, or a move is not three numbers that make sense; its line among
+            the moves is named.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; write one with `softcal station profiles --write`") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: is no TOML file: {error}") from error
+    unknown = set(content) - set(KEYS)
+    rows = content.get("moves")
+    if unknown or not isinstance(rows, list) or not rows:
+        what = f"unknown key {min(unknown)!r}" if unknown else "no moves"
+        raise InputError(f"{path}: {what}; expected are name and moves = [[target mm, speed mm/s, hold s], ...]")
+    targets, speeds, holds = zip(*(_move(path, k, row) for k, row in enumerate(rows, start=1)), strict=True)
+    return moves(str(content.get("name", path.stem)), targets, speeds, holds)
+
+
+def profile_toml(profile: Profile) -> str:
+    """Return the file of a profile; read again, it is the same profile."""
+    rows: list[list[float]] = []
+    at_mm = 0.0
+    for segment in profile.segments:
+        if segment.target_mm == at_mm and rows:
+            rows[-1][2] += segment.duration_s
+        elif segment.target_mm == at_mm:
+            rows.append([at_mm, 1.0, segment.duration_s])
+        else:
+            rows.append([segment.target_mm, abs(segment.target_mm - at_mm) / segment.duration_s, 0.0])
+        at_mm = segment.target_mm
+    lines = [f"  [{target_mm!r}, {speed_mm_s!r}, {hold_s!r}]," for target_mm, speed_mm_s, hold_s in rows]
+    heading = f"# target mm, speed mm/s, hold s; {profile.duration_s:.1f} s in all"
+    return "\n".join([f'name = "{profile.name}"', "", heading, "moves = [", *lines, "]"]) + "\n"
+
+
+def _move(path: Path, k: int, row: object) -> tuple[float, float, float]:
+    is_row = isinstance(row, list) and len(row) == 3 and all(isinstance(x, (int, float)) for x in row)
+    if not is_row or not all(math.isfinite(x) for x in row):  # type: ignore[attr-defined]
+        raise InputError(f"{path}: move {k} is {row!r}; [target mm, speed mm/s, hold s] was expected")
+    target_mm, speed_mm_s, hold_s = (float(x) for x in row)  # type: ignore[attr-defined]
+    if speed_mm_s <= 0 or hold_s < 0:
+        raise InputError(f"{path}: move {k} is {row!r}; a speed above 0 mm/s and a hold of 0 s or more were expected")
+    return target_mm, speed_mm_s, hold_s

@@ -1,0 +1,179 @@
+"""Long streams on disk, piece by piece: `t_s, output` in, estimates out, in constant memory for CSV."""
+
+import csv
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+
+from softcal.app.files.atomic import whole_file
+from softcal.app.files.recording_file import CSV, PARQUET, named_column, read_table, shown
+from softcal.core.errors import InputError
+from softcal.core.estimate import Estimate
+from softcal.core.recording import Array
+from softcal.core.windows import TAPS
+
+if TYPE_CHECKING:
+    from pyarrow.parquet import ParquetWriter
+
+PIECE = 1024
+"""Rows read, estimated and written at once."""
+
+COLUMNS = ("t_s", "output")
+
+
+def read_stream(path: Path) -> Iterator[tuple[Array, Array]]:
+    """Yield `t_s` and `output` in pieces, a row for every row of the file; what is empty or cut off is NaN.
+
+    Raises:
+        InputError: no such file, no such columns, a text where a number belongs, or fewer rows than one window.
+    """
+    rows = 0
+    for t_s, output in _csv_pieces(path) if path.suffix.lower() in CSV else _table_pieces(path):
+        rows += len(t_s)
+        # A first piece this short is the whole file.
+        if rows < TAPS:
+            raise InputError(f"{path}: {rows} rows; at least {TAPS} are needed to fill one window")
+        yield t_s, output
+
+
+def count_rows(path: Path) -> int:
+    """Return about how many rows a CSV or Parquet file holds, for progress; 0 where only reading it would tell."""
+    if path.suffix.lower() in PARQUET:
+        from pyarrow.lib import ArrowInvalid
+        from pyarrow.parquet import read_metadata
+
+        with suppress(ArrowInvalid, OSError):
+            return int(read_metadata(path).num_rows)
+    elif path.suffix.lower() in CSV and path.is_file():
+        with path.open("rb") as file:
+            return max(0, sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 20), b"")) - 1)
+    return 0
+
+
+def _table_pieces(path: Path) -> Iterator[tuple[Array, Array]]:
+    import pandas as pd
+
+    table = read_table(path)
+    columns = []
+    for name in COLUMNS:
+        raw = named_column(table, name, path)
+        values = pd.to_numeric(raw, errors="coerce").to_numpy(dtype=np.float64)
+        text = np.flatnonzero(np.isnan(values) & raw.notna().to_numpy())
+        if len(text):
+            raise _not_a_number(path, int(text[0]) + 2, name, raw.iloc[text[0]])
+        columns.append(values)
+    for start in range(0, len(table), PIECE):
+        yield columns[0][start : start + PIECE], columns[1][start : start + PIECE]
+
+
+def _csv_pieces(path: Path) -> Iterator[tuple[Array, Array]]:
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        try:
+            yield from _numbers(path, file)
+        except UnicodeDecodeError as error:
+            raise InputError(
+                f"{path}: not a text file (byte {error.start} is not UTF-8); export it as CSV again"
+            ) from error
+        except csv.Error as error:
+            raise InputError(f"{path}: cannot be read as a CSV table: {error}") from error
+
+
+def _numbers(path: Path, file: IO[str]) -> Iterator[tuple[Array, Array]]:
+    reader = csv.reader(file, delimiter="\t" if path.suffix.lower() == ".tsv" else ",")
+    header = next(reader, None)
+    if header is None:
+        raise InputError(f"{path}: the file is empty")
+    places = _places(path, [name.strip() for name in header])
+    piece: list[tuple[float, float]] = []
+    wrong: InputError | None = None
+    for row in reader:
+        if wrong is not None:
+            raise wrong
+        if not row:
+            continue
+        values = []
+        for name, place in zip(COLUMNS, places, strict=True):
+            text = row[place].strip() if place < len(row) else ""
+            try:
+                values.append(float(text) if text else np.nan)
+            except ValueError:
+                # The last line of a stream may have been cut off; only a further line makes this one wrong.
+                wrong = wrong or _not_a_number(path, reader.line_num, name, text)
+                values.append(np.nan)
+        piece.append((values[0], values[1]))
+        if len(piece) == PIECE:
+            yield _columns(piece)
+            piece = []
+    if piece:
+        yield _columns(piece)
+    elif reader.line_num <= 1:
+        raise InputError(f"{path}: there is no row of data below the header")
+
+
+def _places(path: Path, header: list[str]) -> tuple[int, int]:
+    import pandas as pd
+
+    for name in COLUMNS:
+        named_column(pd.DataFrame(columns=header), name, path)
+    return header.index("t_s"), header.index("output")
+
+
+def _columns(piece: list[tuple[float, float]]) -> tuple[Array, Array]:
+    table = np.array(piece)
+    return table[:, 0].copy(), table[:, 1].copy()
+
+
+def _not_a_number(path: Path, line: int, name: str, value: object) -> InputError:
+    return InputError(
+        f"{path}: line {line}, column {name!r}: {shown(value)} is not a number; correct the row or leave it empty"
+    )
+
+
+class EstimateWriter:
+    """Writes estimates piece by piece into a file that nobody sees before it is whole."""
+
+    def __init__(self, part: Path, is_parquet: bool) -> None:
+        self._part, self._is_parquet, self._is_first = part, is_parquet, True
+        self._parquet: ParquetWriter | None = None
+
+    def write(self, rows: Estimate) -> None:
+        """Append rows."""
+        import pandas as pd
+
+        columns: dict[str, Any] = {name: getattr(rows, name) for name in ("t_s", "estimate", "lower", "upper", "flag")}
+        if self._is_parquet:
+            self._write_parquet(columns)
+        else:
+            with self._part.open("a", encoding="utf-8", newline="") as file:
+                pd.DataFrame(columns).to_csv(file, header=self._is_first, index=False, lineterminator="\n")
+        self._is_first = False
+
+    def _write_parquet(self, columns: dict[str, Any]) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        table = pa.table({name: values.astype(str) if name == "flag" else values for name, values in columns.items()})
+        if self._parquet is None:
+            self._parquet = pq.ParquetWriter(self._part, table.schema)
+        self._parquet.write_table(table)
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self._parquet is not None:
+            self._parquet.close()
+
+
+@contextmanager
+def estimate_writer(path: Path) -> Iterator[EstimateWriter]:
+    """Open a writer of `t_s, estimate, lower, upper, flag`; `path` appears when the block has ended well."""
+    with whole_file(path) as part:
+        writer = EstimateWriter(part, path.suffix.lower() in PARQUET)
+        try:
+            yield writer
+        finally:
+            writer.close()

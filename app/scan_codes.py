@@ -1,0 +1,81 @@
+"""What a scan means: a serial, a lot, a badge or a command; with the prefixes that scanners and GS1 labels put before.
+
+Sources: AIM symbology identifiers (ISO/IEC 15424: `]`, a letter, a modifier); GS1 General Specifications, section 3
+(application identifiers 01, 10, 21 and the dates), section 7.8 (FNC1 as ASCII 29 between fields of variable length).
+"""
+
+import re
+from dataclasses import dataclass
+
+SEPARATOR = "\x1d"
+AIM_PREFIX = re.compile(r"^\][A-Za-z][0-9A-Za-z]")
+GS1_AIM = ("]C1", "]d2", "]Q3", "]e0", "]J1")
+PRINTED_FIELD = re.compile(r"\((\d{2,4})\)([^(]*)")
+FIXED_LENGTH = {"00": 18, "01": 14, "02": 14, "11": 6, "12": 6, "13": 6, "15": 6, "16": 6, "17": 6, "20": 2}
+SERIAL_FIELD, LOT_FIELD = "21", "10"
+COMMANDS = ("START", "STOP", "REPEAT", "OK", "CANCEL")
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One scan, understood.
+
+    Args:
+        kind: serial, golden (the serial of a golden unit), lot, badge, command, or unreadable.
+        value: the serial as scanned, the lot's id, the operator's name, the command.
+        lot_id: that a GS1 label names beside the serial; "" without.
+    """
+
+    kind: str
+    value: str
+    lot_id: str = ""
+
+
+def read_scan(text: str) -> Scan:
+    """Return what a scan means.
+
+    Args:
+        text: as the scanner typed it, without its Enter or Tab.
+    """
+    raw = text.strip(" \t\r\n")
+    prefix = AIM_PREFIX.match(raw)
+    bare = raw[prefix.end() :] if prefix else raw
+    is_gs1 = SEPARATOR in bare or bool(PRINTED_FIELD.match(bare)) or bool(prefix and prefix.group() in GS1_AIM)
+    if is_gs1:
+        return _from_gs1(bare)
+    return _plain("".join(letter for letter in bare if letter.isprintable()).strip())
+
+
+def _plain(text: str) -> Scan:
+    head, colon, rest = text.partition(":")
+    if not colon:
+        return Scan("serial", text) if text else Scan("unreadable", text)
+    kind, value = head.strip().upper(), rest.strip()
+    if kind == "CMD" and value.upper() in COMMANDS:
+        return Scan("command", value.upper())
+    if kind == "LOT" and value:
+        return Scan("lot", value)
+    if kind == "GOLDEN" and value:
+        return Scan("golden", value)
+    if kind == "BADGE":
+        return Scan("badge", value)
+    return Scan("unreadable", text)
+
+
+def _from_gs1(text: str) -> Scan:
+    fields = dict(PRINTED_FIELD.findall(text)) if text.startswith("(") else _element_string(text)
+    serial, lot_id = fields.get(SERIAL_FIELD, "").strip(), fields.get(LOT_FIELD, "").strip()
+    if serial:
+        return Scan("serial", serial, lot_id)
+    return Scan("lot", lot_id) if lot_id else Scan("unreadable", text.replace(SEPARATOR, "|"))
+
+
+def _element_string(text: str) -> dict[str, str]:
+    fields, rest = {}, text.lstrip(SEPARATOR)
+    while rest:
+        name, rest = rest[:2], rest[2:]
+        length = FIXED_LENGTH.get(name)
+        value, rest = (rest[:length], rest[length:]) if length else rest.partition(SEPARATOR)[::2]
+        fields[name] = value
+        rest = rest.lstrip(SEPARATOR)
+    return fields

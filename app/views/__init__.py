@@ -1,0 +1,1 @@
+"""The numbers a screen shows, read from the registry and rounded; no Streamlit, no Plotly."""

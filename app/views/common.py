@@ -1,0 +1,41 @@
+"""What several screens need to show numbers: rounding, units, and long series thinned for a chart. No Streamlit."""
+
+from collections.abc import Sequence
+from datetime import datetime
+
+from softcal.core.recording import Array
+
+VERDICTS = ("pass", "conditional", "fail", "retest")
+POINTS = 4000
+"""So many points of a series are drawn; more cost the browser and show nothing."""
+
+
+def number(value: float | None, unit: str = "") -> str:
+    """Return a number with three significant digits and its unit; a dash where there is none."""
+    return "–" if value is None else f"{value:.3g} {unit}".strip()
+
+
+def percent(share: float | None) -> str:
+    """Return a share in per cent; a dash where there is none. Only all is 100 %, only nothing is 0 %."""
+    if share is None:
+        return "–"
+    shown = f"{share:.1%}" if 0 < share < 1 else f"{share:.0%}"
+    return {"100.0%": "> 99.9%", "0.0%": "< 0.1%"}.get(shown, shown).replace("%", " %")
+
+
+def shortened(name: str, most: int) -> str:
+    """Return a name that is longer than `most` characters with its middle left out: serials differ at their ends."""
+    if len(name) <= most:
+        return name
+    head = (most - 1) // 2
+    return f"{name[:head]}…{name[head + 1 - most :]}"
+
+
+def instant(at: datetime | None) -> str:
+    """Return an instant as every screen shows it: UTC, to the second."""
+    return "–" if at is None else f"{at:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def thinned(values: Sequence[object] | Array, most: int = POINTS) -> slice:
+    """Return the slice that leaves about so many points of a long series for a chart."""
+    return slice(None, None, max(1, len(values) // most))

@@ -1,0 +1,285 @@
+"""What the operator's screen shows, computed without Streamlit: one state, one word, one instruction."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from softcal.app.reasons import parted, said
+from softcal.app.workflow.line import LineFacts, Run
+from softcal.core.orders import Condition, OrderKind, RunState, Signal, StationState
+
+Words = Callable[..., str]
+
+NEWEST_CHIPS = 14
+TONES = {
+    "no_station": "stopped",
+    "silent": "stopped",
+    "away": "stopped",
+    "stopped": "stopped",
+    "broken": "stopped",
+    "closed": "closed",
+    "no_lot": "ready",
+    "ready": "ready",
+    "armed": "ready",
+    "ask": "repeat",
+    "used_up": "check",
+    "running": "running",
+    "pass": "pass",
+    "conditional": "check",
+    "fail": "fail",
+    "retest": "repeat",
+    "retest_used_up": "check",
+    "golden_pass": "pass",
+    "golden_fail": "fail",
+    "recorded": "ready",
+}
+"""State → look: colour and mark. FAIL (the unit is bad) never looks like STOPPED (the station is)."""
+
+ACTIONS = {
+    "armed": ("START", "CANCEL"),
+    "ask": ("REPEAT", "CANCEL"),
+    "used_up": ("CANCEL",),
+    "closed": ("CANCEL",),
+    "running": ("STOP",),
+    "stopped": ("OK",),
+    "broken": ("REPEAT",),
+    "retest": ("REPEAT",),
+}
+KEYS = {"START": "F2", "REPEAT": "F4", "OK": "F4", "CANCEL": "F6", "STOP": "F8"}
+"""Command → function key; a command is also a bar code, `CMD:START`."""
+
+COMMAND_OF_KEY = {key: command for command, key in KEYS.items() if command != "OK"}
+"""Function key → command, in every state the same, so that no key is lost while a screen is drawn; after a stop,
+REPEAT says OK."""
+
+
+@dataclass(frozen=True)
+class Chip:
+    """One of the last units: its serial, the look and the word of its result."""
+
+    serial: str
+    tone: str
+    word: str
+
+
+@dataclass(frozen=True)
+class LineView:
+    """One moment of the operator's screen.
+
+    Args:
+        state: key of `TONES`.
+        word: READY, RUNNING, PASS, FAIL, STOPPED, ... in the language of the screen.
+        serial: the unit that is meant, "" without.
+        instruction: the one thing to do now.
+        details: what an engineer asks for: reasons, the message of the station, its code.
+        conditions: what the gate looked at; shown before a run.
+        cells: (label, value) that are always visible.
+        chips: the last units, newest first.
+        actions: commands that make sense now.
+        phase, fraction, remaining: of a run.
+        signal: live signal of a run.
+    """
+
+    state: str
+    word: str
+    serial: str
+    instruction: str
+    details: tuple[str, ...] = ()
+    conditions: tuple[Condition, ...] = ()
+    cells: tuple[tuple[str, str], ...] = ()
+    chips: tuple[Chip, ...] = ()
+    actions: tuple[str, ...] = ()
+    phase: str = ""
+    fraction: float = 0.0
+    remaining: str = ""
+    signal: Signal = Signal()
+
+    @property
+    def tone(self) -> str:
+        """The look of the state."""
+        return TONES[self.state]
+
+    @property
+    def spoken(self) -> str:
+        """What a screen reader says when the state changes."""
+        return ". ".join(part for part in (self.word, self.serial, self.instruction) if part)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a run is in progress, so that the screen looks often."""
+        return self.state == "running"
+
+
+def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
+    """Return what the screen shows.
+
+    Args:
+        facts: where the line stands.
+        operator: name of who stands there, "" where nobody scanned a badge.
+        words: texts of the language.
+    """
+    state, run = _state(facts)
+    order = run[0] if run else None
+    serial = facts.serial if state in ("armed", "ask", "used_up", "closed") else order.serial if order else ""
+    progress = run[1] if run else None
+    return LineView(
+        state=state,
+        word=words(f"line.{state}"),
+        serial=serial,
+        instruction=_instruction(facts, state, serial, run, words),
+        details=_details(facts, state, run, words),
+        conditions=facts.heartbeat.gate if facts.heartbeat and state in ("armed", "closed", "ready") else (),
+        cells=_cells(facts, operator, words),
+        chips=_chips(facts, words),
+        actions=_actions(facts, state),
+        phase=_phase(progress.phase, words) if progress and state == "running" else "",
+        fraction=progress.fraction if progress else 0.0,
+        remaining=_remaining(progress.remaining_s, words) if progress and state == "running" else "",
+        signal=progress.signal if progress and state == "running" else Signal(),
+    )
+
+
+def away_view(kept: int, operator: str, words: Words) -> LineView:
+    """Return what the screen shows while the registry does not answer.
+
+    Args:
+        kept: runs that the station has on its disk and the registry does not have yet.
+    """
+    details = (words("line.kept", count=kept),) if kept else ()
+    cells = ((words("line.cell.operator"), operator or "–"),)
+    return LineView("away", words("line.away"), "", words("line.away.do"), details, cells=cells)
+
+
+def _state(facts: LineFacts) -> tuple[str, Run | None]:
+    """Return the state and the run it is about."""
+    if facts.heartbeat is None:
+        return "no_station", None
+    if not facts.is_answering:
+        return "silent", facts.active
+    if facts.active is not None:
+        return "running", facts.active
+    if facts.is_stopped:
+        return "stopped", facts.newest
+    if facts.lot is None:
+        return "no_lot", None
+    if facts.serial:
+        return _before_run(facts), None
+    return _after_run(facts)
+
+
+def _before_run(facts: LineFacts) -> str:
+    is_closed = facts.heartbeat is not None and facts.heartbeat.state is StationState.CLOSED
+    if is_closed and not facts.is_golden:
+        return "closed"
+    if not facts.results or facts.is_golden:
+        return "armed"
+    return "ask" if facts.retests_left else "used_up"
+
+
+def _after_run(facts: LineFacts) -> tuple[str, Run | None]:
+    run = facts.newest
+    if run is None:
+        is_closed = facts.heartbeat is not None and facts.heartbeat.state is StationState.CLOSED
+        return ("closed" if is_closed else "ready"), None
+    order, progress = run
+    if progress.state is not RunState.DONE:
+        return "broken", run
+    if order.kind is OrderKind.GOLDEN:
+        return f"golden_{progress.verdict or 'fail'}", run
+    if progress.verdict == "retest" and not facts.retests_left:
+        return "retest_used_up", run
+    return progress.verdict or "recorded", run
+
+
+def _actions(facts: LineFacts, state: str) -> tuple[str, ...]:
+    if state == "closed" and not facts.serial:
+        return ()
+    return ACTIONS.get(state, ())
+
+
+def _instruction(facts: LineFacts, state: str, serial: str, run: Run | None, words: Words) -> str:
+    values = {"serial": serial, "lot": facts.lot.id if facts.lot else "", "station": facts.station}
+    if state == "ask":
+        last = facts.results[-1]
+        values |= {"verdict": words(f"verdict.{last.verdict}"), "at": f"{last.made_at.astimezone():%Y-%m-%d %H:%M}"}
+        return words("line.ask.do", **values, left=facts.retests_left)
+    if run is not None and (state == "broken" or (state == "stopped" and _is_why_stopped(facts, run))):
+        return words(_code_key(run[1].code, words))
+    return words(f"line.{state}.do", **values)
+
+
+def _details(facts: LineFacts, state: str, run: Run | None, words: Words) -> tuple[str, ...]:
+    beat = facts.heartbeat
+    if state == "closed" and beat is not None:
+        return () if beat.gate else beat.reasons
+    if state == "stopped" and beat is not None:
+        code = (words("line.code", code=run[1].code),) if run and _is_why_stopped(facts, run) else ()
+        return (*beat.reasons, *code)
+    if state in ("ask", "used_up"):
+        return tuple(said(reason, words) for reason in facts.results[-1].reasons[:2])
+    if state == "armed" and facts.lot is not None and not facts.lot.has_network and not facts.is_golden:
+        return (words("line.no_network"),)
+    if run is None or state == "running":
+        return ()
+    parts = [said(reason, words) for reason in parted(run[1].message)]
+    code = (words("line.code", code=run[1].code),) if run[1].code else ()
+    return (*parts[:3], *code)
+
+
+def _is_why_stopped(facts: LineFacts, run: Run) -> bool:
+    """Whether the station stands still because of this run, and not because of a device between runs."""
+    return facts.heartbeat is not None and bool(run[1].code) and run[1].message in facts.heartbeat.reasons
+
+
+def _cells(facts: LineFacts, operator: str, words: Words) -> tuple[tuple[str, str], ...]:
+    beat, lot = facts.heartbeat, facts.lot
+    station = facts.station or "–"
+    if beat is not None:
+        state = beat.state.value if facts.is_answering else "silent"
+        station = f"{station} · {words(f'line.station.{state}')}"
+    counts = dict(lot.counts) if lot else {}
+    judged = sum(counts.values()) - counts.get("none", 0)
+    target = (lot.rules.target if lot else None) or (sum(counts.values()) if counts.get("none") else None)
+    share = f"{counts.get('pass', 0) / judged:.0%}" if judged else "–"
+    return (
+        (words("line.cell.station"), station),
+        (words("line.cell.lot"), lot.id if lot else "–"),
+        (words("line.cell.product"), (lot.lot.sensor_model if lot else "") or "–"),
+        (words("line.cell.operator"), operator or "–"),
+        (words("line.cell.units"), f"{judged} / {target}" if target else str(judged)),
+        (words("line.cell.yield"), share),
+    )
+
+
+def _chips(facts: LineFacts, words: Words) -> tuple[Chip, ...]:
+    lot_id = facts.lot.id if facts.lot else ""
+    over = [r for r in facts.runs if r[0].kind is OrderKind.UNIT and r[0].lot_id == lot_id and not r[1].state.is_active]
+    return tuple(_chip(run, words) for run in over[:NEWEST_CHIPS])
+
+
+def _chip(run: Run, words: Words) -> Chip:
+    order, progress = run
+    state = "broken" if progress.state is not RunState.DONE else progress.verdict or "recorded"
+    return Chip(order.serial, TONES[state], words(f"line.{state}"))
+
+
+def _phase(phase: str, words: Words) -> str:
+    try:
+        return words(f"phase.{phase}") if phase else words("phase.queued")
+    except KeyError:
+        return phase
+
+
+def _code_key(code: str, words: Words) -> str:
+    try:
+        words(f"code.{code}")
+    except KeyError:
+        return "code.other"
+    return f"code.{code}"
+
+
+def _remaining(remaining_s: float, words: Words) -> str:
+    if remaining_s < 1:
+        return ""
+    if remaining_s < 90:
+        return words("line.remaining_s", seconds=round(remaining_s))
+    return words("line.remaining_min", minutes=round(remaining_s / 60))

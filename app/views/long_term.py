@@ -1,0 +1,74 @@
+"""Units in use: who needs a calibration, and the course of one unit's drift, map and predicted error. No Streamlit."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from softcal.db.adaptation_tables import AdaptedUnit
+from softcal.db.registry import Registry
+
+
+@dataclass(frozen=True)
+class UnitInUse:
+    """One unit in use.
+
+    Args:
+        drift: shift of its output, in scales of the calibrated use.
+        predicted_rmse: of its estimates now, in the reference unit.
+        alarm: why a calibration with a reference is due; empty while it is not.
+    """
+
+    serial: str
+    made_at: str
+    steps: int
+    drift: float
+    predicted_rmse: float
+    verdict: str
+    alarm: str
+
+
+@dataclass(frozen=True)
+class Course:
+    """The steps of one stream of one unit, in time order, with the units of its lot."""
+
+    serial: str
+    stream: str
+    steps: tuple[Mapping[str, Any], ...]
+    output_unit: str
+    reference_unit: str
+
+    @property
+    def alarm(self) -> str:
+        """Why a calibration is due at the end of the stream; empty while it is not."""
+        return str(self.steps[-1]["alarm"]) if self.steps else ""
+
+    def column(self, name: str) -> list[Any]:
+        """Return one value of every step."""
+        return [step[name] for step in self.steps]
+
+
+def units_in_use(registry: Registry) -> list[UnitInUse]:
+    """Return the units in use: those with an alarm first, then by predicted error."""
+    found = [_unit(entry) for entry in registry.adapted_units()]
+    return sorted(found, key=lambda unit: (not unit.alarm, -unit.predicted_rmse))
+
+
+def _unit(entry: AdaptedUnit) -> UnitInUse:
+    step = entry.entry
+    return UnitInUse(
+        entry.serial,
+        f"{entry.made_at:%Y-%m-%d %H:%M:%S} UTC",
+        entry.steps,
+        float(step["shift"]),
+        float(step["predicted_rmse"]),
+        str(step["verdict"]),
+        str(step["alarm"]),
+    )
+
+
+def course(registry: Registry, serial: str, stream: str) -> Course:
+    """Return the course of a unit on one stream."""
+    steps: Sequence[Mapping[str, Any]] = registry.adaptations(serial, stream)
+    seen = tuple(step for step in steps if step["t_s"] is not None)
+    lot = registry.lot(registry.units(serial=serial)[-1].lot_id)
+    return Course(serial, stream, seen, lot.output_unit, lot.reference_unit)

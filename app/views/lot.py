@@ -1,0 +1,188 @@
+"""A lot at a glance: yields, errors, the process behind them and the units that need a look. No Streamlit."""
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+
+from softcal.core.control_chart import Capability, ControlChart, capability, control_chart
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+from softcal.core.recording import Array
+from softcal.core.yields import Run, Yields, yields
+from softcal.db.entries import RunEntry, UnitEntry
+from softcal.db.lot_pages import UnitErrors, UnitFilter
+from softcal.db.registry import Registry
+
+LOOKS = 12
+"""So many units that need a look are listed; the table below them has all."""
+
+NEEDS_A_LOOK = ("fail", "retest", "conditional")
+
+
+@dataclass(frozen=True)
+class RuleBroken:
+    """One rule of the control chart that points break.
+
+    Args:
+        rule: its number (Nelson 1984).
+        count: how many points complete the pattern.
+        last: serial of the newest of them.
+        forbids: whether it forbids to state a capability.
+    """
+
+    rule: int
+    count: int
+    last: str
+    forbids: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessView:
+    """The predicted errors in the order the units were calibrated.
+
+    Args:
+        serials: (n,) one per value of the chart.
+        chart: None where there are too few values; `refusal` says so.
+        broken: rules that points break, the forbidding ones first.
+        capability: against the lot's limit; None where it is refused, with the reason in `refusal`.
+        refusal: one line.
+    """
+
+    serials: tuple[str, ...]
+    chart: ControlChart | None
+    broken: tuple[RuleBroken, ...]
+    capability: Capability | None
+    refusal: str
+
+
+@dataclass(frozen=True, eq=False)
+class LotView:
+    """A lot at a glance.
+
+    Args:
+        lot: its facts, with the newest limit.
+        counts: target units by verdict; `none` has no result yet.
+        errors: of the units with a map.
+        yields: first pass and total.
+        reasons: why units did not pass, one reason of each kind and how many units have that kind, most frequent first.
+        process: the errors in time order.
+        looks: the worst units.
+    """
+
+    lot: Lot
+    counts: Mapping[str, int]
+    errors: tuple[UnitErrors, ...]
+    yields: Yields
+    reasons: tuple[tuple[str, int], ...]
+    process: ProcessView
+    looks: tuple[UnitEntry, ...]
+
+    @property
+    def total(self) -> int:
+        """Target units registered."""
+        return sum(self.counts.values())
+
+    @property
+    def judged(self) -> int:
+        """Target units with a result."""
+        return self.total - self.counts["none"]
+
+    @property
+    def needing_a_look(self) -> int:
+        """Units that did not pass."""
+        return sum(self.counts[word] for word in NEEDS_A_LOOK)
+
+    def predicted(self, verdict: str | None = None) -> Array:
+        """Return the predicted errors in the reference unit, of all units or of one verdict."""
+        rows = (row for row in self.errors if verdict is None or row.verdict == verdict)
+        return np.array([row.predicted_rmse for row in rows if row.predicted_rmse is not None], dtype=float)
+
+    @property
+    def median_predicted(self) -> float | None:
+        """Median predicted error; None while no unit has one."""
+        values = self.predicted()
+        return float(np.median(values)) if len(values) else None
+
+    @property
+    def audited(self) -> tuple[UnitErrors, ...]:
+        """Units with a score against a reference."""
+        return tuple(row for row in self.errors if row.after_rmse is not None)
+
+    @property
+    def after_to_own(self) -> float | None:
+        """Median of after / own over the audited units; None where none has both."""
+        ratios = [row.after_rmse / row.own_rmse for row in self.audited if row.after_rmse and row.own_rmse]
+        return median(ratios) if ratios else None
+
+
+def lot_view(registry: Registry, lot_id: str) -> LotView:
+    """Read a lot at a glance.
+
+    Raises:
+        InputError: the lot is not in the registry.
+    """
+    lot, runs = registry.lot(lot_id), registry.runs(lot_id)
+    golden = {run.serial for run in registry.golden_runs()}
+    found = yields(_by_unit(runs), golden)
+    looks = registry.unit_page(lot_id, UnitFilter(NEEDS_A_LOOK, sort="severity"), size=LOOKS)
+    return LotView(
+        lot,
+        registry.verdict_counts(lot_id),
+        tuple(registry.lot_errors(lot_id)),
+        found,
+        _by_kind(found.reasons),
+        process_view(runs, lot.limit_rmse),
+        looks.units,
+    )
+
+
+def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessView:
+    """Return the control chart of the predicted errors of runs in time order, and the capability against a limit."""
+    known = [(run.serial, run.predicted_rmse) for run in runs if run.predicted_rmse is not None]
+    serials = tuple(serial for serial, _ in known)
+    try:
+        chart = control_chart(np.array([value for _, value in known]))
+    except InputError as error:
+        return ProcessView(serials, None, (), None, str(error))
+    broken = _broken(chart, serials)
+    try:
+        return ProcessView(serials, chart, broken, capability(chart, None, limit_rmse), "")
+    except InputError as error:
+        return ProcessView(serials, chart, broken, None, str(error))
+
+
+def reason_kind(reason: str) -> str:
+    """Return a reason without its numbers, so that units with the same trouble are counted together."""
+    head = re.sub(r"\s*\([^)]*\)", "", reason).split(":")[0]
+    return re.sub(r"\s*-?\d[\d.,]*(e[+-]?\d+)?(\s*(N|V|%|mm|s|Hz)\b)?", "", head).strip()
+
+
+def _by_unit(runs: Sequence[RunEntry]) -> dict[str, list[Run]]:
+    by_unit: dict[str, list[Run]] = {}
+    for run in runs:
+        by_unit.setdefault(run.serial, []).append(Run(run.verdict, run.reasons))
+    return by_unit
+
+
+def _by_kind(reasons: Sequence[tuple[str, int]]) -> tuple[tuple[str, int], ...]:
+    kinds: Counter[str] = Counter()
+    example: dict[str, str] = {}
+    for reason, count in reasons:
+        kinds[reason_kind(reason)] += count
+        example.setdefault(reason_kind(reason), reason)
+    return tuple((example[kind], count) for kind, count in kinds.most_common())
+
+
+def _broken(chart: ControlChart, serials: Sequence[str]) -> tuple[RuleBroken, ...]:
+    forbidding = {signal.rule for signal in chart.instabilities}
+    by_rule: dict[int, list[int]] = {}
+    for signal in chart.signals:
+        by_rule.setdefault(signal.rule, []).append(signal.index)
+    rules = [
+        RuleBroken(rule, len(indices), serials[max(indices)], rule in forbidding) for rule, indices in by_rule.items()
+    ]
+    return tuple(sorted(rules, key=lambda broken: (not broken.forbids, broken.rule)))

@@ -1,0 +1,99 @@
+"""Networks of a lot: what each was trained with and reached, and how they compare on its units. No Streamlit."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from softcal.core.errors import InputError
+from softcal.db.entries import NetworkEntry
+from softcal.db.registry import Registry
+
+MOST_LAYERS, WIDEST = 6, 512
+
+
+@dataclass(frozen=True)
+class NetworkRow:
+    """One network of a lot.
+
+    Args:
+        layers: widths of the hidden layers, "120-70-35".
+        validation_rmse: error on held-out parts of the source, in the reference unit.
+        is_stale: it was trained on an older source recording than the newest.
+    """
+
+    id: str
+    added_at: datetime
+    layers: str
+    members: int
+    seed: int
+    validation_rmse: float | None
+    epochs: int | None
+    train_s: float | None
+    is_stale: bool
+
+
+def network_rows(registry: Registry, lot_id: str) -> list[NetworkRow]:
+    """Return the networks of a lot, newest first."""
+    sources = registry.recordings(lot_id, kind="source")
+    newest = sources[-1].sha256 if sources else ""
+    return [_row(entry, newest) for entry in reversed(registry.networks()) if entry.lot_id == lot_id]
+
+
+def _row(entry: NetworkEntry, newest_source: str) -> NetworkRow:
+    config = entry.training.get("config")
+    given: Mapping[str, Any] = config if isinstance(config, Mapping) else {}
+    metrics: Mapping[str, Any] = entry.metrics
+    return NetworkRow(
+        id=entry.id,
+        added_at=entry.added_at,
+        layers="-".join(str(width) for width in given.get("hidden", ())),
+        members=int(given.get("members", 1)),
+        seed=int(given.get("seed", 0)),
+        validation_rmse=metrics.get("validation_rmse"),
+        epochs=None if metrics.get("epochs") is None else int(metrics["epochs"]),
+        train_s=metrics.get("train_s"),
+        is_stale=bool(newest_source) and entry.training.get("source_recording_sha256") != newest_source,
+    )
+
+
+def hidden_widths(text: str) -> list[int]:
+    """Return the widths of hidden layers from what a person typed, "120-70-35" or "120, 70, 35".
+
+    Raises:
+        InputError: something else than one to six whole numbers from 1 to 512.
+    """
+    parts = [part for part in text.replace("-", ",").replace(" ", ",").split(",") if part]
+    if not 1 <= len(parts) <= MOST_LAYERS or not all(p.isdecimal() and 1 <= int(p) <= WIDEST for p in parts):
+        raise InputError(
+            f"hidden layers {text[:40]!r}: one to {MOST_LAYERS} whole numbers from 1 to {WIDEST} were expected, "
+            "for example 120-70-35"
+        )
+    return [int(part) for part in parts]
+
+
+def loss_spec(trace: Mapping[str, Sequence[float]], unit: str, names: Mapping[str, str]) -> dict[str, Any]:
+    """Return the live training curve as ECharts options: it is drawn in place, not mounted anew at each update.
+
+    Args:
+        trace: epoch, train, validation.
+        unit: of the errors.
+        names: words for epoch, train and validation.
+    """
+    series = [
+        {
+            "type": "line",
+            "name": names[name],
+            "showSymbol": False,
+            "data": list(zip(trace["epoch"], trace[name], strict=True)),
+        }
+        for name in ("train", "validation")
+    ]
+    return {
+        "animation": False,
+        "legend": {"top": 0},
+        "grid": {"left": 70, "right": 20, "top": 34, "bottom": 44},
+        "xAxis": {"type": "value", "name": names["epoch"], "nameLocation": "middle", "nameGap": 26, "minInterval": 1},
+        "yAxis": {"type": "log", "name": f"RMSE [{unit}]", "nameLocation": "middle", "nameGap": 52},
+        "series": series,
+    }

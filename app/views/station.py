@@ -1,0 +1,54 @@
+"""What the pages of the rig show: the checks with each golden unit, the recording of a source. No Streamlit."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.control_chart import ControlChart, control_chart
+from softcal.core.errors import InputError
+from softcal.core.recording import LabelledRecording
+from softcal.db.entries import GoldenRun
+from softcal.db.registry import Registry
+
+
+@dataclass(frozen=True, eq=False)
+class GoldenUnit:
+    """The checks of one station with one golden unit, oldest first.
+
+    Args:
+        chart: of the checks that passed; None while there are too few, and `note` says so.
+    """
+
+    station: str
+    serial: str
+    runs: tuple[GoldenRun, ...]
+    chart: ControlChart | None
+    note: str
+
+
+def golden_units(registry: Registry) -> list[GoldenUnit]:
+    """Return the checks by station and golden unit."""
+    by_unit: dict[tuple[str, str], list[GoldenRun]] = {}
+    for run in registry.golden_runs():
+        by_unit.setdefault((run.station, run.serial), []).append(run)
+    return [_golden_unit(station, serial, runs) for (station, serial), runs in sorted(by_unit.items())]
+
+
+def _golden_unit(station: str, serial: str, runs: list[GoldenRun]) -> GoldenUnit:
+    try:
+        chart, note = control_chart(np.array([run.value for run in runs if run.passed])), ""
+    except InputError as error:
+        chart, note = None, str(error)
+    return GoldenUnit(station, serial, tuple(runs), chart, note)
+
+
+def source_facts(source: LabelledRecording) -> Mapping[str, str]:
+    """Return what a person checks in a source recording before f is trained on it, by key of its label."""
+    output, reference = source.unlabelled.output, source.reference
+    return {
+        "column.duration": f"{len(output) / source.unlabelled.sample_rate_Hz:.0f} s",
+        "source.samples": f"{len(output)}",
+        "source.reach": f"{reference.min():.2g} … {reference.max():.2g} {source.reference_unit}",
+        "source.swing": f"{output.min():.4g} … {output.max():.4g} {source.unlabelled.output_unit}",
+    }

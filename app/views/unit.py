@@ -1,0 +1,85 @@
+"""One unit in full: a revision of its map, its estimates, and why its verdict is what it is. No Streamlit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.calibration import Calibration
+from softcal.core.errors import InputError
+from softcal.core.estimate import Estimate, estimate
+from softcal.core.explanation import Explanation, explain
+from softcal.core.lot import Lot
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.source_model import make_source_model
+from softcal.core.windows import TAPS
+from softcal.db.entries import StoredCalibration
+from softcal.db.registry import Registry
+
+CURVE_POINTS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class UnitView:
+    """One revision of one unit in full.
+
+    Args:
+        stored: the revision as the registry has it.
+        calibration: the same, ready to estimate with.
+        lot: facts of its lot.
+        source: labelled recording of the lot's source unit.
+        recording: the unit's own recording.
+        estimate: f∘γ over that recording.
+        explanation: why the verdict is what it is.
+    """
+
+    stored: StoredCalibration
+    calibration: Calibration
+    lot: Lot
+    source: LabelledRecording
+    recording: OutputRecording
+    estimate: Estimate
+    explanation: Explanation
+
+    @property
+    def mapped(self) -> Array:
+        """(m,) newest sample of every mapped window, in the source's output."""
+        return self.calibration.unit_map.apply(self.recording.windows)[:, -1]
+
+    def map_curve(self) -> tuple[Array, Array]:
+        """Return (levels, levels as the source would show them) of a unit at rest, over the unit's own range."""
+        low, high = float(self.recording.output.min()), float(self.recording.output.max())
+        level = np.linspace(low, high, CURVE_POINTS)
+        return level, self.calibration.unit_map.apply(np.repeat(level[:, None], TAPS, axis=1))[:, -1]
+
+    @property
+    def flagged(self) -> int:
+        """Rows that are not to be trusted."""
+        return int(np.sum(self.estimate.flag != ""))
+
+
+def unit_view(registry: Registry, serial: str, revision: int | None = None) -> UnitView:
+    """Read one revision of a unit in full, the one in use without a number.
+
+    Raises:
+        InputError: the registry has no calibration of the serial, or no source recording of its lot.
+    """
+    stored = registry.calibration(serial, revision)
+    calibration = Calibration.from_record(stored.record)
+    network = registry.network(stored.record.network_id)
+    recording = registry.recording(stored.record.recording_sha256)
+    unlabelled = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
+    sources = registry.recordings(stored.lot_id, kind="source")
+    if not sources:
+        raise InputError(f"lot {stored.lot_id} has no source recording here; the maps of its units cannot be shown")
+    source = registry.recording(sources[-1].sha256)
+    if not isinstance(source, LabelledRecording):
+        raise ValueError("a source recording without reference")
+    return UnitView(
+        stored,
+        calibration,
+        registry.lot(stored.lot_id),
+        source,
+        unlabelled,
+        estimate(network, calibration, unlabelled),
+        explain(make_source_model(source, network), calibration, unlabelled),
+    )

@@ -1,0 +1,140 @@
+"""A load cell's calibration certificate: typed in, or read from its DCC (PTB's XML, schema 3)."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator, Mapping
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from softcal.core.errors import InputError
+from softcal.db.entries import CellCertificate
+
+NEEDED = {
+    "cell_serial": "--cell",
+    "number": "--number",
+    "issued_on": "--issued",
+    "due_on": "--due",
+    "capacity_N": "--capacity",
+    "uncertainty_N": "--uncertainty",
+}
+
+PER_UNIT_N = {r"\newton": 1.0, r"\milli\newton": 1e-3, r"\kilo\newton": 1e3}
+"""D-SI names of the units in which a load cell's certificate may state forces."""
+
+COVERAGE = 2.0
+
+
+def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertificate:
+    """Return the certificate that options give; what they leave out comes from the DCC.
+
+    Args:
+        given: fields of `CellCertificate`; None where nothing was given.
+        dcc: the Digital Calibration Certificate.
+
+    Raises:
+        InputError: the file is no DCC, or something is missing; everything that is missing is named.
+    """
+    document = None if dcc is None else _content(dcc)
+    facts = {} if document is None else _facts(document, dcc)
+    facts |= {name: value for name, value in given.items() if value is not None}
+    missing = [f"{name} ({option})" for name, option in NEEDED.items() if facts.get(name) is None]
+    if missing:
+        where = "" if dcc is None else f"{dcc}: "
+        raise InputError(f"{where}the certificate lacks {', '.join(missing)}; give them as options, nothing was stored")
+    return CellCertificate(**{"laboratory": "", **facts}, document=document)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+
+
+def _facts(document: bytes, path: Path | None) -> dict[str, Any]:
+    try:
+        root = ET.fromstring(document)
+    except ET.ParseError as error:
+        raise InputError(f"{path}: is no XML: {error}") from error
+    if _local(root) != "digitalCalibrationCertificate":
+        raise InputError(f"{path}: is no Digital Calibration Certificate, its root is {_local(root)!r}")
+    found: dict[str, Callable[[], Any]] = {
+        "cell_serial": lambda: _serial(root),
+        "number": lambda: _text(_first(root, "uniqueIdentifier")),
+        "laboratory": lambda: _text(_first(_first(root, "calibrationLaboratory"), "content")),
+        "issued_on": lambda: _day(_text(_first(root, "endPerformanceDate"))),
+        "due_on": lambda: _due(root),
+        "capacity_N": lambda: _largest(_force_N(each) for each in _marked(root, "basic_validityRangeMax")),
+        "uncertainty_N": lambda: _largest(_uncertainties_N(root)),
+    }
+    facts = {}
+    for name, read in found.items():
+        try:
+            value = read()
+        except ValueError as error:
+            raise InputError(f"{path}: {name}: {error}") from error
+        if value is not None:
+            facts[name] = value
+    return facts
+
+
+def _local(element: ET.Element) -> str:
+    return element.tag.rpartition("}")[2]
+
+
+def _all(element: ET.Element | None, name: str) -> Iterator[ET.Element]:
+    return (each for each in element.iter() if _local(each) == name) if element is not None else iter(())
+
+
+def _first(element: ET.Element | None, name: str) -> ET.Element | None:
+    return next(_all(element, name), None)
+
+
+def _text(element: ET.Element | None) -> str | None:
+    return (element.text or "").strip() or None if element is not None else None
+
+
+def _marked(root: ET.Element, ref_type: str) -> Iterator[ET.Element]:
+    """Elements that carry one of PTB's reference types (good practice DCC)."""
+    return (each for each in root.iter() if ref_type in each.get("refType", "").split())
+
+
+def _day(text: str | None) -> date | None:
+    return None if text is None else date.fromisoformat(text[:10])
+
+
+def _serial(root: ET.Element) -> str | None:
+    """The item's serial number: what is marked as one, else what the manufacturer calls it."""
+    item = _first(root, "item")
+    identifications = list(_all(item, "identification"))
+    marked = [each for each in identifications if "basic_serialNumber" in each.get("refType", "").split()]
+    makers = [each for each in identifications if _text(_first(each, "issuer")) == "manufacturer"]
+    return next((_text(_first(each, "value")) for each in marked + makers), None)
+
+
+def _due(root: ET.Element) -> date | None:
+    for each in _marked(root, "basic_recalibration"):
+        day = _text(_first(each, "date")) or _text(_first(each, "dateTime")) or _text(_first(each, "valueXMLList"))
+        if day:
+            return _day(day)
+    return None
+
+
+def _force_N(element: ET.Element) -> float | None:
+    factor = PER_UNIT_N.get(_text(_first(element, "unit")) or "")
+    value = _text(_first(element, "value"))
+    return None if factor is None or value is None else factor * float(value)
+
+
+def _uncertainties_N(root: ET.Element) -> Iterator[float | None]:
+    """Expanded uncertainties of forces in N, carried to k = 2; D-SI 1 and 2 name them differently."""
+    for real in _all(root, "real"):
+        factor = PER_UNIT_N.get(_text(_first(real, "unit")) or "")
+        expanded = _text(_first(real, "uncertainty")) or _text(_first(real, "valueExpandedMU"))
+        coverage = _text(_first(real, "coverageFactor"))
+        if factor is not None and expanded is not None:
+            yield factor * float(expanded) * COVERAGE / float(coverage or COVERAGE)
+
+
+def _largest(values: Iterator[float | None]) -> float | None:
+    return max((value for value in values if value is not None), default=None)

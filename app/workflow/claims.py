@@ -1,0 +1,73 @@
+"""The work items a process holds: claimed under a lease that a thread of its own keeps up, given back when it ends."""
+
+import os
+import socket
+import threading
+import uuid
+
+from softcal.core.errors import RegistryError
+from softcal.db.registry import Registry
+from softcal.db.work_queue import WorkItem, WorkSet
+
+LEASE_S = 60.0
+"""A process on another machine that died is noticed after this time; one of this machine at once."""
+
+EXTEND_EVERY_S = 10.0
+
+
+class Claims:
+    """Items of one set, claimed by this process; used as a context manager."""
+
+    def __init__(self, registry: Registry, work: WorkSet) -> None:
+        self._registry, self.work = registry, work
+        self.queue = registry.work_queue
+        self.owner = f"{socket.gethostname()}:{os.getpid()}:{uuid.uuid4().hex[:8]}"
+        self._ended = threading.Event()
+        self._keeper = threading.Thread(target=self._keep, daemon=True)
+
+    def __enter__(self) -> "Claims":
+        # An SQLite registry in memory has one connection, which no thread can share, and nobody to share work with.
+        if not self._registry.database.is_in_memory:
+            self._keeper.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._ended.set()
+        if self._keeper.is_alive():
+            self._keeper.join()
+        self.queue.give_back(self.owner)
+
+    def take(self, count: int) -> list[WorkItem]:
+        """Claim up to `count` items; where none is free, those of processes of this machine that died come free."""
+        items = self._claim(count)
+        return items if items or not self.take_back_from_dead() else self._claim(count)
+
+    def _claim(self, count: int) -> list[WorkItem]:
+        return self.queue.claim(self.owner, self.work, count, LEASE_S)
+
+    def take_back_from_dead(self) -> int:
+        """Free what processes of this machine held when they died; return how many items came free."""
+        dead = [owner for owner in self.queue.owners(self.work) if _is_dead(owner)]
+        return sum(self.queue.take_back(owner) for owner in dead)
+
+    def _keep(self) -> None:
+        while not self._ended.wait(EXTEND_EVERY_S):
+            try:
+                self.queue.extend(self.owner, LEASE_S)
+            except RegistryError:
+                # The registry may be back before the lease runs out; whoever writes a result sees the trouble.
+                continue
+
+
+def _is_dead(owner: str) -> bool:
+    """Whether an owner is a process of this machine that is gone. Where that cannot be known, leases tell."""
+    host, pid, _ = owner.rsplit(":", 2)
+    if host != socket.gethostname() or os.name != "posix":
+        return False
+    try:
+        os.kill(int(pid), 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        return False
+    return False

@@ -1,0 +1,250 @@
+"""Shared by the tests of the screens: pages drawn in process, and the application in a real browser."""
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from pathlib import Path
+from subprocess import DEVNULL
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+from streamlit.testing.v1 import AppTest
+
+from softcal.app import browser_memory, first_paint, identity, registry_of_server
+from softcal.app.cli import main
+from softcal.db.connection import open_registry
+
+MAIN = Path(identity.__file__).with_name("main.py")
+CHROMIUM_FLAGS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-background-networking",
+    "--disable-sync",
+]
+START_S = 120
+SOFTCAL = str(Path(sys.executable).with_name("softcal"))
+PINS = {"operator": ("Oh", "1111"), "engineer": ("Erin", "2580"), "quality": ("Quinn", "7777")}
+
+
+@pytest.fixture(scope="session")
+def small_calibrated(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a registry with the small lot calibrated, one unit of it dead."""
+    root = tmp_path_factory.mktemp("screens")
+    shutil.copytree(trained_lot / "lot", root / "lot")
+    shutil.copy(trained_lot / "registry.db", root / "registry.db")
+    dead = "t_s,output\n" + "".join(f"{k / 50},0.5\n" for k in range(1500))
+    (root / "lot/units/A4.csv").write_text(dead)
+    url = f"sqlite:///{root / 'registry.db'}"
+    assert main(["batch", str(root / "lot"), "--registry", url, "--hidden", "16,8", "--no-own"]) == 1
+    return root / "registry.db"
+
+
+@pytest.fixture
+def own_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jobs and logs of the test lie in its own folder."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    monkeypatch.setenv("SOFTCAL_LOGS", str(tmp_path / "logs"))
+
+
+@pytest.fixture
+def calibrated(small_calibrated: Path, tmp_path: Path) -> str:
+    """The URL of a copy of it, free to be changed."""
+    shutil.copy(small_calibrated, tmp_path / "calibrated.db")
+    return f"sqlite:///{tmp_path / 'calibrated.db'}"
+
+
+@pytest.fixture
+def open_page(monkeypatch: pytest.MonkeyPatch) -> Callable[..., AppTest]:
+    """`open_page(url, page=None, role=None, **query)` draws the application, or one page, as somebody of that role."""
+
+    def show(url: str, page: Callable[[], None] | None = None, role: str | None = None, **query: str) -> AppTest:
+        monkeypatch.setenv("SOFTCAL_REGISTRY", url)
+        monkeypatch.setattr(browser_memory, "_cookies", dict)
+        registry_of_server.registry.clear()
+        screen = AppTest.from_file(str(MAIN)) if page is None else AppTest.from_function(page)
+        for key, value in query.items():
+            screen.query_params[key] = value
+        # Nobody draws here who could say so: the whole page at once.
+        screen.session_state[first_paint.HAS_DRAWN] = True
+        if role is not None:
+            _sign_in(screen, url, role)
+        screen.run(timeout=120)
+        assert not screen.exception
+        return screen
+
+    return show
+
+
+def _sign_in(screen: AppTest, url: str, role: str) -> None:
+    add_people(url)
+    identity._sign_ins()[role] = identity.SignIn(PINS[role][0], datetime.now(UTC) + timedelta(hours=1))
+    screen.session_state[browser_memory.STATE] = {identity.SESSION: role}
+
+
+def add_people(url: str) -> None:
+    """Put one person of each role into a registry."""
+    with open_registry(url) as registry:
+        known = {user.name for user in registry.users()}
+        for role, (name, pin) in PINS.items():
+            if name not in known:
+                registry.set_user(name, role, pin, actor="test")
+
+
+@pytest.fixture(scope="session")
+def add_everybody() -> Callable[[str], None]:
+    """`add_everybody(url)` puts one person of each role into a registry."""
+    return add_people
+
+
+class Screen:
+    """The application on a registry, started by its command in a process group of its own."""
+
+    def __init__(self, url: str, options: tuple[str, ...]):
+        self.port = free_port()
+        self.address = f"http://127.0.0.1:{self.port}"
+        command = [SOFTCAL, "ui", "--no-browser", "--port", str(self.port), "--registry", url, *options]
+        self._start = partial(subprocess.Popen, command, stdout=DEVNULL, stderr=DEVNULL, start_new_session=True)
+        self.start()
+
+    def __str__(self) -> str:
+        return self.address
+
+    def start(self) -> None:
+        """Start it and wait until it answers."""
+        self._process = self._start()
+        wait_for(f"{self.address}/_stcore/health")
+
+    def kill(self) -> None:
+        """Kill it as a power cut would."""
+        os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait(timeout=30)
+
+    def end(self) -> None:
+        """End it in good order."""
+        self._process.terminate()
+        self._process.wait(timeout=30)
+
+
+@contextmanager
+def served(url: str, *options: str) -> Iterator[Screen]:
+    """Serve the application on a registry by its command; give the screen."""
+    screen = Screen(url, options)
+    try:
+        yield screen
+    finally:
+        screen.end()
+
+
+@pytest.fixture(scope="session")
+def serve() -> Callable[..., AbstractContextManager[Screen]]:
+    """`with serve(url, *options) as screen`: the application on a registry, by its command."""
+    return served
+
+
+@pytest.fixture(scope="session")
+def serve_station() -> Callable[..., AbstractContextManager[None]]:
+    """`with serve_station(url, name, folder, *options)`: a simulated station as a process of its own."""
+    return station_served
+
+
+@contextmanager
+def station_served(url: str, name: str, folder: Path, *options: str) -> Iterator[None]:
+    """Serve a simulated station by its command until the block ends."""
+    command = [SOFTCAL, "station", "serve", "--simulated", "5", "--name", name, "--registry", url]
+    log = (folder / "station.log").open("w")
+    station = subprocess.Popen([*command, "--spool", str(folder / "spool"), *options], stdout=log, stderr=log)
+    try:
+        with open_registry(url) as registry:
+            deadline_s = time.monotonic() + START_S
+            while not registry.order_queue.is_answering(name):
+                assert time.monotonic() < deadline_s and station.poll() is None, (folder / "station.log").read_text()
+                time.sleep(0.1)
+        yield
+    finally:
+        station.terminate()
+        station.wait(timeout=30)
+        log.close()
+
+
+def free_port() -> int:
+    """Return a TCP port nobody listens at."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_for(url: str) -> None:
+    """Wait until an address answers."""
+    deadline_s = time.monotonic() + START_S
+    while time.monotonic() < deadline_s:
+        try:
+            with urllib.request.urlopen(url, timeout=2):
+                return
+        except (urllib.error.URLError, OSError):
+            time.sleep(0.2)
+    pytest.fail(f"{url} did not answer within {START_S} s")
+
+
+@pytest.fixture(scope="session")
+def chromium(require: Callable[[object, str], None]) -> Iterator[Browser]:
+    """One headless Chromium for all tests."""
+    path = shutil.which("chromium")
+    require(path, "no chromium on this machine; install Debian's package chromium")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=CHROMIUM_FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(chromium: Browser) -> Iterator[Page]:
+    """A fresh browser tab; it fails the test when anything outside this machine was asked for."""
+    context = chromium.new_context(viewport={"width": 1280, "height": 900})
+    asked: list[str] = []
+    context.on("request", lambda request: asked.append(request.url))
+    tab = context.new_page()
+    tab.set_default_timeout(30_000)
+    yield tab
+    context.close()
+    assert not [url for url in asked if not url.startswith(("http://127.0.0.1", "ws://127.0.0.1", "data:", "blob:"))]
+
+
+@pytest.fixture
+def sign_in(page: Page) -> Callable[[str, str], None]:
+    """`sign_in(address, role)`: sign in as somebody of a role, by keyboard."""
+
+    def enter(address: str, role: str) -> None:
+        name, pin = PINS[role]
+        page.goto(f"{address}/sign_in")
+        page.get_by_label("Name").fill(name)
+        page.get_by_label("PIN").fill(pin)
+        page.keyboard.press("Enter")
+        page.get_by_role("heading", name=name).wait_for()
+        wait_for_memory(page, "session")
+
+    return enter
+
+
+def wait_for_memory(page: Page, name: str) -> None:
+    """Wait until the browser remembers something: it is told at the end of the run that has drawn the page."""
+    deadline_s = time.monotonic() + START_S
+    while not any(str(cookie.get("name")).endswith(name) for cookie in page.context.cookies()):
+        assert time.monotonic() < deadline_s, f"the browser was not told to remember {name!r}"
+        page.wait_for_timeout(50)
+
+
+@pytest.fixture(scope="session")
+def remembered() -> Callable[[Page, str], None]:
+    """`remembered(page, name)` waits until the browser remembers something."""
+    return wait_for_memory

@@ -1,0 +1,168 @@
+"""Several batches share a lot; a batch or a worker that is killed loses nothing and repeats nothing that was kept."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.cli import main
+from softcal.app.engine import EngineChoice
+from softcal.app.files.lot_folder import open_lot_folder
+from softcal.app.workflow import unit_work
+from softcal.app.workflow.batch import run_batch
+from softcal.app.workflow.lot_work import BatchConfig
+from softcal.core.training import NetworkConfig
+from softcal.db.connection import open_registry
+
+UNITS = 16
+SMALL = ("--hidden", "16,8")
+
+
+@pytest.fixture
+def folder(lot_folder: Path) -> Path:
+    """The small lot with more units: each its neighbour with another gain."""
+    unit = pd.read_csv(lot_folder / "units/A1.csv")
+    for k in range(4, UNITS + 1):
+        unit.assign(output=unit.output * (1 + 0.01 * k)).to_csv(lot_folder / f"units/A{k}.csv", index=False)
+    return lot_folder
+
+
+def start(folder: Path, url: str, *more: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "softcal.app.cli", "batch", str(folder), "--registry", url, *SMALL, "--no-own"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    return subprocess.Popen([*command, *more], **quiet, env=os.environ | {"OMP_NUM_THREADS": "1"})
+
+
+def kept(url: str) -> dict[str, int]:
+    """How many revisions every unit has."""
+    with open_registry(url, create=False) as registry, registry.database.reading() as connection:
+        rows = connection.exec_driver_sql("SELECT serial, count(*) FROM calibrations GROUP BY serial").all()
+    return {str(serial): int(count) for serial, count in rows}
+
+
+def wait_until(condition, seconds: float = 60.0) -> None:
+    until_s = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until_s
+        time.sleep(0.02)
+
+
+def children_of(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def test_a_batch_that_is_killed_goes_on_at_once_and_repeats_nothing(folder: Path, registry_url: str) -> None:
+    process = start(folder, registry_url, "--jobs", "2")
+    wait_until(lambda: len(kept(registry_url)) >= 2)
+    workers = children_of(process.pid)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    before = kept(registry_url)
+    assert workers and len(before) < UNITS
+    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers), 10.0)
+    report = folder.parent / "report.json"
+    assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own", "--json", str(report)]) in (0, 1)
+    units = json.loads(report.read_text())["units"]
+    assert [unit["is_new"] for unit in units].count(False) == len(before)
+    assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+    with open_registry(registry_url, create=False) as registry:
+        assert registry.verify() == []
+
+
+def test_two_batches_share_a_lot(folder: Path, registry_url: str, tmp_path: Path) -> None:
+    reports = [tmp_path / f"{k}.json" for k in range(2)]
+    processes = [start(folder, registry_url, "--json", str(report)) for report in reports]
+    assert all(process.wait(120) in (0, 1) for process in processes)
+    first, second = (json.loads(report.read_text())["units"] for report in reports)
+    assert kept(registry_url) == {f"A{k}": 1 for k in range(1, UNITS + 1)}
+    assert [unit["map"] for unit in first] == [unit["map"] for unit in second]
+    assert all(a["is_new"] != b["is_new"] for a, b in zip(first, second, strict=True))
+
+
+def test_a_network_that_another_process_trains_is_waited_for(folder: Path, tmp_path: Path) -> None:
+    url, reports = f"sqlite:///{tmp_path / 'new.db'}", [tmp_path / f"{k}.json" for k in range(2)]
+    open_registry(url).close()
+    processes = [start(folder, url, "--json", str(report)) for report in reports]
+    assert all(process.wait(120) in (0, 1) for process in processes)
+    is_new = sorted(json.loads(report.read_text())["network_is_new"] for report in reports)
+    assert is_new == [False, True]
+
+
+def _die_at(serial: str):
+    work = unit_work._work_on_unit
+
+    def work_or_die(shared, task):
+        if task.serial == serial:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return work(shared, task)
+
+    return work_or_die
+
+
+def deadly_work(shared, chunk):
+    """`work_on` in a worker that dies at unit A5; a function of a module, so that it travels."""
+    unit_work._work_on_unit = _die_at("A5")
+    return unit_work.work_on(shared, chunk)
+
+
+def test_a_unit_that_kills_its_worker_is_named_and_the_rest_is_done(
+    folder: Path, registry_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("softcal.app.workflow.lot_work.work_on", deadly_work)
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    network = NetworkConfig(hidden=(16, 8))
+    config = BatchConfig(network=network, engine=EngineChoice(jobs=2), score_own=False)
+    with open_registry(registry_url) as registry:
+        report = run_batch(open_lot_folder(folder), registry, config)
+        assert registry.verify() == []
+    lost = {unit.serial: unit.reasons for unit in report.units if unit.made is None}
+    assert list(lost) == ["A5"] and "died" in lost["A5"][0]
+    assert len(kept(registry_url)) == UNITS - 1
+
+
+def test_a_result_that_comes_after_the_lease_ran_out_is_dropped(folder: Path, registry_url: str) -> None:
+    network = NetworkConfig(hidden=(16, 8))
+    config = BatchConfig(network=network, score_own=False)
+    with open_registry(registry_url) as registry, open_registry(registry_url) as other:
+        from softcal.app.workflow import lot_work
+
+        taken: list[int] = []
+
+        def steal(shared, chunk):
+            # Somebody else holds the items by the time the result is there.
+            if not taken:
+                with other.database.writing() as connection:
+                    taken.append(connection.exec_driver_sql("UPDATE work_items SET owner = 'x:1:y'").rowcount)
+            outcome = unit_work.work_on(shared, chunk)
+            if len(taken) == 1:
+                with other.database.writing() as connection:
+                    connection.exec_driver_sql("UPDATE work_items SET state = 'queued' WHERE owner = 'x:1:y'")
+                taken.append(0)
+            return outcome
+
+        original, lot_work.work_on = lot_work.work_on, steal
+        try:
+            report = run_batch(open_lot_folder(folder), registry, config)
+        finally:
+            lot_work.work_on = original
+    assert len(report.units) == UNITS
+    assert set(kept(registry_url).values()) == {1}
+
+
+def test_files_that_change_become_new_work(folder: Path, registry_url: str) -> None:
+    assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own"]) in (0, 1)
+    unit = pd.read_csv(folder / "units/A2.csv")
+    unit.to_csv(folder / "units/A3.csv", index=False, float_format="%.17g")
+    np.testing.assert_array_equal(pd.read_csv(folder / "units/A3.csv").output, unit.output)
+    assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--no-own"]) in (0, 1)
+    counts = kept(registry_url)
+    assert (counts.pop("A3"), set(counts.values())) == (2, {1})
+    with open_registry(registry_url, create=False) as registry:
+        assert registry.work_queue.counts("small") == {"queued": 0, "claimed": 0, "done": UNITS + 2, "failed": 0}

@@ -1,0 +1,44 @@
+"""Several units under one stage: one recording, one spool, and after a power cut one file for each of them."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.workflow.pressed_run import RunKeeper
+from softcal.app.workflow.station_recover import recover
+from softcal.core.lot import Lot
+from softcal.core.orders import Order, OrderKind, RunState
+from softcal.core.profiles import ramps
+from softcal.core.twin.spread import draw_lot
+from softcal.db.connection import open_registry
+from softcal.station.acquisition import record
+from softcal.station.bench import open_simulated_bench
+from softcal.station.spool import Spool
+
+
+@pytest.fixture(scope="module")
+def pressed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("spool")
+    units = draw_lot(np.random.default_rng(1), 3)
+    with open_simulated_bench(units[0], seed=1, beside=units[1:]) as (bench, _):
+        with Spool(folder / "run.spool", {"serial": "A1", "serials": "A1,A2,A3"}) as spool:
+            return record(bench, "A1", ramps([2.0], 3.0, rest_s=0.5), with_reference=False, spool=spool), folder
+
+
+def test_every_channel_of_a_finished_run_is_recovered_under_its_serial(pressed, tmp_path):
+    recording, folder = pressed
+    (found,) = recover(folder, tmp_path)
+    assert [file.name for file in found.files] == ["A1.csv", "A2.csv", "A3.csv"]
+    for channel, file in enumerate(found.files):
+        np.testing.assert_allclose(pd.read_csv(file)["output"], recording.output[:, channel], atol=1e-6)
+
+
+def test_each_unit_of_a_substrate_is_kept_with_a_serial_of_its_own(pressed, tmp_path):
+    recording, _ = pressed
+    with open_registry(f"sqlite:///{tmp_path / 'r.db'}") as registry:
+        registry.add_lot(Lot("L1", "A0", 50.0))
+        order = Order("o1", "s1", OrderKind.UNIT, "SUB1", "L1")
+        done = RunKeeper(registry, "s1").keep(order, recording, lambda progress: None)
+        assert done.state is RunState.DONE
+        assert "no shared network yet" in done.message
+        assert [unit.serial for unit in registry.units("L1")] == ["A0", "SUB1-1", "SUB1-2", "SUB1-3"]

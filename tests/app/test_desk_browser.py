@@ -1,0 +1,174 @@
+"""The engineer's desk in a real browser: small and dark panels, one click to a unit, a training that can be stopped."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from softcal.db.connection import open_registry
+
+CONTRAST = Path(__file__).with_name("contrast.js").read_text()
+FADING_S = 10.0
+"""So long what is drawn anew may be pale: it is shown again at full strength when the page is complete."""
+
+DESK_PAGES = {
+    "lot": "The process: predicted error in the order of calibration",
+    "unit?unit=A2": "Why this verdict",
+    "long_term": "Long-term",
+    "source?lot=small": "3 · Look at the recording",
+    "networks?lot=small": "Compare on this lot",
+    "limits?lot=small": "Versions",
+    "gap": "Gap",
+    "station": "Set up and test a rig",
+    "profiles": "Profiles",
+    "load_cells": "Golden units",
+}
+
+
+@pytest.fixture(scope="module")
+def desk(
+    small_calibrated: Path, tmp_path_factory: pytest.TempPathFactory, serve: Callable, add_everybody: Callable
+) -> Iterator[tuple[str, str]]:
+    """The address of the application and the URL of its registry."""
+    folder = tmp_path_factory.mktemp("desk")
+    file = folder / "desk.db"
+    file.write_bytes(small_calibrated.read_bytes())
+    url = f"sqlite:///{file}"
+    add_everybody(url)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_DATA_HOME", str(folder))
+        with serve(url) as screen:
+            yield screen.address, url
+
+
+@pytest.fixture
+def panel(chromium: Browser) -> Iterator[Page]:
+    """A panel of 1024 × 768 in the dark."""
+    context = chromium.new_context(viewport={"width": 1024, "height": 768}, color_scheme="dark")
+    tab = context.new_page()
+    tab.set_default_timeout(60_000)
+    yield tab
+    context.close()
+
+
+def _sign_in(page: Page, address: str, remembered: Callable) -> None:
+    page.goto(f"{address}/sign_in")
+    page.get_by_label("Name").fill("Erin")
+    page.get_by_label("PIN").fill("2580")
+    page.keyboard.press("Enter")
+    page.get_by_role("heading", name="Erin").wait_for()
+    remembered(page, "session")
+
+
+def test_every_page_fits_a_small_panel_and_shows_no_error(
+    desk: tuple[str, str], panel: Page, remembered: Callable
+) -> None:
+    address, _ = desk
+    _sign_in(panel, address, remembered)
+    for path, heading in DESK_PAGES.items():
+        panel.goto(f"{address}/{path}")
+        panel.get_by_role("heading", name=heading, exact=True).wait_for()
+        assert panel.get_by_test_id("stAlertContentError").count() == 0, path
+        assert panel.get_by_test_id("stException").count() == 0, path
+        width = panel.evaluate("() => [document.documentElement.scrollWidth, window.innerWidth]")
+        assert width[0] <= width[1], path
+
+
+def _weak(page: Page) -> list[str]:
+    """Return the texts that stay too pale on their ground."""
+    deadline_s = time.monotonic() + FADING_S
+    while (found := page.evaluate(CONTRAST)) and time.monotonic() < deadline_s:
+        page.wait_for_timeout(250)
+    return list(found)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_every_text_stands_out_from_its_ground(
+    desk: tuple[str, str], chromium: Browser, theme: Literal["light", "dark"], remembered: Callable
+) -> None:
+    address, _ = desk
+    context = chromium.new_context(viewport={"width": 1280, "height": 900}, color_scheme=theme)
+    page = context.new_page()
+    page.set_default_timeout(60_000)
+    _sign_in(page, address, remembered)
+    paths = {"sign_in": "Erin", **DESK_PAGES}
+    weak = {}
+    for path, heading in paths.items():
+        page.goto(f"{address}/{path}")
+        page.get_by_role("heading", name=heading, exact=True).wait_for()
+        weak[path] = _weak(page)
+    page.goto(f"{address}/line")
+    page.locator(".sc-word").wait_for()
+    weak["line"] = _weak(page)
+    context.close()
+    assert {path: found for path, found in weak.items() if found} == {}
+
+
+LONG = f"LOT-{'ABCDEFGHIJ' * 6}", f"SERIAL-{'0123456789' * 5}-XYZ-99"
+
+
+@pytest.fixture(scope="module")
+def long_names(desk: tuple[str, str]) -> tuple[str, str, str]:
+    """The address of the application, a lot and a unit of it, both with names of 64 characters."""
+    address, url = desk
+    lot_id, serial = LONG
+    with open_registry(url) as registry:
+        lot, known = registry.lot("small"), registry.calibration("A1").record
+        registry.add_lot(replace(lot, id=lot_id))
+        source = registry.recording(registry.recordings("small", kind="source")[-1].sha256)
+        registry.add_recording(lot_id, source, "source")
+        registry.add_calibration(lot_id, replace(known, serial=serial, verdict="fail"))
+    return address, lot_id, serial
+
+
+@pytest.mark.parametrize("size", [(1024, 768), (1024 * 4 // 5, 768 * 4 // 5)], ids=["panel", "125 %"])
+def test_names_of_64_letters_are_read_in_full_on_a_small_panel(
+    long_names: tuple[str, str, str], chromium: Browser, size: tuple[int, int]
+) -> None:
+    address, lot_id, serial = long_names
+    context = chromium.new_context(viewport={"width": size[0], "height": size[1]})
+    page = context.new_page()
+    page.set_default_timeout(60_000)
+    for path, name in ((f"lot?lot={lot_id}", lot_id), (f"unit?unit={serial}", serial)):
+        page.goto(f"{address}/{path}")
+        page.get_by_text(name, exact=True).first.wait_for()
+        page.locator(".js-plotly-plot").first.wait_for()
+        width = page.evaluate("() => [document.documentElement.scrollWidth, window.innerWidth]")
+        assert width[0] <= width[1], path
+        assert page.get_by_test_id("stAlertContentError").count() == 0, path
+    context.close()
+
+
+def test_one_click_on_a_row_of_the_lot_opens_the_unit(desk: tuple[str, str], page: Page) -> None:
+    address, _ = desk
+    page.goto(f"{address}/lot?lot=small")
+    page.get_by_text("Select a row to open the unit").wait_for()
+    # The worst stands first: the unit that got no map.
+    page.get_by_test_id("stDataFrame").last.click(position={"x": 18, "y": 55})
+    page.get_by_role("heading", name="Unit", exact=True).wait_for()
+    page.get_by_text("This unit has no map").wait_for()
+    assert "unit=A4" in page.url
+
+
+def test_a_training_goes_on_through_a_reload_and_can_be_stopped(
+    desk: tuple[str, str], page: Page, remembered: Callable
+) -> None:
+    address, url = desk
+    _sign_in(page, address, remembered)
+    page.goto(f"{address}/networks?lot=small")
+    page.get_by_label("Most epochs").fill("2000")
+    page.get_by_label("Members").fill("10")
+    page.get_by_role("button", name="Train").click()
+    cancel = page.get_by_role("button", name="Cancel")
+    cancel.wait_for()
+    page.reload()
+    page.get_by_test_id("stEChartsChart").first.wait_for()
+    cancel.click()
+    page.get_by_text("Cancelled; nothing was stored.").wait_for()
+    with open_registry(url) as registry:
+        assert [job.state for job in registry.job_board.jobs("train")] == ["cancelled"]
+    expect(cancel).to_have_count(0)

@@ -1,0 +1,272 @@
+"""The operator's screen in a real browser on a simulated station: a lot of six, and all that may happen to it."""
+
+import re
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Locator, Page, expect
+from playwright.sync_api import TimeoutError as PlaywrightTimeout
+
+from softcal.core.orders import Order, OrderKind, RunState
+from softcal.db.connection import open_registry
+
+STATION, LOT = "line-1", "LOT-7"
+SHORT = ("--speed", "4", "--unit-seconds", "12", "--source-seconds", "25", "--hidden", "12,6")
+RESULTS = re.compile("pass|conditional|fail|retest")
+
+
+@dataclass
+class Line:
+    """A served station with a trained lot, and a screen that shows it."""
+
+    registry: Any
+    screen: Any
+
+    def order(self, kind: OrderKind, serial: str = "", reason: str = "") -> str:
+        order_id = f"{kind}-{time.monotonic_ns()}"
+        self.registry.order_queue.place(Order(order_id, STATION, kind, serial, LOT, "engineer", reason))
+        return order_id
+
+    def verdict(self, serial: str) -> str | None:
+        return {unit.serial: unit.verdict for unit in self.registry.units(LOT)}.get(serial)
+
+
+@pytest.fixture(scope="module")
+def line(tmp_path_factory: pytest.TempPathFactory, serve: Callable, serve_station: Callable) -> Iterator[Line]:
+    folder = tmp_path_factory.mktemp("line")
+    url = f"sqlite:///{folder / 'line.db'}"
+    with serve_station(url, STATION, folder, *SHORT), serve(url) as screen, open_registry(url) as registry:
+        line = Line(registry, screen)
+        source, deadline_s = line.order(OrderKind.SOURCE, "A0"), time.monotonic() + 120
+        while (progress := registry.order_queue.progress(source)).state.is_active:
+            assert time.monotonic() < deadline_s, progress
+            time.sleep(0.2)
+        assert progress.state is RunState.DONE, progress.message
+        yield line
+
+
+@pytest.fixture
+def panel(line: Line, page: Page) -> Page:
+    """The operator's screen, opened at its address."""
+    return opened(page, line)
+
+
+def card(page: Page, *states: str) -> Locator:
+    return page.locator(", ".join(f".sc-card[data-state={state}]" for state in states))
+
+
+def scan(page: Page, text: str, ending: str | None = "Enter") -> None:
+    """Type as a scanner does: fast, and ended by a key or by nothing."""
+    if ending is None:
+        page.keyboard.insert_text(text)  # All at once: typed letters come slowly on a busy machine.
+        return
+    page.keyboard.type(text, delay=1)
+    page.keyboard.press(ending)
+
+
+def press(page: Page, key: str, *states: str, serial: str = "") -> None:
+    """Press a key as a person does: again when nothing came of it, since a busy machine's station may answer late."""
+    for _ in range(6):
+        page.keyboard.press(key)
+        try:
+            card(page, *states).filter(has_text=serial).wait_for(timeout=5_000)
+            return
+        except PlaywrightTimeout:
+            continue
+    shown = page.locator(".sc-card").first
+    state, says = shown.get_attribute("data-state"), shown.inner_text()
+    pytest.fail(f"{key} led to none of {', '.join(states)}; the card is {state}: {says}")
+
+
+def verdict_of(page: Page, serial: str) -> str:
+    result = card(page, "pass", "conditional", "fail", "retest").filter(has_text=serial)
+    result.wait_for()
+    return str(result.get_attribute("data-state"))
+
+
+FOCUS = "(document.activeElement.shadowRoot?.activeElement ?? document.activeElement).tagName"
+
+
+def focus(page: Page) -> str:
+    return str(page.evaluate(FOCUS))
+
+
+def opened(page: Page, line: Line) -> Page:
+    """Open the screen; it listens from the moment it has the focus."""
+    page.goto(line.screen.address)
+    page.wait_for_function(f"{FOCUS} === 'INPUT'")
+    return page
+
+
+def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: Page) -> None:
+    verdicts = {}
+
+    # The first: lower case as scanned, started by its key.
+    scan(panel, "a1")
+    card(panel, "armed").filter(has_text="A1").wait_for()
+    press(panel, "F2", "running", serial="A1")
+    panel.get_by_role("progressbar").wait_for()
+    panel.locator("[data-testid=stEChartsChart] canvas, canvas").first.wait_for()
+    verdicts["A1"] = verdict_of(panel, "A1")
+
+    # The second: a symbology prefix, ended by Tab, started by a code; the page is reloaded in mid-run.
+    scan(panel, "]C0A2", "Tab")
+    card(panel, "armed").filter(has_text="A2").wait_for()
+    scan(panel, "cmd:start")
+    card(panel, "running").filter(has_text="A2").wait_for()
+    panel.reload()
+    card(panel, "running").filter(has_text="A2").wait_for()
+    verdicts["A2"] = verdict_of(panel, "A2")
+
+    # The third: a scanner that sends no end; the screen's server is killed in mid-run and started again.
+    scan(panel, "A3", ending=None)
+    card(panel, "armed").filter(has_text="A3").wait_for()
+    press(panel, "F2", "running", serial="A3")
+    line.screen.kill()
+    line.screen.start()
+    verdicts["A3"] = verdict_of(panel, "A3")
+
+    # The fourth: a device is unplugged in mid-run. The station stops; it is read, mended, and the unit pressed again.
+    scan(panel, "A4")
+    card(panel, "armed").filter(has_text="A4").wait_for()
+    line.order(OrderKind.FAULT, reason="readout unplugged while pressing")
+    press(panel, "F2", "running", "stopped", serial="A4")
+    card(panel, "stopped").wait_for()
+    expect(card(panel, "stopped")).to_contain_text("Check its cable")
+    expect(panel.locator(".sc-chip").first).to_contain_text("STOPPED")
+    scan(panel, "A5")
+    panel.get_by_text("Press F4 or scan OK first").first.wait_for()
+    press(panel, "F4", "armed", serial="A4")
+    press(panel, "F2", "running", serial="A4")
+    verdicts["A4"] = verdict_of(panel, "A4")
+
+    # The fifth and sixth: by touch, and stopped by hand first.
+    scan(panel, "A5")
+    panel.get_by_role("button", name="Start").click()
+    card(panel, "running").filter(has_text="A5").wait_for()
+    scan(panel, "A6")
+    panel.get_by_text("The scan was not taken").first.wait_for()
+    verdicts["A5"] = verdict_of(panel, "A5")
+    scan(panel, "A6")
+    card(panel, "armed").filter(has_text="A6").wait_for()
+    press(panel, "F2", "running", serial="A6")
+    # On a busy machine the stop may come before the station has begun: then the run is only taken back.
+    press(panel, "F8", "stopped", "broken", serial="A6")
+    scan(panel, "CMD:OK" if card(panel, "stopped").count() else "CMD:REPEAT")
+    card(panel, "armed").filter(has_text="A6").wait_for()
+    press(panel, "F2", "running", serial="A6")
+    verdicts["A6"] = verdict_of(panel, "A6")
+
+    assert focus(panel) == "INPUT"
+    assert {serial: line.verdict(serial) for serial in verdicts} == verdicts
+    expect(panel.locator(".sc-cells")).to_contain_text("6")
+
+
+def test_a_unit_scanned_twice_is_asked_for_and_the_old_result_stands_there(line: Line, panel: Page) -> None:
+    scan(panel, "A1")
+    question = card(panel, "ask")
+    question.wait_for()
+    expect(question).to_contain_text("has a result already")
+    panel.keyboard.press("F6")
+    card(panel, "pass", "conditional", "fail", "retest").wait_for()
+
+
+def test_what_a_screen_reader_says_is_what_stands_there(panel: Page) -> None:
+    live = panel.get_by_role("status").and_(panel.locator("[aria-live=assertive]"))
+    scan(panel, "A9")
+    card(panel, "armed").filter(has_text="A9").wait_for()
+    expect(live).to_have_text(re.compile(r"READY\. A9\. Put the unit into the fixture"))
+    scan(panel, "A0")
+    expect(live).to_contain_text("source unit")
+    panel.keyboard.press("F6")
+
+
+def test_everything_is_reached_by_keyboard_and_focus_is_seen(panel: Page) -> None:
+    scan(panel, "A9")
+    start = panel.get_by_role("button", name="Another unit")
+    start.wait_for()
+    assert focus(panel) == "INPUT"
+    panel.keyboard.press("Shift+Tab")
+    expect(start).to_be_focused()
+    outline = start.evaluate("e => getComputedStyle(e).outlineStyle + getComputedStyle(e).boxShadow")
+    assert outline != "nonenone"
+    # A scan that comes while a button has the focus goes into the field all the same.
+    scan(panel, "A8")
+    card(panel, "armed").filter(has_text="A8").wait_for()
+    panel.keyboard.press("F6")
+    card(panel, "armed").wait_for(state="detached")
+
+
+FIT = """() => {
+  const wide = document.documentElement.scrollWidth > window.innerWidth + 1
+  const cut = [...document.querySelectorAll(".sc-word, .sc-do, .sc-serial, .sc-card")].filter((e) => {
+    const box = e.getBoundingClientRect()
+    return box.right > window.innerWidth + 1 || box.left < -1 || e.scrollWidth > e.clientWidth + 1
+  })
+  const field = document.querySelector(".st-key-scan-field") ?? document.querySelector(".st-key-line-actions")
+  return { wide, cut: cut.map((e) => e.className), bottom: field.getBoundingClientRect().bottom }
+}"""
+
+
+@pytest.mark.parametrize(("width", "height", "zoom"), [(1024, 768, 1.0), (1024, 768, 1.25), (1280, 800, 1.25)])
+def test_a_small_panel_and_a_zoomed_one_show_it_all(
+    line: Line, chromium: Browser, width: int, height: int, zoom: float
+) -> None:
+    size = {"width": int(width / zoom), "height": int(height / zoom)}
+    context = chromium.new_context(viewport=size, device_scale_factor=zoom)
+    page = context.new_page()
+    opened(page, line)
+    scan(page, "A" + "7" * 60)
+    card(page, "armed").wait_for()
+    found = page.evaluate(FIT)
+    assert (found["wide"], found["cut"]) == (False, [])
+    assert found["bottom"] <= size["height"]
+    page.keyboard.press("F6")
+    context.close()
+
+
+CONTRAST = """() => {
+  const parse = (text) => (text.match(/[\\d.]+/g) ?? []).map(Number)
+  const light = ([r, g, b]) => {
+    const [x, y, z] = [r, g, b].map((v) => (v /= 255) <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+    return 0.2126 * x + 0.7152 * y + 0.0722 * z
+  }
+  const groundOf = (e) => {
+    for (; e; e = e.parentElement) {
+      const colour = parse(getComputedStyle(e).backgroundColor)
+      if (colour.length === 3 || colour[3] > 0.99) return colour
+    }
+    return [255, 255, 255]
+  }
+  const weak = []
+  for (const e of document.querySelectorAll("#root *")) {
+    const own = [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim())
+    if (!own || !e.checkVisibility() || e.closest("[aria-hidden=true], style, script, noscript")) continue
+    const style = getComputedStyle(e)
+    if (style.fontFamily.includes("Material")) continue
+    const [a, b] = [light(parse(style.color)), light(groundOf(e))].sort((x, y) => y - x)
+    const ratio = (a + 0.05) / (b + 0.05)
+    const isLarge = parseFloat(style.fontSize) >= 24
+    if (ratio < (isLarge ? 3 : 4.5)) weak.push(`${e.textContent.trim().slice(0, 40)}: ${ratio.toFixed(2)}`)
+  }
+  return weak
+}"""
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_every_word_stands_out_from_its_ground(line: Line, chromium: Browser, theme: Any) -> None:
+    context = chromium.new_context(viewport={"width": 1280, "height": 800}, color_scheme=theme)
+    page = context.new_page()
+    opened(page, line)
+    page.locator(".sc-chip").first.wait_for()
+    scan(page, "LOT:nowhere")
+    page.get_by_text("is not in the registry").first.wait_for()
+    assert page.evaluate(CONTRAST) == []
+    scan(page, "A1")
+    page.get_by_role("button", name="Press again").wait_for()
+    assert page.evaluate(CONTRAST) == []
+    page.keyboard.press("F6")
+    context.close()

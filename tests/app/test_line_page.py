@@ -1,0 +1,76 @@
+"""The operator's page drawn in process: buttons and keys order what they say, and a lost registry is no stack trace."""
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from softcal.app import browser_memory, registry_of_server
+from softcal.app.workflow import line as workflow
+from softcal.core.errors import RegistryError
+from softcal.core.orders import Heartbeat, OrderKind, StationState
+from softcal.db.connection import open_registry
+
+
+def _line_page() -> None:
+    from softcal.app.app_pages import line
+
+    line.render()
+
+
+@pytest.fixture
+def station(calibrated):
+    """The URL of a registry in which a station says that it is ready."""
+    with open_registry(calibrated) as registry:
+        # A minute ahead: a slow machine must not let it grow silent meanwhile.
+        at = datetime.now(UTC) + timedelta(minutes=1)
+        registry.order_queue.beat(Heartbeat("line-1", StationState.READY, at, (), "host:1"))
+    return calibrated
+
+
+def html_of(screen) -> str:
+    return " ".join(element.proto.body for element in screen.get("html"))
+
+
+def scanned(screen, serial: str):
+    remembered = {"unit": f"{datetime.now(UTC).isoformat()} {serial}", "badge": "Kim"}
+    screen.session_state[browser_memory.STATE] = remembered
+    return screen.run()
+
+
+def test_a_ready_line_asks_for_a_scan_and_shows_the_lot(station, open_page):
+    shown = html_of(open_page(station, _line_page))
+    assert 'data-state="ready"' in shown and "Scan the serial" in shown and "4" in shown
+
+
+def test_the_start_button_orders_the_scanned_unit_for_the_operator(station, open_page):
+    screen = scanned(open_page(station, _line_page), "A9")
+    assert 'data-state="armed"' in html_of(screen)
+    screen.button(key="line-START").click().run()
+    with open_registry(station) as registry:
+        order, _ = registry.order_queue.active("line-1")
+    assert (order.kind, order.serial, order.lot_id, order.actor) == (OrderKind.UNIT, "A9", "small", "Kim")
+
+
+def test_a_unit_with_a_result_is_asked_for(station, open_page):
+    screen = scanned(open_page(station, _line_page), "A1")
+    assert 'data-state="ask"' in html_of(screen) and screen.button(key="line-REPEAT")
+
+
+def test_the_line_speaks_korean(station, open_page):
+    assert "다음 제품의 일련번호를 스캔하십시오" in html_of(open_page(station, _line_page, lang="ko"))
+
+
+def test_an_empty_registry_says_that_there_is_no_station(tmp_path, open_page):
+    assert 'data-state="no_station"' in html_of(open_page(f"sqlite:///{tmp_path / 'new.db'}", _line_page))
+
+
+def test_a_lost_registry_is_said_in_words(station, open_page, monkeypatch):
+    screen = open_page(station, _line_page)
+
+    def away(*arguments):
+        raise RegistryError("the registry does not answer")
+
+    monkeypatch.setattr(type(registry_of_server.registry()), "order_queue", property(away))
+    screen.run()
+    assert 'data-state="away"' in html_of(screen) and not screen.exception
+    assert workflow.SILENT_AFTER.seconds == 3

@@ -1,0 +1,211 @@
+"""What the operator's screen shows in every situation, computed without a browser and without a station."""
+
+import re
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from softcal.app import texts
+from softcal.app.charts import palette
+from softcal.app.components import line_card
+from softcal.app.views import line as views_line
+from softcal.app.views.line import ACTIONS, KEYS, TONES, away_view, line_view
+from softcal.app.workflow.line import LineFacts, LotAtLine
+from softcal.core.line_rules import LineRules
+from softcal.core.lot import Lot
+from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
+from softcal.db.entries import RunEntry
+from softcal.station.service import CODES
+
+NOW = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
+LOT = LotAtLine(Lot("L1", "A0", 50.0, "eGaIn pad"), LineRules(), True, {"pass": 3, "fail": 1, "none": 2})
+SAY = partial(texts.text, "en")
+UNIT_DONE = Progress("o1", RunState.DONE, "done", 1.0, message="predicted RMSE 0.07 N; all is well", verdict="pass")
+
+
+def heartbeat(state: StationState = StationState.READY, **facts) -> Heartbeat:
+    return Heartbeat("line-1", state, NOW, **facts)
+
+
+def run(progress: Progress = UNIT_DONE, kind: OrderKind = OrderKind.UNIT, serial: str = "A1"):
+    return Order("o1", "line-1", kind, serial, "L1", "kim", created=NOW - timedelta(minutes=1)), progress
+
+
+def facts(**changes) -> LineFacts:
+    return replace(LineFacts(NOW, ("line-1",), heartbeat(), ("L1",), LOT), **changes)
+
+
+def result(verdict: str, times: int = 1) -> tuple[RunEntry, ...]:
+    return tuple(RunEntry("A1", NOW - timedelta(hours=1), verdict, ("because",)) for _ in range(times))
+
+
+def shown(**changes):
+    return line_view(facts(**changes), "Kim", SAY)
+
+
+ERROR = Progress("o1", RunState.ERROR, code="E-SILENT", message="the load cell does not answer; the stage stands")
+SITUATIONS = {
+    "no_station": {"heartbeat": None},
+    "silent": {"heartbeat": replace(heartbeat(), at=NOW - timedelta(seconds=4))},
+    "no_lot": {"lot": None},
+    "ready": {},
+    "armed": {"serial": "A1"},
+    "ask": {"serial": "A1", "results": result("pass")},
+    "used_up": {"serial": "A1", "results": result("fail", 2)},
+    "closed": {"heartbeat": heartbeat(StationState.CLOSED, reasons=("no golden unit",))},
+    "running": {"active": run(Progress("o1", RunState.RUNNING, "pressing", 0.4, 12.0))},
+    "stopped": {"heartbeat": heartbeat(StationState.STOPPED, reasons=(ERROR.message,)), "runs": (run(ERROR),)},
+    "broken": {"runs": (run(replace(ERROR, code="E-INTERRUPTED")),)},
+    "pass": {"runs": (run(),)},
+    "conditional": {"runs": (run(replace(UNIT_DONE, verdict="conditional")),)},
+    "fail": {"runs": (run(replace(UNIT_DONE, verdict="fail")),)},
+    "retest": {"runs": (run(replace(UNIT_DONE, verdict="retest")),), "results": result("retest")},
+    "retest_used_up": {"runs": (run(replace(UNIT_DONE, verdict="retest")),), "results": result("retest", 4)},
+    "recorded": {"runs": (run(replace(UNIT_DONE, verdict="")),)},
+    "golden_pass": {"runs": (run(kind=OrderKind.GOLDEN),)},
+    "golden_fail": {"runs": (run(replace(UNIT_DONE, verdict="fail"), OrderKind.GOLDEN),)},
+}
+
+
+@pytest.mark.parametrize("state", SITUATIONS)
+def test_every_situation_has_its_state_with_a_word_and_an_instruction(state):
+    view = shown(**SITUATIONS[state])
+    assert view.state == state and view.word and view.instruction
+    assert view.tone in line_card.MARKS
+
+
+def test_every_state_has_a_situation_here():
+    assert {*SITUATIONS, "away"} == set(TONES)
+
+
+def test_an_old_station_that_ended_in_good_order_is_not_there_either():
+    assert shown(heartbeat=heartbeat(StationState.OFF)).state == "silent"
+
+
+def test_a_run_goes_before_a_scan_and_a_stop_before_both():
+    running = SITUATIONS["running"]
+    assert shown(**running, serial="A2").state == "running"
+    assert shown(**SITUATIONS["stopped"], serial="A2").state == "stopped"
+
+
+def test_a_golden_unit_may_be_pressed_while_the_gate_is_closed():
+    closed = heartbeat(StationState.CLOSED)
+    assert shown(heartbeat=closed, serial="G1", is_golden=True).state == "armed"
+    assert shown(heartbeat=closed, serial="A1").state == "closed"
+
+
+def test_a_stop_names_what_happened_what_to_do_and_its_code():
+    view = shown(**SITUATIONS["stopped"])
+    assert "cable" in view.instruction and "F4" in view.instruction
+    assert view.details == (ERROR.message, "Code E-SILENT")
+
+
+def test_a_station_that_stopped_between_runs_does_not_blame_the_last_run():
+    gone = heartbeat(StationState.STOPPED, reasons=("the readout is gone",))
+    view = shown(heartbeat=gone, runs=(run(ERROR),))
+    assert view.details == ("the readout is gone",) and view.instruction == SAY("line.stopped.do")
+
+
+def test_every_code_of_the_station_has_its_instruction_in_every_language():
+    for language in texts.catalogue().values():
+        assert {f"code.{code}" for code in CODES.values()} <= set(language)
+
+
+def test_the_bar_tells_station_lot_product_operator_count_and_yield():
+    cells = dict(shown().cells)
+    assert cells["Station"] == "line-1 · ready"
+    assert (cells["Lot"], cells["Product"], cells["Operator"]) == ("L1", "eGaIn pad", "Kim")
+    assert (cells["Units"], cells["Yield"]) == ("4 / 6", "75%")
+
+
+def test_a_stated_target_goes_before_the_number_of_known_units():
+    lot = replace(LOT, rules=LineRules(target=500))
+    assert dict(shown(lot=lot).cells)["Units"] == "4 / 500"
+
+
+def test_a_stop_of_the_station_is_no_reject_among_the_last_units():
+    chips = shown(runs=(run(ERROR, serial="A2"), run())).chips
+    assert [(chip.serial, chip.tone) for chip in chips] == [("A2", "stopped"), ("A1", "pass")]
+
+
+def test_at_most_fourteen_units_are_shown_and_none_of_another_lot():
+    other = replace(run()[0], lot_id="L9"), UNIT_DONE
+    chips = shown(runs=(other, *(run(serial=f"A{k}") for k in range(30)))).chips
+    assert len(chips) == 14 and chips[0].serial == "A0"
+
+
+def test_a_question_shows_the_old_result():
+    view = shown(**SITUATIONS["ask"])
+    assert "Pass" in view.instruction and view.details == ("because",)
+
+
+def test_a_running_view_has_phase_remaining_time_and_signal():
+    signal = Signal((0.0, 0.1), (1.0, 1.1), (0.0, 0.2))
+    progress = Progress("o1", RunState.RUNNING, "pressing", 0.4, 100.0, signal=signal)
+    view = shown(active=run(progress))
+    assert (view.phase, view.fraction, view.remaining, view.signal) == ("pressing", 0.4, "about 2 min left", signal)
+
+
+def test_an_unknown_phase_is_shown_as_the_station_says_it():
+    progress = Progress("o1", RunState.RUNNING, "polishing", 0.4)
+    assert shown(active=run(progress)).phase == "polishing"
+
+
+def test_without_the_registry_the_screen_says_how_many_results_wait():
+    view = away_view(12, "Kim", SAY)
+    assert view.state == "away" and "12" in view.details[0]
+
+
+def test_what_comes_from_outside_is_shown_as_text():
+    evil = "<script>alert(1)</script>"
+    view = replace(
+        shown(runs=(run(serial="A1"),)),
+        serial=evil,
+        details=(evil,),
+        cells=((evil, evil),),
+        conditions=(Condition(evil, False, evil),),
+        chips=(views_line.Chip(evil, "pass", evil),),
+    )
+    html = [
+        line_card.card_html(view),
+        line_card.cells_html(view),
+        line_card.conditions_html(view, evil),
+        line_card.chips_html(view, evil, evil),
+        line_card.note_html(evil, True),
+    ]
+    assert "<script>" not in "".join(html)
+
+
+def test_every_action_has_a_key_and_a_label():
+    assert {command for commands in ACTIONS.values() for command in commands} <= set(KEYS)
+    assert all(f"line.action.{command}" in texts.catalogue()["en"] for command in KEYS)
+
+
+def luminance(colour: str) -> float:
+    channels = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast ratio of two colours (WCAG 2.1, definition of contrast ratio)."""
+    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_white_words_stand_out_on_the_ground_of_every_state():
+    css = Path(line_card.__file__).with_suffix(".css").read_text()
+    grounds = dict(re.findall(r"\.sc-(\w+) \{ background: (#\w{6}); \}", css))
+    assert set(TONES.values()) <= set(grounds)
+    assert all(contrast("#FFFFFF", ground) >= 4.5 for ground in grounds.values())
+
+
+@pytest.mark.parametrize(
+    ("colours", "grounds"), [(palette.LIGHT, ("#FFFFFF", "#F1F4F7")), (palette.DARK, ("#11181F", "#1B252E"))]
+)
+def test_words_on_the_page_stand_out_in_both_themes(colours, grounds):
+    for ground in grounds:
+        assert all(contrast(getattr(colours, name), ground) >= 4.5 for name in ("text", "soft", "good", "bad"))

@@ -1,0 +1,101 @@
+"""Audit plans: drawn once, kept with the lot, and the lot judged when every drawn unit has been measured."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from softcal.app.cli import main
+from softcal.db.connection import open_registry
+
+SMALL = ("--hidden", "16,8", "--no-own")
+
+
+def _json(tmp_path: Path, *arguments: str) -> tuple[int, dict]:
+    file = tmp_path / "answer.json"
+    file.unlink(missing_ok=True)
+    code = main([*arguments, "--json", str(file)])
+    return code, json.loads(file.read_text()) if file.exists() else {}
+
+
+@pytest.fixture
+def unaudited(lot_folder: Path) -> tuple[Path, dict[str, str]]:
+    """The small lot with its audit recordings set aside."""
+    kept = {path.name: path.read_text() for path in sorted((lot_folder / "audit").iterdir())}
+    for name in kept:
+        (lot_folder / "audit" / name).unlink()
+    return lot_folder, kept
+
+
+def test_the_lot_is_judged_once_every_drawn_unit_was_measured(
+    unaudited: tuple[Path, dict[str, str]], registry_url: str, tmp_path: Path
+) -> None:
+    folder, audits = unaudited
+    batch = ("batch", str(folder), "--registry", registry_url, *SMALL)
+    plan = ("lot", "audit-plan", str(folder), "--registry", registry_url)
+    main(["lot", "limit", _lot_id(folder, registry_url), "--registry", registry_url, "--rmse", "5", "--reason", "test"])
+    assert _json(tmp_path, *batch)[1]["audit"] is None
+    _, drawn = _json(tmp_path, *plan, "--doubtful", "1", "--random", "1")
+    asked = [*drawn["plan"]["doubtful"], *drawn["plan"]["random"]]
+    assert len(set(asked)) == 2 and drawn["missing"] == asked and drawn["verdict"] is None
+    for serial in asked:
+        (folder / "audit" / f"{serial}.csv").write_text(audits[f"{serial}.csv"])
+    _, report = _json(tmp_path, *batch)
+    scored = {unit["serial"]: unit["after_rmse"] for unit in report["units"]}
+    assert report["audit"]["measured_rmse"] == {serial: scored[serial] for serial in asked}
+    # One of two random units, none failed: nothing firm can be said of the other.
+    assert report["audit"]["verdict"] == "conditional"
+    assert all(unit["audited_verdict"] == "pass" for unit in report["units"] if unit["serial"] in asked)
+    assert _json(tmp_path, *plan)[1]["statement"] == report["audit"]["statement"]
+
+
+def test_a_measured_unit_beyond_the_limit_fails_the_lot(
+    unaudited: tuple[Path, dict[str, str]], registry_url: str, tmp_path: Path
+) -> None:
+    folder, audits = unaudited
+    batch = ("batch", str(folder), "--registry", registry_url, *SMALL)
+    _json(tmp_path, *batch)
+    plan = ("lot", "audit-plan", str(folder), "--registry", registry_url, "--doubtful", "1", "--random", "0")
+    serial = _json(tmp_path, *plan)[1]["plan"]["doubtful"][0]
+    head, *rows = audits[f"{serial}.csv"].splitlines()
+    column = head.split(",").index("reference")
+    cells = [row.split(",") for row in rows]
+    for row in cells:
+        row[column] = str(10 + 3 * float(row[column]))
+    (folder / "audit" / f"{serial}.csv").write_text("\n".join([head, *map(",".join, cells)]) + "\n")
+    _, report = _json(tmp_path, *batch)
+    assert report["audit"]["verdict"] == "fail" and report["audit"]["statement"]["failed"] == [serial]
+    assert main(["lot", "audit-plan", str(folder), "--registry", registry_url]) == 1
+
+
+def test_a_plan_is_not_drawn_again_without_a_reason(
+    lot_folder: Path, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = ("lot", "audit-plan", str(lot_folder), "--registry", registry_url)
+    main(["train", str(lot_folder), "--registry", registry_url, "--hidden", "16,8"])
+    assert main([*plan]) == 2
+    assert "softcal batch" in capsys.readouterr().err
+    _json(tmp_path, "batch", str(lot_folder), "--registry", registry_url, *SMALL)
+    _, first = _json(tmp_path, *plan, "--random", "1", "--doubtful", "1")
+    assert _json(tmp_path, *plan, "--seed", "9")[1]["plan"] == first["plan"]
+    assert main([*plan, "--new"]) == 2 and "--reason" in capsys.readouterr().err
+    assert main([*plan, "--new", "--reason", "unit lost", "--random", "2"]) in (0, 1)
+    with open_registry(registry_url) as registry:
+        rows = registry.events("audit_plan", (_lot_id(lot_folder, registry_url),))
+    assert [row.reason for row in rows] == ["", "unit lost"]
+
+
+@pytest.mark.parametrize(("option", "value"), [("--random", "-1"), ("--allowed-share", "1.5")])
+def test_an_impossible_plan_is_refused_in_one_line(
+    lot_folder: Path, registry_url: str, tmp_path: Path, option: str, value: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _json(tmp_path, "batch", str(lot_folder), "--registry", registry_url, *SMALL)
+    capsys.readouterr()
+    assert main(["lot", "audit-plan", str(lot_folder), "--registry", registry_url, option, value]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def _lot_id(folder: Path, url: str) -> str:
+    main(["train", str(folder), "--registry", url, "--hidden", "16,8"])
+    with open_registry(url) as registry:
+        return registry.lots()[0].id

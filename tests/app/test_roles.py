@@ -1,0 +1,104 @@
+"""Who may open and change what, drawn in process: the first person, a wrong PIN, a change with its reason."""
+
+import pytest
+
+from softcal.app import identity
+from softcal.app.pages import PAGES, pages_for
+from softcal.app.texts import catalogue
+from softcal.db.connection import open_registry
+from softcal.db.entries import User
+
+
+@pytest.fixture
+def new_registry(tmp_path) -> str:
+    return f"sqlite:///{tmp_path / 'new.db'}"
+
+
+def test_every_page_has_a_title() -> None:
+    assert all(f"page.{page.name}" in catalogue()["en"] for page in PAGES)
+
+
+@pytest.mark.parametrize(
+    ("role", "closed"), [("operator", {"audit_trail", "people"}), ("engineer", {"audit_trail", "people"})]
+)
+def test_the_pages_of_quality_are_closed_to_others(role, closed) -> None:
+    assert not closed & {page.name for page in pages_for(User("x", role, True, 1))}
+
+
+def test_who_may_no_longer_sign_in_may_open_what_everybody_may() -> None:
+    assert {page.name for page in pages_for(User("x", "quality", False, 1))} == {"sign_in"}
+
+
+def _sign_in_page() -> None:
+    from softcal.app.app_pages import sign_in
+
+    sign_in.render()
+
+
+def _people_page() -> None:
+    from softcal.app.app_pages import people
+
+    people.render()
+
+
+def test_the_first_person_becomes_quality(new_registry, open_page) -> None:
+    screen = open_page(new_registry, _sign_in_page)
+    screen.text_input(key="first-name").set_value("Quinn")
+    screen.text_input(key="first-pin").set_value("7777")
+    screen.button[0].click().run()
+    assert screen.title[0].value == "Quinn"
+    with open_registry(new_registry) as registry:
+        assert [(user.name, user.role) for user in registry.users()] == [("Quinn", "quality")]
+
+
+def test_a_wrong_pin_is_refused_in_words(calibrated, open_page, add_everybody) -> None:
+    add_everybody(calibrated)
+    screen = open_page(calibrated, _sign_in_page)
+    screen.text_input(key="sign-in-name").set_value("Quinn")
+    screen.text_input(key="sign-in-pin").set_value("0000")
+    screen.button[0].click().run()
+    assert [error.value for error in screen.error] == ["name or PIN is wrong"]
+
+
+def _person(screen, reason: str) -> None:
+    chosen = {field.label: field for field in screen.selectbox}
+    chosen["Person"].set_value("Erin").run()
+    next(field for field in screen.selectbox if field.label == "Role").set_value("quality")
+    screen.text_input(key="reason-text-people-Erin-1").set_value(reason)
+    screen.button[0].click().run()
+
+
+def test_a_change_of_a_person_lands_in_the_audit_trail_with_its_reason(calibrated, open_page) -> None:
+    screen = open_page(calibrated, _people_page, role="quality")
+    _person(screen, "took over the lab")
+    assert screen.success[0].value == "Erin was saved"
+    with open_registry(calibrated) as registry:
+        row = registry.audit_rows()[-1]
+    assert (row.actor, row.action, row.reason) == ("Quinn", "set_user", "took over the lab")
+
+
+def test_a_change_without_a_reason_changes_nothing(calibrated, open_page) -> None:
+    screen = open_page(calibrated, _people_page, role="quality")
+    _person(screen, " ")
+    assert "Say in a few words why" in screen.warning[0].value
+    with open_registry(calibrated) as registry:
+        assert {user.name: user.role for user in registry.users()}["Erin"] == "engineer"
+
+
+def test_a_role_without_the_permission_gets_no_button(calibrated, open_page) -> None:
+    screen = open_page(calibrated, _people_page, role="engineer")
+    assert not screen.button and "As Engineer" in screen.caption[-1].value
+
+
+@pytest.mark.parametrize(
+    ("claims", "role"),
+    [
+        ({"roles": ["engineer"]}, "engineer"),
+        ({"roles": ["/plant/line 3/Quality", "engineer"]}, "quality"),
+        ({"roles": "operator"}, "operator"),
+        ({"roles": ["bookkeeper"]}, None),
+        ({}, None),
+    ],
+)
+def test_a_company_account_has_the_highest_role_its_claims_name(claims, role) -> None:
+    assert identity.role_of(claims, "roles") == role

@@ -1,0 +1,206 @@
+"""The resident service as a line uses it: source, units, golden unit, faults and stops, through the registry alone."""
+
+import threading
+import time
+from contextlib import contextmanager
+from datetime import UTC, date, datetime
+
+import pytest
+from sqlalchemy import update
+
+from softcal.app.workflow.station_gate import RIG_ONLY, GateRules
+from softcal.app.workflow.station_serve import Serving, serve
+from softcal.core.errors import InputError
+from softcal.core.orders import Order, OrderKind, RunState, StationState
+from softcal.core.training import NetworkConfig
+from softcal.db.connection import open_registry
+from softcal.db.entries import CellCertificate
+from softcal.db.tables import heartbeats
+
+SMALL = NetworkConfig(hidden=(12, 6), max_epochs=12)
+SHORT = {"speed": 1000.0, "source_s": 30.0, "unit_s": 12.0, "network": SMALL}
+
+
+class Line:
+    """A served station and the one who orders from it."""
+
+    def __init__(self, registry, serving, folder):
+        self.registry, self.queue = registry, registry.order_queue
+        self.is_wanted, self.count, self.error = True, 0, None
+        self.thread = threading.Thread(target=self._serve, args=(serving, folder))
+        self.thread.start()
+        self.wait_for(lambda beat: beat.state in (StationState.READY, StationState.CLOSED))
+
+    def _serve(self, serving, folder):
+        try:
+            serve(self.registry, serving, folder / "spool", lambda: self.is_wanted)
+        except InputError as error:
+            self.error = error
+
+    def wait_for(self, is_so):
+        end_s = time.monotonic() + 60
+        while (beat := self.queue.heartbeat("s1")) is None or not is_so(beat):
+            assert time.monotonic() < end_s, beat
+            time.sleep(0.02)
+        return beat
+
+    def place(self, kind, serial="", reason=""):
+        self.count += 1
+        self.queue.place(Order(f"o{self.count}", "s1", OrderKind(kind), serial, "L1", "kim", reason))
+        return f"o{self.count}"
+
+    def order(self, kind, serial="", reason=""):
+        order_id, end_s = self.place(kind, serial, reason), time.monotonic() + 60
+        while (progress := self.queue.progress(order_id)).state.is_active:
+            assert time.monotonic() < end_s, progress
+            time.sleep(0.02)
+        return progress
+
+    def end(self):
+        self.is_wanted = False
+        self.thread.join(60)
+        assert not self.thread.is_alive()
+
+
+@contextmanager
+def served(tmp_path, **changes):
+    with open_registry(f"sqlite:///{tmp_path / 'r.db'}") as registry:
+        line = Line(registry, Serving("s1", simulated_seed=5, **(SHORT | {"rules": RIG_ONLY} | changes)), tmp_path)
+        try:
+            yield line
+        finally:
+            line.end()
+
+
+@pytest.fixture(scope="module")
+def line(tmp_path_factory):
+    with served(tmp_path_factory.mktemp("line")) as line:
+        done = line.order("source", "A0")
+        assert done.state is RunState.DONE, done.message
+        assert "shared network trained" in done.message
+        yield line
+
+
+def test_a_source_begins_its_lot_and_trains_its_network(line):
+    lot = line.registry.lot("L1")
+    assert (lot.source, lot.sample_rate_Hz) == ("A0", 50.0)
+    assert [entry.lot_id for entry in line.registry.networks()] == ["L1"]
+
+
+def test_a_unit_gets_its_verdict_in_its_order_and_in_the_registry(line):
+    done = line.order("unit", "A1")
+    assert done.state is RunState.DONE
+    assert done.verdict in ("pass", "conditional", "fail", "retest")
+    assert done.message
+    (unit,) = [unit for unit in line.registry.units("L1") if unit.serial == "A1"]
+    assert (unit.verdict, "; ".join(unit.reasons)) == (done.verdict, done.message)
+    assert line.registry.recording(done.recording_sha256).serial == "A1"
+
+
+def test_a_unit_pressed_again_gets_another_revision_with_its_reason(line):
+    line.order("unit", "A2")
+    line.order("unit", "A2", reason="it was not seated")
+    assert [entry.reason for entry in line.registry.history("A2")] == ["pressed on s1", "it was not seated"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "serial", "message"),
+    [
+        ("unit", "A0", "source unit of lot L1 is A0"),
+        ("source", "A7", "source unit of lot L1 is A0"),
+        ("unit", "a b", "allowed"),
+    ],
+)
+def test_an_order_that_makes_no_sense_moves_nothing(line, kind, serial, message):
+    refused = line.order(kind, serial)
+    assert (refused.state, refused.code) == (RunState.ERROR, "E-ORDER")
+    assert message in refused.message
+    answered_at = datetime.now(UTC)
+    assert line.wait_for(lambda beat: beat.at > answered_at).state is StationState.READY
+
+
+def test_a_fault_in_mid_run_stops_the_station_and_an_acknowledgement_brings_it_back(line):
+    assert line.order("fault", reason="load cell unplugged while pressing").state is RunState.DONE
+    broken = line.order("unit", "A3")
+    assert (broken.state, broken.code, broken.verdict) == (RunState.ERROR, "E-SILENT", "")
+    assert "load cell" in broken.message
+    beat = line.wait_for(lambda beat: beat.state is StationState.STOPPED)
+    assert "load cell" in beat.reasons[0]
+    assert line.order("unit", "A3").code == "E-GATE"
+    line.order("acknowledge")
+    assert line.order("unit", "A3").state is RunState.DONE
+
+
+def test_a_golden_unit_is_judged_and_one_out_of_control_quarantines_what_was_pressed(line):
+    line.order("unit", "G1")
+    assert line.order("golden", "G1").verdict == "pass"
+    line.order("unit", "A5")
+    line.registry.set_limit("L1", 1e-6, reason="nothing is good enough")
+    failed = line.order("golden", "G1")
+    assert failed.verdict == "fail"
+    assert failed.message.endswith("quarantined: A5")
+    assert [run.passed for run in line.registry.golden_runs("s1")] == [True, False]
+    assert [row.action for row in line.registry.audit_rows()].count("quarantine") == 1
+
+
+def test_an_unknown_fault_names_the_known_ones(line):
+    refused = line.order("fault", reason="earthquake")
+    assert refused.state is RunState.ERROR
+    assert "homing switch missing" in refused.message
+
+
+def test_a_self_test_without_a_unit_is_done(line):
+    assert line.order("check").message == "all devices are good"
+
+
+def test_a_stop_before_the_run_began_means_that_run_too(line):
+    # Both orders are there before the service looks: the stop must not leave the run behind it standing.
+    with line.registry.transaction():
+        run, stop = line.place("unit", "A4"), line.place("stop")
+    while line.queue.progress(stop).state.is_active:
+        time.sleep(0.02)
+    assert line.queue.progress(run).state is RunState.CANCELLED
+    assert line.queue.progress(run).phase == ""
+
+
+def test_the_gate_tells_every_condition_and_an_override_opens_it(tmp_path):
+    with served(tmp_path, rules=GateRules()) as line:
+        beat = line.wait_for(lambda beat: beat.state is StationState.CLOSED)
+        assert {c.name: c.is_good for c in beat.gate} == {
+            "certificate": False,
+            "warm-up": False,
+            "zero return": True,
+            "homing": True,
+            "golden unit": False,
+        }
+        refused = line.order("source", "A0")
+        assert refused.code == "E-GATE"
+        assert refused.message.count(";") >= 3  # all reasons at once, each with its cure
+        assert line.order("override").state is RunState.ERROR
+        line.registry.add_certificate(
+            CellCertificate("SIM-CELL", "17", "Lab", date(2020, 1, 1), date(2090, 1, 1), 20.0, 0.02)
+        )
+        assert line.order("override", reason="first set-up").state is RunState.DONE
+        beat = line.wait_for(lambda beat: beat.is_overridden)
+        assert beat.state is StationState.READY
+        assert line.order("check").state is RunState.DONE
+
+
+def test_a_terminated_service_stops_its_run_and_says_that_it_is_off(tmp_path):
+    with served(tmp_path, speed=5.0, unit_s=300.0) as line:
+        line.queue.place(Order("long", "s1", OrderKind.SOURCE, "A0", "L1"))
+        while line.queue.progress("long").phase != "homing":
+            time.sleep(0.02)
+        line.end()
+        assert line.queue.progress("long").state is RunState.CANCELLED
+        assert line.queue.heartbeat("s1").state is StationState.OFF
+
+
+def test_a_service_that_was_silent_too_long_gives_way_to_the_new_owner(tmp_path):
+    with served(tmp_path) as line:
+        with line.registry.database.writing(in_turn=False) as connection:
+            connection.execute(update(heartbeats).values(process="other:1"))
+        line.thread.join(30)
+        assert not line.thread.is_alive()
+        assert "served by other:1" in str(line.error)
+        assert line.queue.heartbeat("s1").process == "other:1"

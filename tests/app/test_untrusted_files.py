@@ -1,0 +1,132 @@
+"""Files from elsewhere are never trusted: bombs, pickles, shifted or doubled columns, names that leave the folder."""
+
+import pickle
+import random
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+
+from softcal.app.cli import main
+from softcal.app.files import recording_file
+from softcal.app.files.recording_file import read_recording, read_table
+from softcal.core.errors import InputError
+
+BENCHMARKS = str(Path(__file__).parents[2] / "benchmarks")
+
+
+@pytest.mark.parametrize(("kind", "files"), [("csv", 150), ("bytes", 150), ("xlsx", 10), ("parquet", 40)])
+def test_broken_files_are_refused_or_read_as_they_stand(
+    kind: str, files: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    from import_fuzz import Fuzz
+
+    fuzz = Fuzz(kind, tmp_path, random.Random(f"7 {kind}"))
+    for _ in range(files):
+        fuzz.one()
+    assert sum(fuzz.found[what] for what in ("refused", "made")) == files, fuzz.examples
+    assert not fuzz.examples and fuzz.found["refused"] > files / 2
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("t_s,output\n0,1,2\n0.02,1,2\n", "more cells than the header"),
+        ("t_s,output,output\n0,1,2\n0.02,1,2\n", "more than one column is named 'output'"),
+        ("\n\nt_s,t_s,output\n0,1,2\n0.02,1,2\n", "more than one column is named 't_s'"),
+        ("t_s,output\n0,True\n0.02,False\n", "holds 'True' where numbers were expected"),
+    ],
+)
+def test_columns_that_leave_doubt_are_refused(text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says):
+        read_recording(path, "a", 50.0)
+
+
+def test_a_control_character_in_a_header_is_shown_and_not_obeyed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "A1.csv"
+    path.write_text("t_s,\x1b[2Jout\x0bput\n0,1\n")
+    assert (
+        main(
+            [
+                "import",
+                str(path),
+                "--source",
+                "A1",
+                "--output-column",
+                "V",
+                "--sample-rate",
+                "50",
+                "--out",
+                str(tmp_path / "lot"),
+            ]
+        )
+        == 2
+    )
+    said = capsys.readouterr().err
+    assert "\\x1b[2Jout\\x0bput" in said
+    assert all(letter.isprintable() for letter in said.rstrip("\n"))
+
+
+def test_doubled_columns_of_a_spreadsheet_are_refused(tmp_path: Path) -> None:
+    pd.DataFrame([[0.0, 1.0, 2.0]], columns=["t_s", "output", "output"]).to_excel(tmp_path / "a.xlsx", index=False)
+    with pytest.raises(InputError, match="more than one column is named 'output'"):
+        read_table(tmp_path / "a.xlsx")
+
+
+def test_a_spreadsheet_that_unpacks_to_gigabytes_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording_file, "MAX_UNPACKED_BYTES", 20_000_000)
+    path = tmp_path / "bomb.xlsx"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("sheet1.xml", "w") as part:
+        for _ in range(21):
+            part.write(bytes(1_000_000))
+    assert path.stat().st_size < 100_000
+    with pytest.raises(InputError, match="unpacks to"):
+        read_table(path)
+
+
+def test_a_parquet_file_that_unpacks_to_gigabytes_is_not_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "bomb.parquet"
+    pyarrow.parquet.write_table(pa.table({"t_s": np.zeros(2_000_000), "output": np.zeros(2_000_000)}), path)
+    monkeypatch.setattr(recording_file, "MAX_UNPACKED_BYTES", 16_000_000)
+    assert path.stat().st_size < 100_000
+    with pytest.raises(InputError, match="unpacks to"):
+        read_table(path)
+
+
+class _Bomb:
+    def __reduce__(self):
+        return (sys.exit, ("a pickle was run",))
+
+
+@pytest.mark.parametrize("name", ["a.pkl", "a.csv", "a.xlsx", "a.parquet", "a.npy"])
+def test_a_pickle_is_never_run(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / name
+    path.write_bytes(pickle.dumps(_Bomb()))
+    command = ["import", str(path), "--out", str(tmp_path / "lot"), "--source", "a", "--sample-rate", "50"]
+    assert main(command) == 2
+    assert "a pickle was run" not in capsys.readouterr().err and not (tmp_path / "lot").exists()
+
+
+@pytest.mark.parametrize("serial", ["../../x", "..", "/etc/passwd", "a/b", "a\\b", "con\0", "", ".hidden", "a" * 65])
+def test_a_serial_never_leaves_its_folder(serial: str, tmp_path: Path) -> None:
+    table = pd.DataFrame({"output": np.linspace(0, 1, 40), "reference": np.linspace(0, 3, 40)})
+    table.to_csv(tmp_path / "a.csv", index=False)
+    # Deep enough that what climbs out of the lot would still be seen.
+    deep = tmp_path / "of" / "the" / "line"
+    deep.mkdir(parents=True)
+    before = sorted(tmp_path.rglob("*"))
+    command = ["import", str(tmp_path / "a.csv"), "--out", str(deep / "lot"), "--sample-rate", "50"]
+    assert main([*command, "--source", serial, "--serial", serial, "--reference-column", "reference"]) == 2
+    assert sorted(tmp_path.rglob("*")) == before

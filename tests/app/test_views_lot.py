@@ -1,0 +1,92 @@
+"""What the lot page says of a process: rules in words, capability refused or given, reasons counted by kind."""
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from softcal.app.charts import lot as charts_lot
+from softcal.app.charts.palette import DARK, LIGHT
+from softcal.app.charts.style import nice_step
+from softcal.app.files.spreadsheet import excel_bytes
+from softcal.app.views.common import percent
+from softcal.app.views.lot import process_view, reason_kind
+from softcal.db.entries import RunEntry
+
+START = datetime(2026, 5, 4, tzinfo=UTC)
+
+
+def runs_of(values) -> list[RunEntry]:
+    return [
+        RunEntry(f"U{k:03d}", START + timedelta(minutes=k), "pass", (), float(value)) for k, value in enumerate(values)
+    ]
+
+
+def test_a_stable_process_has_a_capability(rng) -> None:
+    values = 0.08 + 0.004 * np.tile([-1.0, 0.4, 1.1, -0.6, 0.2, -0.9, 0.8], 6)
+    process = process_view(runs_of(values), 0.12)
+    assert process.capability is not None and process.refusal == ""
+    sigma = np.abs(np.diff(values)).mean() / 1.128
+    assert process.capability.cpk == pytest.approx((0.12 - values.mean()) / (3 * sigma), rel=1e-6)
+
+
+def test_an_unstable_process_has_none_and_names_the_rule_and_the_unit(rng) -> None:
+    values = np.r_[0.08 + 0.002 * rng.normal(size=40), 0.2]
+    process = process_view(runs_of(values), 0.12)
+    assert process.capability is None and "not stable" in process.refusal
+    beyond = next(broken for broken in process.broken if broken.rule == 1)
+    assert (beyond.last, beyond.forbids) == ("U040", True)
+
+
+def test_too_few_units_make_no_chart() -> None:
+    process = process_view(runs_of([0.1] * 5), 0.12)
+    assert process.chart is None and "at least 8" in process.refusal
+
+
+@pytest.mark.parametrize(
+    ("reason", "kind"),
+    [
+        ("clipped range: presses end flat at 1.63 V, 16.5% of the samples", "clipped range"),
+        (
+            "predicted RMSE 0.417 N (95 %: 0.233 to 0.798) is above the limit 0.12 N (stated for the lot)",
+            "predicted RMSE is above the limit",
+        ),
+    ],
+)
+def test_reasons_are_counted_by_kind_not_by_number(reason: str, kind: str) -> None:
+    assert reason_kind(reason) == kind
+
+
+@pytest.mark.parametrize("colours", [LIGHT, DARK])
+def test_limit_lines_are_seen_on_either_ground(rng, colours) -> None:
+    process = process_view(runs_of(0.08 + 0.002 * rng.normal(size=400)), 0.12)
+    figure = charts_lot.control_chart_figure(process, "N", colours, lambda key, **_: key)
+    assert {shape.line.color for shape in figure.layout.shapes} == {colours.text, colours.limit}
+    assert len(figure.data[0].x) == charts_lot.SHOWN_VALUES
+
+
+def test_only_all_is_a_hundred_per_cent() -> None:
+    assert [percent(share) for share in (None, 0.0, 1e-5, 0.5, 0.99999, 1.0)] == [
+        "–",
+        "0 %",
+        "< 0.1 %",
+        "50.0 %",
+        "> 99.9 %",
+        "100 %",
+    ]
+
+
+@pytest.mark.parametrize("span", [0.0031, 0.7, 1.0, 14.0, 99_000.0])
+def test_ticks_stand_at_round_numbers(span: float) -> None:
+    step = nice_step(span)
+    assert 1 <= span / step <= 6 and round(step / 10 ** np.floor(np.log10(step) + 1e-9)) in (1, 2, 5)
+
+
+def test_no_cell_of_an_exported_table_can_run() -> None:
+    import io
+
+    from openpyxl import load_workbook
+
+    content = excel_bytes(["serial", "reason"], [("=1+1", "+cmd|' /C calc'!A0")])
+    sheet = load_workbook(io.BytesIO(content)).active
+    assert [cell.data_type for cell in sheet[2]] == ["s", "s"] and sheet["A2"].value == "'=1+1"
