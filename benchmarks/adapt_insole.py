@@ -1,10 +1,10 @@
 """Another programme is no drift: insole taxels calibrated in one file, streamed through the other.
 
-python benchmarks/adapt_insole.py [--quick]
+python benchmarks/adapt_insole.py [--quick] [--reverse]
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import pandas as pd
 from adapt_common import DATA, calibrate, follow, print_markdown
@@ -15,10 +15,11 @@ from softcal.core.training import NetworkConfig
 RATE_HZ = 48.9
 
 
-def rows(every: int) -> Iterator[list[object]]:
-    calibration, stream = (
-        pd.read_parquet(DATA / "insole_lot" / f"{name}.parquet") for name in ("calibration", "validation_1")
-    )
+FILES = ("calibration", "validation_1")
+
+
+def rows(every: int, files: Sequence[str]) -> Iterator[list[object]]:
+    calibration, stream = (pd.read_parquet(DATA / "insole_lot" / f"{name}.parquet") for name in files)
     taxels = [name for name in calibration.columns if name.startswith("taxel")]
     reference = stream["pressure_bar"].to_numpy(dtype=float)
     for taxel in taxels[::every]:
@@ -43,5 +44,7 @@ def rows(every: int) -> Iterator[list[object]]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="every tenth taxel instead of every third")
+    parser.add_argument("--reverse", action="store_true", help="calibrate in the second file, stream the first")
+    options = parser.parse_args()
     header = ["taxel", "no adaptation [bar]", "basic", "improved", "improved / none", "maps", "what it says"]
-    print_markdown(header, rows(10 if parser.parse_args().quick else 3))
+    print_markdown(header, rows(10 if options.quick else 3, FILES[::-1] if options.reverse else FILES))

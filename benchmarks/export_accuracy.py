@@ -9,7 +9,6 @@ onnxruntime from the float model on the same windows.
 """
 
 import argparse
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +16,11 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pandas as pd
+from map_methods import egain, insole, taxels
 
-from softcal.app.onnx_file import onnx_bytes
+from softcal.app.files.onnx_file import onnx_bytes
 from softcal.core.errors import UnitRefused
-from softcal.core.export.compile_map import FINE_KNOTS, compile_map
+from softcal.core.export.compile_map import compile_map, fine_forms
 from softcal.core.export.device import UnitFacts, build_network_file, build_unit_file
 from softcal.core.export.graph import compose
 from softcal.core.export.loader import open_sensor
@@ -31,7 +31,6 @@ from softcal.core.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.training import NetworkConfig, fit_network
 
-DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 HIDDEN = ((120, 70, 35), (48, 24), (32, 16), (16, 8), (8, 8))
 TEST_SHARE = 0.25
 
@@ -60,22 +59,14 @@ class UnitRow:
 
 def lots(quick: bool) -> Iterator[LotData]:
     """The pair in one direction, and one insole with every n-th taxel as a target."""
-    pair = [_pair(name) for name in ("S1", "S2")]
+    pair = [egain(name) for name in ("S1", "S2")]
     yield LotData("egain_pair", "mN", pair[0], [pair[1]])
-    table = pd.read_parquet(DATA / "insole_lot" / "calibration.parquet")
-    names = [name for name in table.columns if name.startswith("taxel")][:: 20 if quick else 4]
+    table = insole("calibration")
+    names = taxels(table)[:: 20 if quick else 4]
     # Every fourth sample keeps a run short; 12.2 Hz, as if recorded at that rate.
     table = table.iloc[::4]
-    taxels = [_taxel(table, name) for name in names]
-    yield LotData("insole_lot", "mbar", taxels[0], taxels[1:])
-
-
-def _pair(name: str) -> LabelledRecording:
-    table = pd.read_csv(DATA / "egain_pair" / f"{name}.csv")
-    t_s = np.arange(len(table)) / 50.0
-    return LabelledRecording(
-        OutputRecording(name, t_s, table["output_V"].to_numpy(), 50.0), table["force_N"].to_numpy()
-    )
+    recordings = [_taxel(table, name) for name in names]
+    yield LotData("insole_lot", "mbar", recordings[0], recordings[1:])
 
 
 def _taxel(table: pd.DataFrame, name: str) -> LabelledRecording:
@@ -101,7 +92,7 @@ def measure(network: Network, source: LabelledRecording, target: LabelledRecordi
     unit = build_unit_file(facts, network, network_file).file
     estimate, _, _, flags = open_sensor(network_file.to_bytes(), unit.to_bytes()).estimate_output(test.windows)
     truth = network.evaluate(chosen.apply(test.windows))
-    compiled = compile_map(chosen, network, train.unlabelled, np.inf, FINE_KNOTS)
+    compiled = compile_map(chosen, network, train.unlabelled, np.inf, fine_forms)
     session = onnxruntime.InferenceSession(onnx_bytes(compose(compiled.form, network), {}))
     onnx_estimate = session.run(["estimate"], {"window": test.windows.astype(np.float32)})[0]
     same_form = network.evaluate(compiled.form.apply(test.windows))

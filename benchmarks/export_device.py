@@ -7,14 +7,13 @@ runs its recording through the firmware. Needs gcc-arm-none-eabi and qemu-system
 """
 
 import argparse
-import os
 import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
+from map_methods import egain
 
 from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.compile_map import InputScale
@@ -22,11 +21,9 @@ from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, bui
 from softcal.core.export.loader import DeviceStream, open_sensor
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
-from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.training import NetworkConfig, fit_network
 
 ROOT = Path(__file__).parents[1]
-DATA = Path(os.environ.get("SOFTCAL_DATA", ROOT.parent / "shared" / "data"))
 HIDDEN = ((120, 70, 35), (48, 24), (32, 16), (16, 8))
 INSTRUCTIONS_PER_TICK = 62.5
 CLOCK_MHz = 48.0
@@ -45,15 +42,6 @@ class Board:
     ram_bytes: int
     stack_bytes: int
     is_identical: bool
-
-
-def recording(name: str) -> LabelledRecording:
-    """Read one sensor of the pair."""
-    table = pd.read_csv(DATA / "egain_pair" / f"{name}.csv")
-    t_s = np.arange(len(table)) / 50.0
-    return LabelledRecording(
-        OutputRecording(name, t_s, table["output_V"].to_numpy(), 50.0), table["force_N"].to_numpy()
-    )
 
 
 def run_on_board(network_file, unit: DeviceUnit, codes: np.ndarray, optimise: str) -> Board:  # type: ignore[no-untyped-def]
@@ -89,7 +77,7 @@ def reference(network_file, unit: DeviceUnit, codes: np.ndarray) -> np.ndarray: 
 
 def rows(quick: bool) -> list[list[str]]:
     """One row per network and optimisation."""
-    source, target = recording("S1"), recording("S2")
+    source, target = egain("S1"), egain("S2")
     table = []
     for hidden in HIDDEN[:: 3 if quick else 1]:
         network = fit_network(source, NetworkConfig(hidden=hidden, max_epochs=20 if quick else 200)).network

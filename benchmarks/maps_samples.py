@@ -1,11 +1,14 @@
 """The paper's Table 2: error against the share of the unit's samples that the map may see.
 
-Contiguous stretches from the start of the unit's recording, as a line that stops early would record.
+Read twice: the *first* part of the unit's recording, as a line that stops early would record it; and *scattered*
+windows, 15 samples each, drawn over the whole recording. Own calibration has all samples.
 
 python benchmarks/maps_samples.py [--quick]
 """
 
 import argparse
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from map_methods import egain, insole, own_error, print_table, taxel
@@ -15,9 +18,10 @@ from softcal.core.errors import SoftcalError
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
-from softcal.core.recording import LabelledRecording
+from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.training import NetworkConfig, fit_network
+from softcal.core.windows import TAPS
 
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01)
 
@@ -33,21 +37,43 @@ def main() -> None:
         ("simulated lot, stage known", stage_cases),
         ("insole, same programme", insole_cases),
     ):
-        curves = np.array([curve(*case) for seed in seeds for case in cases(seed)])
-        rows.append((name, *(float(x) for x in np.nanmedian(curves, axis=0))))
+        for part in (first, scattered):
+            curves = np.array([curve(part, *case) for seed in seeds for case in cases(seed)])
+            refused = np.isnan(curves).all(axis=0)
+            medians = np.where(refused, np.nan, np.nanmedian(np.where(refused, 0.0, curves), axis=0))
+            rows.append((name, part.__name__, *("refused" if np.isnan(x) else float(x) for x in medians)))
     print("after / own against the share of the unit's samples, medians:\n")
-    print_table(("unit", *(f"{share:.0%}" for share in SHARES)), rows)
+    print_table(("unit", "samples", *(f"{share:.0%}" for share in SHARES)), rows)
 
 
-def curve(source: LabelledRecording, unit: LabelledRecording, test: LabelledRecording, seed: int) -> list[float]:
+Part = Callable[[OutputRecording, float, int], OutputRecording]
+
+
+def first(recording: OutputRecording, share: float, seed: int) -> OutputRecording:
+    """The first samples of a recording."""
+    return recording.part(0, max(TAPS, round(share * len(recording))))
+
+
+def scattered(recording: OutputRecording, share: float, seed: int) -> OutputRecording:
+    """Windows drawn over the whole recording, in time order."""
+    blocks = len(recording) // TAPS
+    drawn = np.random.default_rng(seed).choice(blocks, max(1, round(share * blocks)), replace=False)
+    rows = (TAPS * np.sort(drawn)[:, None] + np.arange(TAPS)).ravel()
+    stage_mm = None if recording.stage_mm is None else recording.stage_mm[rows]
+    return replace(recording, t_s=recording.t_s[rows], output=recording.output[rows], stage_mm=stage_mm)
+
+
+def curve(
+    part: Part, source: LabelledRecording, unit: LabelledRecording, test: LabelledRecording, seed: int
+) -> list[float]:
     """After / own per share; NaN where the recording is refused."""
     config = NetworkConfig(seed=seed)
     network, own = fit_network(source, config).network, own_error(unit, test, config)
     ratios = []
     for share in SHARES:
         try:
-            part = unit.part(0, max(15, round(share * len(unit)))).unlabelled
-            unit_map = choose_map(FitProblem(source, network, part, seed=seed)).unit_map
+            seen = part(unit.unlabelled, share, seed)
+            unit_map = choose_map(FitProblem(source, network, seen, seed=seed)).unit_map
         except SoftcalError:
             ratios.append(float("nan"))
             continue

@@ -4,13 +4,17 @@ python benchmarks/maps_shift.py [--quick] [--units N]
 """
 
 import argparse
+from collections import Counter
 
 from map_methods import METHODS, own_error, print_table, summary
 
+from softcal.core.calibrate import calibrate_unit
+from softcal.core.errors import UnitRefused
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.simulated_lot import SHIFTS, LotDesign, simulate_lot
+from softcal.core.source_model import SourceModel, make_source_model
 from softcal.core.training import NetworkConfig, fit_network
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, batch=128)
@@ -29,26 +33,35 @@ def main() -> None:
     for has_stage in (True, False):
         rows = [(shift, *line(shift, has_stage, lots)) for shift in SHIFTS]
         print(f"Stage position {'known' if has_stage else 'unknown'}, after / own, median (95 %):\n")
-        print_table(("load of the units", *SHOWN, "families taken"), rows)
+        print_table(("load of the units", *SHOWN, "families taken", "verdicts"), rows)
 
 
 def line(shift: str, has_stage: bool, lots: int) -> list[str]:
-    """One kind of shift: median and 95th percentile per method, and what the default chose."""
+    """One kind of shift: median and 95th percentile per method, what the default chose and what it says of it."""
     ratios: dict[str, list[float]] = {}
-    taken: dict[str, int] = {}
+    taken, words = Counter[str](), Counter[str]()
     for seed in range(lots):
         lot = simulate_lot(seed, LotDesign(good=UNITS_PER_LOT, shift=shift, has_stage=has_stage))
-        network = fit_network(lot.source, NETWORK).network
+        trained = fit_network(lot.source, NETWORK)
+        network, model = trained.network, make_source_model(lot.source, trained.network, trained.validation_rows)
         for unit in lot.units:
             cut = 3 * len(unit.audit) // 4
             train, test = unit.audit.part(0, cut), unit.audit.part(cut, len(unit.audit))
             problem, own = FitProblem(lot.source, network, unit.recording), own_error(train, test, NETWORK)
             for name in SHOWN:
                 ratios.setdefault(name, []).append(rmse(METHODS[name](problem, test), test.window_reference) / own)
-            chosen = choose_map(problem).family
-            taken[chosen] = taken.get(chosen, 0) + 1
+            taken[choose_map(problem).family] += 1
+            words[_word(problem, model)] += 1
     cells = [summary(ratios[name]) for name in SHOWN]
-    return [f"{m:.2f} ({p:.2f})" for m, p, _ in cells] + [", ".join(f"{k} {v}" for k, v in sorted(taken.items()))]
+    counts = [", ".join(f"{name} {count}" for name, count in sorted(counter.items())) for counter in (taken, words)]
+    return [f"{m:.2f} ({p:.2f})" for m, p, _ in cells] + counts
+
+
+def _word(problem: FitProblem, model: SourceModel) -> str:
+    try:
+        return calibrate_unit(problem, source_model=model).verdict.word
+    except UnitRefused:
+        return "refused"
 
 
 if __name__ == "__main__":

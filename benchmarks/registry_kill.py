@@ -1,73 +1,180 @@
-"""kill -9 at random moments of writing: what was acknowledged must be there, and nothing by half.
+"""kill -9 at random moments: what was acknowledged must be there, nothing by half, nothing twice.
 
-python benchmarks/registry_kill.py [--quick] [--kills 100] [--seed N]
+    python benchmarks/registry_kill.py [--quick] [--kills 100] [--seed N] [--what writer batch station]
+
+writer: calibrations with an event each, in one transaction. batch: a lot is calibrated, every time by a new process
+that goes on where the killed one stopped, and once to its end. station: a simulated unit is pressed into a file and a
+spool; what was cut off is recovered afterwards.
 """
 
 import argparse
+import contextlib
+import os
 import random
-import subprocess
-import sys
+import signal
+import tempfile
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from batch_lot import make_lot
 from registry_common import DATABASES, begin_lot, fresh_url, print_markdown, record
 
+from softcal.app.files.lot_folder import LotFolder, open_lot_folder
+from softcal.app.files.recording_file import read_recording
+from softcal.app.workflow.batch import run_batch
+from softcal.app.workflow.batch_report import UnitResult
+from softcal.app.workflow.lot_work import BatchConfig, Watch
+from softcal.app.workflow.station import chosen_bench, profile_for, record_to_files
+from softcal.app.workflow.station_recover import recover
+from softcal.app.workflow.train import train_or_find
+from softcal.core.training import NetworkConfig
 from softcal.db.connection import open_registry
+from softcal.db.registry import Registry
+
+Acknowledge = Callable[[str], None]
+HEADER = ("what", "registry", "kills", "acknowledged", "lost", "half-written", "done twice", "faults found by verify")
+NETWORK = NetworkConfig(hidden=(16, 8), max_epochs=30)
+UNITS_PER_KILL = 8
+PRESS_S = 6.0
 
 
-def write_forever(url: str, network_id: str, start: int) -> None:
-    """Write calibrations with an event each, in one transaction, and print every one that was acknowledged."""
+def killed(
+    work: Callable[[Acknowledge], None], moments: random.Random, within_s: float, has_many: bool = True
+) -> list[str]:
+    """Do work in a process of its own, kill it at a random moment, and return what it acknowledged until then.
+
+    One in four is killed some time after its start, the others some time after the first thing they acknowledged,
+    where they acknowledge many.
+    """
+    reading, writing = os.pipe()
+    child = os.fork()
+    if not child:
+        os.close(reading)
+        with contextlib.redirect_stderr(None), contextlib.suppress(BaseException):
+            work(lambda line: os.write(writing, f"{line}\n".encode()) and None)
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        first = pipe.readline() if has_many and moments.random() < 0.75 else ""
+        time.sleep(moments.uniform(0.0, within_s))
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        return [line.strip() for line in (first + pipe.read()).splitlines(keepends=True) if line.endswith("\n")]
+
+
+def write_forever(url: str, network_id: str, start: int, acknowledge: Acknowledge) -> None:
+    """Write calibrations with an event each, and tell every one that was kept."""
     with open_registry(url, create=False) as registry:
         for number in range(start, start + 1_000_000):
             serial = f"K{number % 5}"
             with registry.transaction():
                 revision = registry.add_calibration("bench", record(serial, number, network_id))
                 registry.add_event("export", "exports", (serial, revision), {})
-            print(serial, revision, flush=True)
+            acknowledge(f"{serial} {revision}")
 
 
-def kill_once(url: str, network_id: str, turn: int, after_s: float) -> list[tuple[str, int]]:
-    """Start a writer, kill it some time after its first acknowledgement, and return what it acknowledged."""
-    command = [sys.executable, str(Path(__file__)), "--write", url, network_id, str(turn * 1_000_000)]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    first = child.stdout.readline() if child.stdout else ""
-    time.sleep(after_s)
-    child.kill()
-    rest, _ = child.communicate()
-    whole = [line.split() for line in (first + rest).splitlines(keepends=True) if line.endswith("\n")]
-    return [(serial, int(revision)) for serial, revision in whole]
-
-
-def measure(kind: str, kills: int, seed: int) -> tuple[object, ...]:
+def kill_writers(kind: str, kills: int, moments: random.Random) -> tuple[object, ...]:
     """Kill writers again and again on one registry, then look what is there."""
-    moments = random.Random(seed)
-    acknowledged: set[tuple[str, int]] = set()
+    acknowledged: set[str] = set()
     with fresh_url(kind) as url:
         with open_registry(url) as registry:
             network_id = begin_lot(registry)
         for turn in range(kills):
-            acknowledged |= set(kill_once(url, network_id, turn, moments.uniform(0.0, 0.2)))
+            start = turn * 1_000_000
+            acknowledged |= set(
+                killed(lambda tell, start=start: write_forever(url, network_id, start, tell), moments, 0.4)
+            )
         with open_registry(url, create=False) as registry:
-            trail = registry.audit_rows()
-            kept = {(s, c.revision) for s in {serial for serial, _ in acknowledged} for c in registry.history(s)}
-            faults = registry.verify()
+            trail, kept, faults = registry.audit_rows(), revisions(registry), registry.verify()
     halves = sum(row.action == "calibrate" for row in trail) - sum(row.action == "export" for row in trail)
-    return kind, kills, len(acknowledged), len(acknowledged - kept), halves, len(faults)
+    return "writer", kind, kills, len(acknowledged), len(acknowledged - set(kept)), halves, 0, len(faults)
+
+
+def revisions(registry: Registry) -> list[str]:
+    """Return every calibration as `serial revision`."""
+    with registry.database.reading() as connection:
+        rows = connection.exec_driver_sql("SELECT serial, revision FROM calibrations").all()
+    return [f"{serial} {revision}" for serial, revision in rows]
+
+
+def batch(url: str, folder: LotFolder, acknowledge: Acknowledge) -> None:
+    """Run a batch and tell every unit that was kept."""
+
+    def tell(unit: UnitResult) -> None:
+        acknowledge(f"{unit.serial} {unit.made.revision}" if unit.made else f"{unit.serial} refused")
+
+    with open_registry(url, create=False) as registry:
+        run_batch(folder, registry, BatchConfig(network=NETWORK), Watch(on_unit=tell))
+
+
+def kill_batches(kind: str, kills: int, moments: random.Random) -> tuple[object, ...]:
+    """Kill batches of one lot, finish it, then look whether every unit was done once and all is there."""
+    acknowledged: list[str] = []
+    with fresh_url(kind) as url, tempfile.TemporaryDirectory(prefix="softcal-bench-") as root:
+        folder = open_lot_folder(make_lot(Path(root) / "lot", UNITS_PER_KILL * kills))
+        with open_registry(url) as registry:
+            train_or_find(folder.lot, folder.read_source(), registry, NETWORK)
+        for _ in range(kills):
+            acknowledged += killed(lambda tell: batch(url, folder, tell), moments, 0.6)
+        batch(url, folder, acknowledged.append)
+        with open_registry(url, create=False) as registry:
+            kept, faults = revisions(registry), registry.verify()
+            entries = registry.units(folder.lot.id)
+    refused = [f"{unit.serial} refused" for unit in entries if unit.verdict and unit.revision is None]
+    lost = set(acknowledged) - set(kept) - set(refused)
+    unfinished = len(folder.unit_paths) - sum(unit.role == "target" and unit.verdict is not None for unit in entries)
+    twice = sum(not line.endswith(" 1") for line in kept) + len(acknowledged) - len(set(acknowledged))
+    return "batch", kind, kills, len(acknowledged), len(lost), unfinished, twice, len(faults)
+
+
+def press(root: Path, turn: int, acknowledge: Acknowledge) -> None:
+    """Press a simulated unit into a file."""
+    with chosen_bench(None, turn) as bench:
+        profile = profile_for("unit", turn, PRESS_S, 2.0)
+        run = record_to_files(bench, [f"U{turn:04d}"], root / f"U{turn:04d}.csv", profile, False, root / "spool")
+    acknowledge(f"{run.files[0].name} {len(run.recording.t_s)}")
+
+
+def kill_stations(kills: int, moments: random.Random) -> tuple[object, ...]:
+    """Kill runs of the simulated station; a file is there whole or not at all, and every spool can be read."""
+    acknowledged: list[str] = []
+    with tempfile.TemporaryDirectory(prefix="softcal-bench-") as name:
+        root = Path(name)
+        (root / "spool").mkdir()
+        start_s = time.monotonic()
+        press(root, 0, acknowledged.append)
+        run_s = time.monotonic() - start_s
+        for turn in range(1, kills + 1):
+            acknowledged += killed(lambda tell, turn=turn: press(root, turn, tell), moments, 1.1 * run_s, False)
+        rows = {path.name: len(read_recording(path, path.stem, 50.0)) for path in root.glob("*.csv")}
+        recovered = recover(root / "spool", root / "recovered")
+        spools = len(list((root / "spool").glob("*.spool")))
+    lost = sum(str(rows.get(line.split()[0])) != line.split()[1] for line in acknowledged)
+    return "station", "files", kills, len(acknowledged), lost, spools - len(recovered), 0, "–"
+
+
+def measured(what: list[str], kills: int, seed: int) -> Iterator[tuple[object, ...]]:
+    """Run what was asked for, one row each."""
+    for kind in DATABASES:
+        if "writer" in what:
+            yield kill_writers(kind, kills, random.Random(seed))
+        if "batch" in what:
+            yield kill_batches(kind, kills, random.Random(seed))
+    if "station" in what:
+        yield kill_stations(kills, random.Random(seed))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="3 kills")
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--write", nargs=3, metavar=("URL", "NETWORK", "START"), help=argparse.SUPPRESS)
+    parser.add_argument("--what", nargs="+", choices=("writer", "batch", "station"),
+                        default=["writer", "batch", "station"])  # fmt: skip
     options = parser.parse_args()
-    if options.write:
-        write_forever(options.write[0], options.write[1], int(options.write[2]))
-        return
-    header = ("database", "kills", "acknowledged", "lost", "half-written", "faults found by verify")
     kills = 3 if options.quick else options.kills
-    print_markdown(header, (measure(kind, kills, options.seed) for kind in DATABASES))
+    print_markdown(HEADER, measured(options.what, kills, options.seed))
 
 
 if __name__ == "__main__":

@@ -6,12 +6,14 @@ python benchmarks/station_faults.py [--quick] [--write FILE]
 import argparse
 import math
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from softcal.station.simulated.faults import FAULTS
-from softcal.station.simulated.trial import Outcome, run_with_fault
+from softcal.station.simulated.trial import Outcome, run_with_dead_host, run_with_fault, run_with_full_disk
 
 HEADER = (
     "| fault | error | seen after, s | stage stands after, s | largest force, N | recorded | what the operator reads |"
@@ -24,10 +26,12 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="every fourth fault")
     parser.add_argument("--write", type=Path, metavar="FILE", help="write the table into this file as well")
     options = parser.parse_args()
-    outcomes = [_run(fault) for fault in FAULTS[:: 4 if options.quick else 1]]
+    outcomes = [_run(partial(run_with_fault, fault)) for fault in FAULTS[:: 4 if options.quick else 1]]
+    outcomes += [_run(run_with_full_disk), _run(run_with_dead_host)]
     stops = np.array([outcome.stopped_s for outcome in outcomes if math.isfinite(outcome.stopped_s)])
     lines = [
-        f"{len(outcomes)} faults, each on the wire of a running station; {sum(o.record == 'good' for o in outcomes)} "
+        f"{len(outcomes)} faults of a running station, on its wires, its disk and its host; "
+        f"{sum(o.record == 'good' for o in outcomes)} "
         f"recorded as good. The stage stood after {np.median(stops):.3f} s (median), {np.max(stops):.3f} s (largest).",
         "",
         HEADER,
@@ -39,9 +43,9 @@ def main() -> None:
         options.write.write_text("\n".join(lines) + "\n")
 
 
-def _run(fault) -> Outcome:  # type: ignore[no-untyped-def]
+def _run(run: Callable[[Path], Outcome]) -> Outcome:
     with tempfile.TemporaryDirectory() as folder:
-        return run_with_fault(fault, Path(folder))
+        return run(Path(folder))
 
 
 def _row(o: Outcome) -> str:

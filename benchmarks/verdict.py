@@ -13,8 +13,8 @@ from scipy.stats import spearmanr
 from simulated_cases import Case, cases, coverage, roc_auc
 
 from softcal.core.forecast import SENSITIVITY, SENSITIVITY_ON_STAGE
-from softcal.core.simulated_lot import GOOD
-from softcal.core.verdict import VERDICTS
+from softcal.core.simulated_lot import GOOD, OPPOSITE_DIRECTION
+from softcal.core.verdict import DEFAULT_FACTOR, VERDICTS
 
 LARGEST = np.log(1.5)
 """Coefficients stay near what their terms mean: no term is blown up to stand for another."""
@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("--fit", action="store_true", help="fit the sensitivity coefficients and print them")
     options = parser.parse_args()
     first, last = (0, 4) if options.quick else options.seeds
-    units = list(cases(range(first, last)))
+    units = list(cases(range(first, last), has_own=not options.fit))
     if options.fit:
         print_fit(units)
     else:
@@ -45,10 +45,9 @@ def print_report(units: list[Case]) -> None:
     for name, group in groups.items():
         if group:
             print(group_row(name, group))
-    print(
-        "\n| kind | units | refused | " + " | ".join(VERDICTS) + " | median after / own | worse than before, passed |"
-    )
-    print("|---" * (5 + len(VERDICTS)) + "|")
+    harms = "passed: > 1.5 x own | passed: > limit | passed: worse than before"
+    print("\n| kind | units | refused | " + " | ".join(VERDICTS) + f" | median after / own | {harms} |")
+    print("|---" * (7 + len(VERDICTS)) + "|")
     for kind in dict.fromkeys(c.kind for c in units):
         print(kind_row(kind, [c for c in units if c.kind == kind]))
     ratio = np.log([c.after / c.calibration.predicted_rmse for c in good])  # type: ignore[union-attr,operator]
@@ -68,17 +67,27 @@ def kind_row(kind: str, group: list[Case]) -> str:
     words = Counter(c.calibration.verdict.word for c in group if c.calibration is not None)
     refused = sum(c.calibration is None for c in group)
     ratios = [c.after / c.own for c in group if c.calibration is not None]
-    harmed = sum(
-        c.calibration is not None and c.calibration.verdict.word == "pass" and c.after > c.before for c in group
+    passed = [c for c in group if c.calibration is not None and c.calibration.verdict.word == "pass"]
+    harms = (
+        sum(c.is_bad for c in passed),
+        sum(c.after > DEFAULT_FACTOR * c.source_rmse for c in passed),
+        sum(c.after > c.before for c in passed),
     )
     median = f"{np.median(ratios):.2f}" if ratios else "-"
     counts = " | ".join(str(words[word]) for word in VERDICTS)
-    return f"| {kind} | {len(group)} | {refused} | {counts} | {median} | {harmed} |"
+    return f"| {kind} | {len(group)} | {refused} | {counts} | {median} | {' | '.join(map(str, harms))} |"
 
 
 def print_fit(units: list[Case]) -> None:
-    """Print the coefficients that minimise a robust loss of log(true / forecast), with and without stage position."""
-    mapped = [c for c in units if c.calibration is not None]
+    """Print the coefficients that minimise a robust loss of log(true / forecast), with and without stage position.
+
+    Reversed units are failed by their wiring; what they misread has nothing to say on others.
+    """
+    mapped = [
+        c
+        for c in units
+        if c.calibration is not None and "u_paired" not in c.calibration.evidence and c.kind != OPPOSITE_DIRECTION
+    ]
     for suffix, names, has_stage in (("", SENSITIVITY, False), ("_ON_STAGE", SENSITIVITY_ON_STAGE, True)):
         group = [c for c in mapped if c.has_stage == has_stage]
         coefficients, residual = fit(group, list(names))

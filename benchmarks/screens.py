@@ -1,0 +1,211 @@
+"""How long every page takes to its first useful paint with 10,000 units in the registry, beside an empty page.
+
+python benchmarks/screens.py [--units 10000] [--rounds 5]
+
+A Chromium opens each page; the clock runs from the address to what a person came for: the word of the state, the yield
+of a lot, the verdict of a unit, a table. "New browser" has nothing in its cache, "known browser" has opened the page
+before; "browser CPU" is the time its page thread computed for a new one. The empty page holds one word and is served by
+the same Streamlit: what it takes is the floor. Needs Chromium and Playwright.
+"""
+
+import argparse
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from playwright.sync_api import Browser, Page
+from registry_common import print_markdown
+from screens_common import chromium, served, served_by
+from screenshots_desk import NAME, PIN, QUALITY, QUALITY_PIN, sign_in
+
+from softcal.app.views.lot import lot_view
+from softcal.core.calibrate import calibrate_unit
+from softcal.core.calibration import CalibrationRecord
+from softcal.core.identity import content_sha256
+from softcal.core.lot import Lot
+from softcal.core.maps.interface import FitProblem
+from softcal.core.orders import Heartbeat, StationState
+from softcal.core.simulated_lot import LotDesign, simulate_lot
+from softcal.core.source_model import make_source_model
+from softcal.core.training import NetworkConfig, fit_network
+from softcal.db.connection import open_registry
+from softcal.db.lot_pages import UnitFilter
+from softcal.db.registry import Registry
+
+CHUNK = 200
+SETTLE_MS = 500
+"""So long a new browser goes on reading scripts before it counts as one that knows the page."""
+
+LOT, UNIT = "bench", "U004242"
+FIRST_NUMBER = "[data-testid=stMetricValue] >> nth=1"
+EMPTY = 'import streamlit as st\nst.html("<b class=sc-word>READY</b>")\n'
+PAGES = (
+    ("line", "line", ".sc-word", "the word of the state"),
+    ("lot", f"lot?lot={LOT}", FIRST_NUMBER, "first-pass yield"),
+    ("lot", f"lot?lot={LOT}", ".js-plotly-plot >> nth=2", "control chart"),
+    ("lot", f"lot?lot={LOT}", "[data-testid=stDataFrame] >> nth=-1", "table of units"),
+    ("unit", f"unit?unit={UNIT}", "span[role=status]", "verdict"),
+    ("unit", f"unit?unit={UNIT}", ".js-plotly-plot >> nth=0", "why this verdict"),
+    ("long-term", "long_term", "[data-testid=stDataFrame], [data-testid=stAlert]", "units in use"),
+    ("source", f"source?lot={LOT}", "text=Press the source unit >> nth=0", "what to press"),
+    ("networks", f"networks?lot={LOT}", "[data-testid=stDataFrame]", "table of networks"),
+    ("limits", f"limits?lot={LOT}", "[data-testid=stNumberInput]", "the limit"),
+    ("gap", "gap", "[data-testid=stExpander]", "how to begin"),
+    ("station", "station", "[data-testid=stButton]", "what it can be told"),
+    ("profiles", "profiles", FIRST_NUMBER, "its numbers"),
+    ("load cells", "load_cells", "[data-testid=stForm]", "the form"),
+    ("sign in", "sign_in", "[data-testid=stHeading]", "who is signed in"),
+)
+PAGES_OF_QUALITY = (
+    ("people", "people", "[data-testid=stDataFrame]", "table of people"),
+    ("audit trail", "audit_trail", "[data-testid=stDataFrame]", "newest rows"),
+)
+
+
+def fill(registry: Registry, units: int) -> None:
+    """Register a lot of units with results of every kind, each with the map and the recording of one simulated unit."""
+    known, rng = add_simulated_unit(registry), np.random.default_rng(0)
+    for start in range(0, units, CHUNK):
+        with registry.transaction():
+            for number in range(start, min(start + CHUNK, units)):
+                registry.add_calibration(LOT, result(known, number, float(abs(rng.normal(0.08, 0.012)))))
+    registry.set_limit(LOT, 0.12, reason="benchmark")
+    registry.set_user(QUALITY, "quality", QUALITY_PIN, actor="installation")
+    registry.set_user(NAME, "engineer", PIN, actor=QUALITY)
+
+
+def result(known: CalibrationRecord, number: int, error: float) -> CalibrationRecord:
+    """Return the result of one unit: its error decides its verdict."""
+    serial = f"U{number:06d}"
+    relation = {"pass": "within", "conditional": "within, but closer than its uncertainty to", "fail": "above"}
+    verdict = "pass" if error < 0.1 else "conditional" if error < 0.105 else "fail"
+    reason = (
+        f"predicted RMSE {error:.3g} N (95 %: {error - 0.02:.3g} to {error + 0.02:.3g}) is {relation[verdict]} "
+        "the limit 0.12 N (stated for the lot)"
+    )
+    input_sha256 = content_sha256({}, {"serial": serial})
+    return replace(
+        known, serial=serial, predicted_rmse=error, verdict=verdict, reasons=(reason,), input_sha256=input_sha256
+    )
+
+
+def add_simulated_unit(registry: Registry) -> CalibrationRecord:
+    """Register a lot with its source, a trained network and one recording; return the calibration of that recording."""
+    sim = simulate_lot(1, LotDesign(good=1))
+    trained = fit_network(sim.source, NetworkConfig(hidden=(24, 12), max_epochs=30))
+    registry.add_lot(Lot(LOT, sim.source.serial, 50.0))
+    source_sha256 = registry.add_recording(LOT, sim.source, "source")
+    registry.add_network(LOT, trained.network, {}, {"source_recording_sha256": source_sha256}, "f" * 64)
+    recording = sim.units[0].recording
+    sha256 = registry.add_recording(LOT, recording, "unit")
+    model = make_source_model(sim.source, trained.network)
+    found = calibrate_unit(FitProblem(sim.source, trained.network, recording, None), None, source_model=model)
+    return found.to_record(input_sha256="e" * 64, recording_sha256=sha256)
+
+
+@contextmanager
+def empty_page(folder: Path) -> Iterator[str]:
+    """Serve a page that holds one word; give its address."""
+    page = folder / "empty.py"
+    page.write_text(EMPTY)
+    flags = ("--server.headless=true", "--server.fileWatcherType=none", "--browser.gatherUsageStats=false")
+    with served_by([sys.executable, "-m", "streamlit", "run", str(page), *flags], dict(os.environ)) as (address, _):
+        yield address
+
+
+def paint_s(page: Page, address: str, path: str, wanted: str) -> float:
+    """Return the seconds from the address to what a person came for."""
+    start_s = time.perf_counter()
+    page.goto(f"{address}/{path}", wait_until="commit")
+    page.locator(wanted).first.wait_for(timeout=120_000, state="attached")
+    return time.perf_counter() - start_s
+
+
+def row(browser: Browser, address: str, entry: tuple[str, str, str, str], rounds: int, cookies: list) -> tuple:
+    """Return one row of the table: medians for a new browser, its page thread, and a known browser."""
+    name, path, wanted, what = entry
+    new, cpu, known = [], [], []
+    for _ in range(rounds):
+        context = browser.new_context(viewport={"width": 1280, "height": 900})
+        context.add_cookies(cookies)
+        page = context.new_page()
+        devtools = context.new_cdp_session(page)
+        devtools.send("Performance.enable", {"timeDomain": "threadTicks"})
+        new.append(paint_s(page, address, path, wanted))
+        metrics = devtools.send("Performance.getMetrics")["metrics"]
+        cpu.append(next(m["value"] for m in metrics if m["name"] == "TaskDuration"))
+        page.wait_for_timeout(SETTLE_MS)
+        known.append(paint_s(context.new_page(), address, path, wanted))
+        context.close()
+    return name, what, *(statistics.median(times) for times in (new, cpu, known))
+
+
+def cookies_of(browser: Browser, address: str, name: str, pin: str) -> list:
+    """Sign somebody in and return what the browser remembers of it."""
+    context = browser.new_context()
+    sign_in(context.new_page(), address, name, pin)
+    found = context.cookies()
+    context.close()
+    return found
+
+
+def queries(registry: Registry) -> Iterator[tuple[str, Callable[[], object]]]:
+    """Give what the lot page asks of the registry."""
+    yield "verdict counts", lambda: registry.verdict_counts(LOT)
+    yield "errors of all units", lambda: registry.lot_errors(LOT)
+    yield "one page, worst first", lambda: registry.unit_page(LOT, UnitFilter(sort="severity"))
+    yield "one page, by serial", lambda: registry.unit_page(LOT, UnitFilter(text="0042"))
+    yield "did anything change?", lambda: registry.change_marker(LOT)
+    yield "the whole view, once per change", lambda: lot_view(registry, LOT)
+
+
+def median_ms(action: Callable[[], object], rounds: int) -> float:
+    """Return the median of a few runs in ms."""
+    seconds = []
+    for _ in range(rounds):
+        start_s = time.perf_counter()
+        action()
+        seconds.append(time.perf_counter() - start_s)
+    return 1e3 * statistics.median(seconds)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--units", type=int, default=10_000)
+    parser.add_argument("--rounds", type=int, default=5)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="softcal-bench-") as folder:
+        url = f"sqlite:///{Path(folder) / 'registry.db'}"
+        with open_registry(url) as registry:
+            fill(registry, options.units)
+            rows = ((name, median_ms(query, options.rounds)) for name, query in queries(registry))
+            print_markdown((f"query, {options.units} units, SQLite", "ms"), rows)
+            registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC), process="rig:1"))
+        print(flush=True)
+        os.environ["XDG_DATA_HOME"] = folder
+        with empty_page(Path(folder)) as empty, served(url) as (address, _), chromium() as browser:
+            header = ("page", "to", "new browser s", "browser CPU s", "known browser s")
+            print_markdown(header, table(browser, empty, address, options.rounds))
+
+
+def table(browser: Browser, empty: str, address: str, rounds: int) -> Iterator[tuple]:
+    """Give one row per page, the empty page first and last: the machine may be busier at one end than at the other."""
+    floor = ("empty page", "", ".sc-word", "its word")
+    yield row(browser, empty, floor, rounds, [])
+    for name, pin, pages in ((NAME, PIN, PAGES), (QUALITY, QUALITY_PIN, PAGES_OF_QUALITY)):
+        cookies = cookies_of(browser, address, name, pin)
+        for entry in pages:
+            yield row(browser, address, entry, rounds, cookies)
+    yield row(browser, empty, floor, rounds, [])
+
+
+if __name__ == "__main__":
+    main()

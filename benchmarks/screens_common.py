@@ -1,0 +1,161 @@
+"""What the benchmarks of the screens share: a line whose station is played by its rows, the application, a browser."""
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from PIL import Image
+from playwright.sync_api import Browser, Page, sync_playwright
+from registry_common import record
+
+from softcal.core.line_rules import LineRules
+from softcal.core.lot import Lot
+from softcal.core.network import Network
+from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
+from softcal.core.simulated_lot import LotDesign, simulate_lot
+from softcal.db.registry import Registry
+
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking"]
+STATION, LOT = "line-1", "EG-2411"
+Theme = Literal["light", "dark"]
+THEMES: tuple[Theme, ...] = ("light", "dark")
+GOOD = (
+    Condition("certificate", True, "DKD-K-0417, valid until 2027-02-28"),
+    Condition("force range", True, "the profile reaches 12 N, the certificate ends at 20 N"),
+    Condition("warm-up", True, "the load cell is on for 184 min"),
+    Condition("zero return", True, "+0.004 N over the newest run, 0.2 N is allowed"),
+    Condition("homing", True, "homed"),
+    Condition("golden unit", True, "G-03 within its limits at 06:12 UTC"),
+)
+WITHIN = "predicted RMSE 0.071 N (95 %: 0.051 to 0.096) is within the limit 0.12 N (stated for the lot)"
+
+
+class PlayedLine:
+    """A registry with one lot, and its station played by writing the rows a station writes."""
+
+    def __init__(self, registry: Registry) -> None:
+        self.registry, self.queue = registry, registry.order_queue
+        registry.add_lot(Lot(LOT, "EG-2411-000", 50.0, "eGaIn pad 20 mm", limit_rmse=0.12))
+        network = Network((np.ones((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
+        self.network_id = registry.add_network(LOT, network, {}, {}, "0" * 64)
+        registry.set_line_rules(LOT, LineRules(r"EG-2411-\d{3}", "upper", 120), reason="order of the customer")
+        self._count = 0
+
+    def beat(
+        self, state: StationState = StationState.READY, gate: tuple[Condition, ...] = GOOD, reason: str = ""
+    ) -> None:
+        """Say that the station is there, and go on saying so every second."""
+        reasons = (reason,) if reason else tuple(c.says for c in gate if not c.is_good)
+        self._says = Heartbeat(STATION, state, datetime.now(UTC), reasons, "rig:1", gate=gate)
+        self.queue.beat(self._says)
+
+    @contextmanager
+    def alive(self) -> Iterator[None]:
+        """Keep the heart beating during the block."""
+        is_over = threading.Event()
+
+        def go_on() -> None:
+            while not is_over.wait(1.0):
+                self.queue.beat(replace(self._says, at=datetime.now(UTC)))
+
+        self.beat()
+        heart = threading.Thread(target=go_on, daemon=True)
+        heart.start()
+        try:
+            yield
+        finally:
+            is_over.set()
+            heart.join()
+
+    def place(self, serial: str, kind: OrderKind = OrderKind.UNIT) -> Order:
+        """Order a run and let the station take it."""
+        self._count += 1
+        self.queue.place(Order(f"run-{self._count}", STATION, kind, serial, LOT, "Kim Ji-woo"))
+        order = self.queue.take(STATION)
+        if order is None:
+            raise ValueError("an order was placed and none is there")
+        return order
+
+    def end(self, order: Order, verdict: str, message: str = WITHIN, code: str = "") -> None:
+        """End a run and store its result."""
+        state = RunState.ERROR if code else RunState.DONE
+        if verdict:
+            result = record(order.serial, self._count, self.network_id)
+            result = replace(result, verdict=verdict, reasons=tuple(message.split("; ")), predicted_rmse=0.071)
+            self.registry.add_calibration(LOT, result)
+        self.queue.report(Progress(order.order_id, state, "done", 1.0, code=code, message=message, verdict=verdict))
+
+    def press(self, serial: str, verdict: str, message: str = WITHIN, code: str = "") -> None:
+        """Press one unit from order to end."""
+        self.end(self.place(serial), verdict, message, code)
+
+
+def pressed_signal(seconds: float = 38.0) -> Signal:
+    """Return the live signal of a simulated unit, ten points a second."""
+    recording = simulate_lot(3, LotDesign(good=1, has_stage=True)).units[0].recording
+    step = slice(0, int(seconds * 50), 5)
+    columns = (recording.t_s[step], recording.output[step], recording.stage_mm[step])
+    t_s, output, stage_mm = (tuple(column.tolist()) for column in columns)
+    return Signal(t_s, output, stage_mm, (), "V")
+
+
+@contextmanager
+def served(url: str) -> Iterator[tuple[str, int]]:
+    """Serve the application on a registry; give its address and the id of its process."""
+    command = [sys.executable, "-m", "softcal.app.server", "--server.address=127.0.0.1", "--logger.level=error"]
+    with served_by(command, dict(os.environ) | {"SOFTCAL_REGISTRY": url}) as found:
+        yield found
+
+
+@contextmanager
+def served_by(command: list[str], environment: dict[str, str]) -> Iterator[tuple[str, int]]:
+    """Run a Streamlit server at a free port; give its address and the id of its process."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    server = subprocess.Popen([*command, f"--server.port={port}"], env=environment, **quiet)
+    try:
+        while not _is_healthy(f"http://127.0.0.1:{port}/_stcore/health"):
+            time.sleep(0.2)
+        yield f"http://127.0.0.1:{port}", server.pid
+    finally:
+        server.terminate()
+        server.wait()
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """Give a headless Chromium."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        yield browser
+        browser.close()
+
+
+def keep_picture(page: Page, path: Path) -> None:
+    """Take a picture of what a browser shows, in 128 colours, and say how large it is."""
+    page.screenshot(path=path)
+    Image.open(path).convert("P", palette=Image.Palette.ADAPTIVE, colors=128).save(path, optimize=True)
+    print(f"{path}: {path.stat().st_size / 1024:.0f} KiB", flush=True)
+
+
+def _is_healthy(url: str) -> bool:
+    try:
+        urllib.request.urlopen(url, timeout=2).close()
+    except (urllib.error.URLError, OSError):
+        return False
+    return True

@@ -1,0 +1,118 @@
+"""Pictures of the operator's screen: every state, light and dark. Run by screenshots.py.
+
+The station is played by its rows, so that every state can be had; the signal is a simulated unit's.
+"""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from playwright.sync_api import Browser, Page
+from screens_common import GOOD, LOT, STATION, THEMES, PlayedLine, keep_picture, pressed_signal, served
+
+from softcal.core.orders import Condition, Progress, RunState, StationState
+from softcal.db.connection import open_registry
+
+SIZE = {"width": 1280, "height": 800}
+UNPLUGGED = (
+    "sensor readout (/dev/ttyACM1): the device is gone (unplugged or switched off); the stage was stopped and lifted"
+)
+CLIPPED = (
+    "clipped range: presses end flat at 1.62 V, 8.1% of the samples; check gain and supply of the readout; "
+    "predicted RMSE 0.31 N (95 %: 0.22 to 0.41) is above the limit 0.12 N (stated for the lot)"
+)
+NOISY = "dead channel: output is noise alone (SD 0.004 V); check cable and contact, press the unit and record it again"
+NEAR = (
+    "predicted RMSE 0.118 N (95 %: 0.084 to 0.16) is within, but closer than its uncertainty to the limit 0.12 N "
+    "(stated for the lot)"
+)
+LAST = ("pass", "pass", "conditional", "pass", "pass", "fail", "pass", "pass", "pass", "pass", "pass", "pass")
+
+
+def serial(number: int) -> str:
+    return f"{LOT}-{number:03d}"
+
+
+def press_some(line: PlayedLine) -> None:
+    for number, verdict in enumerate(LAST):
+        line.press(serial(number + 1), verdict)
+
+
+def run(line: PlayedLine) -> None:
+    order = line.place(serial(40))
+    line.beat(StationState.RUNNING)
+    line.queue.report(Progress(order.order_id, RunState.RUNNING, "pressing", 0.72, 11.0, signal=pressed_signal()))
+
+
+def end_run(line: PlayedLine) -> None:
+    order, _ = line.queue.active(STATION) or (line.place(serial(40)), None)
+    line.end(order, "pass")
+    line.beat()
+
+
+def stop(line: PlayedLine) -> None:
+    line.press(serial(45), "", UNPLUGGED, "E-SILENT")
+    line.beat(StationState.STOPPED, reason=UNPLUGGED)
+
+
+def close(line: PlayedLine) -> None:
+    missing = Condition("golden unit", False, "no golden unit was pressed in this shift; press one")
+    line.beat(StationState.CLOSED, gate=(*GOOD[:-1], missing))
+
+
+STATES: dict[str, tuple[str, Callable[[PlayedLine], None], str]] = {
+    "ready": ("ready", lambda line: line.beat(), ""),
+    "scanned": ("armed", press_some, serial(40)),
+    "running": ("running", run, ""),
+    "pass": ("pass", end_run, ""),
+    "check": ("conditional", lambda line: line.press(serial(42), "conditional", NEAR), ""),
+    "fail": ("fail", lambda line: line.press(serial(43), "fail", CLIPPED), ""),
+    "press-again": ("ask", lambda line: line.beat(), serial(43)),
+    "again": ("retest", lambda line: line.press(serial(44), "retest", NOISY), ""),
+    "stopped": ("stopped", stop, ""),
+    "not-ready": ("closed", close, serial(46)),
+}
+"""Name of the picture → state of the screen, what the station does before, and what is scanned."""
+
+
+def opened(browser: Browser, address: str, theme: str) -> Page:
+    """Open the screen in one theme, with an operator's badge."""
+    page = browser.new_context(viewport=SIZE, color_scheme=theme).new_page()
+    page.goto(address)
+    page.wait_for_function("document.activeElement.shadowRoot?.activeElement?.tagName === 'INPUT'")
+    scan(page, "BADGE:Kim Ji-woo")
+    page.locator(".sc-cells").get_by_text("Kim Ji-woo").wait_for()
+    return page
+
+
+def scan(page: Page, text: str) -> None:
+    page.keyboard.type(text, delay=1)
+    page.keyboard.press("Enter")
+
+
+def take(page: Page, state: str, scanned: str, path: Path) -> None:
+    """Bring one screen into a state and take its picture."""
+    scan(page, "CMD:CANCEL")
+    page.locator(".sc-note").wait_for(state="detached")
+    if scanned:
+        scan(page, scanned)
+    page.locator(f".sc-card[data-state={state}]").wait_for()
+    if state == "running":
+        page.locator("canvas").first.wait_for()
+    page.locator("[data-test-script-state=notRunning]").wait_for(state="attached")
+    page.wait_for_timeout(1000)
+    keep_picture(page, path)
+
+
+def take_all(browser: Browser, out: Path, language: str) -> None:
+    """Take the picture of every state in both themes."""
+    with tempfile.TemporaryDirectory(prefix="softcal-shots-") as folder:
+        url = f"sqlite:///{Path(folder) / 'registry.db'}"
+        with open_registry(url) as registry, served(url) as (address, _):
+            line = PlayedLine(registry)
+            with line.alive():
+                pages = {theme: opened(browser, f"{address}/?lang={language}", theme) for theme in THEMES}
+                for name, (state, play, scanned) in STATES.items():
+                    play(line)
+                    for theme, page in pages.items():
+                        take(page, state, scanned, out / f"line-{name}-{theme}.png")
