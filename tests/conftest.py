@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,20 @@ from scipy.signal import lfilter
 
 SMALL_NETWORK = ("--hidden", "16,8")
 """Options of a network that trains in seconds."""
+
+_MAIN_MODULE = sys.modules["__main__"]
+
+
+@pytest.fixture(autouse=True)
+def main_module() -> None:
+    """Streamlit's page tests leave their page as `__main__`; a process spawned later would run it as its own."""
+    sys.modules["__main__"] = _MAIN_MODULE
+
+
+@pytest.fixture(autouse=True)
+def logs_of_the_test(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No test writes into the logs of the person who runs it."""
+    monkeypatch.setenv("SOFTCAL_LOGS", str(tmp_path_factory.getbasetemp() / "logs"))
 
 
 @pytest.fixture
@@ -25,7 +40,7 @@ def missing(reason: str) -> None:
     pytest.skip(reason)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def require():  # type: ignore[no-untyped-def]
     """`require(condition, reason)`: go on only where an optional part (PostgreSQL, a browser, QEMU) is there."""
 

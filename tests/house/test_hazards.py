@@ -1,0 +1,41 @@
+"""Every hazard of docs/hazards.md names a test that exists: a function, a fault of the matrix, a file."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from softcal.station.simulated.faults import FAULTS
+
+ROOT = Path(__file__).parents[2]
+ROWS = [
+    [cell.strip() for cell in line.strip("|").split("|")]
+    for line in (ROOT / "docs" / "hazards.md").read_text().splitlines()
+    if line.startswith("| ") and not line.startswith("| cause")
+]
+TESTS = set(re.findall(r"def (test_\w+)", "\n".join(path.read_text() for path in (ROOT / "tests").glob("*/*.py"))))
+NAMES = [fault.name for fault in FAULTS]
+
+
+def is_known(name: str) -> bool:
+    if name.startswith("test_"):
+        return name in TESTS
+    if name.endswith(".py"):
+        return (ROOT / name).is_file()
+    pattern = ".*".join(re.escape(part.strip()) for part in name.split("…"))
+    return any(re.fullmatch(pattern, fault) for fault in NAMES)
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])
+def test_each_hazard_has_cause_detection_reaction_and_a_test_that_exists(row: list[str]) -> None:
+    cause, detection, reaction, test = row
+    assert cause and detection and reaction
+    names = re.findall(r"`([^`]+)`", test)
+    assert names
+    assert [name for name in names if not is_known(name)] == []
+
+
+def test_each_fault_of_the_matrix_stands_in_the_hazard_table() -> None:
+    named = [name for row in ROWS for name in re.findall(r"`([^`]+)`", row[3]) if "test" not in name]
+    patterns = [".*".join(re.escape(part.strip()) for part in name.split("…")) for name in named]
+    assert [fault for fault in NAMES if not any(re.fullmatch(pattern, fault) for pattern in patterns)] == []
