@@ -223,6 +223,9 @@ class StationHost:
         with self._at_desk:
             # From here on a new order may come: it is not for the desk.
             self._active, self._newest = "", None
+        if self._unsaid:
+            # First that the station stands still, then why: nobody may press a key for what is about to be otherwise.
+            self._beat_or_give_way()
         while self._unsaid:
             progress = self._unsaid[0]
             self._queue.report(progress)
@@ -239,14 +242,11 @@ class StationHost:
                     self._attend()
                 if time.monotonic() - beaten_s >= BEAT_S:
                     beaten_s = time.monotonic()
-                    self._beat()
-            except InputError as error:
-                # Two owners of one station: whoever was silent too long gives way.
-                self._lost = f"{error}; this service was silent too long and has given up"
-                self._is_stop_wanted.set()
-                return
+                    self._beat_or_give_way()
             except SoftcalError:
                 continue  # Away for a moment: the next turn tries again.
+            if self._lost:
+                return
 
     def _attend(self) -> None:
         if self._newest is not None:
@@ -285,6 +285,14 @@ class StationHost:
     def _say(self, order: Order, state: RunState, message: str) -> None:
         code = "" if state is RunState.DONE else "E-ORDER"
         self._queue.report(Progress(order.order_id, state, "", 1.0, code=code, message=message))
+
+    def _beat_or_give_way(self) -> None:
+        """Beat; where a station has two owners, whoever was silent too long gives way."""
+        try:
+            self._beat()
+        except InputError as error:
+            self._lost = f"{error}; this service was silent too long and has given up"
+            self._is_stop_wanted.set()
 
     def _beat(self) -> None:
         service = self._service

@@ -8,12 +8,13 @@ import pytest
 
 from softcal.app.station_host import StationHost
 from softcal.app.workflow.pressed_run import RunKeeper
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, RunState, StationState
 from softcal.core.profiles import ramps
 from softcal.core.station_gate import Gate
 from softcal.db.connection import open_registry
+from softcal.db.order_queue import OrderQueue
 from softcal.station.bench import Bench, open_simulated_bench
 from softcal.station.service import Hooks, StationService
 
@@ -98,8 +99,16 @@ def test_a_second_owner_is_refused(registry, tmp_path):
         make_host(registry, tmp_path).run(lambda: False)
 
 
-def test_a_stop_order_reaches_a_run_in_progress(registry, tmp_path):
+def test_a_stop_order_reaches_a_run_and_the_station_stands_before_its_end_is_told(registry, tmp_path, monkeypatch):
     queue = registry.order_queue
+    report, stands = OrderQueue.report, []
+
+    def seen(self, progress):
+        if progress.order_id == "o1" and not progress.state.is_active:
+            stands.append(self.heartbeat("s1").state)
+        report(self, progress)
+
+    monkeypatch.setattr(OrderQueue, "report", seen)
     host = make_host(registry, tmp_path)
     # One press that takes minutes of station time: it can only end by the stop.
     host._service._profiles = {OrderKind.UNIT: ramps([2.0] * 400, 1.0, name="long")}
@@ -118,11 +127,10 @@ def test_a_stop_order_reaches_a_run_in_progress(registry, tmp_path):
     serve_until(host, place_and_wait)
     assert state_of(registry, "o1") is RunState.CANCELLED
     assert state_of(registry, "stop") is RunState.DONE
+    assert stands == [StationState.STOPPED]
 
 
 def test_a_recording_waits_for_a_registry_that_is_away(registry, tmp_path, monkeypatch):
-    from softcal.core.errors import RegistryError
-
     host = make_host(registry, tmp_path)
     away = {"left": 3}
     add = type(registry).add_recording
@@ -141,9 +149,6 @@ def test_a_recording_waits_for_a_registry_that_is_away(registry, tmp_path, monke
 
 
 def test_the_end_of_an_order_is_told_once_the_registry_is_back(registry, tmp_path, monkeypatch):
-    from softcal.core.errors import RegistryError
-    from softcal.db.order_queue import OrderQueue
-
     away = {"left": 4}
     report = OrderQueue.report
 
