@@ -15,7 +15,7 @@ from softcal.db.connection import open_registry
 
 STATION, LOT = "line-1", "LOT-7"
 SHORT = ("--speed", "4", "--unit-seconds", "12", "--source-seconds", "25", "--hidden", "12,6")
-RESULTS = re.compile("pass|conditional|fail|retest")
+VERDICTS = ("pass", "conditional", "fail", "retest")
 
 
 @dataclass
@@ -67,24 +67,35 @@ def scan(page: Page, text: str, ending: str | None = "Enter") -> None:
     page.keyboard.press(ending)
 
 
+def shown(page: Page, *states: str, serial: str = "", timeout_ms: float = 30_000) -> Locator:
+    """Wait for the card in one of these states; where it never comes, say what stands there instead."""
+    wanted = card(page, *states).filter(has_text=serial)
+    try:
+        wanted.wait_for(timeout=timeout_ms)
+    except PlaywrightTimeout:
+        stands = page.locator(".sc-card").first
+        state, says = stands.get_attribute("data-state"), stands.inner_text()
+        raise AssertionError(
+            f"no {' or '.join(states)} of {serial or 'any unit'}; {state} stands there: {says}"
+        ) from None
+    return wanted
+
+
 def press(page: Page, key: str, *states: str, serial: str = "") -> None:
     """Press a key as a person does: again when nothing came of it, since a busy machine's station may answer late."""
-    for _ in range(6):
+    for _ in range(5):
         page.keyboard.press(key)
         try:
-            card(page, *states).filter(has_text=serial).wait_for(timeout=5_000)
+            shown(page, *states, serial=serial, timeout_ms=5_000)
             return
-        except PlaywrightTimeout:
+        except AssertionError:
             continue
-    shown = page.locator(".sc-card").first
-    state, says = shown.get_attribute("data-state"), shown.inner_text()
-    pytest.fail(f"{key} led to none of {', '.join(states)}; the card is {state}: {says}")
+    page.keyboard.press(key)
+    shown(page, *states, serial=serial, timeout_ms=5_000)
 
 
 def verdict_of(page: Page, serial: str) -> str:
-    result = card(page, "pass", "conditional", "fail", "retest").filter(has_text=serial)
-    result.wait_for()
-    return str(result.get_attribute("data-state"))
+    return str(shown(page, *VERDICTS, serial=serial).get_attribute("data-state"))
 
 
 FOCUS = "(document.activeElement.shadowRoot?.activeElement ?? document.activeElement).tagName"
@@ -106,7 +117,7 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
 
     # The first: lower case as scanned, started by its key.
     scan(panel, "a1")
-    card(panel, "armed").filter(has_text="A1").wait_for()
+    shown(panel, "armed", serial="A1")
     press(panel, "F2", "running", serial="A1")
     panel.get_by_role("progressbar").wait_for()
     panel.locator("[data-testid=stEChartsChart] canvas, canvas").first.wait_for()
@@ -114,16 +125,16 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
 
     # The second: a symbology prefix, ended by Tab, started by a code; the page is reloaded in mid-run.
     scan(panel, "]C0A2", "Tab")
-    card(panel, "armed").filter(has_text="A2").wait_for()
+    shown(panel, "armed", serial="A2")
     scan(panel, "cmd:start")
-    card(panel, "running").filter(has_text="A2").wait_for()
+    shown(panel, "running", serial="A2")
     panel.reload()
-    card(panel, "running").filter(has_text="A2").wait_for()
+    shown(panel, "running", serial="A2")
     verdicts["A2"] = verdict_of(panel, "A2")
 
     # The third: a scanner that sends no end; the screen's server is killed in mid-run and started again.
     scan(panel, "A3", ending=None)
-    card(panel, "armed").filter(has_text="A3").wait_for()
+    shown(panel, "armed", serial="A3")
     press(panel, "F2", "running", serial="A3")
     line.screen.kill()
     line.screen.start()
@@ -131,10 +142,10 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
 
     # The fourth: a device is unplugged in mid-run. The station stops; it is read, mended, and the unit pressed again.
     scan(panel, "A4")
-    card(panel, "armed").filter(has_text="A4").wait_for()
+    shown(panel, "armed", serial="A4")
     line.order(OrderKind.FAULT, reason="readout unplugged while pressing")
     press(panel, "F2", "running", "stopped", serial="A4")
-    card(panel, "stopped").wait_for()
+    shown(panel, "stopped")
     expect(card(panel, "stopped")).to_contain_text("Check its cable")
     expect(panel.locator(".sc-chip").first).to_contain_text("STOPPED")
     scan(panel, "A5")
@@ -146,17 +157,17 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
     # The fifth and sixth: by touch, and stopped by hand first.
     scan(panel, "A5")
     panel.get_by_role("button", name="Start").click()
-    card(panel, "running").filter(has_text="A5").wait_for()
+    shown(panel, "running", serial="A5")
     scan(panel, "A6")
     panel.get_by_text("The scan was not taken").first.wait_for()
     verdicts["A5"] = verdict_of(panel, "A5")
     scan(panel, "A6")
-    card(panel, "armed").filter(has_text="A6").wait_for()
+    shown(panel, "armed", serial="A6")
     press(panel, "F2", "running", serial="A6")
     panel.locator("[data-testid=stEChartsChart] canvas").first.wait_for()  # It moves: now there is something to stop.
     press(panel, "F8", "stopped", serial="A6")
     scan(panel, "CMD:OK")
-    card(panel, "armed").filter(has_text="A6").wait_for()
+    shown(panel, "armed", serial="A6")
     press(panel, "F2", "running", serial="A6")
     verdicts["A6"] = verdict_of(panel, "A6")
 
@@ -167,17 +178,16 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
 
 def test_a_unit_scanned_twice_is_asked_for_and_the_old_result_stands_there(line: Line, panel: Page) -> None:
     scan(panel, "A1")
-    question = card(panel, "ask")
-    question.wait_for()
+    question = shown(panel, "ask")
     expect(question).to_contain_text("has a result already")
     panel.keyboard.press("F6")
-    card(panel, "pass", "conditional", "fail", "retest").wait_for()
+    shown(panel, *VERDICTS)
 
 
 def test_what_a_screen_reader_says_is_what_stands_there(panel: Page) -> None:
     live = panel.get_by_role("status").and_(panel.locator("[aria-live=assertive]"))
     scan(panel, "A9")
-    card(panel, "armed").filter(has_text="A9").wait_for()
+    shown(panel, "armed", serial="A9")
     expect(live).to_have_text(re.compile(r"READY\. A9\. Put the unit into the fixture"))
     scan(panel, "A0")
     expect(live).to_contain_text("source unit")
@@ -195,7 +205,7 @@ def test_everything_is_reached_by_keyboard_and_focus_is_seen(panel: Page) -> Non
     assert outline != "nonenone"
     # A scan that comes while a button has the focus goes into the field all the same.
     scan(panel, "A8")
-    card(panel, "armed").filter(has_text="A8").wait_for()
+    shown(panel, "armed", serial="A8")
     panel.keyboard.press("F6")
     card(panel, "armed").wait_for(state="detached")
 
@@ -220,7 +230,7 @@ def test_a_small_panel_and_a_zoomed_one_show_it_all(
     page = context.new_page()
     opened(page, line)
     scan(page, "A" + "7" * 60)
-    card(page, "armed").wait_for()
+    shown(page, "armed")
     found = page.evaluate(FIT)
     assert (found["wide"], found["cut"]) == (False, [])
     assert found["bottom"] <= size["height"]
