@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
+from softcal.station.drivers.admission import admit
 from softcal.station.frames import esm, gcl2
 from softcal.station.interfaces import Move, OnWait, Sample, StagePosition, ignore_wait
 from softcal.station.link import POLL_S, Line, Link
@@ -82,7 +83,7 @@ class EsmStage:
 
     def __init__(self, link: Link, travel_mm: float = 100.0, acceleration_mm_s2: float = 200.0) -> None:
         self.port = SharedPort(link)
-        self.travel_mm, self.acceleration_mm_s2 = travel_mm, acceleration_mm_s2
+        self.travel_mm, self.acceleration_mm_s2 = min(travel_mm, esm.LIMIT_MM), acceleration_mm_s2
         self.max_speed_mm_s = esm.SPEED_MM_MIN[1] / 60.0
         self.position_mm = self._target_mm = 0.0
         self._is_homed = self._is_moving = False
@@ -135,17 +136,8 @@ class EsmStage:
         Raises:
             CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
         """
-        slowest_mm_s, to_mm = esm.SPEED_MM_MIN[0] / 60.0, round(move.to_mm, 2)
-        if not self._is_homed or self._is_moving:
-            why = "not homed" if not self._is_homed else "the move before is not finished"
-            raise CommandRefused(f"stage: {why}; nothing was sent")
-        if not 0.0 <= to_mm <= min(self.travel_mm, esm.LIMIT_MM):
-            raise CommandRefused(f"stage: {move.to_mm:g} mm is outside [0, {self.travel_mm:g}] mm; nothing was sent")
-        if not slowest_mm_s <= move.speed_mm_s <= self.max_speed_mm_s * (1 + 1e-9):
-            raise CommandRefused(
-                f"stage: {move.speed_mm_s:g} mm/s is outside [{slowest_mm_s:.3g}, {self.max_speed_mm_s:.3g}] mm/s; "
-                "nothing was sent"
-            )
+        admit(self, move, esm.SPEED_MM_MIN[0] / 60.0)
+        to_mm = round(move.to_mm, 2)
         self._target_mm, self._began_s = to_mm, self.port.link.clock.now_s()
         if abs(to_mm - self.position_mm) < AT_MM / 2:
             return

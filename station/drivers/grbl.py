@@ -5,6 +5,7 @@ from collections import deque
 import numpy as np
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
+from softcal.station.drivers.admission import admit
 from softcal.station.frames import grbl
 from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
 from softcal.station.link import POLL_S, Line, Link
@@ -90,16 +91,7 @@ class GrblStage:
         Raises:
             CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
         """
-        if not self._is_homed:
-            raise CommandRefused("stage: not homed; nothing was sent, home it first")
-        if self.is_moving:
-            raise CommandRefused("stage: the move before is not finished; nothing was sent")
-        if not 0.0 <= move.to_mm <= self.travel_mm:
-            raise CommandRefused(f"stage: {move.to_mm:g} mm is outside [0, {self.travel_mm:g}] mm; nothing was sent")
-        if not 0.0 < move.speed_mm_s <= self.max_speed_mm_s:
-            raise CommandRefused(
-                f"stage: {move.speed_mm_s:g} mm/s is outside (0, {self.max_speed_mm_s:g}] mm/s; nothing was sent"
-            )
+        admit(self, move)
         path = Trapezoid(self.position_mm, move.to_mm, move.speed_mm_s, self.acceleration_mm_s2)
         self._target_mm = move.to_mm
         self._pieces = deque(self._cut(path))

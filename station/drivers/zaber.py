@@ -2,6 +2,7 @@
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
 from softcal.station.command import Control, Measurement
+from softcal.station.drivers.admission import admit
 from softcal.station.frames import zaber
 from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
 from softcal.station.link import POLL_S, Link
@@ -88,15 +89,7 @@ class ZaberStage:
         Raises:
             CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
         """
-        if not self._is_homed or self._is_moving:
-            why = "not homed" if not self._is_homed else "the move before is not finished"
-            raise CommandRefused(f"stage: {why}; nothing was sent")
-        if not 0.0 <= move.to_mm <= self.travel_mm:
-            raise CommandRefused(f"stage: {move.to_mm:g} mm is outside [0, {self.travel_mm:g}] mm; nothing was sent")
-        if not 0.0 < move.speed_mm_s <= self.max_speed_mm_s * (1 + 1e-6):
-            raise CommandRefused(
-                f"stage: {move.speed_mm_s:g} mm/s is outside (0, {self.max_speed_mm_s:g}] mm/s; nothing was sent"
-            )
+        admit(self, move)
         self._forget()
         self.speed = max(1.0, move.speed_mm_s / self._microstep_mm * SPEED_UNIT)
         self._command(f"move abs {round(move.to_mm / self._microstep_mm)}")
