@@ -12,8 +12,9 @@ from softcal.station.interfaces import ForceReader, Readout, Sample
 REACTION_S = 0.03
 """From the force being there to the stage beginning to brake: sampling, line, reading, stop byte."""
 
-FROZEN_MM = 0.6
-"""A channel whose value does not change while the stage presses this much deeper is frozen."""
+FROZEN_MM, FROZEN_SAMPLES = 0.6, 5
+"""A channel whose value does not change over so many samples while the stage moves so far is frozen. Lines that a stall
+held back are older than the stage's position: a single one says nothing."""
 
 PRESSED_MM, MISSING_S = 0.8, 0.15
 """A unit pressed this deep for so long must show a force."""
@@ -128,7 +129,7 @@ class StreamWatch:
         self._seen_s = now_s
         self._times: deque[float] = deque(maxlen=LOSS_SAMPLES)
         self._value: tuple[float, ...] | None = None
-        self._changed_at_mm = 0.0
+        self._changed_at_mm, self._same = 0.0, 0
         self._on_rail_since_s: float | None = None
 
     def check(self, sample: Sample, pressed_mm: float) -> None:
@@ -154,8 +155,10 @@ class StreamWatch:
 
     def _check_frozen(self, sample: Sample, pressed_mm: float) -> None:
         if sample.values != self._value or pressed_mm <= 0.0:
-            self._value, self._changed_at_mm = sample.values, pressed_mm
-        elif abs(pressed_mm - self._changed_at_mm) > FROZEN_MM:
+            self._value, self._changed_at_mm, self._same = sample.values, pressed_mm, 1
+            return
+        self._same += 1
+        if self._same >= FROZEN_SAMPLES and abs(pressed_mm - self._changed_at_mm) > FROZEN_MM:
             raise BadReply(
                 f"{self._reader.name}: {sample.values[0]:.4g} {self._reader.unit} does not change while the stage "
                 f"moves {FROZEN_MM:g} mm; it is frozen or not connected to the unit"
