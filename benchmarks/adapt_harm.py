@@ -23,6 +23,9 @@ from softcal.core.training import NetworkConfig, fit_network
 
 SAMPLES = 15_000
 CALIBRATION = 5_000
+SHOWN = 12
+"""Worst runs that are listed."""
+
 HARM = 1.02
 """A run that ends with more than this many times the error without adaptation was harmed."""
 
@@ -167,11 +170,13 @@ class Run:
     """One stream: the use, the drift, and the errors over it and over its last third, unmoved and improved.
 
     Args:
+        unit: activity and kind of sensor.
         promised: predicted error before the stream.
         predicted: median predicted error over the last third.
         is_alarmed: whether a recalibration was called for over most of it.
     """
 
+    unit: str
     use: str
     drift: str
     whole: tuple[float, float]
@@ -196,8 +201,9 @@ class Run:
         return self.last[1] / self.last[0]
 
 
-def follow(bench: Bench, activity: Activity, case: tuple[str, str, bool], seed: int) -> Run:
+def follow(bench: Bench, name: str, case: tuple[str, str, bool], seed: int) -> Run:
     use, drift, is_on_station = case
+    activity = ACTIVITIES[name]
     rng = np.random.default_rng([seed, *use.encode(), *drift.encode()])
     load = USES[use](activity, SAMPLES, rng)
     gain, shift = DRIFTS[drift](np.linspace(0, 1, SAMPLES), rng)
@@ -218,18 +224,19 @@ def follow(bench: Bench, activity: Activity, case: tuple[str, str, bool], seed: 
     last = slice(2 * SAMPLES // 3, None)
     whole, ends = ([rmse(e[part], zero[part]) for e in errors] for part in (slice(None), last))
     predicted, alarmed = np.median(np.array(said[40:], dtype=float), axis=0)
-    return Run(use, drift, (whole[0], whole[1]), (ends[0], ends[1]), promised, float(predicted), bool(alarmed))
+    unit = f"{name}, {bench.curve}{', calibrated on the station' if is_on_station else ''}"
+    return Run(unit, use, drift, (whole[0], whole[1]), (ends[0], ends[1]), promised, float(predicted), bool(alarmed))
 
 
 def all_runs(names: Sequence[str], seeds: int, is_quick: bool) -> Iterator[Run]:
     curves = list(CURVES)[: 1 if is_quick else None]
-    for activity in (ACTIVITIES[name] for name in names):
+    for name in names:
         for curve in curves:
-            bench = make_bench(curve, activity.rate_Hz)
+            bench = make_bench(curve, ACTIVITIES[name].rate_Hz)
             for seed in range(seeds):
                 # Every third unit was calibrated on the station, under another programme than its use.
                 for k, (use, drift) in enumerate((u, d) for u in USES for d in DRIFTS):
-                    yield follow(bench, activity, (use, drift, (k + seed) % 3 == 2), seed)
+                    yield follow(bench, name, (use, drift, (k + seed) % 3 == 2), seed)
 
 
 def summary(runs: list[Run]) -> list[object]:
@@ -290,6 +297,11 @@ def main(names: Sequence[str], seeds: int, is_quick: bool) -> None:
     print_markdown(["all", *header], [["all", *summary(runs)]])
     print()
     print_forecasts(runs)
+    print()
+    worst = sorted(runs, key=lambda run: -run.worse)[:SHOWN]
+    header = ["worst runs", "use", "drift", "ratio", "last third", "alarm", "no adaptation", "improved"]
+    rows = [[r.unit, r.use, r.drift, r.worse, r.ends_worse, "yes" if r.is_alarmed else "no", *r.whole] for r in worst]
+    print_markdown(header, rows)
 
 
 if __name__ == "__main__":
