@@ -11,6 +11,7 @@ from softcal.app.browser_memory import recall, remember
 from softcal.app.charts.palette import Palette, palette
 from softcal.app.identity import permit, person
 from softcal.app.logs import log_crash
+from softcal.app.reasons import told
 from softcal.app.registry_of_server import registry
 from softcal.app.texts import LANGUAGES, text
 from softcal.core.errors import SoftcalError
@@ -24,6 +25,7 @@ __all__ = [
     "empty",
     "errors_in_words",
     "in_full",
+    "in_words",
     "language",
     "readable",
     "registry",
@@ -47,6 +49,11 @@ def language() -> str:
 def words() -> Callable[..., str]:
     """Return the texts of the chosen language."""
     return partial(text, language())
+
+
+def in_words(message: object) -> str:
+    """Return an error, or what a station or a job says, in the chosen language where the catalogue has it."""
+    return told(str(message), words())
 
 
 def colours() -> Palette:
@@ -89,7 +96,7 @@ def errors_in_words() -> Iterator[None]:
     try:
         yield
     except SoftcalError as error:
-        st.error(str(error), icon=":material/error:", title=words()("error.refused"))
+        st.error(in_words(error), icon=":material/error:", title=words()("error.refused"))
     except Exception as error:
         st.error(log_crash(error, "ui"), icon=":material/report:", title=words()("error.defect"))
 

@@ -1,29 +1,32 @@
-"""The reasons of a verdict in the language of a screen.
+"""What the numerics and the station say, in the language of a screen.
 
-The registry keeps a reason as the sentence the numerics made, in English, since a verdict must say the same for good.
-Each kind of sentence stands in the catalogue of texts as `reason.CODE` with its values in braces (`reason.part.CODE`: a
-phrase that is such a value); here a stored sentence is found by the English one and said again with its values. What
-stands in no catalogue stays as it is.
+The registry keeps the reason of a verdict, a condition of the gate and the message of a stop as the sentence they were
+made as, in English, since a record must say the same for good. Each kind of sentence stands in the catalogue of texts
+with its values in braces: `reason.CODE` of a verdict, `message.CODE` of the station, a clause between two semicolons
+each; `reason.part.CODE` and `message.part.CODE` are phrases that are such values. Here a stored sentence is found by
+the English one and said again with its values. What stands in no catalogue stays as it is.
 """
 
 import re
-from collections.abc import Callable, Iterable
-from functools import cache
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, lru_cache
 
 from softcal.app.texts import catalogue
 
 Words = Callable[..., str]
 
-PREFIX = "reason."
+PREFIX, MESSAGE = "reason.", "message."
 BETWEEN = "; "
+REMEMBERED = 2048
 
 
 def said(reason: str, words: Words) -> str:
     """Return one reason, or a phrase within one, in the language of `words`."""
-    for code, pattern in _patterns():
-        if match := pattern.fullmatch(reason):
-            return words(PREFIX + code, **{name: said(value, words) for name, value in match.groupdict().items()})
-    return reason
+    found = _found(reason)
+    if found is None:
+        return reason
+    key, values = found
+    return words(key, **{name: said(value, words) for name, value in values.items()})
 
 
 def all_said(reasons: Iterable[str], words: Words) -> str:
@@ -31,25 +34,37 @@ def all_said(reasons: Iterable[str], words: Words) -> str:
     return BETWEEN.join(said(reason, words) for reason in reasons)
 
 
+def told(message: str, words: Words) -> str:
+    """Return a message of several reasons or clauses as one line in the language of `words`."""
+    return all_said(parted(message), words)
+
+
 def parted(message: str) -> list[str]:
     """Return the reasons that were joined into one message; a reason may hold the mark between two itself."""
     rest, reasons = message.split(BETWEEN), []
     while rest:
         lengths = range(len(rest), 0, -1)
-        length = next((n for n in lengths if _is_known(BETWEEN.join(rest[:n]))), 1)
+        length = next((n for n in lengths if _found(BETWEEN.join(rest[:n]))), 1)
         reasons.append(BETWEEN.join(rest[:length]))
         rest = rest[length:]
     return [reason for reason in reasons if reason]
 
 
-def _is_known(reason: str) -> bool:
-    return any(pattern.fullmatch(reason) for _, pattern in _patterns())
+@lru_cache(REMEMBERED)
+def _found(reason: str) -> tuple[str, Mapping[str, str]] | None:
+    """Return the key of the text a sentence was made from and its values; None where there is none."""
+    for key, pattern in _patterns():
+        if match := pattern.fullmatch(reason):
+            return key, match.groupdict()
+    return None
 
 
 @cache
 def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
-    texts = {key.removeprefix(PREFIX): text for key, text in catalogue()["en"].items() if key.startswith(PREFIX)}
-    return tuple((code, re.compile(_expression(text))) for code, text in texts.items())
+    texts = [(key, text) for key, text in catalogue()["en"].items() if key.startswith((PREFIX, MESSAGE))]
+    # A text that begins with a value fits the most: it is tried last.
+    texts.sort(key=lambda entry: entry[1].startswith("{"))
+    return tuple((key, re.compile(_expression(text))) for key, text in texts)
 
 
 def _expression(text: str) -> str:

@@ -87,7 +87,7 @@ def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -
     rate_Hz = seen_rate_Hz(device_s)
     is_right = abs(rate_Hz / reader.rate_Hz - 1) < RATE_SHARE
     slow = f"{reader.rate_Hz:g} Hz were expected; correct rate_Hz in the station file or the firmware"
-    drift = "clock far off; check the firmware" if abs(fit.rate - 1) > LARGEST_DRIFT else ""
+    drift = "clock far off; check its firmware" if abs(fit.rate - 1) > LARGEST_DRIFT else ""
     return [
         *findings,
         Finding(reader.name, "rate", f"{rate_Hz:.4g} Hz", "" if is_right else slow),

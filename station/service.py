@@ -236,7 +236,7 @@ class StationService:
     def _check(self, order: Order, bench: Bench) -> None:
         self._hooks.report(Progress(order.order_id, RunState.RUNNING, "self-test", 0.0, CHECK_S))
         self.findings = self_test(bench)
-        faults = [f"{f.device}, {f.what}: {f.cure}" for f in self.findings if not f.is_good]
+        faults = [f"self-test of {f.device}, {f.what}: {f.value}; {f.cure}" for f in self.findings if not f.is_good]
         if faults:
             raise BadReply("; ".join(faults))
         self._homing_fault = self._zero_fault = ""

@@ -1,8 +1,10 @@
 """Shared fixtures: a seeded generator, the measured data sets, and parts that may be missing outside CI."""
 
 import os
+import re
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +33,16 @@ def logs_of_the_test(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pyte
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20201900178)
+
+
+NAMES = re.compile(r"`[^`]*`|b?'[^']*'|\S*[/._=]\S*|\bsoftcal\b|\b(min|ppm)\b")
+"""What stays in every language: commands, quotes of a device, ports, keys of a file, units."""
+
+
+@pytest.fixture(scope="session")
+def english_in() -> Callable[[str], list[str]]:
+    """`english_in(text)`: its English words, without names, codes and units."""
+    return lambda text: re.findall(r"\b[a-z]{3,}\b", NAMES.sub(" ", text))
 
 
 def missing(reason: str) -> None:

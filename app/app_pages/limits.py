@@ -4,7 +4,7 @@ import streamlit as st
 
 from softcal.app.charts import lot as charts_lot
 from softcal.app.components.rules_form import rules_form
-from softcal.app.desk import ask_reason, colours, errors_in_words, registry, words
+from softcal.app.desk import ask_reason, colours, errors_in_words, in_words, registry, words
 from softcal.app.first_paint import rest_may_follow
 from softcal.app.identity import actor
 from softcal.app.lot_memory import remembered_lot_view
@@ -80,7 +80,7 @@ def _change(view: LotView, versions: list[LimitEntry]) -> None:
     try:
         registry().set_limit(view.lot.id, rmse, reason=reason, actor=actor(), expected_version=version)
     except InputError as error:
-        st.error(str(error), icon=":material/error:")
+        st.error(in_words(error), icon=":material/error:")
         return
     st.session_state["limit-done"] = say("limits.done", limit=say("lot.limit.none") if rmse is None else f"{rmse:g}")
     st.rerun()

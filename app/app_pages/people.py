@@ -3,7 +3,7 @@
 import pandas as pd
 import streamlit as st
 
-from softcal.app.desk import ask_reason, registry, words
+from softcal.app.desk import ask_reason, in_words, registry, words
 from softcal.app.identity import actor
 from softcal.app.panels import heading
 from softcal.core.errors import InputError
@@ -57,7 +57,7 @@ def _change(people: list[User]) -> None:
             name, role, pin or None, actor=actor(), reason=reason, is_active=is_active, version=user.version
         )
     except InputError as error:
-        st.error(str(error), icon=":material/error:")
+        st.error(in_words(error), icon=":material/error:")
         return
     st.session_state["people-done"] = say("people.saved", name=name)
     st.rerun()

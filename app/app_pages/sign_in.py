@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from softcal.app.desk import choose_language, registry, words
+from softcal.app.desk import choose_language, in_words, registry, words
 from softcal.app.identity import has_company_accounts, is_signed_in, person, sign_in, sign_out
 from softcal.core.errors import InputError
 
@@ -45,7 +45,7 @@ def _by_pin() -> None:
     try:
         sign_in(name, pin)
     except InputError as error:
-        st.error(str(error), icon=":material/lock:")
+        st.error(in_words(error), icon=":material/lock:")
     else:
         st.rerun()
 
@@ -63,6 +63,6 @@ def _first_person() -> None:
         registry().set_user(name, "quality", pin, actor=name, reason=say("sign_in.first"))
         sign_in(name, pin)
     except InputError as error:
-        st.error(str(error), icon=":material/error:")
+        st.error(in_words(error), icon=":material/error:")
     else:
         st.rerun()

@@ -6,7 +6,7 @@ from softcal.app.charts import station as charts_station
 from softcal.app.charts import unit as charts_unit
 from softcal.app.components.lot_form import choose_or_add_lot
 from softcal.app.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.desk import colours, errors_in_words, registry, show_figure, words
+from softcal.app.desk import colours, errors_in_words, in_words, registry, show_figure, words
 from softcal.app.first_paint import rest_may_follow
 from softcal.app.panels import go_to, heading, numbers
 from softcal.app.views.common import instant
@@ -58,7 +58,7 @@ def _press(lot: Lot) -> None:
         if place(station, OrderKind.SOURCE, lot.source, lot.id):
             st.rerun()
     if run is not None and run_panel(run):
-        st.success(run[1].message or say("source.pressed"), icon=":material/check:")
+        st.success(in_words(run[1].message) or say("source.pressed"), icon=":material/check:")
 
 
 def _look(lot: Lot) -> None:

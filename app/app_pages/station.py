@@ -6,7 +6,7 @@ import streamlit as st
 
 from softcal.app.components.rig_setup import rig_setup
 from softcal.app.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.desk import ask_reason, errors_in_words, registry, words
+from softcal.app.desk import ask_reason, errors_in_words, in_words, registry, words
 from softcal.app.identity import person
 from softcal.app.panels import heading, table
 from softcal.app.views.common import instant
@@ -45,10 +45,12 @@ def _state(station: str) -> None:
     cells = (("station.state", state), ("station.seen", instant(beat.at)), ("station.by", beat.process))
     st.markdown(" · ".join(f"{say(label)}: **{value}**" for label, value in cells))
     for reason in beat.reasons:
-        st.warning(reason, icon=":material/lock:")
+        st.warning(in_words(reason), icon=":material/lock:")
     if beat.gate:
         marks = {True: "✓", False: "✕"}
-        rows = [(marks[condition.is_good], condition.name, condition.says) for condition in beat.gate]
+        rows = [
+            (marks[condition.is_good], in_words(condition.name), in_words(condition.says)) for condition in beat.gate
+        ]
         table([{"": mark, say("station.condition"): name, say("station.fact"): says} for mark, name, says in rows])
 
 
@@ -73,7 +75,7 @@ def _orders(station: str) -> None:
             place(station, OrderKind.ACKNOWLEDGE)
     if run := newest_run(station, (OrderKind.CHECK,)):
         if run_panel(run):
-            st.success(run[1].message or say("station.check.done"), icon=":material/check:")
+            st.success(in_words(run[1].message) or say("station.check.done"), icon=":material/check:")
 
 
 def _runs(station: str) -> None:
@@ -81,11 +83,11 @@ def _runs(station: str) -> None:
     rows = [
         {
             say("column.made"): instant(order.created),
-            say("column.kind"): order.kind.value,
+            say("column.kind"): say(f"order.{order.kind}"),
             say("column.serial"): order.serial,
             say("choose.lot"): order.lot_id,
-            say("station.result"): progress.state.value,
-            say("column.remark"): progress.message,
+            say("station.result"): say(f"run.{progress.state}"),
+            say("column.remark"): in_words(progress.message),
             say("column.actor"): order.actor,
         }
         for order, progress in registry().order_queue.runs(station, RUNS)

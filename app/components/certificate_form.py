@@ -6,7 +6,7 @@ from pathlib import Path
 
 import streamlit as st
 
-from softcal.app.desk import registry, words
+from softcal.app.desk import in_words, registry, words
 from softcal.app.identity import actor, permit
 from softcal.app.workflow.cell_certificate import certificate_from
 from softcal.core.errors import InputError
@@ -44,7 +44,7 @@ def certificate_form() -> None:
     try:
         number = _store(given, None if document is None else document.getvalue())
     except InputError as error:
-        st.error(str(error), icon=":material/error:")
+        st.error(in_words(error), icon=":material/error:")
         return
     st.session_state["cells-done"] = say("cells.stored", number=number)
     st.rerun()

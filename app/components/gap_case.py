@@ -4,7 +4,7 @@ from pathlib import Path
 
 import streamlit as st
 
-from softcal.app.desk import words
+from softcal.app.desk import in_words, words
 from softcal.app.identity import permit
 from softcal.app.workflow.gap_desk import cases, cases_folder, practise, store_upload
 from softcal.core.errors import InputError
@@ -81,7 +81,7 @@ def _upload() -> None:
     try:
         target = store_upload(name.strip(), [file.getvalue() for file in files], {"serial": serial.strip(), **values})
     except InputError as error:
-        st.error(str(error), icon=":material/error:")
+        st.error(in_words(error), icon=":material/error:")
         return
     _open(target)
 

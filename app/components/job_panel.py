@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 
 import streamlit as st
 
-from softcal.app.desk import errors_in_words, registry, words
+from softcal.app.desk import errors_in_words, in_words, registry, words
 from softcal.core.orders import RunState
 from softcal.db.job_board import Job
 
@@ -35,7 +35,7 @@ def job_panel(job: Job, live: Live | None = None) -> bool:
     elif job.state.is_active:
         _running(job.job_id, live)
     elif job.state is RunState.ERROR:
-        st.error(job.message, icon=":material/error:")
+        st.error(in_words(job.message), icon=":material/error:")
     elif job.state is RunState.CANCELLED:
         st.info(say("job.cancelled"), icon=":material/cancel:")
     return job.state is RunState.DONE

@@ -3,7 +3,7 @@
 import streamlit as st
 
 from softcal.app.browser_memory import remember
-from softcal.app.desk import choose_language, registry, words
+from softcal.app.desk import choose_language, in_words, registry, words
 from softcal.app.line_memory import choice
 from softcal.core.errors import RegistryError
 
@@ -17,7 +17,7 @@ def line_setup() -> None:
         _choose(say("line.setup.station"), "station", stations, choice().station)
         _choose(say("line.setup.lot"), "lot", registry().lot_ids(), choice().lot_id)
     except RegistryError as error:
-        st.caption(str(error))
+        st.caption(in_words(error))
     st.caption(say("line.setup.codes"))
 
 

@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from softcal.app.desk import choose, registry, words
+from softcal.app.desk import choose, in_words, registry, words
 from softcal.app.identity import actor, permit
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
@@ -36,7 +36,7 @@ def _form() -> None:
     try:
         registry().add_lot(Lot(name, source, rate_Hz, model, quantity, reference_unit, output_unit), actor=actor())
     except InputError as error:
-        st.error(str(error), icon=":material/error:")
+        st.error(in_words(error), icon=":material/error:")
         return
     st.query_params["lot"] = name
     st.rerun()

@@ -6,7 +6,7 @@ import streamlit as st
 
 from softcal.app.charts import network as charts_network
 from softcal.app.components.job_panel import job_panel, newest_job
-from softcal.app.desk import colours, registry, show_figure, words
+from softcal.app.desk import colours, in_words, registry, show_figure, words
 from softcal.app.identity import actor, permit, person
 from softcal.app.job_process import start_job
 from softcal.app.panels import table
@@ -57,7 +57,7 @@ def _train_form(lot: Lot, is_busy: bool) -> None:
     try:
         widths = hidden_widths(str(hidden))
     except InputError as error:
-        st.error(str(error), icon=":material/error:")
+        st.error(in_words(error), icon=":material/error:")
         return
     request = {"lot": lot.id, "hidden": widths, "seed": seed, "members": members, "max_epochs": epochs}
     start_job(registry(), "train", request, actor())

@@ -6,7 +6,7 @@ from typing import Any
 import streamlit as st
 
 from softcal.app.components.job_panel import job_panel, newest_job
-from softcal.app.desk import registry, words
+from softcal.app.desk import in_words, registry, words
 from softcal.app.identity import actor, permit, person
 from softcal.app.job_process import start_job
 from softcal.app.panels import table
@@ -56,10 +56,10 @@ def _found(result: Mapping[str, Any]) -> None:
         [
             {
                 "": marks[bool(finding["is_good"])],
-                say("setup.device"): finding["device"],
-                say("setup.what"): finding["what"],
-                say("setup.value"): finding["value"],
-                say("setup.cure"): finding["cure"],
+                say("setup.device"): in_words(finding["device"]),
+                say("setup.what"): in_words(finding["what"]),
+                say("setup.value"): in_words(finding["value"]),
+                say("setup.cure"): in_words(finding["cure"]),
             }
             for finding in result["findings"]
         ]

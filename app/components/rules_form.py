@@ -5,7 +5,7 @@ from typing import Any
 
 import streamlit as st
 
-from softcal.app.desk import ask_reason, registry, words
+from softcal.app.desk import ask_reason, in_words, registry, words
 from softcal.app.identity import actor
 from softcal.app.panels import table
 from softcal.app.views.common import VERDICTS, instant
@@ -45,7 +45,7 @@ def _change(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
         rules = LineRules(**wanted)
         registry().set_line_rules(lot.id, rules, reason=reason, actor=actor(), expected_version=version)
     except InputError as error:
-        st.error(str(error), icon=":material/error:")
+        st.error(in_words(error), icon=":material/error:")
         return
     st.session_state["rules-done"] = words()("rules.done")
     st.rerun()

@@ -5,8 +5,9 @@ import uuid
 import streamlit as st
 
 from softcal.app.charts.station import live_spec
-from softcal.app.desk import errors_in_words, registry, words
+from softcal.app.desk import errors_in_words, in_words, registry, words
 from softcal.app.identity import actor, permit
+from softcal.app.views.common import phase_said
 from softcal.core.errors import InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 
@@ -31,7 +32,7 @@ def place(station: str, kind: OrderKind, serial: str = "", lot_id: str = "", rea
             raise InputError(words()("station.silent", station=station))
         registry().order_queue.place(Order(uuid.uuid4().hex, station, kind, serial, lot_id, actor(), reason))
     except InputError as error:
-        st.error(str(error), icon=":material/error:")
+        st.error(in_words(error), icon=":material/error:")
         return False
     return True
 
@@ -48,9 +49,9 @@ def run_panel(run: tuple[Order, Progress]) -> bool:
     if progress.state.is_active:
         _running(order.order_id, order.station)
     elif progress.state is RunState.ERROR:
-        st.error(progress.message, icon=":material/report:", title=progress.code)
+        st.error(in_words(progress.message), icon=":material/report:", title=progress.code)
     elif progress.state is RunState.CANCELLED:
-        st.info(progress.message or words()("job.cancelled"), icon=":material/cancel:")
+        st.info(in_words(progress.message) or words()("job.cancelled"), icon=":material/cancel:")
     return progress.state is RunState.DONE
 
 
@@ -63,7 +64,8 @@ def _running(order_id: str, station: str) -> None:
         st.rerun()
     left, right = st.columns([5, 1], vertical_alignment="bottom")
     left.progress(
-        progress.fraction, text=say("station.left", phase=progress.phase, seconds=round(progress.remaining_s))
+        progress.fraction,
+        text=say("station.left", phase=phase_said(progress.phase, say), seconds=round(progress.remaining_s)),
     )
     if right.button(say("station.stop"), type="primary", key=f"stop-{order_id}", width="stretch"):
         place(station, OrderKind.STOP)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import streamlit as st
 
-from softcal.app.desk import registry, words
+from softcal.app.desk import in_words, registry, words
 from softcal.app.identity import actor
 from softcal.app.workflow.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.workflow.export_formats import WRITERS
@@ -26,7 +26,7 @@ def unit_files(serial: str, revision: int) -> None:
     try:
         files = _files(serial, revision, chosen)
     except UnitRefused as error:
-        st.warning(str(error), icon=":material/block:")
+        st.warning(in_words(error), icon=":material/block:")
         return
     with st.container(horizontal=True):
         for name, content in files.items():

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import streamlit as st
 
 from softcal.app.charts import unit as charts_unit
-from softcal.app.desk import ask_reason, colours, registry, show_figure, words
+from softcal.app.desk import ask_reason, colours, in_words, registry, show_figure, words
 from softcal.app.identity import actor
 from softcal.app.panels import table, table_to_choose
 from softcal.app.views.common import instant, number
@@ -49,7 +49,7 @@ def _rollback(serial: str, older: Sequence[int]) -> None:
         try:
             registry().rollback(serial, revision, reason=reason, actor=actor())
         except InputError as error:
-            st.error(str(error), icon=":material/error:")
+            st.error(in_words(error), icon=":material/error:")
             return
         st.session_state["unit-done"] = say("unit.rollback.done", revision=revision)
         st.rerun()

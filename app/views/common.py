@@ -1,6 +1,6 @@
 """What several screens need to show numbers: rounding, units, and long series thinned for a chart. No Streamlit."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 
 from softcal.core.recording import Array
@@ -29,6 +29,14 @@ def shortened(name: str, most: int) -> str:
         return name
     head = (most - 1) // 2
     return f"{name[:head]}…{name[head + 1 - most :]}"
+
+
+def phase_said(phase: str, words: Callable[..., str]) -> str:
+    """Return the phase of a run in the language of the screen; one that nobody foresaw stays as the station says it."""
+    try:
+        return words(f"phase.{phase}") if phase else words("phase.queued")
+    except KeyError:
+        return phase
 
 
 def instant(at: datetime | None) -> str:

@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from softcal.app.reasons import parted, said
+from softcal.app.reasons import parted, said, told
+from softcal.app.views.common import phase_said
 from softcal.app.workflow.line import LineFacts, Run
 from softcal.core.orders import Condition, OrderKind, RunState, Signal, StationState
 
@@ -127,11 +128,11 @@ def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
         serial=serial,
         instruction=_instruction(facts, state, serial, run, words),
         details=_details(facts, state, run, words),
-        conditions=facts.heartbeat.gate if facts.heartbeat and state in ("armed", "closed", "ready") else (),
+        conditions=_conditions(facts, words) if state in ("armed", "closed", "ready") else (),
         cells=_cells(facts, operator, words),
         chips=_chips(facts, words),
         actions=_actions(facts, state),
-        phase=_phase(progress.phase, words) if progress and state == "running" else "",
+        phase=phase_said(progress.phase, words) if progress and state == "running" else "",
         fraction=progress.fraction if progress else 0.0,
         remaining=_remaining(progress.remaining_s, words) if progress and state == "running" else "",
         signal=progress.signal if progress and state == "running" else Signal(),
@@ -210,10 +211,10 @@ def _instruction(facts: LineFacts, state: str, serial: str, run: Run | None, wor
 def _details(facts: LineFacts, state: str, run: Run | None, words: Words) -> tuple[str, ...]:
     beat = facts.heartbeat
     if state == "closed" and beat is not None:
-        return () if beat.gate else beat.reasons
+        return () if beat.gate else tuple(told(reason, words) for reason in beat.reasons)
     if state == "stopped" and beat is not None:
         code = (words("line.code", code=run[1].code),) if run and _is_why_stopped(facts, run) else ()
-        return (*beat.reasons, *code)
+        return (*(told(reason, words) for reason in beat.reasons), *code)
     if state in ("ask", "used_up"):
         return tuple(said(reason, words) for reason in facts.results[-1].reasons[:2])
     if state == "armed" and facts.lot is not None and not facts.lot.has_network and not facts.is_golden:
@@ -223,6 +224,11 @@ def _details(facts: LineFacts, state: str, run: Run | None, words: Words) -> tup
     parts = [said(reason, words) for reason in parted(run[1].message)]
     code = (words("line.code", code=run[1].code),) if run[1].code else ()
     return (*parts[:3], *code)
+
+
+def _conditions(facts: LineFacts, words: Words) -> tuple[Condition, ...]:
+    gate = facts.heartbeat.gate if facts.heartbeat else ()
+    return tuple(Condition(told(c.name, words), c.is_good, told(c.says, words)) for c in gate)
 
 
 def _is_why_stopped(facts: LineFacts, run: Run) -> bool:
@@ -260,13 +266,6 @@ def _chip(run: Run, words: Words) -> Chip:
     order, progress = run
     state = "broken" if progress.state is not RunState.DONE else progress.verdict or "recorded"
     return Chip(order.serial, TONES[state], words(f"line.{state}"))
-
-
-def _phase(phase: str, words: Words) -> str:
-    try:
-        return words(f"phase.{phase}") if phase else words("phase.queued")
-    except KeyError:
-        return phase
 
 
 def _code_key(code: str, words: Words) -> str:

@@ -311,4 +311,5 @@ class GrblStage:
             raise CommandRefused(f"stage: homing was refused: {reply}; check the settings of the controller")
         if isinstance(reply, (grbl.Alarm, grbl.Greeting)):
             self._is_homing = False
-            raise DeviceError(f"stage: homing failed: {reply}; check the homing switch and its cable")
+            why = reply if isinstance(reply, grbl.Alarm) else "the controller started again"
+            raise DeviceError(f"stage: homing failed: {why}; check the homing switch and its cable")

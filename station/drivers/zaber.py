@@ -171,7 +171,7 @@ class ZaberStage:
             return
         self._is_homed = self._is_moving = False
         what = zaber.WARNINGS.get(reply.warning, reply.warning)
-        raise DeviceError(f"stage: {what} ({reply.warning}); look at the rig, then home it")
+        raise DeviceError(f"stage: warning {reply.warning} ({what}); look at the rig, then home it")
 
     def _forget(self) -> None:
         self._is_moving, self._asked = False, None

@@ -34,7 +34,7 @@ ALARMS = {
     5: "probe did not close",
     6: "homing was reset",
     7: "safety door opened while homing",
-    8: "homing switch did not open again; it is stuck",
+    8: "homing switch did not open again, it is stuck",
     9: "homing switch was not found",
 }
 

@@ -1,9 +1,12 @@
 """Whatever breaks: one clear sentence, a standing stage, and nothing recorded as good."""
 
 import math
+from functools import partial
 
 import pytest
 
+from softcal.app.reasons import told
+from softcal.app.texts import text
 from softcal.station.simulated.faults import FAULTS
 from softcal.station.simulated.trial import run_with_dead_host, run_with_fault, run_with_full_disk
 
@@ -15,13 +18,14 @@ no danger."""
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
-def test_fault_stops_the_stage_and_records_nothing(fault, tmp_path):
+def test_fault_stops_the_stage_and_records_nothing(fault, tmp_path, english_in):
     outcome = run_with_fault(fault, tmp_path)
     assert outcome.error
     assert outcome.record == "none"
     assert outcome.spool.startswith("aborted: ")
     assert "\n" not in outcome.message
     assert ";" in outcome.message  # what happened; what became of the stage
+    assert english_in(told(outcome.message, partial(text, "ko"))) == []
     if fault.name not in SEEN_LATE:
         assert math.isnan(outcome.stopped_s) or outcome.stopped_s <= STANDS_WITHIN_S
     assert outcome.largest_force_N < 14.0
