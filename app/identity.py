@@ -18,7 +18,7 @@ from softcal.db.entries import User
 from softcal.db.people import PERMISSIONS, ROLES, may
 
 SHIFT = timedelta(hours=10)
-"""A sign-in ends after this time, whatever the browser keeps."""
+"""A sign-in ends after this time, whatever the browser keeps; Streamlit's cookie of a company account lives 30 days."""
 
 SESSION = "session"
 BADGE = "badge"
@@ -70,7 +70,7 @@ def sign_out() -> None:
     """End the sign-in of this browser; the screen is the operator's again."""
     _sign_ins().pop(recall(SESSION), None)
     forget(SESSION)
-    if _claims():
+    if st.user.get("is_logged_in"):
         st.logout()
 
 
@@ -105,6 +105,17 @@ def has_company_accounts() -> bool:
         return False
 
 
+def account_without_role() -> str:
+    """Return the company account that is signed in at this browser and names no role here; "" without."""
+    claims = _claims()
+    return _name_of(claims) if claims and role_of(claims, role_claim()) is None else ""
+
+
+def role_claim() -> str:
+    """Return which claim of a company account names the role."""
+    return os.environ.get(ROLE_CLAIM_VARIABLE) or "roles"
+
+
 def role_of(claims: dict[str, object], claim: str) -> str | None:
     """Return the highest role that the claims of a company account name, None where they name none.
 
@@ -118,16 +129,28 @@ def role_of(claims: dict[str, object], claim: str) -> str | None:
     return next((role for role in ("quality", "engineer", "operator") if role in words), None)
 
 
+def is_of_this_shift(claims: dict[str, object], now: datetime) -> bool:
+    """Whether an identity token was issued less than a shift ago (`iat`; OpenID Connect Core 1.0, section 2)."""
+    issued_s = claims.get("iat")
+    return isinstance(issued_s, int | float) and now.timestamp() - issued_s < SHIFT.total_seconds()
+
+
 def _by_company_account() -> User | None:
     claims = _claims()
-    role = role_of(claims, os.environ.get(ROLE_CLAIM_VARIABLE) or "roles")
-    if role is None:
-        return None
-    return User(str(claims.get("email") or claims.get("name") or claims.get("sub")), role, True, 1)
+    role = role_of(claims, role_claim())
+    return None if role is None else User(_name_of(claims), role, True, 1)
 
 
 def _claims() -> dict[str, object]:
-    return dict(st.user) if st.user.get("is_logged_in") else {}
+    """Return the claims of the company account at this browser; none once its sign-in is older than a shift."""
+    if not st.user.get("is_logged_in"):
+        return {}
+    claims = dict(st.user)
+    return claims if is_of_this_shift(claims, datetime.now(UTC)) else {}
+
+
+def _name_of(claims: dict[str, object]) -> str:
+    return str(claims.get("email") or claims.get("name") or claims.get("sub"))
 
 
 def _by_pin() -> User | None:

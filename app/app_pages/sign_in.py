@@ -1,9 +1,20 @@
 """Sign in by PIN or company account; the first person of a registry; the language; and the way out."""
 
+from html import escape
+from typing import Literal
+
 import streamlit as st
 
 from softcal.app.desk import choose_language, in_words, registry, words
-from softcal.app.identity import has_company_accounts, is_signed_in, person, sign_in, sign_out
+from softcal.app.identity import (
+    account_without_role,
+    has_company_accounts,
+    is_signed_in,
+    person,
+    role_claim,
+    sign_in,
+    sign_out,
+)
 from softcal.core.errors import InputError
 
 
@@ -14,25 +25,40 @@ def render() -> None:
     with middle:
         choose_language()
         if is_signed_in():
+            _who(person().name)
+            st.markdown(say("sign_in.role", role=say(f"role.{person().role}")))
+            st.caption(say(f"role.{person().role}.may"))
             _leave()
-        elif registry().users():
-            st.title(say("sign_in.title"))
-            st.caption(say("sign_in.why"))
-            _by_pin()
+        elif account := account_without_role():
+            _who(account)
+            st.warning(say("sign_in.no_role", claim=role_claim()), icon=":material/no_accounts:")
+            _leave()
         else:
-            _first_person()
-        if has_company_accounts() and not is_signed_in():
-            st.button(say("sign_in.company"), on_click=st.login, width="stretch", icon=":material/badge:")
+            _enter()
+
+
+def _who(name: str) -> None:
+    # As HTML: Markdown would make a link of an address.
+    st.html(f"<h1>{escape(name)}</h1>")
+
+
+def _enter() -> None:
+    say, is_known = words(), bool(registry().users())
+    if not is_known and not has_company_accounts():
+        _first_person()
+        return
+    st.title(say("sign_in.title"))
+    st.caption(say("sign_in.why" if is_known else "sign_in.why.company"))
+    if is_known:
+        _by_pin()
+    if has_company_accounts():
+        kind: Literal["primary", "secondary"] = "secondary" if is_known else "primary"
+        st.button(say("sign_in.company"), on_click=st.login, type=kind, width="stretch", icon=":material/badge:")
 
 
 def _leave() -> None:
-    say = words()
-    st.title(person().name)
-    st.markdown(say("sign_in.role", role=say(f"role.{person().role}")))
-    st.caption(say(f"role.{person().role}.may"))
-    if st.button(say("sign_in.leave"), icon=":material/logout:", type="primary", width="stretch"):
-        sign_out()
-        st.rerun()
+    # A callback: a rerun after it would throw away the order to go to the provider.
+    st.button(words()("sign_in.leave"), on_click=sign_out, icon=":material/logout:", type="primary", width="stretch")
 
 
 def _by_pin() -> None:

@@ -1,5 +1,7 @@
 """Who may open and change what, drawn in process: the first person, a wrong PIN, a change with its reason."""
 
+from datetime import UTC, datetime, timedelta
+
 import pytest
 
 from softcal.app import identity
@@ -46,7 +48,7 @@ def test_the_first_person_becomes_quality(new_registry, open_page) -> None:
     screen.text_input(key="first-name").set_value("Quinn")
     screen.text_input(key="first-pin").set_value("7777")
     screen.button[0].click().run()
-    assert screen.title[0].value == "Quinn"
+    assert any("<h1>Quinn</h1>" in block.proto.body for block in screen.get("html"))
     with open_registry(new_registry) as registry:
         assert [(user.name, user.role) for user in registry.users()] == [("Quinn", "quality")]
 
@@ -102,3 +104,14 @@ def test_a_role_without_the_permission_gets_no_button(calibrated, open_page) -> 
 )
 def test_a_company_account_has_the_highest_role_its_claims_name(claims, role) -> None:
     assert identity.role_of(claims, "roles") == role
+
+
+@pytest.mark.parametrize(("hours", "holds"), [(0, True), (9.9, True), (10.1, False), (700, False)])
+def test_a_company_account_is_signed_in_for_one_shift(hours: float, holds: bool) -> None:
+    now = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
+    issued = now - timedelta(hours=hours)
+    assert identity.is_of_this_shift({"iat": int(issued.timestamp())}, now) is holds
+
+
+def test_an_account_that_does_not_say_when_it_signed_in_is_not_signed_in() -> None:
+    assert not identity.is_of_this_shift({"sub": "4711"}, datetime(2026, 3, 2, tzinfo=UTC))
