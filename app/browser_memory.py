@@ -5,7 +5,7 @@ from urllib.parse import unquote
 
 import streamlit as st
 
-from softcal.app.first_paint import has_drawn, is_awaited
+from softcal.app.first_paint import PLACE, has_drawn, is_awaited
 
 STATE = "browser-memory"
 HTML = "<span hidden></span>\n"
@@ -15,10 +15,19 @@ export default function ({ data, setTriggerValue }) {
     const age = value === "" ? "; Max-Age=0" : ""
     document.cookie = `${name}=${encodeURIComponent(value)}; Path=/; SameSite=Strict${age}`
   }
-  // A task after the next frame: by then the page so far has been painted.
-  if (data.asks) requestAnimationFrame(() => setTimeout(() => setTriggerValue("drawn", true)))
+  if (!data.asks) return
+  // What is still being read stands as a skeleton; so does the place of the rest, which is not waited for.
+  const count = (where) => document.querySelectorAll(`${where} [data-testid=stSkeleton]`).length
+  const isDrawn = () => count("body") === count(`.st-key-${data.place}`)
+  const last = performance.now() + data.longest_ms
+  const idle = window.requestIdleCallback ?? setTimeout
+  const look = () => requestAnimationFrame(() =>
+    isDrawn() || performance.now() > last ? idle(() => setTriggerValue("drawn", true)) : look())
+  look()
 }
 """
+LONGEST_MS = 3000
+"""Whatever stands as a skeleton, the rest of a page comes after this time."""
 
 
 def recall(name: str) -> str:
@@ -42,7 +51,11 @@ def keep() -> None:
     told = {_cookie(name): value for name, value in st.session_state.get(STATE, {}).items()}
     # Registered here because a component needs a running server; the same again changes nothing.
     draw = st.components.v2.component("softcal_memory", html=HTML, js=JS)
-    draw(data={"told": told, "asks": is_awaited()}, key="browser-memory-component", on_drawn_change=has_drawn)
+    draw(
+        data={"told": told, "asks": is_awaited(), "place": PLACE, "longest_ms": LONGEST_MS},
+        key="browser-memory-component",
+        on_drawn_change=has_drawn,
+    )
 
 
 def _cookies() -> Mapping[str, str]:

@@ -8,7 +8,7 @@ import streamlit as st
 
 HAS_DRAWN = "browser-has-drawn"
 IS_AWAITED = "browser-is-awaited"
-PLACE_PX = 320
+PLACE, PLACE_PX = "rest-of-page", 320
 
 
 def rest_may_follow() -> bool:
@@ -19,7 +19,8 @@ def rest_may_follow() -> bool:
     if st.session_state.get(HAS_DRAWN):
         return True
     st.session_state[IS_AWAITED] = True
-    st.skeleton(height=PLACE_PX)
+    with st.container(key=PLACE):
+        st.skeleton(height=PLACE_PX)
     return False
 
 

@@ -145,7 +145,7 @@ def _claims() -> dict[str, object]:
     """Return the claims of the company account at this browser; none once its sign-in is older than a shift."""
     if not st.user.get("is_logged_in"):
         return {}
-    claims = dict(st.user)
+    claims: dict[str, object] = {**st.user}
     return claims if is_of_this_shift(claims, datetime.now(UTC)) else {}
 
 

@@ -1,5 +1,6 @@
 """Pieces of screen that several pages draw: a row of numbers, a figure under its heading, a way to another page."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,6 +12,8 @@ from softcal.app.pages import PAGES
 
 NARROWEST_NUMBER_PX = 150
 NOTHING = "–"
+MOST_IN_FULL = 40
+MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#$:~|!])")
 CLOSER = "[data-testid=stMainBlockContainer] { padding-top: 4.5rem }"
 """The bar of pages needs less room above the title than Streamlit leaves."""
 
@@ -55,8 +58,17 @@ def go_to(page: str, **query: str) -> None:
 
 
 def table(rows: Sequence[Mapping[str, object]]) -> None:
-    """Draw a table to read."""
-    st.dataframe(pd.DataFrame(rows), width="stretch", hide_index=True, placeholder=NOTHING)
+    """Draw a table to read: a short one in full, so that no sentence is cut off; a long one to scroll in."""
+    if len(rows) > MOST_IN_FULL:
+        st.dataframe(pd.DataFrame(rows), width="stretch", hide_index=True, placeholder=NOTHING)
+        return
+    plain = [{_as_it_is(name): _as_it_is(value) for name, value in row.items()} for row in rows]
+    st.table(pd.DataFrame(plain), border="horizontal", hide_index=True)
+
+
+def _as_it_is(value: object) -> object:
+    """Return a text that is no Markdown; cells of a table would be read as such."""
+    return MARKDOWN.sub(r"\\\1", value) if isinstance(value, str) else NOTHING if value is None else value
 
 
 def table_to_choose(

@@ -54,9 +54,14 @@ PAGES = (
     ("lot", f"lot?lot={LOT}", "[data-testid=stDataFrame] >> nth=-1", "table of units"),
     ("unit", f"unit?unit={UNIT}", "span[role=status]", "verdict"),
     ("unit", f"unit?unit={UNIT}", ".js-plotly-plot >> nth=0", "why this verdict"),
-    ("long-term", "long_term", "[data-testid=stDataFrame], [data-testid=stAlert]", "units in use"),
+    (
+        "long-term",
+        "long_term",
+        "[data-testid=stTable], [data-testid=stDataFrame], [data-testid=stAlert]",
+        "units in use",
+    ),
     ("source", f"source?lot={LOT}", "text=Press the source unit >> nth=0", "what to press"),
-    ("networks", f"networks?lot={LOT}", "[data-testid=stDataFrame]", "table of networks"),
+    ("networks", f"networks?lot={LOT}", "[data-testid=stTable]", "table of networks"),
     ("limits", f"limits?lot={LOT}", "[data-testid=stNumberInput]", "the limit"),
     ("gap", "gap", "[data-testid=stExpander]", "how to begin"),
     ("station", "station", "[data-testid=stButton]", "what it can be told"),
@@ -65,7 +70,7 @@ PAGES = (
     ("sign in", "sign_in", "[data-testid=stHeading]", "who is signed in"),
 )
 PAGES_OF_QUALITY = (
-    ("people", "people", "[data-testid=stDataFrame]", "table of people"),
+    ("people", "people", "[data-testid=stTable]", "table of people"),
     ("audit trail", "audit_trail", "[data-testid=stDataFrame]", "newest rows"),
 )
 

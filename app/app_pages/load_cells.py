@@ -7,7 +7,7 @@ import streamlit as st
 from softcal.app.charts.station import golden_figure
 from softcal.app.components.certificate_form import certificate_form
 from softcal.app.components.station_run import choose_station, place
-from softcal.app.desk import colours, empty, errors_in_words, registry, show_figure, words
+from softcal.app.desk import colours, empty, errors_in_words, in_words, registry, show_figure, words
 from softcal.app.first_paint import rest_may_follow
 from softcal.app.identity import person
 from softcal.app.panels import heading, table
@@ -62,7 +62,7 @@ def _golden() -> None:
         show_figure(golden_figure(unit.runs, unit.chart, colours(), say), f"golden-{unit.station}-{unit.serial}")
         for line in (*last.reasons, unit.note):
             if line:
-                st.caption(line)
+                st.caption(in_words(line))
     if not registry().golden_runs():
         st.caption(say("golden.none"))
     if may(person(), "set_up"):

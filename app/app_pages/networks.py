@@ -2,6 +2,7 @@
 
 from softcal.app.components.network_panels import comparison, training
 from softcal.app.desk import empty, errors_in_words, registry, words
+from softcal.app.first_paint import rest_may_follow
 from softcal.app.panels import lot_heading, table
 from softcal.app.views.common import instant, number
 from softcal.app.views.network import NetworkRow, network_rows
@@ -21,6 +22,8 @@ def render() -> None:
             table([_row(row, lot.reference_unit) for row in rows])
         else:
             empty(say("networks.none"), say("networks.none.how"))
+        if not rest_may_follow():
+            return
         training(lot)
         if rows:
             comparison(lot, rows)

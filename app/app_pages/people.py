@@ -1,11 +1,11 @@
 """Who may do what: people, their roles and PINs; every change asks for a reason."""
 
-import pandas as pd
 import streamlit as st
 
 from softcal.app.desk import ask_reason, in_words, registry, words
+from softcal.app.first_paint import rest_may_follow
 from softcal.app.identity import actor
-from softcal.app.panels import heading
+from softcal.app.panels import heading, table
 from softcal.core.errors import InputError
 from softcal.db.entries import User
 from softcal.db.people import ROLES
@@ -22,11 +22,12 @@ def render() -> None:
         st.success(done, icon=":material/check:")
     left, right = st.columns([3, 2])
     with left:
-        st.dataframe(pd.DataFrame([_row(user) for user in people]), width="stretch", hide_index=True)
+        table([_row(user) for user in people])
         for role in ROLES:
             st.caption(f"**{say(f'role.{role}')}** · {say(f'role.{role}.may')}")
-    with right, st.container(border=True):
-        _change(people)
+    if rest_may_follow():
+        with right, st.container(border=True):
+            _change(people)
 
 
 def _row(user: User) -> dict[str, str]:

@@ -50,7 +50,7 @@ def _press(lot: Lot) -> None:
         return
     beat = registry().order_queue.heartbeat(station)
     for reason in beat.reasons if beat else ():
-        st.warning(reason, icon=":material/lock:")
+        st.warning(in_words(reason), icon=":material/lock:")
     st.caption(say("source.press.how", serial=lot.source))
     run = newest_run(station, (OrderKind.SOURCE,), lot.id)
     is_busy = registry().order_queue.active(station) is not None

@@ -7,6 +7,7 @@ import streamlit as st
 from softcal.app.components.rig_setup import rig_setup
 from softcal.app.components.station_run import choose_station, newest_run, place, run_panel
 from softcal.app.desk import ask_reason, errors_in_words, in_words, registry, words
+from softcal.app.first_paint import rest_may_follow
 from softcal.app.identity import person
 from softcal.app.panels import heading, table
 from softcal.app.views.common import instant
@@ -27,6 +28,8 @@ def render() -> None:
         if station is not None:
             _state(station)
             _actions(station)
+            if not rest_may_follow():
+                return
             _runs(station)
         st.subheader(say("station.setup"))
         rig_setup()

@@ -93,7 +93,7 @@ def test_the_rules_of_the_line_are_set_with_their_reason_and_land_in_the_audit_t
         rules, row = registry.line_rules(registry.lot("small")), registry.audit_rows()[-1]
     assert (rules.serial_pattern, rules.target, rules.retests["fail"], rules.retests["retest"]) == (r"A\d", 40, 0, 3)
     assert (row.actor, row.action, row.reason) == ("Erin", "set_rules", "order of the customer")
-    assert screen.dataframe[-1].value["Planned units"].tolist() == [40]
+    assert screen.table[-1].value["Planned units"].tolist() == [40]
 
 
 def test_rules_that_are_none_and_rules_changed_meanwhile_are_refused_in_words(calibrated: str, show) -> None:
@@ -119,12 +119,12 @@ def _button(screen, label: str):
 
 def test_a_network_is_trained_as_a_job_and_listed(calibrated: str, show, jobs_at_once) -> None:
     screen = show(calibrated, "networks", lot="small")
-    known = len(screen.dataframe[0].value)
+    known = len(screen.table[0].value)
     screen.text_input(key="train-hidden").set_value("8")
     screen.number_input(key="train-epochs").set_value(5)
     screen.button[0].click().run(timeout=120)
     assert not screen.error and "was trained and stored" in screen.success[0].value
-    assert len(screen.dataframe[0].value) == known + 1
+    assert len(screen.table[0].value) == known + 1
 
 
 def test_layers_that_are_none_are_refused_in_words(calibrated: str, show, jobs_at_once) -> None:
@@ -140,7 +140,7 @@ def test_networks_and_families_are_compared_on_the_lot(calibrated: str, show, jo
     screen = show(calibrated, "networks", lot="small")
     next(button for button in screen.button if button.label == "Compare").click().run(timeout=120)
     assert not screen.error
-    found = screen.dataframe[-1].value
+    found = screen.table[-1].value
     assert set(found["Map"]) == {"auto", "affine"} and (found["Audited"] == 3).all()
 
 
@@ -260,7 +260,7 @@ def _adapted(url: str) -> None:
 def test_a_unit_in_use_shows_its_course_and_that_a_calibration_is_due(calibrated: str, show) -> None:
     _adapted(calibrated)
     screen = show(calibrated, "long_term")
-    assert screen.dataframe[0].value["State"].tolist() == ["calibration due"]
+    assert screen.table[0].value["State"].tolist() == ["calibration due"]
     assert "0.2 N" in screen.warning[0].value
 
 

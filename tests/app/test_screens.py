@@ -54,7 +54,7 @@ def _audit_page() -> None:
 def test_a_unit_shows_its_verdict_its_reasons_and_its_history(calibrated: str, open_page) -> None:
     screen = open_page(calibrated, _unit_page, unit="A1")
     assert any("limit" in line.value for line in screen.markdown)
-    assert any(table.value["Revision"].tolist() == [1] for table in screen.dataframe if "Revision" in table.value)
+    assert any(table.value["Revision"].tolist() == [1] for table in screen.table if "Revision" in table.value)
 
 
 def test_a_unit_without_a_map_says_why(calibrated: str, open_page) -> None:
