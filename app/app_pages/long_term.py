@@ -3,7 +3,7 @@
 import streamlit as st
 
 from softcal.app.charts.long_term import course_figure
-from softcal.app.desk import choose, colours, empty, errors_in_words, registry, show_figure, words
+from softcal.app.desk import choose, colours, empty, errors_in_words, in_words, registry, show_figure, words
 from softcal.app.first_paint import rest_may_follow
 from softcal.app.panels import heading, table
 from softcal.app.views.common import number
@@ -27,7 +27,7 @@ def render() -> None:
         found = course(registry(), serial, stream)
         st.subheader(say("long_term.course", serial=serial))
         if found.alarm:
-            st.warning(found.alarm, icon=":material/notification_important:", title=say("long_term.due"))
+            st.warning(in_words(found.alarm), icon=":material/notification_important:", title=say("long_term.due"))
         if not found.steps:
             st.caption(say("long_term.no_steps"))
             return
@@ -44,5 +44,5 @@ def _row(unit: UnitInUse) -> dict[str, object]:
         say("chart.drift_scale"): number(unit.drift),
         say("long_term.steps"): unit.steps,
         say("column.made"): unit.made_at,
-        say("column.remark"): unit.alarm,
+        say("column.remark"): in_words(unit.alarm),
     }

@@ -184,7 +184,7 @@ def hidden_figure(report: Mapping[str, Any]) -> go.Figure | None:
         hovertemplate="%{y}: %{x:.0%} hidden<extra></extra>",
     )
     figure = go.Figure(bars)
-    figure.update_xaxes(range=[0.0, 1.0], tickformat=".0%", title="share of the effect that a base refit would hide")
+    figure.update_xaxes(range=[0.0, 1.0], tickformat=".0%", title="share of the effect<br>that a base refit would hide")
     return _styled(figure, 110 + 18 * len(names), left=190, showlegend=False)
 
 

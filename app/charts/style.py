@@ -17,7 +17,7 @@ def styled(figure: go.Figure, colours: Palette, x_title: str, y_title: str, heig
     """Give a figure the look of the screens and its axes their titles, each with its unit."""
     grid = {"gridcolor": colours.grid, "zerolinecolor": colours.grid, "linecolor": colours.grid}
     # Thousands, not "k" and "M": these are measured values, not sums of money.
-    figure.update_xaxes(title=x_title, title_standoff=8, exponentformat="power", **grid)
+    figure.update_xaxes(title=x_title, title_standoff=8, automargin=True, exponentformat="power", **grid)
     figure.update_yaxes(title=y_title, title_standoff=8, exponentformat="power", automargin=True, **grid)
     return coloured(figure, colours, height)
 

@@ -58,7 +58,7 @@ def _head(view: UnitView, colours: Palette, words: Words) -> str:
 
 def _parts(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
     found, unit = view.explanation, view.lot.reference_unit
-    names, values = list(found.contributions)[::-1], list(found.contributions.values())[::-1]
+    names, values = [said(name, words) for name in found.contributions][::-1], list(found.contributions.values())[::-1]
     bars = go.Bar(x=values, y=names, orientation="h", marker_color=colours.source, showlegend=False)
     _at(figure, PARTS, bars)
     if found.forecast is not None:

@@ -72,11 +72,10 @@ def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
     picture = chain_svg(report).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" ', 1)
     st.image(picture, width="stretch")
     _rows(place_rows(report), "gap.where.none")
-    for column, channel in zip(st.columns(2), gap_figures.CHANNEL_WORDS, strict=True):
+    for channel in gap_figures.CHANNEL_WORDS:
         figure = gap_figures.map_figure(runs, channel)
         if figure is not None:
-            with column:
-                _figure(figure, f"map-{channel}")
+            _figure(figure, f"map-{channel}")
 
 
 def _why(report: Report) -> None:

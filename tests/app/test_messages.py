@@ -18,7 +18,7 @@ from softcal.app.reasons import told
 from softcal.app.texts import LANGUAGES, catalogue, text
 from softcal.app.workflow import pressed_run
 from softcal.app.workflow import station_gate as gate_facts
-from softcal.core import station_gate
+from softcal.core import drift, station_gate
 from softcal.core.orders import OrderKind, RunState
 from softcal.core.station_gate import CellCertificate, GoldenCheck, RigFacts, StationFacts, may_run
 from softcal.db import people
@@ -41,7 +41,7 @@ from softcal.station.frames import gcl2, grbl, zaber
 
 KOREAN, ENGLISH = partial(text, "ko"), partial(text, "en")
 MODULES = [
-    *(station_gate, gate_facts, station_host, pressed_run, people),
+    *(station_gate, gate_facts, station_host, pressed_run, people, drift),
     *(acquisition, bench, command, contact, link, recording, safety, self_test, service, spool, steps),
     *(
         import_module(f"{folder.__name__}.{m.name}")
