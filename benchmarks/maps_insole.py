@@ -8,19 +8,26 @@ python benchmarks/maps_insole.py [same|other] [--quick] [--every N] [--sources N
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 
 import numpy as np
 from map_methods import METHODS, insole, own_error, print_table, summary, taxel, taxels
 
+from softcal.core.calibrate import calibrate_unit
+from softcal.core.errors import UnitRefused
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
+from softcal.core.source_model import SourceModel, make_source_model
 from softcal.core.training import NetworkConfig, fit_network
+from softcal.core.verdict import VERDICTS
 
 SOURCES = ("taxel_001", "taxel_030", "taxel_060", "taxel_061", "taxel_135")
 FAST = ("before (no map)", "softcal default", "label_shift", "monotone", "ot.da.EMDTransport", "ot.da.LinearTransport")
+DEFAULT = "softcal default"
 STRETCHES = 32
+FLAGGED = 1.15
+"""Units beyond this ratio are to be flagged: not passed."""
 
 
 def main() -> None:
@@ -43,8 +50,10 @@ def run(source: str, programme: str, step: int, methods: Sequence[str]) -> None:
     unit_day = day if programme == "same" else insole("validation_1")
     unit_rows = train if programme == "same" else None
     recording = taxel(day, source, train)
-    network = fit_network(recording, NetworkConfig()).network
+    trained = fit_network(recording, NetworkConfig())
+    network, model = trained.network, make_source_model(recording, trained.network, trained.validation_rows)
     ratios: dict[str, list[float]] = {}
+    judged: dict[str, list[tuple[float, float]]] = {}
     worse: dict[str, int] = dict.fromkeys(methods, 0)
     for name in [n for n in taxels(day) if n != source][::step]:
         test = taxel(day, name, test_rows)
@@ -55,11 +64,33 @@ def run(source: str, programme: str, step: int, methods: Sequence[str]) -> None:
         for method, error in errors.items():
             ratios.setdefault(method, []).append(error / own)
             worse[method] += error > before
+        if DEFAULT in errors:
+            after = errors[DEFAULT]
+            judged.setdefault(verdict_word(problem, model), []).append((after / before, after / own))
     print(f"Source {source}, {programme} programme, {len(ratios[methods[0]])} units, after / own:\n")
     print_table(
         ("method", "median", "95 %", "largest", "worse than before"),
         ((m, *summary(r), worse[m]) for m, r in ratios.items()),
     )
+    print_verdicts(judged)
+
+
+def verdict_word(problem: FitProblem, model: SourceModel) -> str:
+    """Verdict on the unit against the default limit, made without a label of it."""
+    try:
+        return calibrate_unit(problem, source_model=model).verdict.word
+    except UnitRefused:
+        return "refused"
+
+
+def print_verdicts(judged: Mapping[str, Sequence[tuple[float, float]]]) -> None:
+    """Print what the verdicts of the default said, from after / before and after / own of every unit."""
+    rows = []
+    for word in (*VERDICTS, "refused"):
+        units = judged.get(word, [])
+        harmed, far = sum(harm > 1 for harm, _ in units), sum(ratio > FLAGGED for _, ratio in units)
+        rows.append((word, len(units), harmed, far))
+    print_table(("verdict", "units", "worse than before", f"after > {FLAGGED:g} x own"), rows)
 
 
 @cache

@@ -64,10 +64,10 @@ class Case:
 
     @property
     def score(self) -> float:
-        """Forecast error over the source's own: what the unit is ranked by; infinite where refused."""
+        """Forecast error over that forecast for a calibration of its own: what ranks the units; infinite if refused."""
         if self.calibration is None or self.calibration.predicted_rmse is None:
             return float("inf")
-        return self.calibration.predicted_rmse / self.source_rmse
+        return self.calibration.predicted_rmse / float(str(self.calibration.evidence["own_rmse_forecast"]))
 
 
 def lot_design(seed: int, faults: tuple[str, ...] = tuple(FAULTS)) -> LotDesign:

@@ -6,6 +6,7 @@ python benchmarks/verdict.py --fit --seeds 1000 1048     # how the constants of 
 
 import argparse
 from collections import Counter
+from collections.abc import Iterable
 
 import numpy as np
 from scipy.optimize import minimize
@@ -13,10 +14,11 @@ from scipy.stats import spearmanr
 from simulated_cases import Case, cases, coverage, roc_auc
 
 from softcal.core.forecast import SENSITIVITY, SENSITIVITY_ON_STAGE
+from softcal.core.own_forecast import OWN, OWN_ON_STAGE, OWN_PAIRED
 from softcal.core.simulated_lot import GOOD, OPPOSITE_DIRECTION
 from softcal.core.verdict import DEFAULT_FACTOR, VERDICTS
 
-LARGEST = np.log(1.5)
+LARGEST, LARGEST_OWN = np.log(1.5), np.log(2.0)
 """Coefficients stay near what their terms mean: no term is blown up to stand for another."""
 
 
@@ -27,7 +29,7 @@ def main() -> None:
     parser.add_argument("--fit", action="store_true", help="fit the sensitivity coefficients and print them")
     options = parser.parse_args()
     first, last = (0, 4) if options.quick else options.seeds
-    units = list(cases(range(first, last), has_own=not options.fit))
+    units = list(cases(range(first, last)))
     if options.fit:
         print_fit(units)
     else:
@@ -79,33 +81,51 @@ def kind_row(kind: str, group: list[Case]) -> str:
 
 
 def print_fit(units: list[Case]) -> None:
-    """Print the coefficients that minimise a robust loss of log(true / forecast), with and without stage position.
+    """Print the coefficients that minimise a robust loss of log(true / forecast), by what is known of the loads.
 
     Reversed units are failed by their wiring; what they misread has nothing to say on others.
     """
-    mapped = [
-        c
-        for c in units
-        if c.calibration is not None and "u_paired" not in c.calibration.evidence and c.kind != OPPOSITE_DIRECTION
-    ]
-    for suffix, names, has_stage in (("", SENSITIVITY, False), ("_ON_STAGE", SENSITIVITY_ON_STAGE, True)):
-        group = [c for c in mapped if c.has_stage == has_stage]
-        coefficients, residual = fit(group, list(names))
-        listed = ", ".join(f'"{name}": {value:.2f}' for name, value in coefficients.items())
-        print(f"SENSITIVITY{suffix} = {{{listed}}}")
+    mapped = [c for c in units if c.calibration is not None and c.kind != OPPOSITE_DIRECTION]
+    unplaced = [c for c in mapped if not c.has_stage and not is_paired(c)]
+    on_stage = [c for c in mapped if c.has_stage and not is_paired(c)]
+    for suffix, names, group in (("", SENSITIVITY, unplaced), ("_ON_STAGE", SENSITIVITY_ON_STAGE, on_stage)):
+        # Good units stand near the limit, where the forecast decides; planted ones need only be far beyond it.
+        weight = np.where([c.kind == GOOD for c in group], 3.0, 1.0)
+        after = np.array([c.after for c in group])
+        found, residual = fit(values(group, "u_model"), values(group, *(f"u_{n}" for n in names)), after, weight)
+        print(f"SENSITIVITY{suffix} = {listed(names, found)}")
         low, high = np.quantile(residual[[c.kind == GOOD for c in group]], (0.025, 0.975))
         print(f"LOG_ERROR{suffix} = ({low:.2f}, {high:.2f})  # {len(group)} units, SD of all {np.std(residual):.2f}")
+    paired = [c for c in mapped if is_paired(c)]
+    regimes = (("", OWN, unplaced), ("_ON_STAGE", OWN_ON_STAGE, on_stage), ("_PAIRED", OWN_PAIRED, paired))
+    for suffix, names, group in regimes:
+        terms, own = values(group, *(f"own_{n}" for n in names)), np.array([c.own for c in group])
+        found, residual = fit(np.zeros((len(group), 1)), terms, own, np.ones(len(group)), LARGEST_OWN)
+        print(f"OWN{suffix} = {listed(names, found)}  # {len(group)} units, SD of all {np.std(residual):.2f}")
 
 
-def fit(units: list[Case], names: list[str]) -> tuple[dict[str, float], np.ndarray]:
-    parts = np.array([[float(str(c.calibration.evidence[f"u_{n}"])) for n in ["model", *names]] for c in units])  # type: ignore[union-attr]
-    truth = np.log([c.after for c in units])
-    # Good units stand near the limit, where the forecast decides; planted ones need only be far beyond it.
-    weight = np.where([c.kind == GOOD for c in units], 3.0, 1.0)
+def is_paired(case: Case) -> bool:
+    """Tell whether the unit was judged by windows under one load with the source."""
+    return case.calibration is not None and "u_paired" in case.calibration.evidence
+
+
+def listed(names: Iterable[str], coefficients: np.ndarray) -> str:
+    return "{" + ", ".join(f'"{n}": {c:.2f}' for n, c in zip(names, coefficients, strict=True)) + "}"
+
+
+def values(units: list[Case], *names: str) -> np.ndarray:
+    """Return numbers of the units' evidence, (units, names)."""
+    return np.array([[float(str(c.calibration.evidence[n])) for n in names] for c in units])  # type: ignore[union-attr]
+
+
+def fit(
+    fixed: np.ndarray, parts: np.ndarray, truth: np.ndarray, weight: np.ndarray, largest: float = LARGEST
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fit c in truth^2 = fixed^2 + sum (c_i parts_i)^2; return c and log(truth / fitted)."""
 
     def residual(log_coefficients: np.ndarray) -> np.ndarray:
-        squared = parts[:, 0] ** 2 + (parts[:, 1:] ** 2) @ np.exp(2 * log_coefficients)
-        return np.asarray(truth - 0.5 * np.log(squared))
+        squared = fixed[:, 0] ** 2 + (parts**2) @ np.exp(2 * log_coefficients)
+        return np.asarray(np.log(truth) - 0.5 * np.log(squared))
 
     def loss(log_coefficients: np.ndarray) -> float:
         # Huber: a few units are wrong by a factor of ten and must not bend the rest; a prior keeps idle terms small.
@@ -113,8 +133,9 @@ def fit(units: list[Case], names: list[str]) -> tuple[dict[str, float], np.ndarr
         huber = np.where(r < 0.5, 0.5 * r**2, 0.5 * (r - 0.25))
         return float(weight @ huber + 0.02 * np.sum((log_coefficients - np.log(0.5)) ** 2))
 
-    best = minimize(loss, np.full(len(names), np.log(0.5)), method="L-BFGS-B", bounds=[(-4, LARGEST)] * len(names))
-    return dict(zip(names, np.exp(best.x), strict=True)), residual(best.x)
+    count = parts.shape[1]
+    best = minimize(loss, np.full(count, np.log(0.5)), method="L-BFGS-B", bounds=[(-4, largest)] * count)
+    return np.exp(best.x), residual(best.x)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from softcal.core.maps.paired import fit_pairs
 from softcal.core.maps.phase import Phase
 from softcal.core.maps.synchronous import Synchronous
 from softcal.core.maps.synchrony import paired_rows
+from softcal.core.own_forecast import forecast_own, own_terms
 from softcal.core.recording import OutputRecording
 from softcal.core.source_model import SourceModel, make_source_model
 from softcal.core.verdict import Limit, decide, default_limit
@@ -77,6 +78,7 @@ def calibrate_unit(
     gain_error = float(chosen.evidence.get("gain_error", 0.0))
     evidence = gather_evidence(model, target, chosen.unit_map, _rivals(chosen), refitted, limits, trials, gain_error)
     forecast = forecast_error(evidence.budget)
+    own = own_terms(model, target, chosen.unit_map, evidence.budget)
     findings = (
         *health_findings(target, source, limits),
         *map_findings(model, target, evidence),
@@ -90,7 +92,11 @@ def calibrate_unit(
         output_limits=limits,
         forecast=forecast,
         verdict=decide(forecast, limit, findings),
-        evidence=_numbers(evidence, chosen, limit, tuple(f.kind for f in findings)),
+        evidence={
+            **_numbers(evidence, chosen, limit, tuple(f.kind for f in findings)),
+            **{f"own_{name}": value for name, value in own.items()},
+            "own_rmse_forecast": forecast_own(own, evidence.budget),
+        },
         config=asdict(config),
     )
 

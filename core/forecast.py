@@ -64,9 +64,9 @@ LOG_ERROR_PAIRED = (-0.35, 0.35)
 LOG_ERROR, LOG_ERROR_ON_STAGE = (-1.54, 0.48), (-0.41, 0.23)
 """2.5 % and 97.5 % quantiles of log(true / forecast RMSE) over good units, from the same command."""
 
-INTERVAL_SHARE, INTERVAL_SHARE_ON_STAGE = 0.9, 0.1
+INTERVAL_SHARE, INTERVAL_SHARE_ON_STAGE = 1.1, 0.1
 """Share of the map's variance that widens the interval, so that it covers 90 % of good units' samples: from
-`benchmarks/coverage.py --fit`."""
+`benchmarks/interval_coverage.py --fit`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,22 +219,38 @@ def _squares(budget: Mapping[str, float]) -> float:
 
 
 def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
-    """Spread the map's variance over direction and load level: (3, LEVELS), half even, half where the maps disagree."""
+    """Spread the map's variance over direction and load level: (3, LEVELS), half even, half where the maps disagree.
+
+    Half of it all goes with the square of the load where the gain rests on matched levels alone: if that is wrong, the
+    error grows with the load.
+    """
     share = INTERVAL_SHARE_ON_STAGE if "stage" in evidence.budget else INTERVAL_SHARE
     share = 1.0 if "paired" in evidence.budget else share
     total = share * map_variance(evidence.budget)
+    pattern = 0.5 + 0.5 * _disagreement_pattern(model, evidence)
+    if not is_placed(evidence.budget) and evidence.budget["gain"]:
+        pattern = 0.5 * pattern + 0.5 * _load_pattern(model, evidence)
+    return total * pattern
+
+
+def _disagreement_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
+    pattern = np.ones((len(DIRECTIONS), LEVELS))
     mean_square = float(np.mean(evidence.disagreement**2))
     if mean_square == 0:
-        return np.full((len(DIRECTIONS), LEVELS), total)
-    pattern = np.ones((len(DIRECTIONS), LEVELS))
-    direction, column = model.interval.direction(evidence.shape), model.interval.column(evidence.estimate)
-    local = evidence.disagreement**2 / mean_square
-    counts = np.zeros_like(pattern)
-    sums = np.zeros_like(pattern)
-    np.add.at(counts, (direction, column), 1.0)
-    np.add.at(sums, (direction, column), local)
-    pattern = (_smooth(sums) + 5.0) / (_smooth(counts) + 5.0)
-    return total * (0.5 + 0.5 * pattern)
+        return pattern
+    cells = model.interval.direction(evidence.shape), model.interval.column(evidence.estimate)
+    counts, sums = np.zeros_like(pattern), np.zeros_like(pattern)
+    np.add.at(counts, cells, 1.0)
+    np.add.at(sums, cells, evidence.disagreement**2 / mean_square)
+    return (_smooth(sums) + 5.0) / (_smooth(counts) + 5.0)
+
+
+def _load_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
+    """Return the squared load over its mean square in the unit's recording: (LEVELS,)."""
+    low, high = model.interval.low, model.interval.high
+    level = low + (np.arange(LEVELS) + 0.5) * (high - low) / LEVELS
+    load = np.maximum(level - _rest_level(evidence.estimate), 0.0)
+    return np.asarray((load / max(_load(evidence.estimate), 1e-12)) ** 2)
 
 
 def _smooth(table: Array) -> Array:
@@ -254,7 +270,7 @@ def _spread(estimate: Array, others: Sequence[Array]) -> Array:
 
 def rest_rows(model: SourceModel, estimate: Array, shape: WindowShape) -> NDArray[np.bool_]:
     """Mark the windows at rest: holding still at the unit's own lowest loads."""
-    low = float(np.quantile(estimate, 0.02))
+    low = _rest_level(estimate)
     still = model.interval.direction(shape) == 1
     return np.asarray(still & (estimate < low + 0.1 * (model.interval.high - model.interval.low)))
 
@@ -286,7 +302,11 @@ def _clipping(model: SourceModel, target: OutputRecording, limits: OutputLimits)
 
 def _load(estimate: Array) -> float:
     """Return the RMS load above rest: what an error of the gain is multiplied with."""
-    return _rms(estimate - np.quantile(estimate, 0.02))
+    return _rms(estimate - _rest_level(estimate))
+
+
+def _rest_level(estimate: Array) -> float:
+    return float(np.quantile(estimate, 0.02))
 
 
 def _stage_terms(model: SourceModel, target: OutputRecording, unit_map: UnitMap) -> dict[str, float]:

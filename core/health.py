@@ -12,7 +12,7 @@ RAIL_RUN = 5
 """Samples in a row at the very end of the range that count as flat."""
 
 PILE = 3.0
-"""Samples at a rail over samples beside it; a triangle leaves about as many in both."""
+"""Samples of a press at the rail over its samples beside it; a triangle leaves about as many in both."""
 
 VISITS = 0.2
 """Share of presses that end at a rail, beyond what the source shows at the same end, that is clipping."""
@@ -49,26 +49,24 @@ def run_lengths(output: Array) -> Indices:
 
 @dataclass(frozen=True)
 class Rail:
-    """How the samples pile up at one end of the range.
+    """How the presses end at one end of the range.
 
     Args:
         level: inner edge of the band at this end, as wide as the noise, in the output unit.
-        visits: share of the presses that end in the band, flat for at least `RAIL_RUN` samples.
+        visits: share of the presses that end flat in the band.
         count: number of such presses.
-        pile: samples in the band over samples in the next band inside it.
     """
 
     level: float
     visits: float
     count: int
-    pile: float
 
     def is_clipped(self, source: "Rail") -> bool:
         """Tell whether the readout clips here: presses of different depth all end flat at one level.
 
         Holds at one same depth end flat too, but then they do so in the source.
         """
-        return self.count >= 3 and self.pile >= PILE and self.visits > source.visits + VISITS
+        return self.count >= 3 and self.visits > source.visits + VISITS
 
 
 def rail(output: Array, is_upper: bool) -> Rail:
@@ -76,17 +74,19 @@ def rail(output: Array, is_upper: bool) -> Rail:
     rising = output if is_upper else -output
     band = noise_band(output)
     top, span = float(rising.max()), float(np.ptp(rising))
-    in_band = rising > top - band
-    flat = in_band & (run_lengths(in_band.astype(np.float64)) == RAIL_RUN)
-    state = np.where(flat, 1, np.where(rising < top - max(0.1 * span, 2 * band), -1, 0))
-    state = state[state != 0]
-    count = int(np.count_nonzero((state[1:] == 1) & (state[:-1] == -1)))
-    next_inside = np.count_nonzero((rising <= top - band) & (rising > top - 2 * band))
+    in_band, beside = rising > top - band, (rising <= top - band) & (rising > top - 2 * band)
+    pressed = rising >= top - max(0.1 * span, 2 * band)
+    # Number 0 is what the recording begins with: nobody saw that press rise.
+    press = np.cumsum(np.concatenate([[False], pressed[1:] & ~pressed[:-1]]))
+    ran = np.bincount(press[in_band & (run_lengths(in_band.astype(np.float64)) == RAIL_RUN)], minlength=press[-1] + 1)
+    inside, next_inside = (np.bincount(press[rows], minlength=press[-1] + 1) for rows in (in_band, beside))
+    # Each press for itself: one long hold must not make flat ends of the tips of others as deep.
+    is_flat = (ran > 0) & (inside >= PILE * np.maximum(next_inside, 1))
+    count = int(np.count_nonzero(is_flat[1:]))
     return Rail(
         level=(top - band) * (1 if is_upper else -1),
         visits=count / max(count_presses(output), 1),
         count=count,
-        pile=float(np.count_nonzero(in_band)) / max(int(next_inside), 1),
     )
 
 

@@ -77,7 +77,7 @@ def match_ends(source: LabelledRecording, target: OutputRecording) -> EndMatch:
     is_patchy = _is_patchy(target)
     average = 5 if is_patchy else max(averaging_length(known), averaging_length(target))
     shown = _whole(target, average, sign, is_patchy)
-    noise = _noise(target)
+    noise = output_noise(target)
     if not shown.span[0] > CLEAR_OF_NOISE * noise:
         raise UnitRefused("output makes no swing that stands out of its noise; press the unit and record it again")
     if is_patchy:
@@ -122,8 +122,8 @@ def _smoothed(recording: OutputRecording, average: int) -> Array:
 
 
 @lru_cache(maxsize=KEPT)
-def _noise(recording: OutputRecording) -> float:
-    """Standard deviation of the noise from second differences, at least that of the readout's steps."""
+def output_noise(recording: OutputRecording) -> float:
+    """Return the standard deviation of the noise from second differences, at least that of the readout's steps."""
     bends = np.concatenate([np.diff(recording.output[part], 2) for part in recording.segments])
     step = float(np.min(np.diff(np.unique(recording.output)), initial=np.inf))
     noise = float(np.median(np.abs(bends))) / 0.6745 / np.sqrt(6) if len(bends) else 0.0

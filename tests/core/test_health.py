@@ -52,6 +52,15 @@ def test_a_noisy_clip_is_found_too(press, source, rng):
     assert "saturated" in kinds(replace(unit, output=noisy), source)
 
 
+def test_sharp_tips_of_one_depth_and_one_hold_there_are_no_clipping(source, rng):
+    tip = np.concatenate([np.linspace(0, 3, 60), np.linspace(3, 0, 60), np.zeros(30)])
+    hold = np.concatenate([np.linspace(0, 3, 60), np.full(150, 3.0), np.linspace(3, 0, 60), np.zeros(30)])
+    force_N = np.concatenate([np.zeros(50), tip, tip, tip, hold, 0.6 * tip, tip])
+    output = 0.5 + 0.1 * force_N + rng.normal(0, 0.003, len(force_N))
+    unit = replace(source, t_s=np.arange(len(output)) / source.sample_rate_Hz, output=output)
+    assert "saturated" not in kinds(unit, source)
+
+
 def test_a_falling_output_is_clipped_at_its_lower_end(press, source):
     falling_source = replace(source, output=1.0 - source.output)
     unit = press(2).unlabelled

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softcal.core.forecast import SENSITIVITY, forecast_error
+from softcal.core.forecast import SENSITIVITY, forecast_error, gather_evidence, variance_table
+from softcal.core.health import output_limits
+from softcal.core.maps.affine import AffineMap
 from softcal.core.support import fit_support
 from softcal.core.uncertainty import Interval, conformal_quantile, source_residuals
 from softcal.core.windows import TAPS, windows
@@ -100,3 +102,21 @@ def test_a_forecast_is_the_root_of_the_sum_of_squares():
     assert alone.rmse == pytest.approx(0.3) and alone.lower < 0.3 < alone.upper
     both = forecast_error({"model": 0.3, **budget, "rest": 0.4})
     assert both.rmse == pytest.approx(np.hypot(0.3, 0.4 * SENSITIVITY["rest"]))
+
+
+def test_a_gain_from_matched_levels_widens_with_the_square_of_the_load(source_model, linear_network, press):
+    unit = press(3, gain=1.2, seconds=120.0).unlabelled
+    unit_map, limits = (
+        AffineMap(1.0, 0.0, "identity"),
+        output_limits(unit, source_model.source.unlabelled, is_rising=True),
+    )
+    evidence = gather_evidence(source_model, unit, unit_map, (), (), limits, gain_error=0.1)
+    row = variance_table(source_model, evidence)[1]
+    even = variance_table(source_model, replace(evidence, budget={**evidence.budget, "gain": 0.0}))[1]
+    level = source_model.interval.low + (np.arange(len(row)) + 0.5) * np.ptp(source_model.source.reference) / len(row)
+    rest = np.quantile(evidence.estimate, 0.02)
+    load, rms_load = np.maximum(level - rest, 0), np.sqrt(np.mean((evidence.estimate - rest) ** 2))
+    assert np.ptp(even) < 1e-9 * even.max()
+    # row = a / 2 + b load^2: the second differences of a parabola are equal.
+    np.testing.assert_allclose(np.diff(row[load > 0.1], 2), np.diff(row[load > 0.1], 2)[0], rtol=1e-6)
+    assert load[0] == 0 and row[0] == pytest.approx(row[-1] / (1 + (load[-1] / rms_load) ** 2))

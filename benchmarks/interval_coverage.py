@@ -1,7 +1,7 @@
 """Share of samples whose force lies in the 90 % interval, on good units of simulated lots (target 87 to 93 %).
 
-python benchmarks/coverage.py [--quick] [--seeds FIRST LAST]
-python benchmarks/coverage.py --fit --seeds 1000 1016     # coverage against the share of the map's variance used
+python benchmarks/interval_coverage.py [--quick] [--seeds FIRST LAST]
+python benchmarks/interval_coverage.py --fit --seeds 1000 1016   # coverage by share of the variance
 """
 
 import argparse
@@ -15,7 +15,7 @@ from softcal.core.forecast import INTERVAL_SHARE, INTERVAL_SHARE_ON_STAGE
 from softcal.core.simulated_lot import GOOD
 from softcal.core.uncertainty import DIRECTIONS
 
-SHARES = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
+SHARES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.1, 1.25)
 
 
 def main() -> None:
