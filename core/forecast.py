@@ -222,15 +222,22 @@ def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
     """Spread the map's variance over direction and load level: (3, LEVELS), half even, half where the maps disagree.
 
     Half of it all goes with the square of the load where the gain rests on matched levels alone: if that is wrong, the
-    error grows with the load.
+    error grows with the load. What the unit has not shown of the source's loads counts there alone.
     """
-    share = INTERVAL_SHARE_ON_STAGE if "stage" in evidence.budget else INTERVAL_SHARE
-    share = 1.0 if "paired" in evidence.budget else share
-    total = share * map_variance(evidence.budget)
+    budget = evidence.budget
+    share = INTERVAL_SHARE_ON_STAGE if "stage" in budget else INTERVAL_SHARE
+    share = 1.0 if "paired" in budget else share
+    unseen = sensitivity(budget)["extrapolation"]
     pattern = 0.5 + 0.5 * _disagreement_pattern(model, evidence)
-    if not is_placed(evidence.budget) and evidence.budget["gain"]:
+    if not is_placed(budget) and budget["gain"]:
         pattern = 0.5 * pattern + 0.5 * _load_pattern(model, evidence)
-    return total * pattern
+    beyond = unseen * _beyond(_levels(model), evidence.estimate)
+    return share * (map_variance(budget) - (unseen * budget["extrapolation"]) ** 2) * pattern + beyond**2
+
+
+def _levels(model: SourceModel) -> Array:
+    low, high = model.interval.low, model.interval.high
+    return low + (np.arange(LEVELS) + 0.5) * (high - low) / LEVELS
 
 
 def _disagreement_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
@@ -247,9 +254,7 @@ def _disagreement_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
 
 def _load_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     """Return the squared load over its mean square in the unit's recording: (LEVELS,)."""
-    low, high = model.interval.low, model.interval.high
-    level = low + (np.arange(LEVELS) + 0.5) * (high - low) / LEVELS
-    load = np.maximum(level - _rest_level(evidence.estimate), 0.0)
+    load = np.maximum(_levels(model) - _rest_level(evidence.estimate), 0.0)
     return np.asarray((load / max(_load(evidence.estimate), 1e-12)) ** 2)
 
 
@@ -334,8 +339,13 @@ def _misread(model: SourceModel, target: OutputRecording, trial: Trial) -> Array
 
 def _extrapolation(model: SourceModel, estimate: Array) -> float:
     """Return the RMS distance of the source's loads from the range of loads this unit has shown."""
+    return _rms(_beyond(model.estimate, estimate))
+
+
+def _beyond(load: Array, estimate: Array) -> Array:
+    """Return how far loads lie outside the range that a unit's estimates reach."""
     low, high = np.quantile(estimate, REACH)
-    return _rms(np.maximum(np.maximum(low - model.estimate, model.estimate - high), 0))
+    return np.asarray(np.maximum(np.maximum(low - load, load - high), 0.0))
 
 
 def use_overlap(model: SourceModel, shape: WindowShape) -> float:
