@@ -1,7 +1,7 @@
 """How well the label-free verdict knows: forecast against true error over simulated lots with planted bad units.
 
-python benchmarks/verdict.py [--quick] [--seeds FIRST LAST]
-python benchmarks/verdict.py --fit --seeds 1000 1048     # how the constants of core/forecast.py were found
+python benchmarks/verdict.py [--quick] [--seeds FIRST LAST [STEP]]
+python benchmarks/verdict.py --fit --seeds 1000 1040     # how the constants of core/forecast.py were found
 """
 
 import argparse
@@ -25,11 +25,11 @@ LARGEST, LARGEST_OWN = np.log(1.5), np.log(2.0)
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="four lots only")
-    parser.add_argument("--seeds", type=int, nargs=2, default=(0, 24), metavar=("FIRST", "LAST"))
+    parser.add_argument("--seeds", type=int, nargs="+", default=(0, 24), metavar="FIRST LAST [STEP]")
     parser.add_argument("--fit", action="store_true", help="fit the sensitivity coefficients and print them")
     options = parser.parse_args()
-    first, last = (0, 4) if options.quick else options.seeds
-    units = list(cases(range(first, last)))
+    seeds = range(4) if options.quick else range(*options.seeds)
+    units = list(cases(seeds))
     if options.fit:
         print_fit(units)
     else:
@@ -52,8 +52,20 @@ def print_report(units: list[Case]) -> None:
     print("|---" * (7 + len(VERDICTS)) + "|")
     for kind in dict.fromkeys(c.kind for c in units):
         print(kind_row(kind, [c for c in units if c.kind == kind]))
+    print()
+    paired = [c for c in good if is_paired(c)]
+    placed = [c for c in good if c.has_stage and not is_paired(c)]
+    blind = [c for c in good if not (c.has_stage or is_paired(c))]
+    for name, group in {"all": good, "paired in time": paired, "stage known": placed, "nothing pairs": blind}.items():
+        if group:
+            print_log_ratio(name, group)
+
+
+def print_log_ratio(name: str, good: list[Case]) -> None:
+    """Print quantiles of log(true / forecast) over good units."""
     ratio = np.log([c.after / c.calibration.predicted_rmse for c in good])  # type: ignore[union-attr,operator]
-    print(f"\nlog(true / forecast) of good units: median {np.median(ratio):+.2f}, SD {np.std(ratio):.2f}")
+    low, median, high = np.quantile(ratio, (0.025, 0.5, 0.975))
+    print(f"log(true / forecast), {name}, {len(good)} good units: median {median:+.2f}, 95 % {low:+.2f} to {high:+.2f}")
 
 
 def group_row(name: str, group: list[Case]) -> str:
