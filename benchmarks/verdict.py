@@ -53,12 +53,23 @@ def print_report(units: list[Case]) -> None:
     for kind in dict.fromkeys(c.kind for c in units):
         print(kind_row(kind, [c for c in units if c.kind == kind]))
     print()
+    print_other_scores(units)
     paired = [c for c in good if is_paired(c)]
     placed = [c for c in good if c.has_stage and not is_paired(c)]
     blind = [c for c in good if not (c.has_stage or is_paired(c))]
     for name, group in {"all": good, "paired in time": paired, "stage known": placed, "nothing pairs": blind}.items():
         if group:
             print_log_ratio(name, group)
+
+
+def print_other_scores(units: list[Case]) -> None:
+    """Print the area under the curve for what else one could rank by; refused units rank last."""
+    labels = [c.is_bad for c in units]
+    forecasts = [np.inf if c.calibration is None else float(c.calibration.predicted_rmse or np.inf) for c in units]
+    over_source = [f / c.source_rmse for f, c in zip(forecasts, units, strict=True)]
+    over_own = [f / c.own for f, c in zip(forecasts, units, strict=True)]
+    print(f"ROC AUC of forecast / source's error: {roc_auc(over_source, labels):.3f}", end="; ")
+    print(f"of forecast / true error of the own calibration: {roc_auc(over_own, labels):.3f}\n")
 
 
 def print_log_ratio(name: str, good: list[Case]) -> None:
