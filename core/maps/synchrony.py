@@ -14,6 +14,9 @@ MIN_RANK_CORRELATION = 0.95
 RANK_AVERAGE = 15
 """Ranks are averaged over this many samples before they are compared: noise and spikes of a readout are not load."""
 
+PARTED = 10.0
+"""Loads part after an opening that leaves this many times less of the ranks unexplained than what follows."""
+
 MIN_DETAIL = 0.1
 MIN_SIGMA = 2.5
 """A lag is believed where the fine structure agrees this many standard deviations better than at all others."""
@@ -78,19 +81,33 @@ def find_synchrony(source: OutputRecording, target: OutputRecording) -> Synchron
 
     Ranks make the comparison blind to the static curves of the units. Fine structure that agrees at one lag and at no
     other tells how far apart the clocks are. Where the whole does not agree, the recordings may still open alike: a
-    line often runs one profile first and other loads after it.
+    line often runs one profile first and other loads after it. A long opening makes the whole agree too; what follows
+    it tells.
     """
-    whole = _compared(source, target, np.inf)
-    if whole.is_synchronous:
-        return whole
+    whole = _compared(source, target)
     until_s = _opening_end(source, target)
-    opening = _compared(source, target, until_s) if until_s is not None else whole
+    if until_s is None:
+        return whole
+    opening = _compared(source, target, until_s=until_s)
+    if whole.is_synchronous:
+        agrees_better = opening.rank_correlation > whole.rank_correlation
+        return opening if agrees_better and _parts_after(source, target, opening) else whole
     return opening if opening.is_synchronous else whole
 
 
-def _compared(source: OutputRecording, target: OutputRecording, until_s: float) -> Synchrony:
+def _parts_after(source: OutputRecording, target: OutputRecording, opening: Synchrony) -> bool:
+    """Tell whether the recordings go on under loads of their own; False where too little follows to tell."""
+    left = _compared(source, target, from_s=opening.until_s + GUARD_S)
+    if left is NONE or left.is_synchronous:
+        return False
+    return 1 - left.rank_correlation > PARTED * (1 - opening.rank_correlation)
+
+
+def _compared(
+    source: OutputRecording, target: OutputRecording, from_s: float = -np.inf, until_s: float = np.inf
+) -> Synchrony:
     rate_Hz = source.sample_rate_Hz
-    start, stop = max(source.t_s[0], target.t_s[0]), min(source.t_s[-1], target.t_s[-1], until_s)
+    start, stop = max(source.t_s[0], target.t_s[0], from_s), min(source.t_s[-1], target.t_s[-1], until_s)
     time_s = np.arange(start, stop, 1.0 / rate_Hz)
     if len(time_s) < 20 * min(SCALES) or abs(target.sample_rate_Hz / rate_Hz - 1) > 0.02:
         return NONE

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import rankdata
 
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.anchors import AnchoredMap
@@ -89,6 +90,16 @@ def test_opening_that_both_recordings_share_is_paired_and_the_rest_is_not(
     assert chosen.family == "synchronous"
     assert 20.0 < float(chosen.evidence["shared_until_s"]) < parts_at / 50.0
     assert mapped < 1.5 * trained.validation_rmse < raw / 3
+
+
+def test_a_long_opening_does_not_make_the_whole_one_load(source: LabelledRecording, trained: TrainedNetwork) -> None:
+    parts_at = 2400
+    rest = 0.5 * source.reference[parts_at:3000] + 0.5 * presses(50, 3000 - parts_at)
+    load_N = np.concatenate([source.reference[:parts_at], rest])
+    ranks = (rankdata(load) for load in (load_N, source.reference[:3000]))
+    assert np.corrcoef(*ranks)[0, 1] > 0.95
+    synchrony = find_synchrony(source.unlabelled, unit(source, trained, load_N).target)
+    assert synchrony.is_synchronous and synchrony.until_s < parts_at / 50.0
 
 
 def test_one_slow_rise_alike_is_no_opening(source: LabelledRecording, trained: TrainedNetwork) -> None:
