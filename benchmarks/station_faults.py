@@ -7,6 +7,7 @@ import argparse
 import math
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -45,7 +46,8 @@ def main() -> None:
 
 def _run(run: Callable[[Path], Outcome]) -> Outcome:
     with tempfile.TemporaryDirectory() as folder:
-        return run(Path(folder))
+        outcome = run(Path(folder))
+        return replace(outcome, message=outcome.message.replace(f"{folder}/", ""))
 
 
 def _row(o: Outcome) -> str:
