@@ -16,7 +16,7 @@ import sys
 import time
 import traceback
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,8 @@ from softcal.core.gap.challenge.judge import Judged, read_answer
 from softcal.core.gap.challenge.realised import realised_shrink
 from softcal.core.gap.challenge.seal import Label
 from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.score import POOR, ScoreSheet, score_reports
+from softcal.core.gap.score import POOR, ScoreSheet, score_reports, wilson
+from softcal.core.metrics import finite_or_none
 from softcal.core.twin.parameters import ReadoutMetadata
 
 TABLES = ("lines", "detection", "sureness", "experiments", "speed")
@@ -51,11 +52,17 @@ TARGETS = {
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """One case of the benchmark with its report, None where the diagnosis broke down, and what it took."""
+    """One case of the benchmark with its report, None where the diagnosis broke down, and what it took.
+
+    Args:
+        seconds: of processor time.
+        realised: shrink on the run kept back, None where there is none to tell.
+    """
 
     label: Label
     report: Mapping[str, Any] | None
     seconds: float
+    realised: float | None = None
 
 
 def as_case(sealed: SealedCase, plans: Sequence[RunPlan]) -> Case:
@@ -84,22 +91,27 @@ def diagnosed(sealed: SealedCase, plans: Sequence[RunPlan] | None = None) -> Dia
     return Diagnosed(Label(sealed, "", distance_sigma(sealed)), report, time.process_time() - start)
 
 
-def realised(label: Label, report: Mapping[str, Any]) -> float:
-    """Shrink on the run kept back, where the causes follow the equations of the catalogue."""
-    return realised_shrink(label.case, report) if label.case.line in CATALOGUE_LINES else float("nan")
+def realised(sealed: SealedCase, report: Mapping[str, Any] | None) -> float | None:
+    """Shrink on the run kept back, where a twin is named and the causes follow the equations of the catalogue."""
+    if report is None or sealed.line not in CATALOGUE_LINES or report["verdict"] not in ("explained", "ambiguous"):
+        return None
+    return finite_or_none(realised_shrink(sealed, report))
 
 
-def kept_case(sealed: SealedCase, keep: Path | None) -> Diagnosed:
-    """Diagnose a case, or take it from the folder of cases already done by this revision."""
-    path = keep / f"{sealed.name}.json" if keep else None
+def kept_case(sealed: SealedCase, keep: Path | None, experiment: RunPlan | None = None) -> Diagnosed:
+    """Diagnose a case, with one more run where given, or take it from the folder of cases done by this revision."""
+    name = sealed.name if experiment is None else f"{sealed.name}+{experiment.protocol}"
+    path = keep / f"{name}.json" if keep else None
     if path is not None and path.exists():
         content = json.loads(path.read_text())
-        return Diagnosed(Label(sealed, "", content["distance_sigma"]), content["report"], content["seconds"])
-    found = diagnosed(sealed)
+        label = Label(sealed, "", content["distance_sigma"])
+        return Diagnosed(label, content["report"], content["seconds"], content["realised"])
+    found = diagnosed(sealed) if experiment is None else diagnosed(sealed, (*sealed.plans, experiment))
+    found = replace(found, realised=None if experiment else realised(sealed, found.report))
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        content = {"distance_sigma": found.label.distance_sigma, "report": found.report, "seconds": found.seconds}
-        path.write_text(json.dumps(content))
+        content = {name: getattr(found, name) for name in ("report", "seconds", "realised")}
+        path.write_text(json.dumps(content | {"distance_sigma": found.label.distance_sigma}))
     return found
 
 
@@ -123,20 +135,21 @@ def run_lines(
 
 def scored(done: Sequence[Diagnosed]) -> ScoreSheet:
     reports = {d.label.case.name: d.report for d in done if d.report is not None}
-    return score_reports([d.label for d in done], reports, realised)
+    shrinks = {d.label.case.name: np.nan if d.realised is None else d.realised for d in done}
+    return score_reports([d.label for d in done], reports, lambda label, _: shrinks[label.case.name])
 
 
-def _log(found: Diagnosed, log: Path | None) -> None:
+def _log(found: Diagnosed, log: Path | None, what: str = "") -> None:
     if log is None or found.report is None:
         return
     judged = Judged(found.label, read_answer(found.label.case.name, found.report))
-    if judged.outcome in ("right", "below noise"):
+    if judged.outcome in ("right", "below noise") and not what:
         return
     likely = {c["effect"]: round(c["probability"], 2) for c in found.report["causes"] if c["probability"] > 0.02}
     truth = " + ".join(f"{cause.effect} ({cause.form})" for cause in found.label.case.causes) or "none"
     with log.open("a") as file:
         file.write(
-            f"{found.label.case.name}: {judged.outcome}; truth {truth}, {found.label.distance_sigma:.0f} sigma; said "
+            f"{found.label.case.name}{what}: {judged.outcome}; truth {truth}, {found.label.distance_sigma:.0f} sigma; said "
             f"{found.report['verdict']} {likely} {found.report['ambiguous_with']}; {found.seconds:.1f} s\n"
         )
 
@@ -195,25 +208,31 @@ def sureness_table(done: Sequence[Diagnosed], sheet: ScoreSheet) -> str:
     return table(("measure", "value"), rows)
 
 
-def experiment_table(lines: Sequence[str], count: int, seed: int) -> str:
+def experiment_table(done: Sequence[Diagnosed], seed: int, keep: Path | None, log: Path | None) -> str:
     """Ask the sealed rig for what an ambiguous report proposes, diagnose again, and compare with a random choice."""
-    tally = {"proposed": [0, 0], "random": [0, 0]}
-    rng = np.random.default_rng(seed)
-    for line in lines:
-        for number in range(count):
-            sealed = draw_case(seed + 50_000 + number, f"{line}-{number}", line)
-            first = diagnosed(sealed)
-            if first.report is None or first.report["verdict"] != "ambiguous":
-                continue
-            proposal = str(first.report["next_experiment"]["profile"])
-            if proposal not in EXPERIMENTS:
-                continue
-            for word, experiment in (("proposed", proposal), ("random", str(rng.choice(EXPERIMENTS)))):
-                more = diagnosed(sealed, (*sealed.plans, RunPlan(experiment, seed + number)))
-                tally[word][0] += is_resolved(more)
-                tally[word][1] += 1
-    rows = [(word, f"{hits}/{total}") for word, (hits, total) in tally.items()]
-    return table(("experiment added to an ambiguous case", "resolved to the right cause"), rows)
+    rng, lines = np.random.default_rng(seed), dict.fromkeys(d.label.case.line for d in done)
+    tally = {line: [0, 0, 0, 0] for line in (*lines, "all")}
+    for first in done:
+        if first.report is None or first.report["verdict"] != "ambiguous":
+            continue
+        sealed, proposal = first.label.case, str(first.report["next_experiment"]["profile"])
+        counts = [1, 0, 0, 0]
+        if proposal in EXPERIMENTS:
+            plans = [RunPlan(str(name), sealed.kept_back.seed) for name in (proposal, rng.choice(EXPERIMENTS))]
+            proposed, random = (kept_case(sealed, keep, plan) for plan in plans)
+            counts = [1, 1, int(is_resolved(proposed)), int(is_resolved(random))]
+            if not is_resolved(proposed):
+                _log(proposed, log, f" after {proposal}")
+        for line in (sealed.line, "all"):
+            tally[line] = [total + one for total, one in zip(tally[line], counts, strict=True)]
+    rows = []
+    for line, (ambiguous, asked, hits, chance) in tally.items():
+        low, high = wilson(hits, asked)
+        share = f"{100 * low:.0f}–{100 * high:.0f} %" if asked else ""
+        if ambiguous:
+            rows.append((line, ambiguous, asked, f"{hits}/{asked}", share, f"{chance}/{asked}"))
+    header = ("line", "ambiguous", "with a run proposed", "resolved by it", "95 % interval", "by a random run")
+    return table(header, rows)
 
 
 def is_resolved(found: Diagnosed) -> bool:
@@ -260,7 +279,7 @@ def main() -> None:
     count = 4 if options.quick else options.cases
     seed = secrets.randbits(24) if options.seed is None else options.seed
     parts = [f"Seeds {seed} to {seed + count - 1}, {count} cases per line."]
-    if {"lines", "detection", "sureness"} & set(options.tables):
+    if {"lines", "detection", "sureness", "experiments"} & set(options.tables):
         done, sheet = run_lines(options.lines, count, seed, options.log, options.keep)
         made = {
             "lines": line_table(sheet),
@@ -268,8 +287,8 @@ def main() -> None:
             "sureness": sureness_table(done, sheet),
         }
         parts += [made[name] for name in options.tables if name in made]
-    if "experiments" in options.tables:
-        parts.append(experiment_table(options.lines, count, seed))
+        if "experiments" in options.tables:
+            parts.append(experiment_table(done, seed, options.keep, options.log))
     if "speed" in options.tables:
         parts.append(speed_table(max(3, count // 10), seed))
     text = "\n\n".join(parts) + "\n"

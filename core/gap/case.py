@@ -36,6 +36,9 @@ SHOWN_BY: dict[ChainStage, str] = {
 }
 """The channel without which nothing of a stage shows."""
 
+WARMED_K = 1.0
+"""Change of temperature from which a dummy resistor tells whether the electronics follow it."""
+
 SHORTEST = 30
 """Fewest samples of a run; five base parameters and a noise level are estimated from them."""
 
@@ -192,6 +195,12 @@ class Case:
     def has(self, channel: str) -> bool:
         """Whether the runs in which the sensor is pressed recorded this channel."""
         return all(getattr(run, channel) is not None for run in self.presses)
+
+    @property
+    def has_warmed_dummy(self) -> bool:
+        """Whether a dummy resistor was read while the logged temperature changed by 1 K or more."""
+        logs = [run.temperature_C for run in self.runs if run.kind == "dummy_resistor"]
+        return any(log is not None and np.ptp(log) >= WARMED_K for log in logs)
 
     @property
     def unseen_stages(self) -> tuple[ChainStage, ...]:

@@ -1,7 +1,7 @@
 """The diagnosis of a case: where the twin is wrong, why, how much it gains, how sure that is, what to press next."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -27,10 +27,12 @@ from softcal.core.twin.simulate import Twin
 Verdict = Literal["no_gap", "explained", "ambiguous", "unknown"]
 SCHEMA = "softcal.gap/1"
 
-ALIASES = {
-    "thermal_drift": " (or the divider resistor's, sign reversed: only a dummy resistor at two temperatures tells)"
-}
-"""What is outside the catalogue and looks exactly like one of its effects: only R/Rs enters the divider."""
+ALIAS = "thermal_drift"
+ALIAS_STAGE: ChainStage = "electronics"
+ALIAS_DETAIL = "the divider resistor's temperature coefficient, sign reversed: only R/Rs enters the divider"
+ALIAS_SHARE = 0.4
+"""What is outside the catalogue and looks exactly like one of its effects until a dummy resistor was warmed; its share
+of that effect's place. A channel of liquid metal (1e-3/K) follows the temperature more than a resistor does."""
 
 UNKNOWN_TRUST = 0.3
 """How far probabilities within the catalogue are trusted where the catalogue leaves a gap, for a share of 1."""
@@ -290,15 +292,27 @@ def _places(
     else:
         named = [c for c in causes if c.effect in search.best.hypothesis.ids]
         total = sum(c.shrink for c in named) or 1.0
-        places = [
-            Place(c.stage, channel, regime, c.shrink / total, f"{c.effect}{ALIASES.get(c.effect, '')}; {detail}")
-            for c in named
-        ]
+        places = []
+        for c in named:
+            place = Place(c.stage, channel, regime, c.shrink / total, f"{c.effect}; {detail}")
+            places += _held_open(place) if c.effect == ALIAS and _has_alias(search) else [place]
     at = max(places, key=lambda p: p.share).stage
     for r in found[:4]:
         where = f"{r.share:.0%} of the gap's energy in this regime, {r.lift:.1f} times its share of time"
         places.append(Place(at, r.channel.split("_")[0], r.name, r.share, where))
     return tuple(places)
+
+
+def _has_alias(search: Search) -> bool:
+    """Whether a named cause may as well sit in another stage, which no run of this case can tell."""
+    best = search.best
+    return ALIAS in best.hypothesis.ids and not best.problem.case.has_warmed_dummy
+
+
+def _held_open(place: Place) -> list[Place]:
+    """Split the place of a cause that has an alias between the stages of both."""
+    own, other = (1.0 - ALIAS_SHARE) * place.share, ALIAS_SHARE * place.share
+    return [replace(place, share=own), replace(place, stage=ALIAS_STAGE, share=other, detail=f"or {ALIAS_DETAIL}")]
 
 
 def _unknown_places(search: Search, maps: tuple[Map, ...], channel: str, regime: str, detail: str) -> list[Place]:
@@ -313,7 +327,8 @@ def _unknown_places(search: Search, maps: tuple[Map, ...], channel: str, regime:
         stages, detail = (loose.stage, *(s for s in stages if s != loose.stage)), f"{loose.detail}; {detail}"
     if not stages:
         stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.hypothesis.ids)) or ("unknown",)
-    text = f"{detail}; the catalogue explains {share:.0%} of the structured gap, nothing in it the rest"
+    rest = "nothing in it the rest" if search.stranger is None else "but less well than this"
+    text = f"{detail}; the catalogue explains {share:.0%} of the structured gap, {rest}"
     others = [Place(s, channel, regime, 0.4 / (len(stages) - 1), "possible by the same maps") for s in stages[1:]]
     return [Place(stages[0], channel, regime, 0.6 if others else 1.0, text), *others]
 
@@ -331,5 +346,11 @@ def _next(case: Case, search: Search, group: tuple[Fit, ...], verdict: Verdict) 
     if verdict == "no_gap":
         return NextExperiment(
             "long_hold", "no gap is visible here; slow creep, drift and ageing would show first in a long hold"
+        )
+    if _has_alias(search):
+        return NextExperiment(
+            "dummy_resistor",
+            f"{ALIAS} may as well be {ALIAS_DETAIL}; read a dummy resistor for a minute while the electronics warm by a "
+            "few K, with temperature_C logged",
         )
     return NextExperiment("none", "the causes are separated on these runs; apply them to the twin")

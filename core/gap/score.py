@@ -174,7 +174,11 @@ def _rows(judged: Sequence[Judged]) -> Iterable[Row]:
         if any(len(j.truth) == 1 for j in with_cause):
             yield _row(line, "cause first", [j for j in with_cause if j.truth], lambda j: j.is_first_right)
         if with_cause:
-            yield _row(line, "stage", [j for j in with_cause if j.is_visible], lambda j: j.is_stage_right)
+            visible = [j for j in with_cause if j.is_visible]
+            yield _row(line, "stage", visible, lambda j: j.is_stage_right)
+            if line == "outside":
+                name = "stage right or held open between two"
+                yield _row(line, name, visible, lambda j: j.is_stage_right or j.is_stage_held_open)
 
 
 def _row(line: str, measure: str, cases: Sequence[Judged], is_hit: Callable[[Judged], bool]) -> Row:

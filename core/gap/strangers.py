@@ -24,7 +24,8 @@ CLEAN_LOG_ODDS = 2.0
 """Log evidence by which a stranger must beat the catalogue: where it leaves structure, and where it leaves none ..."""
 
 LEAST_GAIN = 12.0
-"""... and by how much it must lower χ² besides: fewer parameters alone do not make a stranger."""
+"""... and by how much it must lower χ² besides, unless it stands for two causes more than itself: fewer parameters alone
+do not make a stranger, but three causes that together imitate one departure do."""
 
 Follow = Callable[[Flow], Array]
 
@@ -53,6 +54,11 @@ def _offset(signal: str, follow: Follow) -> Step:
         setattr(flow, signal, getattr(flow, signal) + values[0] * follow(flow))
 
     return step
+
+
+def _divider(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    # Only R/Rs enters the divider: a resistor that grows is a channel, dummy or not, that shrinks.
+    flow.resistance_ohm = flow.resistance_ohm / (1.0 + values[0] * _temperature(flow))
 
 
 def _cell_lag(flow: Flow, values: Sequence[float], _: Memory) -> None:
@@ -86,6 +92,9 @@ STRANGERS = (
 )
 """Generic departures; the identifier is the description."""
 
+WARM_DIVIDER = _stranger(f"a divider resistor that {WARM}", "electronics", Hook.REFERENCE, _divider, "1/K", 1e-3)
+"""Looks like `thermal_drift` with the sign reversed as long as the channel itself is read."""
+
 
 def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | None:
     """Return the best hypothesis with a stranger in it, None where none beats the catalogue decisively.
@@ -104,12 +113,13 @@ def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | No
     closest = max(found, key=yardstick.log_evidence)
     ahead = yardstick.log_evidence(closest) - yardstick.log_evidence(best)
     is_decisive = ahead > (LOG_ODDS if structure(closest).is_significant else CLEAN_LOG_ODDS)
-    return closest if is_decisive and closest.chi2 < best.chi2 - LEAST_GAIN else None
+    is_simpler = len(closest.hypothesis.ids) <= len(best.hypothesis.ids) - 2
+    return closest if is_decisive and (is_simpler or closest.chi2 < best.chi2 - LEAST_GAIN) else None
 
 
 def name_of(found: Fit) -> Effect:
     """Return the stranger of a hypothesis that has one."""
-    return next(e for e in found.hypothesis.effects if e in STRANGERS)
+    return next(e for e in found.hypothesis.effects if e in (*STRANGERS, WARM_DIVIDER))
 
 
 def _grown(parent: Fit) -> list[Fit]:
@@ -120,4 +130,5 @@ def _grown(parent: Fit) -> list[Fit]:
 def _probes(case: Case) -> list[Probe]:
     is_warming = any(run.temperature_C is not None and np.ptp(run.temperature_C) > 0 for run in case.presses)
     seen = [e for e in STRANGERS if e.stage not in case.unseen_stages and (is_warming or WARM not in e.id)]
+    seen += [WARM_DIVIDER] if case.has_warmed_dummy else []
     return [Probe(e, (e.parameters[0].usual,), e.parameters[0].low == 0.0) for e in seen]

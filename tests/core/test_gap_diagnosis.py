@@ -261,6 +261,43 @@ def test_special_runs_join_the_fit():
     assert diagnosis.causes[0].effect == "loadcell_nonlinearity"
 
 
+def warm_divider_V(ohm, rise_K, series_per_K):
+    clean_V = 3.3 * ohm / (ohm + 10.0 * (1 + series_per_K * rise_K))
+    noisy_V = clean_V + np.random.default_rng(7).normal(0, BASE.sigma_output_V, len(rise_K))
+    return np.round(noisy_V / READOUT.step_V) * READOUT.step_V
+
+
+def with_warmed_dummy(case, series_per_K):
+    t_s = np.arange(3000) / 50.0
+    warmth_C = 22.0 + 4.0 * (1 - np.exp(-t_s / 20.0))
+    output_V = warm_divider_V(5.0, warmth_C - 22.0, series_per_K)
+    special = {"dummy_ohm": 5.0, "kind": "dummy_resistor"}
+    return Case("G1", (*case.runs, Run("dummy", t_s, READOUT, output_V=output_V, temperature_C=warmth_C, **special)))
+
+
+def test_a_warm_divider_is_held_open_beside_thermal_drift_until_a_warmed_dummy_tells():
+    runs = []
+    for run in make_case().runs:
+        ohm = BASE.r0_ohm / (1 - BASE.kappa_per_N * run.force_N)
+        runs.append(dataclasses.replace(run, output_V=warm_divider_V(ohm, run.temperature_rise_K, 0.002)))
+    case = Case("G1", tuple(runs))
+    diagnosis = diagnose(case)
+    assert diagnosis.causes[0].effect == "thermal_drift"
+    assert {p.stage for p in diagnosis.places[:2]} == {"transduction", "electronics"}
+    assert diagnosis.next_experiment.profile == "dummy_resistor"
+    diagnosis = diagnose(with_warmed_dummy(case, 0.002))
+    assert diagnosis.verdict == "unknown"
+    assert diagnosis.places[0].stage == "electronics" and "divider resistor" in diagnosis.places[0].detail
+
+
+def test_a_warmed_dummy_that_stays_put_leaves_the_drift_to_the_channel():
+    case = make_case(("thermal_drift", SINGLES["thermal_drift"], ()))
+    diagnosis = diagnose(with_warmed_dummy(case, 0.0))
+    assert diagnosis.causes[0].effect == "thermal_drift" and diagnosis.verdict == "explained"
+    assert {p.stage for p in diagnosis.places} == {"transduction"}
+    assert diagnosis.next_experiment.profile == "none"
+
+
 def test_the_explained_twin_foretells_an_unseen_profile():
     planted = ("mechanical_hysteresis", {"a": 0.06, "d0": 0.4}, ())
     twin = diagnose(make_case(planted)).explained

@@ -141,3 +141,9 @@ class Judged:
     def is_stage_right(self) -> bool:
         """Whether the place with the largest share is a stage of a true cause."""
         return bool(self.answer and self.answer.stages and self.answer.stages[0] in self.label.case.stages)
+
+    @property
+    def is_stage_held_open(self) -> bool:
+        """Whether the report leaves the place open between two stages, one of which is that of a true cause."""
+        stages = set(self.answer.stages) if self.answer else set()
+        return len(stages) == 2 and not stages.isdisjoint(self.label.case.stages)
