@@ -108,7 +108,8 @@ def chain_svg(report: Mapping[str, Any]) -> str:
     """Return the chain from motion to acquisition as SVG; the darker a stage, the more of the gap sits there."""
     shares: dict[str, float] = {}
     for place in report["where"]:
-        shares[place["stage"]] = max(shares.get(place["stage"], 0.0), float(place["share"]))
+        # Stages come first; the rows after them tell the regime, whose share is one of energy.
+        shares.setdefault(place["stage"], float(place["share"]))
     unseen = report.get("unseen_stages", ())
     boxes = [_box(stage, 10 + 172 * k, 14, shares.get(stage, 0.0), unseen) for k, stage in enumerate(CHAIN)]
     arrows = [f"<path d='M{156 + 172 * k} 44 h22' marker-end='url(#tip)'/>" for k in range(len(CHAIN) - 1)]

@@ -171,10 +171,11 @@ def _rows(judged: Sequence[Judged]) -> Iterable[Row]:
             yield _row(line, "right or abstaining", cases, lambda j: j.outcome in (*HONEST, "abstained"))
         if line == "none":
             yield _row(line, "false alarm", cases, lambda j: j.outcome == "alarm")
+        visible = [j for j in with_cause if j.is_visible]
         if any(len(j.truth) == 1 for j in with_cause):
             yield _row(line, "cause first", [j for j in with_cause if j.truth], lambda j: j.is_first_right)
+            yield _row(line, "cause first where visible", [j for j in visible if j.truth], lambda j: j.is_first_right)
         if with_cause:
-            visible = [j for j in with_cause if j.is_visible]
             yield _row(line, "stage", visible, lambda j: j.is_stage_right)
             if line == "outside":
                 name = "stage right or held open between two"
