@@ -149,8 +149,8 @@ def _log(found: Diagnosed, log: Path | None, what: str = "") -> None:
     truth = " + ".join(f"{cause.effect} ({cause.form})" for cause in found.label.case.causes) or "none"
     with log.open("a") as file:
         file.write(
-            f"{found.label.case.name}{what}: {judged.outcome}; truth {truth}, {found.label.distance_sigma:.0f} sigma; said "
-            f"{found.report['verdict']} {likely} {found.report['ambiguous_with']}; {found.seconds:.1f} s\n"
+            f"{found.label.case.name}{what}: {judged.outcome}; truth {truth}, {found.label.distance_sigma:.0f} sigma; "
+            f"said {found.report['verdict']} {likely} {found.report['ambiguous_with']}; {found.seconds:.1f} s\n"
         )
 
 
@@ -191,10 +191,16 @@ def detection_table(sheet: ScoreSheet) -> str:
 def sureness_table(done: Sequence[Diagnosed], sheet: ScoreSheet) -> str:
     """Calibration of the probabilities, the shrink, and the seconds of the runs above."""
     sure, seconds = sheet.probabilities, [d.seconds for d in done]
+    stated = [(p, e in j.truth) for j in sheet.judged if j.answer for e, p in j.answer.probabilities.items()]
+    open_ = np.array([pair for pair in stated if 0.05 < pair[0] < 0.95]).reshape(-1, 2)
     rows = [
         ("expected calibration error, all effects of all cases (target ≤ 0.03)", f"{sure.ece:.4f}"),
         ("expected calibration error, first cause", f"{sure.ece_first:.3f}"),
         ("Brier score", f"{sure.brier:.4f}"),
+        (
+            f"the {len(open_)} probabilities between 0.05 and 0.95: mean stated, share really there",
+            "{:.2f}, {:.2f}".format(*open_.mean(axis=0)) if len(open_) else "–",
+        ),
         ("mean probability on the true single cause", f"{sure.on_truth:.3f}"),
         (
             f"median realised shrink on the run kept back, {sheet.shrink.count} cases",

@@ -350,7 +350,7 @@ def _next(case: Case, search: Search, group: tuple[Fit, ...], verdict: Verdict) 
     if _has_alias(search):
         return NextExperiment(
             "dummy_resistor",
-            f"{ALIAS} may as well be {ALIAS_DETAIL}; read a dummy resistor for a minute while the electronics warm by a "
-            "few K, with temperature_C logged",
+            f"{ALIAS} may as well be {ALIAS_DETAIL}; read a dummy resistor for a minute while the electronics warm by "
+            "a few K, with temperature_C logged",
         )
     return NextExperiment("none", "the causes are separated on these runs; apply them to the twin")

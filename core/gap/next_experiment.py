@@ -14,7 +14,14 @@ from softcal.core.profiles import Profile
 ENOUGH_SIGMA = 10.0
 """Rivals this far apart, in standard deviations over all samples, are told apart on a real, coloured floor."""
 
-SET_UP_min: Mapping[str, float] = {"press": 0.5, "dummy_resistor": 1.0, "dead_weights": 2.0, "rigid_block": 1.0}
+SET_UP_min: Mapping[str, float] = {
+    "press": 0.5,
+    "rest": 0.5,
+    "dummy_resistor": 1.0,
+    "dead_weights": 2.0,
+    "rigid_block": 1.0,
+}
+REST_s = 120.0
 LEVELS = 6
 
 
@@ -76,25 +83,25 @@ def menu(case: Case, depth_mm: float, force_N: float) -> tuple[Experiment, ...]:
 
 
 def propose(case: Case, rivals: Sequence[Fit], depth_mm: float, force_N: float) -> NextExperiment | None:
-    """Return the experiment that separates the refitted rivals best per minute; None if there are fewer than two.
+    """Return the experiment that tells most rivals from the first, and does so best per minute; None without rivals.
 
     The distance of two rivals is what the second's prediction keeps from the first after the first has been refitted
     to the old runs and the new one together (T-optimality with refit, to first order).
     """
     if len(rivals) < 2:
         return None
-    first, second = rivals[0], rivals[1]
-    best: tuple[float, float, Experiment] | None = None
+    first, others = rivals[0], rivals[1:]
+    found: list[tuple[int, float, float, Experiment]] = []
     for experiment in menu(case, depth_mm, force_N):
-        distance = _apart(first, second, experiment.run)
-        score = min(distance, 10 * ENOUGH_SIGMA) / experiment.minutes
-        if best is None or score > best[0]:
-            best = (score, distance, experiment)
-    names = " and ".join("+".join(f.hypothesis.ids) for f in (first, second))
-    if best is None or best[1] < ENOUGH_SIGMA:
+        parted = [d for d in (_apart(first, other, experiment.run) for other in others) if d >= ENOUGH_SIGMA]
+        least = min(parted, default=0.0)
+        found.append((len(parted), min(least, 10 * ENOUGH_SIGMA) / experiment.minutes, least, experiment))
+    count, _, distance, experiment = max(found, key=lambda entry: entry[:2])
+    names = " and ".join("+".join(f.hypothesis.ids) for f in rivals)
+    if count == 0:
         return NextExperiment("none", f"{names} cannot be separated by any run of the menu; {_sensor(rivals)}")
-    _, distance, experiment = best
-    why = f"separates {names} by {distance:.0f} standard deviations of the noise in {experiment.minutes:.1f} min"
+    of = "" if count == len(others) else f" (all but {len(others) - count})"
+    why = f"separates {names}{of} by {distance:.0f} standard deviations of the noise in {experiment.minutes:.1f} min"
     return NextExperiment(experiment.name, why, distance, experiment.minutes, experiment.stage_profile)
 
 
@@ -152,7 +159,10 @@ def _special(case: Case, force_N: float, rate_Hz: float) -> tuple[Experiment, ..
     zeros, readout = np.zeros(len(t_s)), case.readout
     stairs = np.floor(t_s / t_s[-1] * (LEVELS - 1e-9)) / (LEVELS - 1)
     up_down = 1.0 - np.abs(2 * t_s / t_s[-1] - 1.0)
-    out = []
+    still_s, still = np.arange(int(REST_s * rate_Hz)) / rate_Hz, np.zeros(int(REST_s * rate_Hz))
+    channels = {name: still for name in ("force_N", "output_V") if case.has(name)}
+    rest = Run("rest", still_s, readout, kind="rest", is_planned=True, **channels)
+    out = [Experiment("rest", rest, SET_UP_min["rest"] + REST_s / 60)]
     if case.has("output_V"):
         for ohm in (0.5 * readout.r_series_ohm, 2.0 * readout.r_series_ohm):
             run = Run("dummy", t_s, readout, output_V=zeros, dummy_ohm=ohm, kind="dummy_resistor", is_planned=True)

@@ -7,6 +7,7 @@ import numpy as np
 from softcal.core.gap.case import Mask
 from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit
 from softcal.core.gap.linear import combine
+from softcal.core.gap.residual import structure
 from softcal.core.recording import Array
 
 HELD_PARTS = 4
@@ -131,18 +132,21 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
     """Forecast the shrink from the fitted parts alone.
 
     Before: the two fitted twins' predictions part by so much. After: the parameters' uncertainty carried to the
-    unseen samples, plus what the hypothesis leaves unexplained on the samples it has seen.
+    unseen samples, plus what the hypothesis leaves unexplained on the samples it has seen. Where that has no structure
+    it is an error of the noise level, and widens the interval alone.
     """
     problem = best.problem
+    is_clean = not structure(best).is_significant
     rows, wide = [], []
     for channel in _channels(problem):
         floor = sigma = problem.sigma[channel]
         left = _left_over(best, channel)
         parted = _pooled(folds, problem, channel, [f.after.predicted - f.before.predicted for f in folds])
         spread = _pooled(folds, problem, channel, [_spread(f) for f in folds])
-        before = float(np.sqrt(floor**2 + parted**2 + left**2))
-        rows.append((before, float(np.sqrt(floor**2 + left**2 + spread**2)), floor, sigma))
-        wide.append((before, float(np.sqrt(floor**2 + (1.6 * left) ** 2 + (2.0 * spread) ** 2)), floor, sigma))
+        likely = 0.0 if is_clean else left
+        before = [float(np.sqrt(floor**2 + parted**2 + part**2)) for part in (likely, left)]
+        rows.append((before[0], float(np.sqrt(floor**2 + likely**2 + spread**2)), floor, sigma))
+        wide.append((before[1], float(np.sqrt(floor**2 + (1.6 * left) ** 2 + (2.0 * spread) ** 2)), floor, sigma))
     predicted, pessimist = _ratio(rows), _ratio(wide)
     margin = max(0.02, predicted - pessimist)
     return predicted, max(0.0, predicted - margin), min(1.0, predicted + margin)

@@ -24,8 +24,8 @@ CLEAN_LOG_ODDS = 2.0
 """Log evidence by which a stranger must beat the catalogue: where it leaves structure, and where it leaves none ..."""
 
 LEAST_GAIN = 12.0
-"""... and by how much it must lower χ² besides, unless it stands for two causes more than itself: fewer parameters alone
-do not make a stranger, but three causes that together imitate one departure do."""
+"""... and by how much it must lower χ² besides, unless it stands for two causes more than itself: fewer parameters
+alone do not make a stranger, but three causes that together imitate one departure do."""
 
 Follow = Callable[[Flow], Array]
 

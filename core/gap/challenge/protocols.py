@@ -131,12 +131,12 @@ def rest(rng: Rng, depth_mm: float) -> Path:
 
 
 def long_hold(rng: Rng, depth_mm: float) -> Path:
-    """Hold for 150 s, then rest."""
+    """Hold for five minutes, then rest for half as long."""
     pen = _Pen(2.0)
-    pen.go(0.8 * depth_mm, 5.0)
-    pen.stay(150.0)
+    pen.go(0.9 * depth_mm, 5.0)
+    pen.stay(300.0)
     pen.go(0.0, 5.0)
-    pen.stay(60.0)
+    pen.stay(150.0)
     return pen.path("long hold")
 
 
