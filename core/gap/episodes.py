@@ -289,7 +289,7 @@ def with_hum(found: Fit) -> Fit | None:
     power = np.zeros(len(grid))
     sums: dict[int, Array] = {}
     for block in blocks:
-        wave = np.exp(-2j * np.pi * np.outer(grid, case.runs[block.run].elapsed_s))
+        wave = np.exp(-2j * np.pi * np.outer(grid, _taken_s(found, block.run)))
         sums[block.run] = wave @ (problem.measured - found.predicted)[block.place]
         power += np.abs(sums[block.run]) ** 2 / (block.place.stop - block.place.start)
     at = int(np.argmax(power))
@@ -305,6 +305,15 @@ def with_hum(found: Fit) -> Fit | None:
     values += [phases.get(k, 0.0) for k in range(len(case.runs))]
     start = np.concatenate([found.coordinates, start_coordinates([effect], [values])])
     return fit(problem, found.hypothesis.adding(effect), start)
+
+
+def _taken_s(found: Fit, run: int) -> Array:
+    """(n,) when the samples of the output were taken: later than their place says by those lost before."""
+    recorded = found.problem.case.runs[run]
+    taken_s = recorded.elapsed_s.copy()
+    for lost_at_s, count in found.hypothesis.episodes_of(run).get("dropped_samples", ()):
+        taken_s += count / recorded.readout.sample_rate_Hz * (recorded.elapsed_s >= lost_at_s)
+    return taken_s
 
 
 def _alias_grid(rate_Hz: float, longest_s: float) -> Array:

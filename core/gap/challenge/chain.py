@@ -209,7 +209,8 @@ def _output(rack: Rack, moment: Moment, sample_s: Array, dummy_ohm: float | None
     volts = rack.pass_through("voltage", reference_V * resistance / (resistance + series), moment)
     instants_s = rack.pass_through("instant", sample_s, moment)
     sampled = np.asarray(np.interp(instants_s, moment.t_s, volts))
-    at_samples = replace(moment, t_s=sample_s, step_s=1.0 / rig.sample_rate_Hz)
+    # A sample that was lost took its share of the hum with it.
+    at_samples = replace(moment, t_s=instants_s, step_s=1.0 / rig.sample_rate_Hz)
     sampled = rack.pass_through("pickup", sampled, at_samples)
     noisy = sampled + moment.rng.normal(0.0, rig.noise_V, len(sampled))
     clipped = np.clip(rack.pass_through("limit", noisy, at_samples), 0.0, rig.vref_V)
