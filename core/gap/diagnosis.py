@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.case import Case
-from softcal.core.gap.explained import explained_twin
+from softcal.core.gap.explained import explained_twin, in_catalogue_form
 from softcal.core.gap.fit import BASE, Fit, from_fit
 from softcal.core.gap.next_experiment import NextExperiment, propose
 from softcal.core.gap.place import likely_stages, loose_noise
@@ -155,7 +155,7 @@ class Diagnosis:
             "missing_channels": list(self.case.missing_channels),
             "unseen_stages": list(self.case.unseen_stages),
             "explained_share": self.explained_share,
-            "base": {p.name: getattr(self.best.base, p.name) for p in BASE},
+            "base": {p.name: getattr(in_catalogue_form(self.best).base, p.name) for p in BASE},
             "twin": twin_record(self.explained),
             "base_twin": twin_record(explained_twin(self.base)),
             "maps": [{"map": m.name, "z": m.structure.z, "structured_sigma": m.structure.rms} for m in self.maps],
@@ -234,9 +234,10 @@ def _chances(logs: Mapping[tuple[str, ...], float], group: tuple[Fit, ...]) -> d
 
 def _causes(search: Search, group: tuple[Fit, ...], chances: dict[str, float], held_out: float) -> tuple[Cause, ...]:
     shares = _shares(search, group[0])
+    named = [in_catalogue_form(f) for f in group]
     causes = []
     for effect in EFFECTS.values():
-        with_it = [f for f in group if effect.id in f.hypothesis.ids]
+        with_it = [f for f in named if effect.id in f.hypothesis.ids]
         found = with_it[0] if with_it else search.fits.get((effect.id,))
         parameters = _estimates(found, effect.id) if found is not None else {}
         share = shares.get(effect.id, 0.0) * held_out

@@ -2,24 +2,44 @@
 
 import numpy as np
 
-from softcal.core.gap.fit import Fit
+from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit, start_coordinates
+from softcal.core.gap.forms import FORMS
 from softcal.core.twin.catalogue import EFFECTS
+from softcal.core.twin.effects import Effect
 from softcal.core.twin.simulate import EffectSetting, Twin
 
 
 def explained_twin(found: Fit) -> Twin:
     """Return base parameters, noise and causes of a fitted hypothesis as a twin.
 
-    A cause that was fitted in another realisation than the catalogue's stands with its catalogue equation as far as
-    its parameters have the catalogue's names. Episodes belong to the recording they were found in and are left out:
-    losses of samples and bad contacts are repaired, not simulated.
+    A cause that was fitted in another realisation than the catalogue's is fitted once more by the catalogue's equation,
+    for a twin has no other. Episodes belong to the recording they were found in and are left out: losses of samples and
+    bad contacts are repaired, not simulated.
     """
+    found = in_catalogue_form(found)
     sigma, readout = found.problem.sigma, found.problem.case.readout
     base = found.base.with_values(
         sigma_output_V=_white(sigma.get("output_V", 0.0), found.problem.dither_V, readout.step_V),
         sigma_force_N=sigma.get("force_N", 0.0),
     )
     return Twin(base, tuple(_settings(found)), readout)
+
+
+def in_catalogue_form(found: Fit) -> Fit:
+    """Return the fit with every cause by the catalogue's equation; the same fit where it already is."""
+    effects = tuple(EFFECTS[e.id] if _is_other_form(e) else e for e in found.hypothesis.effects)
+    if effects == found.hypothesis.effects:
+        return found
+    rows = []
+    for effect, fitted, values in zip(effects, found.hypothesis.effects, found.effect_values, strict=True):
+        given = {p.name: v for p, v in zip(fitted.parameters, values, strict=True)}
+        rows.append([given.get(p.name, p.usual) for p in effect.parameters])
+    start = np.append(found.coordinates[: len(BASE)], start_coordinates(effects, rows))
+    return fit(found.problem, Hypothesis(effects, found.hypothesis.episodes), start, steps=40)
+
+
+def _is_other_form(effect: Effect) -> bool:
+    return any(form.effect is effect for form in FORMS.get(effect.id, ()))
 
 
 def _white(sigma_V: float, dither_V: float | None, step_V: float) -> float:

@@ -160,8 +160,8 @@ def _special(case: Case, force_N: float, rate_Hz: float) -> tuple[Experiment, ..
     stairs = np.floor(t_s / t_s[-1] * (LEVELS - 1e-9)) / (LEVELS - 1)
     up_down = 1.0 - np.abs(2 * t_s / t_s[-1] - 1.0)
     still_s, still = np.arange(int(REST_s * rate_Hz)) / rate_Hz, np.zeros(int(REST_s * rate_Hz))
-    channels = {name: still for name in ("force_N", "output_V") if case.has(name)}
-    rest = Run("rest", still_s, readout, kind="rest", is_planned=True, **channels)
+    force, output = (still if case.has(name) else None for name in ("force_N", "output_V"))
+    rest = Run("rest", still_s, readout, force_N=force, output_V=output, kind="rest", is_planned=True)
     out = [Experiment("rest", rest, SET_UP_min["rest"] + REST_s / 60)]
     if case.has("output_V"):
         for ohm in (0.5 * readout.r_series_ohm, 2.0 * readout.r_series_ohm):

@@ -10,6 +10,10 @@ from softcal.core import profiles
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.explained import explained_twin
+from softcal.core.gap.fit import Hypothesis, fit, start_coordinates
+from softcal.core.gap.forms import FORMS
+from softcal.core.gap.start import base_fit
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.record import twin_from_record
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
@@ -306,6 +310,17 @@ def test_the_explained_twin_foretells_an_unseen_profile():
     told = simulate(twin, t_s, stage_mm)
     assert np.sqrt(np.mean((told[0] - truth[0]) ** 2)) < 0.01
     assert np.sqrt(np.mean((told[1] - truth[1]) ** 2)) < 0.001
+
+
+def test_a_cause_fitted_in_another_form_enters_the_twin_by_the_catalogues_equation():
+    base = base_fit(make_case(("loadcell_nonlinearity", {"lambda": 0.05}, ())))
+    form = FORMS["loadcell_nonlinearity"][0]
+    start = np.append(base.coordinates, start_coordinates([form.effect], [form.start([0.01])]))
+    found = fit(base.problem, Hypothesis((form.effect,)), start, steps=40)
+    assert found.effect_values[0][0] != pytest.approx(0.05, abs=0.005)
+    twin = explained_twin(found)
+    assert twin.effects[0].values["lambda"] == pytest.approx(0.05, abs=0.003)
+    assert twin.parameters.k1_N_mm == pytest.approx(BASE.k1_N_mm, rel=0.01)
 
 
 def test_runs_that_do_not_belong_together_are_refused(plain):
