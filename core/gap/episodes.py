@@ -9,11 +9,11 @@ import numpy as np
 from softcal.core.gap.candidates import Extent
 from softcal.core.gap.case import Mask
 from softcal.core.gap.fit import EPISODE_COST, Block, Episodes, Fit, Hypothesis, fit, start_coordinates
-from softcal.core.gap.forms import CLIPPED_BELOW
 from softcal.core.gap.linear import energy
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Effect, Flow, Memory, Parameter
+from softcal.core.twin.electronics import CLIPPED_BELOW
 from softcal.core.twin.signals import compiled
 
 LONGEST_LEAD = 20

@@ -53,6 +53,5 @@ def _settings(found: Fit) -> list[EffectSetting]:
         if EFFECTS[effect.id].is_episodic:
             continue
         given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
-        known = {p.name for p in EFFECTS[effect.id].parameters}
-        out.append(EffectSetting(effect.id, {k: v for k, v in given.items() if k in known and np.isfinite(v)}))
+        out.append(EffectSetting(effect.id, {k: v for k, v in given.items() if np.isfinite(v)}))
     return out

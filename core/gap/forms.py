@@ -193,19 +193,6 @@ def _soft_clip(flow: Flow, v: Sequence[float], _: Memory) -> None:
     flow.output_V = v[0] - v[1] * np.logaddexp(0.0, (v[0] - flow.output_V) / v[1])
 
 
-def _clip_low(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.output_V = np.maximum(flow.output_V, v[0])
-
-
-CLIPPED_BELOW = replace(
-    EFFECTS["adc_saturation"],
-    step=_clip_low,
-    equation="V clipped below V_min > 0",
-    parameters=(Parameter("V_min", "V", 0.0, 100.0, 0.5, neutral=0.0),),
-)
-"""The other side of `adc_saturation`."""
-
-
 def _frame_joint(flow: Flow, v: Sequence[float], _: Memory) -> None:
     flow.compliance_mm_N = v[0]
     flow.toe_mm = v[1]

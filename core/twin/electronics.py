@@ -1,6 +1,7 @@
 """Electronics: the resistance becomes a voltage, V = Vref·R/(R + Rs), with Gaussian noise and an ideal ADC."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -41,6 +42,10 @@ def _mains_hum(flow: Flow, values: Sequence[float], _: Memory) -> None:
 
 def _adc_saturation(flow: Flow, values: Sequence[float], _: Memory) -> None:
     flow.output_V = np.minimum(flow.output_V, values[0])
+
+
+def _adc_floor(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    flow.output_V = np.maximum(flow.output_V, values[0])
 
 
 EFFECTS = (
@@ -94,3 +99,11 @@ EFFECTS = (
         step=_adc_saturation,
     ),
 )
+
+CLIPPED_BELOW = replace(
+    EFFECTS[-1],
+    equation="V clipped below V_min > 0",
+    parameters=(Parameter("V_min", "V", 0.0, 100.0, 0.5, neutral=0.0),),
+    step=_adc_floor,
+)
+"""The other side of `adc_saturation`; a setting that gives `V_min` means this one."""

@@ -10,7 +10,7 @@ from softcal.core.errors import InputError
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, effect
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory
-from softcal.core.twin.electronics import digitise, divide
+from softcal.core.twin.electronics import CLIPPED_BELOW, digitise, divide
 from softcal.core.twin.load_cell import read_force
 from softcal.core.twin.mechanics import press
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -41,7 +41,7 @@ class EffectSetting:
     episodes: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        known = [p.name for p in effect(self.effect_id).parameters]
+        known = [p.name for p in self.effect.parameters]
         for name, value in self.values.items():
             if name not in known:
                 raise InputError(f"{self.effect_id} has no parameter {name!r}; known are {', '.join(known)}")
@@ -49,9 +49,15 @@ class EffectSetting:
                 raise InputError(f"{self.effect_id}.{name} is {value}; a finite number was expected")
 
     @property
+    def effect(self) -> Effect:
+        """The effect; `adc_saturation` has two sides, told apart by the level that is given."""
+        is_floor = self.effect_id == CLIPPED_BELOW.id and "V_min" in self.values
+        return CLIPPED_BELOW if is_floor else effect(self.effect_id)
+
+    @property
     def ordered_values(self) -> tuple[float, ...]:
         """Values in the order of the effect's equation."""
-        return tuple(float(self.values.get(p.name, p.usual)) for p in effect(self.effect_id).parameters)
+        return tuple(float(self.values.get(p.name, p.usual)) for p in self.effect.parameters)
 
 
 @dataclass(frozen=True)
@@ -153,7 +159,7 @@ class TwinStream:
     def __init__(self, twin: Twin, rng: np.random.Generator | None) -> None:
         self._twin = twin
         self._rng = rng.spawn(2) if rng is not None else None
-        self._chain = Chain([effect(setting.effect_id) for setting in twin.effects])
+        self._chain = Chain([setting.effect for setting in twin.effects])
         self._values = [setting.ordered_values for setting in twin.effects]
         self.restart()
 

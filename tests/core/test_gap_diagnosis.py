@@ -15,13 +15,13 @@ from softcal.core.gap.fit import Hypothesis, fit, start_coordinates
 from softcal.core.gap.forms import FORMS
 from softcal.core.gap.start import base_fit
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
-from softcal.core.twin.record import twin_from_record
+from softcal.core.twin.record import twin_from_record, twin_record
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
 
 READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=12, r_series_ohm=10.0, sample_rate_Hz=50.0)
 BASE = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, kappa_per_N=0.06, sigma_force_N=0.015)
 DEPTH_mm = 3.1
-CEILING_V = 1.38
+CEILING_V, FLOOR_V = 1.38, 0.97
 SINGLES = {
     "backlash": {"b": 0.05},
     "stress_relaxation": {"g": 0.1, "tau": 5.0},
@@ -321,6 +321,20 @@ def test_a_cause_fitted_in_another_form_enters_the_twin_by_the_catalogues_equati
     twin = explained_twin(found)
     assert twin.effects[0].values["lambda"] == pytest.approx(0.05, abs=0.003)
     assert twin.parameters.k1_N_mm == pytest.approx(BASE.k1_N_mm, rel=0.01)
+
+
+def test_an_output_that_stops_at_a_floor_enters_the_twin_as_that_floor():
+    case = make_case(("adc_saturation", {"V_min": FLOOR_V}, ()))
+    below = np.mean([np.mean(run.output_V < FLOOR_V + READOUT.step_V) for run in case.runs])
+    assert 0.05 < below < 0.6
+    twin = diagnose(case).explained
+    (setting,) = twin.effects
+    assert setting.effect_id == "adc_saturation" and setting.values == {"V_min": pytest.approx(FLOOR_V, abs=0.002)}
+    again = twin_from_record(twin_record(twin), "test")
+    t_s, stage_mm = profiles.rate_sweep(DEPTH_mm).sample(50.0)
+    told_V, bare_V = simulate(again, t_s, stage_mm)[1], simulate(twin.clean, t_s, stage_mm)[1]
+    assert told_V.min() == pytest.approx(FLOOR_V, abs=0.003)
+    assert told_V.max() == pytest.approx(bare_V.max(), abs=READOUT.step_V)
 
 
 def test_runs_that_do_not_belong_together_are_refused(plain):
