@@ -47,7 +47,8 @@ def test_samples_that_a_stall_held_back_are_not_taken_for_a_frozen_channel(speed
 def test_a_channel_that_never_changes_is_frozen(speed_mm_s: float, seed: int) -> None:
     raised_mm = pressed_until_raised(speed_mm_s, slope_V_mm=0.0, lsb_V=0.01, seed=seed)
     assert raised_mm is not None
-    assert raised_mm <= max(FROZEN_MM, speed_mm_s * 4 / RATE_HZ) + speed_mm_s * (STALL_S + 2 / RATE_HZ)
+    # The first line may come late, and the one that tells as well.
+    assert raised_mm <= FROZEN_MM + speed_mm_s * (2 * STALL_S + 2 / RATE_HZ)
 
 
 def test_one_late_line_is_no_frozen_channel() -> None:
