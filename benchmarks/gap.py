@@ -140,7 +140,11 @@ def scored(done: Sequence[Diagnosed]) -> ScoreSheet:
 
 
 def _log(found: Diagnosed, log: Path | None, what: str = "") -> None:
-    if log is None or found.report is None:
+    if log is None:
+        return
+    if found.report is None:
+        with log.open("a") as file:
+            file.write(f"{found.label.case.name}{what}: no report; its traceback is on standard error\n")
         return
     judged = Judged(found.label, read_answer(found.label.case.name, found.report))
     if judged.outcome in ("right", "below noise") and not what:

@@ -6,6 +6,7 @@ from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit, start_coordinates
 from softcal.core.gap.forms import FORMS
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Effect
+from softcal.core.twin.electronics import CLIPPED_BELOW
 from softcal.core.twin.simulate import EffectSetting, Twin
 
 
@@ -53,5 +54,7 @@ def _settings(found: Fit) -> list[EffectSetting]:
         if EFFECTS[effect.id].is_episodic:
             continue
         given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
-        out.append(EffectSetting(effect.id, {k: v for k, v in given.items() if np.isfinite(v)}))
+        # What belongs to a recording alone, as the phase of a hum in each run, is no parameter of the twin.
+        known = {p.name for p in (effect if effect is CLIPPED_BELOW else EFFECTS[effect.id]).parameters}
+        out.append(EffectSetting(effect.id, {k: v for k, v in given.items() if k in known and np.isfinite(v)}))
     return out

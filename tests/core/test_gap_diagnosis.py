@@ -337,6 +337,20 @@ def test_an_output_that_stops_at_a_floor_enters_the_twin_as_that_floor():
     assert told_V.max() == pytest.approx(bare_V.max(), abs=READOUT.step_V)
 
 
+def test_a_hum_enters_the_twin_without_the_phases_of_the_runs():
+    twin = diagnose(make_case(("mains_hum", SINGLES["mains_hum"], ()))).explained
+    (setting,) = twin.effects
+    assert setting.effect_id == "mains_hum" and {"A", "f"} <= set(setting.values) <= {"A", "f", "phi"}
+    assert setting.values["A"] == pytest.approx(0.004, rel=0.1)
+
+
+@pytest.mark.parametrize("effect_id", SINGLES)
+def test_every_single_cause_makes_a_report(effect_id):
+    report = diagnose(make_case((effect_id, SINGLES[effect_id], ()), seed=3)).report()
+    assert effect_id in {entry["effect"] for entry in report["twin"]["effects"]}
+    assert twin_from_record(report["twin"], "report").effects
+
+
 def test_runs_that_do_not_belong_together_are_refused(plain):
     other = dataclasses.replace(plain.runs[1], readout=dataclasses.replace(READOUT, vref_V=5.0))
     with pytest.raises(InputError, match="vref_V is 5.0, but 3.3 in run 0"):
