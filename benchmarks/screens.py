@@ -67,7 +67,7 @@ PAGES = (
     ("station", "station", "[data-testid=stButton]", "what it can be told"),
     ("profiles", "profiles", FIRST_NUMBER, "its numbers"),
     ("load cells", "load_cells", "[data-testid=stForm]", "the form"),
-    ("sign in", "sign_in", "[data-testid=stHeading]", "who is signed in"),
+    ("sign in", "sign_in", "[data-testid=stButton]", "who is signed in"),
 )
 PAGES_OF_QUALITY = (
     ("people", "people", "[data-testid=stTable]", "table of people"),
