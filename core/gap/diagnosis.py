@@ -82,6 +82,7 @@ class Diagnosis:
 
     Args:
         base, best: fits of the base alone and of the best hypothesis to all runs.
+        named: the best hypothesis with every cause by the catalogue's equation, as report and twin give it.
         rivals: hypotheses that cannot be told apart, the best first.
         maps: the three chain relations fitted separately.
         protocol: how samples were held back for the shrink.
@@ -92,6 +93,7 @@ class Diagnosis:
     verdict: Verdict
     base: Fit
     best: Fit
+    named: Fit
     rivals: tuple[Fit, ...]
     causes: tuple[Cause, ...]
     places: tuple[Place, ...]
@@ -123,7 +125,7 @@ class Diagnosis:
     @property
     def explained(self) -> Twin:
         """The twin to go on with: with the named causes, or the refitted base alone where nothing explains the gap."""
-        return explained_twin(self.base if self.verdict == "unknown" else self.best)
+        return explained_twin(self.base if self.verdict == "unknown" else self.named)
 
     def report(self) -> dict[str, object]:
         """Return the report of the contract, ready for JSON."""
@@ -155,7 +157,7 @@ class Diagnosis:
             "missing_channels": list(self.case.missing_channels),
             "unseen_stages": list(self.case.unseen_stages),
             "explained_share": self.explained_share,
-            "base": {p.name: getattr(in_catalogue_form(self.best).base, p.name) for p in BASE},
+            "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
             "twin": twin_record(self.explained),
             "base_twin": twin_record(explained_twin(self.base)),
             "maps": [{"map": m.name, "z": m.structure.z, "structured_sigma": m.structure.rms} for m in self.maps],
@@ -186,13 +188,15 @@ def diagnose(
     # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
     doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0
     chances = {i: p * doubt for i, p in _chances(logs, group).items()}
-    causes = _causes(search, group, chances, quantified.shrink.held_out)
+    named = tuple(in_catalogue_form(found) for found in group)
+    causes = _causes(search, named, chances, quantified.shrink.held_out)
     found_regimes = regimes(search.base)
     return Diagnosis(
         case=case,
         verdict=verdict,
         base=search.base,
         best=best,
+        named=named[0],
         rivals=group,
         causes=causes,
         places=_places(search, causes, maps, found_regimes, verdict),
@@ -232,9 +236,8 @@ def _chances(logs: Mapping[tuple[str, ...], float], group: tuple[Fit, ...]) -> d
     return {i: 0.5 * (p + exact[i]) if i in added else p for i, p in chances.items()}
 
 
-def _causes(search: Search, group: tuple[Fit, ...], chances: dict[str, float], held_out: float) -> tuple[Cause, ...]:
-    shares = _shares(search, group[0])
-    named = [in_catalogue_form(f) for f in group]
+def _causes(search: Search, named: tuple[Fit, ...], chances: dict[str, float], held_out: float) -> tuple[Cause, ...]:
+    shares = _shares(search, search.best)
     causes = []
     for effect in EFFECTS.values():
         with_it = [f for f in named if effect.id in f.hypothesis.ids]
