@@ -86,21 +86,11 @@ class EsmStage:
         self.travel_mm, self.acceleration_mm_s2 = min(travel_mm, esm.LIMIT_MM), acceleration_mm_s2
         self.max_speed_mm_s = esm.SPEED_MM_MIN[1] / 60.0
         self.position_mm = self._target_mm = 0.0
-        self._is_homed = self._is_moving = False
+        self.is_position_known = self.is_moving = False
         self._began_s = self._next_status_s = 0.0
         self._positions: list[StagePosition] = []
         link.write(esm.STOP + esm.MILLIMETRES)
         esm.parse_status(self.port.answer(esm.STATUS))
-
-    @property
-    def is_position_known(self) -> bool:
-        """Whether the crosshead was homed and nothing happened since that could have lost the position."""
-        return self._is_homed
-
-    @property
-    def is_moving(self) -> bool:
-        """Whether the last move has not yet been confirmed as finished."""
-        return self._is_moving
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
         """Drive up to the upper limit switch, and call that 0.
@@ -111,7 +101,7 @@ class EsmStage:
         Raises:
             DeviceError: the crosshead stopped before the switch, or did not get there in time.
         """
-        self._is_homed = self._is_moving = False
+        self.is_position_known = self.is_moving = False
         self._tell(esm.STOP, esm.MANUAL_MODE, esm.speed(HOMING_MM_S), esm.PROGRAMMED_SPEED, esm.UP)
         end_s = self.port.link.clock.now_s() + HOMING_S
         status = self._status()
@@ -128,7 +118,7 @@ class EsmStage:
             raise BadReply(
                 f"stage: travel reads {-self.position_mm:.2f} mm after it was zeroed; switch the stand to mm"
             )
-        self._is_homed = True
+        self.is_position_known = True
 
     def begin(self, move: Move) -> None:
         """Start a move and return at once.
@@ -151,7 +141,7 @@ class EsmStage:
             + esm.PROGRAMMED_SPEED
             + (esm.DOWN if is_down else esm.UP)
         )
-        self._is_moving = True
+        self.is_moving = True
 
     def poll(self) -> list[StagePosition]:
         """Read what the stand said, and ask for travel and status when it is time.
@@ -175,15 +165,15 @@ class EsmStage:
         Raises:
             NoReply: the stand does not answer; it was told to stop all the same.
         """
-        self._is_moving = False
+        self.is_moving = False
         self._tell(esm.STOP)
         try:
             self._await_standstill()
         except DeviceError:
             self.port.resynchronise()
-            self._is_homed, was_homed = False, self._is_homed
+            self.is_position_known, was_homed = False, self.is_position_known
             self._await_standstill()
-            self._is_homed = was_homed
+            self.is_position_known = was_homed
 
     def gauge(self, capacity_N: float, sign: float, rate_Hz: float) -> "EsmGauge":
         """Return the gauge that sits on the crosshead, behind the same port."""
@@ -215,12 +205,12 @@ class EsmStage:
 
     def _take_status(self, line: Line, asked_s: float) -> None:
         status = esm.parse_status(line.text)
-        if not self._is_moving or status.motion != "S" or asked_s <= self._began_s:
+        if not self.is_moving or status.motion != "S" or asked_s <= self._began_s:
             return
         if abs(self.position_mm - self._target_mm) <= AT_MM:
-            self._is_moving = False
+            self.is_moving = False
         elif asked_s > self._began_s + STARTS_WITHIN_S:
-            self._is_moving = False
+            self.is_moving = False
             raise DeviceError(
                 f"stage: stopped at {self.position_mm:.2f} mm on its way to {self._target_mm:.2f} mm (limit switch, or "
                 "somebody at its panel); look at the stand, then start the run again"

@@ -43,7 +43,7 @@ class GrblStage:
         self._link, self._axis, self._index = link, axis, "XYZ".index(axis)
         self._sign = -1.0 if is_reversed else 1.0
         self._offset_mm: tuple[float, ...] | None = None
-        self._is_homed = self._is_homing = False
+        self.is_position_known = self._is_homing = False
         self._in_flight: deque[int] = deque()
         self._pieces: deque[tuple[float, bytes]] = deque()
         self._began_s = 0.0
@@ -55,11 +55,6 @@ class GrblStage:
         self.travel_mm = self.settings[130 + self._index]
         self.max_speed_mm_s = self.settings[110 + self._index] / 60.0
         self.acceleration_mm_s2 = self.settings[120 + self._index]
-
-    @property
-    def is_position_known(self) -> bool:
-        """Whether the axis was homed and nothing happened since that could have lost the position."""
-        return self._is_homed
 
     @property
     def is_moving(self) -> bool:
@@ -75,14 +70,14 @@ class GrblStage:
         Raises:
             DeviceError: the switch is missing or stuck; the position stays unknown.
         """
-        self._is_homed = False
+        self.is_position_known = False
         self._forget_motion()
         self._link.discard()
         self._unlock_after_alarm()
         self._link.write(grbl.HOME)
         self._is_homing = True
         self._wait_until_homed(on_wait)
-        self._is_homed, self._is_homing = True, False
+        self.is_position_known, self._is_homing = True, False
         self._await_status()
 
     def begin(self, move: Move) -> None:
@@ -130,9 +125,9 @@ class GrblStage:
         has_stopped = not self._is_homing and self._has_stopped(answers_before)
         self._is_homing = False
         self._link.write(grbl.RESET)
-        self._is_homed = self._is_homed and has_stopped
+        self.is_position_known = self.is_position_known and has_stopped
         self._wait_for_greeting(ANSWER_S)
-        if self._is_homed:
+        if self.is_position_known:
             self._await_status()
 
     def close(self) -> None:
@@ -205,10 +200,10 @@ class GrblStage:
         elif isinstance(reply, grbl.Refusal):
             raise CommandRefused(f"stage: the controller answered {reply}; check the settings of the controller")
         elif isinstance(reply, grbl.Alarm):
-            self._is_homed = self._is_homed and not reply.loses_position
+            self.is_position_known = self.is_position_known and not reply.loses_position
             raise DeviceError(f"stage: {reply}; look at the rig, then home it")
         elif isinstance(reply, grbl.Greeting):
-            self._is_homed = False
+            self.is_position_known = False
             raise DeviceError(
                 "stage: the controller started again by itself, its position is lost; check its supply, then home"
             )
@@ -222,7 +217,7 @@ class GrblStage:
         if status.state == "Door":
             raise DeviceError("stage: the safety door is open; close it, then start again")
         if status.state in ("Alarm", "Sleep"):
-            self._is_homed = False
+            self.is_position_known = False
             raise DeviceError(f"stage: the controller is in {status.state}; look at the rig, then home it")
         self._offset_mm = status.offset_mm or self._offset_mm
         self.position_mm = self._sign * self._machine_mm(status)
@@ -289,7 +284,7 @@ class GrblStage:
             except BadReply:
                 continue  # Replies that were on the way are cut by the reset.
             if isinstance(reply, grbl.Alarm):
-                self._is_homed = False  # The reset cut a motion.
+                self.is_position_known = False  # The reset cut a motion.
             if isinstance(reply, grbl.Greeting):
                 return reply.text
 

@@ -42,7 +42,7 @@ class ZaberStage:
     def __init__(self, link: Link, microstep_mm: float, device: int = 1, axis: int = 1) -> None:
         self._link, self._microstep_mm, self._device, self._axis = link, microstep_mm, device, axis
         self._next_id = 1
-        self._is_homed = self._is_moving = False
+        self.is_position_known = self.is_moving = False
         self._asked: tuple[int, float] | None = None
         self._next_status_s = 0.0
         self.travel_mm = self.limit_max * microstep_mm
@@ -50,16 +50,6 @@ class ZaberStage:
         self.acceleration_mm_s2 = self.acceleration / ACCELERATION_UNIT * microstep_mm
         self.position_mm = self.position * microstep_mm
         self._target_mm = self.position_mm
-
-    @property
-    def is_position_known(self) -> bool:
-        """Whether the axis was homed and nothing happened since that could have lost the position."""
-        return self._is_homed
-
-    @property
-    def is_moving(self) -> bool:
-        """Whether the last move has not yet been confirmed as finished."""
-        return self._is_moving
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
         """Find the home sensor and wait until it is done.
@@ -70,7 +60,7 @@ class ZaberStage:
         Raises:
             DeviceError: the axis stalled or cannot be homed.
         """
-        self._is_homed = False
+        self.is_position_known = False
         self._forget()
         self._command("home")
         end_s = self._link.clock.now_s() + HOMING_S
@@ -81,7 +71,7 @@ class ZaberStage:
             on_wait()
         self._check(reply)
         self.position_mm = self.position * self._microstep_mm
-        self._is_homed = True
+        self.is_position_known = True
 
     def begin(self, move: Move) -> None:
         """Start a move and return at once.
@@ -93,7 +83,7 @@ class ZaberStage:
         self._forget()
         self.speed = max(1.0, move.speed_mm_s / self._microstep_mm * SPEED_UNIT)
         self._command(f"move abs {round(move.to_mm / self._microstep_mm)}")
-        self._target_mm, self._is_moving = move.to_mm, True
+        self._target_mm, self.is_moving = move.to_mm, True
         self._next_status_s = 0.0
 
     def poll(self) -> list[StagePosition]:
@@ -112,10 +102,10 @@ class ZaberStage:
             self._check(reply)
             self.position_mm = _number(reply) * self._microstep_mm
             positions.append(StagePosition((asked_s + line.host_s) / 2, self.position_mm))
-            self._is_moving = reply.is_busy
+            self.is_moving = reply.is_busy
         now_s = self._link.clock.now_s()
         if self._asked is not None and now_s - self._asked[1] > SILENCE_S:
-            self._is_homed = False
+            self.is_position_known = False
             raise NoReply(f"stage: no status for {SILENCE_S:g} s; check its power and cable, then home")
         if self._asked is None and now_s >= self._next_status_s:
             self._asked = (self._send("get pos"), now_s)
@@ -134,7 +124,7 @@ class ZaberStage:
         while reply.is_busy and self._link.clock.now_s() < end_s:
             self._link.clock.sleep_s(POLL_S)
             reply = self._command("")
-        self._is_homed = self._is_homed and not reply.is_busy and not reply.warning.startswith("F")
+        self.is_position_known = self.is_position_known and not reply.is_busy and not reply.warning.startswith("F")
         self.position_mm = self.position * self._microstep_mm
 
     def close(self) -> None:
@@ -167,14 +157,14 @@ class ZaberStage:
         return message_id
 
     def _check(self, reply: zaber.Reply) -> None:
-        if not reply.is_fault and not (self._is_homed and reply.warning in zaber.NOT_HOMED):
+        if not reply.is_fault and not (self.is_position_known and reply.warning in zaber.NOT_HOMED):
             return
-        self._is_homed = self._is_moving = False
+        self.is_position_known = self.is_moving = False
         what = zaber.WARNINGS.get(reply.warning, reply.warning)
         raise DeviceError(f"stage: warning {reply.warning} ({what}); look at the rig, then home it")
 
     def _forget(self) -> None:
-        self._is_moving, self._asked = False, None
+        self.is_moving, self._asked = False, None
 
 
 def _number(reply: zaber.Reply) -> float:
