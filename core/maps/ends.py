@@ -29,6 +29,10 @@ CLEAR_OF_NOISE = 6.0
 """A swing below this many standard deviations of the noise is none."""
 
 
+ROUNDING = 1e-9
+"""Averages of one and the same value differ by rounding; a swing below this share of the output is none."""
+
+
 @dataclass(frozen=True, eq=False)
 class Ends:
     """Levels at rest and at the hardest presses, of one stretch or several; output times the direction of loading.
@@ -78,7 +82,7 @@ def match_ends(source: LabelledRecording, target: OutputRecording) -> EndMatch:
     average = 5 if is_patchy else max(averaging_length(known), averaging_length(target))
     shown = _whole(target, average, sign, is_patchy)
     noise = output_noise(target)
-    if not shown.span[0] > CLEAR_OF_NOISE * noise:
+    if not shown.span[0] > max(CLEAR_OF_NOISE * noise, ROUNDING * float(np.abs(target.output).max())):
         raise UnitRefused("output makes no swing that stands out of its noise; press the unit and record it again")
     if is_patchy:
         stretches = others = _patches(known, target, average, sign)
