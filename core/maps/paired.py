@@ -1,8 +1,12 @@
 """Fit a map to pairs of windows under equal load, through the network that will read it.
 
-With pairs the transport plan is known; what is left is its regression. The error that counts is that of the estimate,
-so the map minimises sum (f(map(x_i)) - f(y_i))^2 over pairs (target window x_i, source window y_i), by Gauss-Newton
-steps with Marquardt's damping (Marquardt 1963).
+With pairs the transport plan is known; what is left is its regression. The error that counts is that of the estimate.
+Over pairs (target window x_i, source window y_i under load r_i) the map minimises
+
+    sum (f(map(x_i)) - r_i)^2 + (f(map(x_i)) - f(y_i))^2
+
+by Gauss-Newton steps with Marquardt's damping (Marquardt 1963): the load is what counts, and what f makes of the
+source's window is what a map into its space can be asked for.
 """
 
 from collections.abc import Mapping
@@ -20,21 +24,33 @@ from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import Array, Indices
 from softcal.core.windows import TAPS, windows
 
-KNOTS, FEWEST_KNOTS = 12, 3
-PAIRS_PER_KNOT = 15
-PAIRS = 2000
+KNOTS, FEWEST_KNOTS = 24, 3
+PAIRS_PER_KNOT = 5
+PAIRS = 4000
 """Pairs used at most, spread over the recording: the cost of a fit does not grow with its length."""
 
-STIFFNESS = 3e-3
+STIFFNESS = 2e-5
+"""Weight of the squared bend of f's answer along the curve, integrated over the unit's range (taken as 1): a unit
+answers smoothly to load, while its curve into the output of the source must follow every jump of the source's."""
+
+CURVE_STIFFNESS = 7e-8
+"""The same for the curve itself: it holds where f does not answer at all."""
+
 TETHER = 1e-3
-STEPS = 8
+STEPS, ATTEMPTS = 40, 14
+DAMPING, LEAST_DAMPING = 1e-3, 1e-6
+SETTLED, IDLE_STEPS = 0.99, 3
+"""The descent ends after so many steps in a row that leave more than this share of the cost: f is made of flat pieces,
+and a step across an edge of them gains little before the next gains much."""
+
 BLOCKS = 32
 ENOUGH_FOR_DYNAMICS = 480
 """Fewer pairs hold out too little to judge a dynamic part by."""
 
-DYNAMICS = ((5, 0.99), (TAPS, 0.97))
-"""Orthonormal window shapes a dynamic part may mix (level, slope, curvature and two more; all), and the share of the
-held-out error without them that it must stay below to be kept."""
+SHAPES = ((1, 1.02), (5, 0.99), (TAPS, 0.97))
+"""Orthonormal window shapes a map may be made of (level; slope; curvature and two more; all), and the share of the
+held-out error so far that it must stay below to be taken. Windows as they are come first; their level alone is taken
+where it is as good: what a slow load leaves to see in a window is noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,14 +125,14 @@ def fit_pairs(problem: FitProblem, source_rows: Indices, target_rows: Indices, f
 
 
 def _fit(pairs: "_Pairs") -> PairedMap:
-    """Fit with the smallest dynamic part that held-out stretches ask for."""
+    """Fit with the fewest window shapes that held-out stretches ask for."""
     everything = np.arange(pairs.count)
     if pairs.count < ENOUGH_FOR_DYNAMICS:
         return pairs.fit(everything, 0)
     block = everything * BLOCKS // pairs.count
     held, kept = np.flatnonzero(block % 4 == 1), np.flatnonzero(block % 4 != 1)
     shapes, least = 0, pairs.error(pairs.fit(kept, 0), held)
-    for more, needed in DYNAMICS:
+    for more, needed in SHAPES:
         error = pairs.error(pairs.fit(kept, more), held)
         if error < needed * least:
             shapes, least = more, error
@@ -132,13 +148,14 @@ class _Pairs:
         self._family = family
         self._target = target = problem.target.windows[target_rows]
         source = problem.source.windows[source_rows]
-        self._label = network.evaluate(source) / network.reference_scale
+        label = (network.evaluate(source) + problem.source.window_reference[source_rows]) / 2
+        self._label = label / network.reference_scale
         self._knots = _knots(target)
         if self._knots[-1] <= self._knots[0]:
             level, unit = self._knots[0], problem.target.output_unit
             raise UnitRefused(f"output stays at {level:.6g} {unit} under the loads it shares with the source")
         self._start = _static_regression(target, source, self._knots)
-        self._bend = np.diff(np.eye(len(self._knots)), 2, axis=0) / network.output_scale
+        self._bend = _bend(len(self._knots))
 
     def error(self, unit_map: PairedMap, rows: Indices) -> float:
         """Return the root mean square difference of the estimates over some pairs, in standard deviations."""
@@ -148,21 +165,23 @@ class _Pairs:
     def fit(self, rows: Indices, shapes: int) -> PairedMap:
         """Fit the curve, and the mix of `shapes` window shapes where it is not 0."""
         theta = np.concatenate([self._start, np.eye(shapes).ravel()])
-        cost, damping = self._cost(theta, rows, shapes), 1e-3
+        cost, damping, idle = self._cost(theta, rows, shapes), DAMPING, 0
         for _ in range(STEPS):
             hessian, descent = self._normal_equations(theta, rows, shapes)
-            for _ in range(6):
+            tried_first = damping
+            for _ in range(ATTEMPTS):
                 damped = hessian + damping * np.diag(np.diag(hessian) + 1e-9)
                 trial = self._monotone(theta + np.linalg.solve(damped, descent))
                 trial_cost = self._cost(trial, rows, shapes)
                 if trial_cost < cost:
                     break
-                damping *= 5
+                damping *= 4
             else:
                 break
-            is_settled = trial_cost > 0.999 * cost
-            theta, cost, damping = trial, trial_cost, max(damping / 5, 1e-6)
-            if is_settled:
+            idle = idle + 1 if trial_cost > SETTLED * cost else 0
+            theta, cost = trial, trial_cost
+            damping = max(damping / (10 if damping == tried_first else 4), LEAST_DAMPING)
+            if idle == IDLE_STEPS:
                 break
         return self._map(theta, shapes)
 
@@ -178,9 +197,17 @@ class _Pairs:
 
     def _cost(self, theta: Array, rows: Indices, shapes: int) -> float:
         count = len(self._knots)
-        bend = STIFFNESS * float(np.sum((self._bend @ theta[:count]) ** 2))
+        answer, _ = self._answer(theta[:count])
+        stiff = STIFFNESS * float(np.sum((self._bend @ answer) ** 2))
+        stiff += CURVE_STIFFNESS * float(np.sum((self._bend @ theta[:count] / self._network.output_scale) ** 2))
         pull = TETHER * float(np.sum((theta[count:] - np.eye(shapes).ravel()) ** 2))
-        return self.error(self._map(theta, shapes), rows) ** 2 + bend + pull
+        return self.error(self._map(theta, shapes), rows) ** 2 + stiff + pull
+
+    def _answer(self, values: Array) -> tuple[Array, Array]:
+        """Return what f says of a rest at each value of the curve, and its slope there, in standard deviations."""
+        estimate, slope = self._network.gradient(np.repeat(values[:, None], TAPS, axis=1))
+        scale = self._network.reference_scale
+        return estimate / scale, slope.sum(axis=1) / scale
 
     def _normal_equations(self, theta: Array, rows: Indices, shapes: int) -> tuple[Array, Array]:
         """Gauss-Newton matrix and descent direction of the cost."""
@@ -198,8 +225,11 @@ class _Pairs:
             jacobian[:, count:] = ((slope @ basis)[:, :, None] * (curved @ basis)[:, None, :]).reshape(len(rows), -1)
         hessian = jacobian.T @ jacobian / len(rows)
         gradient = jacobian.T @ residual / len(rows)
-        hessian[:count, :count] += STIFFNESS * self._bend.T @ self._bend
-        gradient[:count] += STIFFNESS * self._bend.T @ (self._bend @ theta[:count])
+        answer, steepness = self._answer(theta[:count])
+        bend, of_curve = self._bend * steepness, self._bend / self._network.output_scale
+        hessian[:count, :count] += STIFFNESS * bend.T @ bend + CURVE_STIFFNESS * of_curve.T @ of_curve
+        gradient[:count] += STIFFNESS * bend.T @ (self._bend @ answer)
+        gradient[:count] += CURVE_STIFFNESS * of_curve.T @ (of_curve @ theta[:count])
         hessian[count:, count:] += TETHER * np.eye(shapes * shapes)
         gradient[count:] += TETHER * (theta[count:] - np.eye(shapes).ravel())
         return hessian, -gradient
@@ -208,6 +238,11 @@ class _Pairs:
 def _knots(target: Array) -> Array:
     low, high = np.quantile(target, [0.001, 0.999])
     return np.linspace(low, high, int(np.clip(len(target) // PAIRS_PER_KNOT, FEWEST_KNOTS, KNOTS)))
+
+
+def _bend(count: int) -> Array:
+    """Return B with |B g|^2 the integral of the squared second derivative of g, given at `count` places in 0 ... 1."""
+    return np.asarray(np.diff(np.eye(count), 2, axis=0) * (count - 1) ** 1.5)
 
 
 def _place(samples: Array, knots: Array) -> tuple[Indices, Array]:
@@ -231,7 +266,7 @@ def _static_regression(target: Array, source: Array, knots: Array) -> Array:
     hats = np.zeros((len(target), len(knots)))
     hats[np.arange(len(target)), segment] = 1 - share
     hats[np.arange(len(target)), segment + 1] += share
-    bend = np.diff(np.eye(len(knots)), 2, axis=0)
-    normal = hats.T @ hats / len(target) + STIFFNESS * bend.T @ bend + 1e-9 * np.eye(len(knots))
+    bend = _bend(len(knots))
+    normal = hats.T @ hats / len(target) + CURVE_STIFFNESS * bend.T @ bend + 1e-9 * np.eye(len(knots))
     values = np.linalg.solve(normal, hats.T @ source.mean(axis=1) / len(target))
     return np.asarray(isotonic_regression(values).x)
