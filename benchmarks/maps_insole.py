@@ -5,6 +5,7 @@ all see every pressure. `other` fits the maps on another day's programme and tes
 `own, other day` is a network trained on the unit's own labels of that other day.
 
 python benchmarks/maps_insole.py [same|other] [--quick] [--every N] [--sources NAME ...] [--methods NAME ...]
+    [--seeds N]
 """
 
 import argparse
@@ -37,40 +38,45 @@ def main() -> None:
     parser.add_argument("--sources", nargs="+", default=SOURCES)
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth unit only")
     parser.add_argument("--methods", nargs="+", default=FAST, choices=FAST, help="these only")
+    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="trainings of f and of the own calibrations")
     options = parser.parse_args()
-    sources, step = (options.sources[:1], 5) if options.quick else (options.sources, options.every)
+    sources, step, seeds = options.sources, options.every, options.seeds
+    if options.quick:
+        sources, step, seeds = sources[:1], 5, 1
     for source in sources:
-        run(source, options.programme, step, options.methods)
+        run(source, options.programme, step, options.methods, seeds)
 
 
-def run(source: str, programme: str, step: int, methods: Sequence[str]) -> None:
-    """Print one source's table."""
+def run(source: str, programme: str, step: int, methods: Sequence[str], seeds: int) -> None:
+    """Print one source's table: per unit the medians over the seeds, then what they are over the units."""
     day = insole("calibration")
     train, test_rows = split(len(day))
     unit_day = day if programme == "same" else insole("validation_1")
     unit_rows = train if programme == "same" else None
     recording = taxel(day, source, train)
-    trained = fit_network(recording, NetworkConfig())
-    network, model = trained.network, make_source_model(recording, trained.network, trained.validation_rows)
-    ratios: dict[str, list[float]] = {}
+    units = [n for n in taxels(day) if n != source][::step]
+    errors: dict[str, dict[str, list[float]]] = {name: {} for name in units}
     judged: dict[str, list[tuple[float, float]]] = {}
-    worse: dict[str, int] = dict.fromkeys(methods, 0)
-    for name in [n for n in taxels(day) if n != source][::step]:
-        test = taxel(day, name, test_rows)
-        problem = FitProblem(recording, network, taxel(unit_day, name, unit_rows).unlabelled)
-        before = rmse(network.evaluate(test.windows), test.window_reference)
-        errors = {method: rmse(METHODS[method](problem, test), test.window_reference) for method in methods}
-        own = own_of(name, programme)
-        for method, error in errors.items():
-            ratios.setdefault(method, []).append(error / own)
-            worse[method] += error > before
-        if DEFAULT in errors:
-            after = errors[DEFAULT]
-            judged.setdefault(verdict_word(problem, model), []).append((after / before, after / own))
-    print(f"Source {source}, {programme} programme, {len(ratios[methods[0]])} units, after / own:\n")
+    for seed in range(seeds):
+        trained = fit_network(recording, NetworkConfig(seed=seed))
+        network, model = trained.network, make_source_model(recording, trained.network, trained.validation_rows)
+        for name in units:
+            test = taxel(day, name, test_rows)
+            problem = FitProblem(recording, network, taxel(unit_day, name, unit_rows).unlabelled, seed=seed)
+            found = {"own": own_of(name, programme, seed)}
+            found["before"] = rmse(network.evaluate(test.windows), test.window_reference)
+            found |= {method: rmse(METHODS[method](problem, test), test.window_reference) for method in methods}
+            for method, error in found.items():
+                errors[name].setdefault(method, []).append(error)
+            if DEFAULT in found:
+                harm, ratio = found[DEFAULT] / found["before"], found[DEFAULT] / found["own"]
+                judged.setdefault(verdict_word(problem, model), []).append((harm, ratio))
+    shown = ("own", "before", *methods)
+    medians = {method: np.array([np.median(errors[name][method]) for name in units]) for method in shown}
+    print(f"Source {source}, {programme} programme, {len(units)} units, medians of {seeds} seeds, after / own:\n")
     print_table(
         ("method", "median", "95 %", "largest", "worse than before"),
-        ((m, *summary(r), worse[m]) for m, r in ratios.items()),
+        ((m, *summary(medians[m] / medians["own"]), int((medians[m] > medians["before"]).sum())) for m in methods),
     )
     print_verdicts(judged)
 
@@ -84,22 +90,22 @@ def verdict_word(problem: FitProblem, model: SourceModel) -> str:
 
 
 def print_verdicts(judged: Mapping[str, Sequence[tuple[float, float]]]) -> None:
-    """Print what the verdicts of the default said, from after / before and after / own of every unit."""
+    """Print what the verdicts of the default said, from after / before and after / own of every unit and seed."""
     rows = []
     for word in (*VERDICTS, "refused"):
         units = judged.get(word, [])
         harmed, far = sum(harm > 1 for harm, _ in units), sum(ratio > FLAGGED for _, ratio in units)
         rows.append((word, len(units), harmed, far))
-    print_table(("verdict", "units", "worse than before", f"after > {FLAGGED:g} x own"), rows)
+    print_table(("verdict", "verdicts given", "worse than before", f"after > {FLAGGED:g} x own"), rows)
 
 
 @cache
-def own_of(name: str, programme: str) -> float:
+def own_of(name: str, programme: str, seed: int) -> float:
     """Error of the unit's own calibration on the test stretches, trained on the day its map was fitted."""
     day = insole("calibration")
     train, test = split(len(day))
     own = taxel(day, name, train) if programme == "same" else taxel(insole("validation_1"), name)
-    return own_error(own, taxel(day, name, test), NetworkConfig())
+    return own_error(own, taxel(day, name, test), NetworkConfig(seed=seed))
 
 
 def split(count: int) -> tuple[np.ndarray, np.ndarray]:
