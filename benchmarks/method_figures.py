@@ -61,7 +61,13 @@ def families(problem: FitProblem, unit: SimulatedUnit) -> go.Figure:
         figure.add_scatter(x=levels, y=at_rest(family(name).fit(problem), levels), name=label, row=1, col=2)
     ours, theirs = truth(unit.audit, problem.source)
     figure.add_scatter(
-        x=ours, y=theirs, name="outputs at equal load", mode="markers", marker={"color": "black", "size": 5}, row=1, col=2
+        x=ours,
+        y=theirs,
+        name="outputs at equal load",
+        mode="markers",
+        marker={"color": "black", "size": 5},
+        row=1,
+        col=2,
     )
     return figure
 
@@ -70,7 +76,10 @@ def pairs(problem: FitProblem) -> go.Figure:
     """The pairs with the curve through them, and what f makes of the curve."""
     figure = panels(
         ("Windows at equal stage position and history", "What f says of the mapped unit"),
-        (("mean output of the unit's window, V", "mean output of the source's, V"), ("output of the unit, V", "load, N")),
+        (
+            ("mean output of the unit's window, V", "mean output of the source's, V"),
+            ("output of the unit, V", "load, N"),
+        ),
     )
     source_rows, target_rows = paired_by_stage(problem.source.unlabelled, problem.target)
     thin = slice(None, None, max(1, len(target_rows) // 1500))
