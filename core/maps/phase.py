@@ -20,7 +20,8 @@ HISTORY_WEIGHT = (1.0, 1.0, 0.5, 0.15, 0.05)
 NEAR_SHARE = 0.04
 """Two stage histories are alike within this share of the travel."""
 
-MIN_PAIRS = 12
+MIN_PAIRS = 4
+"""Fewer windows fix no curve; so few fix little more than gain and offset."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,12 @@ def paired_by_stage(source: OutputRecording, target: OutputRecording) -> tuple[N
     known, asked = stage_histories(source, source.stage_mm), stage_histories(target, target.stage_mm)
     travel_mm = float(np.ptp(target.stage_mm))
     rows = np.linspace(0, len(asked) - 1, min(2 * PAIRS, len(asked))).astype(np.int64)
-    distance_mm, nearest = cKDTree(known).query(asked[rows])
+    distance_mm, nearest = np.empty(len(rows)), np.empty(len(rows), np.int64)
+    seen = _seen_entries(target)[rows]
+    for entries in np.unique(seen):
+        group = seen == entries
+        tree = cKDTree(known[:, :entries])
+        distance_mm[group], nearest[group] = tree.query(asked[rows[group], :entries])
     alike = distance_mm <= NEAR_SHARE * travel_mm
     if travel_mm <= 0 or alike.sum() < MIN_PAIRS:
         raise UnitRefused(f"{alike.sum()} windows at equal stage positions; at least {MIN_PAIRS} are needed")
@@ -73,3 +79,15 @@ def stage_histories(recording: OutputRecording, stage_mm: Array) -> Array:
     ago_s = np.array(HISTORY) / recording.sample_rate_Hz
     asked_s = recording.t_s[recording.window_rows][:, None] - ago_s[None, :]
     return np.asarray(np.interp(asked_s, recording.t_s, stage_mm) * np.array(HISTORY_WEIGHT))
+
+
+def _seen_entries(recording: OutputRecording) -> NDArray[np.int64]:
+    """Return how many entries of each full window's history were recorded: what lies before a gap is not known.
+
+    Before a recording begins the stage is taken to have stood where it begins.
+    """
+    begins_s = np.concatenate([np.full(s.stop - s.start, recording.t_s[s.start]) for s in recording.segments])
+    begins_s[recording.segments[0]] = -np.inf
+    ago_s = np.array(HISTORY) / recording.sample_rate_Hz
+    is_seen = recording.t_s[:, None] - ago_s >= begins_s[:, None] - 0.5 / recording.sample_rate_Hz
+    return np.asarray(is_seen[recording.window_rows].sum(axis=1))

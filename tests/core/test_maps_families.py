@@ -15,6 +15,7 @@ from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem, UnitMap, map_sha256
 from softcal.core.maps.label_shift import level_weights
+from softcal.core.maps.phase import paired_by_stage
 from softcal.core.maps.plan import barycentric, solve_exact
 from softcal.core.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -208,6 +209,30 @@ def test_phase_needs_the_stage_in_both_recordings() -> None:
 def test_stage_pairs_find_the_map_though_the_programme_is_another() -> None:
     other = problem(presses(1, 6000), 0.5 * presses(2, 3000), stage=True)
     assert relative_error(family("phase").fit(other), 0.5 * presses(7, 600)) < 0.02
+
+
+def test_a_few_windows_at_known_positions_are_enough() -> None:
+    whole = problem(presses(1, 6000), presses(2, 6000), stage=True)
+    rows = (np.arange(5)[:, None] * 1100 + 40 + np.arange(15)).ravel()
+    target, stage_mm = whole.target, whole.target.stage_mm
+    assert stage_mm is not None
+    few = replace(target, t_s=target.t_s[rows], output=target.output[rows], stage_mm=stage_mm[rows])
+    assert len(few.windows) == 5
+    assert relative_error(family("phase").fit(replace(whole, target=few)), presses(7, 600)) < 0.05
+
+
+def test_positions_beyond_a_gap_do_not_mislead_the_pairs() -> None:
+    load_N = presses(1, 6000)
+    whole = problem(load_N, load_N, stage=True)
+    kept = np.flatnonzero(np.arange(6000) % 200 < 20)
+    target, stage_mm = whole.target, whole.target.stage_mm
+    assert stage_mm is not None
+    holed = replace(target, t_s=target.t_s[kept], output=target.output[kept], stage_mm=stage_mm[kept])
+    source_rows, target_rows = paired_by_stage(whole.source.unlabelled, holed)
+    assert len(target_rows) == len(holed.windows)
+    # Both ran one profile, so that every window has its like in the source.
+    at_mm = load_N[whole.source.unlabelled.window_rows[source_rows]]
+    assert np.allclose(at_mm, stage_mm[kept][holed.window_rows[target_rows]], atol=1e-9)
 
 
 def test_unrelated_loads_are_not_taken_for_synchronous() -> None:
