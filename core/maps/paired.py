@@ -25,7 +25,7 @@ from softcal.core.recording import Array, Indices
 from softcal.core.windows import TAPS, windows
 
 KNOTS, FEWEST_KNOTS = 24, 3
-PAIRS_PER_KNOT = 5
+PAIRS_PER_KNOT = 10
 PAIRS = 4000
 """Pairs used at most, spread over the recording: the cost of a fit does not grow with its length."""
 
