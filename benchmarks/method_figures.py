@@ -17,7 +17,7 @@ from softcal.core.maps.phase import paired_by_stage
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.simulated_lot import LotDesign, SimulatedUnit, simulate_lot
 from softcal.core.training import NetworkConfig, fit_network
-from softcal.core.windows import TAPS
+from softcal.core.windows import resting
 
 SEED = 3
 SHOWN_S = 25.0
@@ -105,11 +105,6 @@ def panels(titles: tuple[str, str], axes: tuple[tuple[str, str], tuple[str, str]
         figure.update_yaxes(title=y, row=1, col=column)
     figure.update_layout(template="plotly_white", margin={"l": 60, "r": 20, "t": 40, "b": 50}, **SIZE)
     return figure
-
-
-def resting(levels: Array) -> Array:
-    """Windows of a unit that stands still at each level."""
-    return np.repeat(levels[:, None], TAPS, axis=1)
 
 
 def at_rest(unit_map: UnitMap, levels: Array) -> Array:

@@ -23,7 +23,7 @@ from softcal.core.maps.affine import AffineMap
 from softcal.core.network import Network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.uncertainty import NORMAL_90
-from softcal.core.windows import TAPS
+from softcal.core.windows import resting
 
 MODES = ("none", "basic", "improved")
 RECALIBRATE = "recalibrate"
@@ -364,7 +364,7 @@ def _zero_load_output(recording: OutputRecording, estimates: Callable[[Array], A
     """Return the constant output that is estimated as zero, up to a swing beyond the recording; None without one."""
     low, high = np.quantile(recording.output, (0.02, 0.98))
     levels = np.linspace(2 * low - high, 2 * high - low, 300)
-    values = estimates(np.repeat(levels[:, None], TAPS, axis=1))
+    values = estimates(resting(levels))
     crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)
     if not len(crossings):
         return None

@@ -22,3 +22,8 @@ def windows(signal: NDArray[np.float64]) -> NDArray[np.float64]:
     if len(signal) < TAPS:
         raise ValueError(f"{len(signal)} samples, at least {TAPS} are needed for one window")
     return sliding_window_view(signal, TAPS)
+
+
+def resting(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the windows (n, TAPS) of a sensor whose output stands still at each of (n,) levels."""
+    return np.repeat(levels[:, None], TAPS, axis=1)

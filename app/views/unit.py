@@ -11,7 +11,7 @@ from softcal.core.explanation import Explanation, explain
 from softcal.core.lot import Lot
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.source_model import make_source_model
-from softcal.core.windows import TAPS
+from softcal.core.windows import resting
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
 
@@ -49,7 +49,7 @@ class UnitView:
         """Return (levels, levels as the source would show them) of a unit at rest, over the unit's own range."""
         low, high = float(self.recording.output.min()), float(self.recording.output.max())
         level = np.linspace(low, high, CURVE_POINTS)
-        return level, self.calibration.unit_map.apply(np.repeat(level[:, None], TAPS, axis=1))[:, -1]
+        return level, self.calibration.unit_map.apply(resting(level))[:, -1]
 
     @property
     def flagged(self) -> int:

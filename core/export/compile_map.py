@@ -16,7 +16,7 @@ from softcal.core.export.shape_mix import Mix, fit_mix
 from softcal.core.maps.interface import UnitMap
 from softcal.core.network import Network
 from softcal.core.recording import Array, OutputRecording
-from softcal.core.windows import TAPS
+from softcal.core.windows import TAPS, resting
 
 FINE_KNOTS = 256
 """Knots of the form for machines with floating point (ONNX)."""
@@ -219,7 +219,7 @@ def _judged(form: MapForm, network: Network, windows: Array, exact: Array) -> Co
 def _from_constant_windows(unit_map: UnitMap, windows: Array, knots: int) -> Curve:
     """Read γ off constant windows: exact for every family that works sample by sample."""
     grid = _grid(windows)
-    values = unit_map.apply(np.repeat(grid[:, None], TAPS, axis=1))[:, -1]
+    values = unit_map.apply(resting(grid))[:, -1]
     return _with_few_knots(grid, _monotone(values, np.ones(len(grid))), windows, knots)
 
 

@@ -22,7 +22,7 @@ from softcal.core.export.integer_network import (
 from softcal.core.export.shape_mix import Mix
 from softcal.core.network import Network
 from softcal.core.recording import Array
-from softcal.core.windows import TAPS
+from softcal.core.windows import resting
 
 HEADROOM = 1.5
 """Activation ranges seen on the source's windows are widened by this before they are cut into counts."""
@@ -65,8 +65,7 @@ def _relatives(windows: Array) -> Array:
     centre, span = float(windows.mean()), float(np.ptp(windows))
     stretched = centre + STRETCH * (windows - centre)
     shifted = [windows + SHIFT * span, windows - SHIFT * span]
-    flat = np.repeat(windows[:, -1:], TAPS, axis=1)
-    return np.concatenate([windows, stretched, *shifted, windows[:, ::-1], flat])
+    return np.concatenate([windows, stretched, *shifted, windows[:, ::-1], resting(windows[:, -1])])
 
 
 def activations(network: Network, windows: Array) -> list[Array]:

@@ -10,7 +10,7 @@ from softcal.core.identity import Settings
 from softcal.core.maps.crossing import ROBUST_RANGE
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.recording import Array
-from softcal.core.windows import TAPS
+from softcal.core.windows import resting
 
 GAIN_SPREAD = 0.1
 """How far the gain of a map may be off before any anchor is seen (one standard deviation)."""
@@ -71,7 +71,7 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> Anchored
     network = problem.network
     low, high = np.quantile(problem.source.unlabelled.output, ROBUST_RANGE)
     sigma = LOAD_ERROR * network.reference_scale
-    resting = unit_map.apply(np.repeat(np.asarray(anchors.output, np.float64)[:, None], TAPS, axis=1))
+    loaded = unit_map.apply(resting(np.asarray(anchors.output, np.float64)))
 
     def corrected(theta: Array) -> tuple[float, float]:
         gain = 1.0 + GAIN_SPREAD * float(theta[0])
@@ -79,13 +79,13 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> Anchored
 
     def residuals(theta: Array) -> Array:
         gain, offset = corrected(theta)
-        misread = (network.evaluate(offset + gain * resting) - anchors.reference) / sigma
+        misread = (network.evaluate(offset + gain * loaded) - anchors.reference) / sigma
         return np.concatenate([misread, theta])
 
     def jacobian(theta: Array) -> Array:
         gain, offset = corrected(theta)
-        slope = network.gradient(offset + gain * resting)[1] / sigma
-        by_gain = GAIN_SPREAD * np.sum(slope * (resting - low), axis=1)
+        slope = network.gradient(offset + gain * loaded)[1] / sigma
+        by_gain = GAIN_SPREAD * np.sum(slope * (loaded - low), axis=1)
         by_level = LEVEL_SPREAD * (high - low) * slope.sum(axis=1)
         return np.concatenate([np.stack([by_gain, by_level], axis=1), np.eye(2)])
 
