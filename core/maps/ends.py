@@ -28,7 +28,6 @@ ENOUGH_SWINGS = 10
 CLEAR_OF_NOISE = 6.0
 """A swing below this many standard deviations of the noise is none."""
 
-
 ROUNDING = 1e-9
 """Averages of one and the same value differ by rounding; a swing below this share of the output is none."""
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.optimize import isotonic_regression
 
 from softcal.core.errors import UnitRefused
@@ -22,7 +23,7 @@ from softcal.core.maps.crossing import robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import Array, Indices
-from softcal.core.windows import TAPS, windows
+from softcal.core.windows import TAPS, resting, windows
 
 KNOTS, FEWEST_KNOTS = 24, 3
 PAIRS_PER_KNOT = 10
@@ -48,9 +49,9 @@ ENOUGH_FOR_DYNAMICS = 480
 """Fewer pairs hold out too little to judge a dynamic part by."""
 
 SHAPES = ((1, 1.02), (5, 0.99), (TAPS, 0.97))
-"""Orthonormal window shapes a map may be made of (level; slope; curvature and two more; all), and the share of the
-held-out error so far that it must stay below to be taken. Windows as they are come first; their level alone is taken
-where it is as good: what a slow load leaves to see in a window is noise."""
+"""Orthonormal window shapes a map may be made of (level; slope, curvature and two more beside it; all), and the share
+of the held-out error so far that it must stay below to be taken. Windows as they are come first; their level alone is
+taken where it is as good: what a slow load leaves to see in a window is noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,18 +197,19 @@ class _Pairs:
         return np.concatenate([isotonic_regression(theta[:count]).x, theta[count:]])
 
     def _cost(self, theta: Array, rows: Indices, shapes: int) -> float:
-        count = len(self._knots)
-        answer, _ = self._answer(theta[:count])
-        stiff = STIFFNESS * float(np.sum((self._bend @ answer) ** 2))
-        stiff += CURVE_STIFFNESS * float(np.sum((self._bend @ theta[:count] / self._network.output_scale) ** 2))
-        pull = TETHER * float(np.sum((theta[count:] - np.eye(shapes).ravel()) ** 2))
-        return self.error(self._map(theta, shapes), rows) ** 2 + stiff + pull
+        penalty, _ = self._penalty(theta, shapes)
+        return self.error(self._map(theta, shapes), rows) ** 2 + float(penalty @ penalty)
 
-    def _answer(self, values: Array) -> tuple[Array, Array]:
-        """Return what f says of a rest at each value of the curve, and its slope there, in standard deviations."""
-        estimate, slope = self._network.gradient(np.repeat(values[:, None], TAPS, axis=1))
-        scale = self._network.reference_scale
-        return estimate / scale, slope.sum(axis=1) / scale
+    def _penalty(self, theta: Array, shapes: int) -> tuple[Array, Array]:
+        """Return what is asked of a map without any pair, as residuals whose squares are added, and their Jacobian."""
+        count, network = len(self._knots), self._network
+        estimate, slope = network.gradient(resting(theta[:count]))
+        of_answer = STIFFNESS**0.5 / network.reference_scale * self._bend
+        of_curve = CURVE_STIFFNESS**0.5 / network.output_scale * self._bend
+        of_mix = TETHER**0.5 * np.eye(shapes * shapes)
+        moved = theta[count:] - np.eye(shapes).ravel()
+        residual = np.concatenate([of_answer @ estimate, of_curve @ theta[:count], of_mix @ moved])
+        return residual, block_diag(np.vstack([of_answer * slope.sum(axis=1), of_curve]), of_mix)
 
     def _normal_equations(self, theta: Array, rows: Indices, shapes: int) -> tuple[Array, Array]:
         """Gauss-Newton matrix and descent direction of the cost."""
@@ -223,15 +225,9 @@ class _Pairs:
             basis = window_shapes(shapes)
             curved = CurveMap(self._knots, theta[:count], self._family)(target)
             jacobian[:, count:] = ((slope @ basis)[:, :, None] * (curved @ basis)[:, None, :]).reshape(len(rows), -1)
-        hessian = jacobian.T @ jacobian / len(rows)
-        gradient = jacobian.T @ residual / len(rows)
-        answer, steepness = self._answer(theta[:count])
-        bend, of_curve = self._bend * steepness, self._bend / self._network.output_scale
-        hessian[:count, :count] += STIFFNESS * bend.T @ bend + CURVE_STIFFNESS * of_curve.T @ of_curve
-        gradient[:count] += STIFFNESS * bend.T @ (self._bend @ answer)
-        gradient[:count] += CURVE_STIFFNESS * of_curve.T @ (of_curve @ theta[:count])
-        hessian[count:, count:] += TETHER * np.eye(shapes * shapes)
-        gradient[count:] += TETHER * (theta[count:] - np.eye(shapes).ravel())
+        penalty, by_theta = self._penalty(theta, shapes)
+        hessian = jacobian.T @ jacobian / len(rows) + by_theta.T @ by_theta
+        gradient = jacobian.T @ residual / len(rows) + by_theta.T @ penalty
         return hessian, -gradient
 
 
