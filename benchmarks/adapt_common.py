@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from softcal.app.workflow.adapt import source_calibration
-from softcal.core.adaptation import AdaptConfig, Adapter, MapUpdate
-from softcal.core.calibration import Calibration
+from softcal.app.use.adapt import source_calibration
 from softcal.core.metrics import rmse
-from softcal.core.network import Network
+from softcal.core.network.network import Network
+from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.training import NetworkConfig, fit_network
+from softcal.core.unit.calibration import Calibration
+from softcal.core.use.adapter import AdaptConfig, Adapter, MapUpdate
 
 DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 

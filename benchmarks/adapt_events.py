@@ -10,10 +10,10 @@ import numpy as np
 from adapt_common import Unit, calibrate, print_markdown
 from simulated_gait import RATE_HZ, Sensor, Walk, walk
 
-from softcal.core.adaptation import Adapter
 from softcal.core.metrics import rmse
+from softcal.core.network.training import NetworkConfig
 from softcal.core.recording import Array
-from softcal.core.training import NetworkConfig
+from softcal.core.use.adapter import Adapter
 
 BEFORE_S, AFTER_S, FAULT_S = 60.0, 240.0, 20.0
 BACK = 3.0

@@ -12,9 +12,9 @@ import numpy as np
 from adapt_common import Unit, calibrate, print_markdown
 from simulated_gait import RATE_HZ, Drift, Sensor, pieces, walk
 
-from softcal.core.adapt_intake import BATCH
+from softcal.core.network.training import NetworkConfig
 from softcal.core.recording import Array
-from softcal.core.training import NetworkConfig
+from softcal.core.use.intake import BATCH
 
 SEGMENTS = 10
 RECOVERY_S = 20.0

@@ -12,14 +12,14 @@ from adapt_common import print_markdown
 from scipy.stats import spearmanr
 from simulated_use import ACTIVITIES, CURVES, Activity, Style, cycles, read, station
 
-from softcal.app.workflow.adapt import source_calibration
-from softcal.core.adaptation import AdaptConfig, Adapter
-from softcal.core.calibration import Calibration
+from softcal.app.use.adapt import source_calibration
 from softcal.core.estimate import estimate
 from softcal.core.metrics import rmse
-from softcal.core.network import Network
+from softcal.core.network.network import Network
+from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.training import NetworkConfig, fit_network
+from softcal.core.unit.calibration import Calibration
+from softcal.core.use.adapter import AdaptConfig, Adapter
 
 SAMPLES = 15_000
 CALIBRATION = 5_000

@@ -13,12 +13,12 @@ import numpy as np
 from adapt_common import Unit, calibrate, print_markdown
 from simulated_gait import RATE_HZ, Drift, Sensor, Walk, walk
 
-from softcal.app.workflow.adapt import AdaptOptions, Follower, UnitInUse
-from softcal.core.adapt_intake import BATCH
-from softcal.core.adaptation import AdaptConfig
+from softcal.app.use.adapt import AdaptOptions, Follower, UnitInUse
 from softcal.core.lot import Lot
+from softcal.core.network.training import NetworkConfig
 from softcal.core.recording import Array
-from softcal.core.training import NetworkConfig
+from softcal.core.use.adapter import AdaptConfig
+from softcal.core.use.intake import BATCH
 from softcal.db.connection import open_registry
 
 SECONDS = 240.0

@@ -13,8 +13,8 @@ import pandas as pd
 from adapt_common import DATA, calibrate, follow, part_rmse, print_markdown
 from adapt_nylon import RATE_HZ, own_error
 
+from softcal.core.network.training import NetworkConfig
 from softcal.core.recording import Array
-from softcal.core.training import NetworkConfig
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60)
 """Smaller than the paper's, so that two dozen of them are trained in minutes."""

@@ -7,10 +7,10 @@ import numpy as np
 from adapt_common import calibrate, print_markdown
 from simulated_gait import RATE_HZ, Sensor, walk
 
-from softcal.core.adaptation import MapUpdate
-from softcal.core.drift import JUMPED, TRIED
+from softcal.core.network.training import NetworkConfig
 from softcal.core.recording import Array
-from softcal.core.training import NetworkConfig
+from softcal.core.use.adapter import MapUpdate
+from softcal.core.use.tracker import JUMPED, TRIED
 
 SEATS, EVERY = 24, 5000
 """Re-seatings in a stream, and samples between them."""

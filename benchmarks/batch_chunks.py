@@ -16,12 +16,12 @@ from batch_lot import make_lot
 from registry_common import DATABASES, fresh_url, print_markdown
 from sqlalchemy import event
 
-from softcal.app.engine import EngineChoice
+from softcal.app.batch.batch import run_batch
+from softcal.app.batch.engine import EngineChoice
+from softcal.app.batch.lot_work import BatchConfig
+from softcal.app.batch.train import train_or_find
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder
-from softcal.app.workflow.batch import run_batch
-from softcal.app.workflow.lot_work import BatchConfig
-from softcal.app.workflow.train import train_or_find
-from softcal.core.training import NetworkConfig
+from softcal.core.network.training import NetworkConfig
 from softcal.db.connection import open_registry
 
 NETWORK = NetworkConfig(hidden=(16, 8), max_epochs=30)

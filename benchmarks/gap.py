@@ -22,14 +22,14 @@ from typing import Any
 
 import numpy as np
 
+from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
+from softcal.core.challenge.draw import LINES, draw_case
+from softcal.core.challenge.judge import Judged, read_answer
+from softcal.core.challenge.realised import realised_shrink
+from softcal.core.challenge.score import POOR, ScoreSheet, score_reports, wilson
+from softcal.core.challenge.seal import Label
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
-from softcal.core.gap.challenge.draw import LINES, draw_case
-from softcal.core.gap.challenge.judge import Judged, read_answer
-from softcal.core.gap.challenge.realised import realised_shrink
-from softcal.core.gap.challenge.seal import Label
 from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.score import POOR, ScoreSheet, score_reports, wilson
 from softcal.core.metrics import finite_or_none
 from softcal.core.twin.parameters import ReadoutMetadata
 

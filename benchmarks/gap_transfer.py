@@ -13,10 +13,10 @@ from collections.abc import Iterable
 import numpy as np
 from gap import as_case
 
+from softcal.core.challenge.cases import SealedCase
+from softcal.core.challenge.draw import draw_case
+from softcal.core.challenge.lot import LotRun, press_lot
 from softcal.core.errors import InputError
-from softcal.core.gap.challenge.cases import SealedCase
-from softcal.core.gap.challenge.draw import draw_case
-from softcal.core.gap.challenge.lot import LotRun, press_lot
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.explained import explained_twin
 from softcal.core.gap.transfer import LotUnit, PressedLot, Transfer, transfer

@@ -11,9 +11,9 @@ import numpy as np
 from simulated_cases import Case, cases, coverage
 
 from softcal.core.estimate import estimate
-from softcal.core.forecast import INTERVAL_SHARE, INTERVAL_SHARE_ON_STAGE
 from softcal.core.simulated_lot import GOOD
-from softcal.core.uncertainty import DIRECTIONS
+from softcal.core.unit.forecast import INTERVAL_SHARE, INTERVAL_SHARE_ON_STAGE
+from softcal.core.unit.uncertainty import DIRECTIONS
 
 SHARES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.1, 1.25)
 

@@ -13,9 +13,9 @@ from softcal.core.errors import UnitRefused
 from softcal.core.maps.choose import MapConfig, choose_map
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
-from softcal.core.network import Network
+from softcal.core.network.network import Network
+from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.training import NetworkConfig, fit_network
 
 DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 EXACT_ROWS = 1200

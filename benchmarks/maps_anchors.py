@@ -11,9 +11,9 @@ from map_methods import own_error, print_table
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.metrics import rmse
+from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import LabelledRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
-from softcal.core.training import NetworkConfig, fit_network
 
 COUNTS = (0, 1, 2, 3, 5)
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, batch=128)

@@ -12,9 +12,9 @@ from scipy.optimize import minimize
 from softcal.core.maps.affine import AffineMap
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
-from softcal.core.network import Network
+from softcal.core.network.network import Network
+from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import LabelledRecording
-from softcal.core.training import NetworkConfig, fit_network
 
 FIT, TEST = (0, 800), (800, 1200)
 

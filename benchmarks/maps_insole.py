@@ -15,13 +15,13 @@ from functools import cache
 import numpy as np
 from map_methods import METHODS, insole, own_error, print_table, summary, taxel, taxels
 
-from softcal.core.calibrate import calibrate_unit
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
-from softcal.core.source_model import SourceModel, make_source_model
-from softcal.core.training import NetworkConfig, fit_network
-from softcal.core.verdict import VERDICTS
+from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.verdict import VERDICTS
 
 SOURCES = ("taxel_001", "taxel_030", "taxel_060", "taxel_061", "taxel_135")
 BEFORE, DEFAULT = "before (no map)", "softcal default"

@@ -18,9 +18,9 @@ from softcal.core.errors import SoftcalError
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
+from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
-from softcal.core.training import NetworkConfig, fit_network
 from softcal.core.windows import TAPS
 
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01)

@@ -8,14 +8,14 @@ from collections import Counter
 
 from map_methods import METHODS, own_error, print_table, summary
 
-from softcal.core.calibrate import calibrate_unit
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
+from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.simulated_lot import SHIFTS, LotDesign, simulate_lot
-from softcal.core.source_model import SourceModel, make_source_model
-from softcal.core.training import NetworkConfig, fit_network
+from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.source_model import SourceModel, make_source_model
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, batch=128)
 """Smaller than the paper's for f and own calibrations alike, so that hundreds of units fit in minutes."""

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from sqlalchemy import create_engine, text
 
-from softcal.core.calibration import CalibrationRecord
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
-from softcal.core.network import Network
+from softcal.core.network.network import Network
+from softcal.core.unit.calibration import CalibrationRecord
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 

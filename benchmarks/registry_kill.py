@@ -20,15 +20,15 @@ from pathlib import Path
 from batch_lot import make_lot
 from registry_common import DATABASES, begin_lot, fresh_url, print_markdown, record
 
+from softcal.app.batch.batch import run_batch
+from softcal.app.batch.lot_work import BatchConfig, Watch
+from softcal.app.batch.report import UnitResult
+from softcal.app.batch.train import train_or_find
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder
 from softcal.app.files.recording_file import read_recording
-from softcal.app.workflow.batch import run_batch
-from softcal.app.workflow.batch_report import UnitResult
-from softcal.app.workflow.lot_work import BatchConfig, Watch
-from softcal.app.workflow.station import chosen_bench, profile_for, record_to_files
-from softcal.app.workflow.station_recover import recover
-from softcal.app.workflow.train import train_or_find
-from softcal.core.training import NetworkConfig
+from softcal.app.line.recover import recover
+from softcal.app.line.rig import chosen_bench, profile_for, record_to_files
+from softcal.core.network.training import NetworkConfig
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 

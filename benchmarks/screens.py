@@ -27,15 +27,15 @@ from screens_common import chromium, served, served_by
 from screenshots_desk import NAME, PIN, QUALITY, QUALITY_PIN, sign_in
 
 from softcal.app.views.lot import lot_view
-from softcal.core.calibrate import calibrate_unit
-from softcal.core.calibration import CalibrationRecord
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.maps.interface import FitProblem
+from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.simulated_lot import LotDesign, simulate_lot
-from softcal.core.source_model import make_source_model
-from softcal.core.training import NetworkConfig, fit_network
+from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.source_model import make_source_model
 from softcal.db.connection import open_registry
 from softcal.db.lot_pages import UnitFilter
 from softcal.db.registry import Registry

@@ -21,10 +21,10 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 from registry_common import record
 
-from softcal.core.line_rules import LineRules
 from softcal.core.lot import Lot
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
+from softcal.core.quality.line_rules import LineRules
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.db.registry import Registry
 
@@ -115,7 +115,7 @@ def pressed_signal(seconds: float = 38.0) -> Signal:
 @contextmanager
 def served(url: str) -> Iterator[tuple[str, int]]:
     """Serve the application on a registry; give its address and the id of its process."""
-    command = [sys.executable, "-m", "softcal.app.server", "--server.address=127.0.0.1", "--logger.level=error"]
+    command = [sys.executable, "-m", "softcal.app.ui.server", "--server.address=127.0.0.1", "--logger.level=error"]
     with served_by(command, dict(os.environ) | {"SOFTCAL_REGISTRY": url}) as found:
         yield found
 

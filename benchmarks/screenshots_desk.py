@@ -16,10 +16,10 @@ import numpy as np
 from playwright.sync_api import Browser, Page
 from screens_common import THEMES, Theme, keep_picture, served
 
-from softcal.app.cli import main as softcal
+from softcal.app.cli.main import main as softcal
 from softcal.app.files.recording_file import write_columns
-from softcal.app.workflow.gap_desk import practise
-from softcal.app.workflow.jobs import run_job
+from softcal.app.gap.desk import practise
+from softcal.app.jobs.jobs import run_job
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.db.connection import open_registry

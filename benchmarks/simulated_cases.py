@@ -5,17 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.calibrate import calibrate_unit
-from softcal.core.calibration import Calibration
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.estimate import Estimate, estimate
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
-from softcal.core.network import Network
+from softcal.core.network.network import Network
+from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.simulated_lot import FAULTS, SHIFTS, LotDesign, SimulatedUnit, simulate_lot
-from softcal.core.source_model import SourceModel, make_source_model
-from softcal.core.training import NetworkConfig, fit_network
+from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.source_model import SourceModel, make_source_model
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)
 """Smaller than the paper's, for shared network and own calibrations alike, so that hundreds of units fit in minutes."""

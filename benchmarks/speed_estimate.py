@@ -11,15 +11,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from softcal.core.calibration import Calibration
 from softcal.core.estimate import StreamingEstimator, estimate
-from softcal.core.health import OutputLimits, run_lengths
 from softcal.core.maps.affine import AffineMap
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.source_model import make_source_model
-from softcal.core.uncertainty import ErrorForecast
-from softcal.core.verdict import Verdict
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.health import OutputLimits, run_lengths
+from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import Verdict
 from softcal.core.windows import TAPS, windows
 
 SIZES = (TAPS, 120, 70, 35, 1)

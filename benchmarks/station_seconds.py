@@ -9,16 +9,16 @@ import argparse
 
 import numpy as np
 
-from softcal.app.workflow.station import PressedLot, PressTimes, press_simulated_lot
-from softcal.core.calibrate import calibrate_unit
+from softcal.app.line.rig import PressedLot, PressTimes, press_simulated_lot
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.interface import FitProblem
-from softcal.core.network import Network
+from softcal.core.network.network import Network
+from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import Array, OutputRecording
-from softcal.core.scoring import score_map
 from softcal.core.simulated_lot import draw_twins
-from softcal.core.source_model import SourceModel, make_source_model
-from softcal.core.training import NetworkConfig, fit_network
+from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.scoring import score_map
+from softcal.core.unit.source_model import SourceModel, make_source_model
 
 SECONDS = (10.0, 15.0, 25.0, 40.0, 60.0, 90.0, 150.0)
 BESIDE_S = 11.0

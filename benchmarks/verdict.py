@@ -1,7 +1,7 @@
 """How well the label-free verdict knows: forecast against true error over simulated lots with planted bad units.
 
 python benchmarks/verdict.py [--quick] [--seeds FIRST LAST [STEP]]
-python benchmarks/verdict.py --fit --seeds 1000 1040     # how the constants of core/forecast.py were found
+python benchmarks/verdict.py --fit --seeds 1000 1040     # how the constants of core/unit/forecast.py were found
 """
 
 import argparse
@@ -13,10 +13,10 @@ from scipy.optimize import minimize
 from scipy.stats import spearmanr
 from simulated_cases import Case, cases, coverage, roc_auc
 
-from softcal.core.forecast import SENSITIVITY, SENSITIVITY_ON_STAGE
-from softcal.core.own_forecast import OWN, OWN_ON_STAGE, OWN_PAIRED
 from softcal.core.simulated_lot import GOOD, OPPOSITE_DIRECTION
-from softcal.core.verdict import DEFAULT_FACTOR, VERDICTS
+from softcal.core.unit.forecast import SENSITIVITY, SENSITIVITY_ON_STAGE
+from softcal.core.unit.own_forecast import OWN, OWN_ON_STAGE, OWN_PAIRED
+from softcal.core.unit.verdict import DEFAULT_FACTOR, VERDICTS
 
 LARGEST, LARGEST_OWN = np.log(1.5), np.log(2.0)
 """Coefficients stay near what their terms mean: no term is blown up to stand for another."""

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.core.calibration import Calibration
 from softcal.core.errors import InputError
-from softcal.core.health import run_lengths
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import GAP_FACTOR, Array, Indices, OutputRecording
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.health import run_lengths
 from softcal.core.windows import TAPS
 
 Flags = NDArray[np.str_]

@@ -5,9 +5,9 @@ from typing import Any
 
 from sqlalchemy import Connection, RowMapping, bindparam, func, select
 
-from softcal.core.calibration import CalibrationRecord
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
+from softcal.core.unit.calibration import CalibrationRecord
 from softcal.db.arrays import get_arrays, put_arrays
 from softcal.db.entries import MadeCalibration, StoredCalibration
 from softcal.db.lot_tables import unit_entries

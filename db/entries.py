@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from datetime import date, datetime
 from typing import Any
 
-from softcal.core.calibration import CalibrationRecord
 from softcal.core.errors import InputError
-from softcal.core.line_rules import LineRules
+from softcal.core.quality.line_rules import LineRules
+from softcal.core.unit.calibration import CalibrationRecord
 
 
 @dataclass(frozen=True)

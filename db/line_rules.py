@@ -3,8 +3,8 @@
 from sqlalchemy import select
 
 from softcal.core.errors import InputError
-from softcal.core.line_rules import LineRules, rules_for
 from softcal.core.lot import Lot
+from softcal.core.quality.line_rules import LineRules, rules_for
 from softcal.db.entries import LineRulesEntry
 from softcal.db.registry_base import RegistryBase
 from softcal.db.tables import line_rules

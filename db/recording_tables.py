@@ -7,7 +7,7 @@ from sqlalchemy import Connection, RowMapping, select
 
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.db.arrays import get_arrays, put_arrays
 from softcal.db.entries import NetworkEntry, RecordingEntry

@@ -20,7 +20,7 @@ from softcal.core.errors import (
 from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.profiles import Profile
-from softcal.core.station_gate import Gate, RigFacts
+from softcal.core.quality.gate import Gate, RigFacts
 from softcal.station.acquisition import HOMING, RunProgress, ZeroMoved, record
 from softcal.station.bench import Bench
 from softcal.station.interfaces import Reader, Stage

@@ -90,7 +90,7 @@ def press_recording(samples: int, gain: float, offset_V: float, seed: int, rate_
 @pytest.fixture(scope="session")
 def trained_lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a small lot (`lot/`) and a registry (`registry.db`) in which its network is trained already."""
-    from softcal.app.cli import main
+    from softcal.app.cli.main import main
 
     root = tmp_path_factory.mktemp("small")
     folder = root / "lot"

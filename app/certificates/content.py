@@ -7,7 +7,7 @@ from importlib.metadata import version
 import numpy as np
 
 from softcal.app.certificates.laboratory import Laboratory, read_laboratory
-from softcal.app.workflow.calibrated_unit import CalibratedUnit
+from softcal.app.export.calibrated_unit import CalibratedUnit
 from softcal.core.estimate import Estimate, estimate
 from softcal.core.recording import Array
 

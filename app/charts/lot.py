@@ -6,9 +6,9 @@ from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import Words, coloured, level_line, limit_line, nice_step, styled
-from softcal.app.reasons import said
+from softcal.app.texts.reasons import said
 from softcal.app.views.lot import LotView, ProcessView, reason_kind
-from softcal.core.control_chart import FORBIDDING, ControlChart
+from softcal.core.quality.control_chart import FORBIDDING, ControlChart
 from softcal.core.recording import Array, Indices
 
 BINS = 48

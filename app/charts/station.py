@@ -10,9 +10,9 @@ from plotly.subplots import make_subplots
 from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import Words, coloured, level_line, styled
 from softcal.app.views.profile import course
-from softcal.core.control_chart import ControlChart
 from softcal.core.orders import Signal
 from softcal.core.profiles import Profile
+from softcal.core.quality.control_chart import ControlChart
 from softcal.db.entries import GoldenRun
 
 

@@ -8,7 +8,7 @@ from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import Words, coloured
-from softcal.app.reasons import said
+from softcal.app.texts.reasons import said
 from softcal.app.views.common import thinned
 from softcal.app.views.unit import UnitView
 

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from softcal.app.reasons import parted, said, told
+from softcal.app.line.line import LineFacts, Run
+from softcal.app.texts.reasons import parted, said, told
 from softcal.app.views.common import phase_said
-from softcal.app.workflow.line import LineFacts, Run
 from softcal.core.orders import Condition, OrderKind, RunState, Signal, StationState
 
 Words = Callable[..., str]

@@ -8,11 +8,11 @@ from statistics import median
 
 import numpy as np
 
-from softcal.core.control_chart import Capability, ControlChart, capability, control_chart
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.quality.control_chart import Capability, ControlChart, capability, control_chart
+from softcal.core.quality.yields import Run, Yields, yields
 from softcal.core.recording import Array
-from softcal.core.yields import Run, Yields, yields
 from softcal.db.entries import RunEntry, UnitEntry
 from softcal.db.lot_pages import UnitErrors, UnitFilter
 from softcal.db.registry import Registry

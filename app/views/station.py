@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.control_chart import ControlChart, control_chart
 from softcal.core.errors import InputError
+from softcal.core.quality.control_chart import ControlChart, control_chart
 from softcal.core.recording import LabelledRecording
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.calibration import Calibration
 from softcal.core.errors import InputError
 from softcal.core.estimate import Estimate, estimate
-from softcal.core.explanation import Explanation, explain
 from softcal.core.lot import Lot
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.source_model import make_source_model
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.explanation import Explanation, explain
+from softcal.core.unit.source_model import make_source_model
 from softcal.core.windows import resting
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry

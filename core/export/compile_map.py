@@ -14,7 +14,7 @@ from softcal.core.errors import UnitRefused
 from softcal.core.export.integer_network import CODE_MAX, MAX_KNOTS, Integers
 from softcal.core.export.shape_mix import Mix, fit_mix
 from softcal.core.maps.interface import UnitMap
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.windows import TAPS, resting
 

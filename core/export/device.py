@@ -29,7 +29,7 @@ from softcal.core.export.integer_network import (
 from softcal.core.export.loader import join, run_self_test
 from softcal.core.export.quantise import code_range, evaluate_float64, quantise_map, quantise_network
 from softcal.core.maps.interface import UnitMap
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS
 

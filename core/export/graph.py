@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from softcal.core.export.compile_map import Curve, Linear, MapForm
 from softcal.core.export.quantise import folded_layers
 from softcal.core.export.shape_mix import Mix
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.windows import TAPS
 
 Constant = NDArray[np.float32] | NDArray[np.int64]

@@ -20,7 +20,7 @@ from softcal.core.export.integer_network import (
     PiecewiseMap,
 )
 from softcal.core.export.shape_mix import Mix
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import Array
 from softcal.core.windows import resting
 

@@ -17,7 +17,7 @@ from softcal.core.export.integer_network import (
     IntegerMix,
     Integers,
 )
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import Array
 from softcal.core.windows import TAPS
 

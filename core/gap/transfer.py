@@ -5,17 +5,17 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from softcal.core.calibrate import calibrate_unit
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.estimate import estimate
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
+from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign
-from softcal.core.source_model import make_source_model
-from softcal.core.training import NetworkConfig, fit_network
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.core.twin.spread import LotSpread, draw_lot
+from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.source_model import make_source_model
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)
 """Smaller than the paper's and the same for rig and twins: what is compared is what the twin predicts."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from softcal.core.identity import Settings, content_sha256
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 
 

@@ -20,8 +20,9 @@ import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 from streamlit.testing.v1 import AppTest
 
-from softcal.app import browser_memory, first_paint, identity, registry_of_server
-from softcal.app.cli import main
+from softcal.app.cli.main import main
+from softcal.app.ui import account as identity
+from softcal.app.ui import browser_memory, first_paint, registry_of_server
 from softcal.db.connection import open_registry
 
 MAIN = Path(identity.__file__).with_name("main.py")

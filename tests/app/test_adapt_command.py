@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.cli import main
+from softcal.app.cli.main import main
 from softcal.db.connection import open_registry
 
 RELEASED = Path(__file__).parents[1] / "core" / "released"

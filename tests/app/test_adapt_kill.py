@@ -14,11 +14,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.cli import main
-from softcal.app.workflow.adapt import AdaptOptions, Follower, unit_in_use
+from softcal.app.cli.main import main
+from softcal.app.use.adapt import AdaptOptions, Follower, unit_in_use
 from softcal.db.connection import open_registry
 
-RUN = (sys.executable, "-m", "softcal.app.cli")
+RUN = (sys.executable, "-m", "softcal.app.cli.main")
 
 
 @pytest.fixture(scope="module")

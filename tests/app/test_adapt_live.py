@@ -16,10 +16,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.cli import main
-from softcal.app.live.sink import open_sink
-from softcal.app.live.source import AWAY_S, SILENCE_S, lines_of, on_one_clock, readings, replugged
-from softcal.app.live.view import WIDTH, bar
+from softcal.app.cli.main import main
+from softcal.app.use.sink import open_sink
+from softcal.app.use.source import AWAY_S, SILENCE_S, lines_of, on_one_clock, readings, replugged
+from softcal.app.use.view import WIDTH, bar
 from softcal.core.errors import BadReply, InputError, NoReply
 from softcal.db.connection import open_registry
 from softcal.station.frames.text_stream import StreamLine, format_line

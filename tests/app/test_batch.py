@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.cli import main
+from softcal.app.cli.main import main
 
 SMALL = ("--hidden", "16,8")
 
@@ -94,7 +94,7 @@ def test_bad_units_get_their_reason_and_the_rest_is_done(lot_folder: Path, url: 
 def test_a_lot_stopped_in_the_middle_goes_on_where_it_was(
     lot_folder: Path, url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from softcal.app.workflow import lot_work, unit_work
+    from softcal.app.batch import lot_work, unit_work
 
     fit, fitted = unit_work._work_on_unit, []
 

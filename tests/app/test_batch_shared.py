@@ -12,13 +12,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.cli import main
-from softcal.app.engine import EngineChoice
+from softcal.app.batch import unit_work
+from softcal.app.batch.batch import run_batch
+from softcal.app.batch.engine import EngineChoice
+from softcal.app.batch.lot_work import BatchConfig
+from softcal.app.cli.main import main
 from softcal.app.files.lot_folder import open_lot_folder
-from softcal.app.workflow import unit_work
-from softcal.app.workflow.batch import run_batch
-from softcal.app.workflow.lot_work import BatchConfig
-from softcal.core.training import NetworkConfig
+from softcal.core.network.training import NetworkConfig
 from softcal.db.connection import open_registry
 
 UNITS = 16
@@ -35,7 +35,17 @@ def folder(lot_folder: Path) -> Path:
 
 
 def start(folder: Path, url: str, *more: str) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "softcal.app.cli", "batch", str(folder), "--registry", url, *SMALL, "--no-own"]
+    command = [
+        sys.executable,
+        "-m",
+        "softcal.app.cli.main",
+        "batch",
+        str(folder),
+        "--registry",
+        url,
+        *SMALL,
+        "--no-own",
+    ]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     return subprocess.Popen([*command, *more], **quiet, env=os.environ | {"OMP_NUM_THREADS": "1"})
 
@@ -115,7 +125,7 @@ def deadly_work(shared, chunk):
 def test_a_unit_that_kills_its_worker_is_named_and_the_rest_is_done(
     folder: Path, registry_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("softcal.app.workflow.lot_work.work_on", deadly_work)
+    monkeypatch.setattr("softcal.app.batch.lot_work.work_on", deadly_work)
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
     network = NetworkConfig(hidden=(16, 8))
     config = BatchConfig(network=network, engine=EngineChoice(jobs=2), score_own=False)
@@ -131,7 +141,7 @@ def test_a_result_that_comes_after_the_lease_ran_out_is_dropped(folder: Path, re
     network = NetworkConfig(hidden=(16, 8))
     config = BatchConfig(network=network, score_own=False)
     with open_registry(registry_url) as registry, open_registry(registry_url) as other:
-        from softcal.app.workflow import lot_work
+        from softcal.app.batch import lot_work
 
         taken: list[int] = []
 

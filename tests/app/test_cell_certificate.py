@@ -4,8 +4,8 @@ from datetime import date
 
 import pytest
 
-from softcal.app.cli import main
-from softcal.app.workflow.cell_certificate import certificate_from
+from softcal.app.cli.main import main
+from softcal.app.line.cell_certificate import certificate_from
 from softcal.core.errors import InputError
 from softcal.db.connection import open_registry
 

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.workflow.pressed_run import RunKeeper
-from softcal.app.workflow.station_recover import recover
+from softcal.app.line.pressed_run import RunKeeper
+from softcal.app.line.recover import recover
 from softcal.core.lot import Lot
 from softcal.core.orders import Order, OrderKind, RunState
 from softcal.core.profiles import ramps

@@ -5,11 +5,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from softcal.app.cli import main
-from softcal.app.workflow.demo import TABLE_HEADER, DemoConfig, press_demo_lot, run_demo, table_row
-from softcal.app.workflow.lot_work import BatchConfig, Watch
-from softcal.app.workflow.station import PressTimes
-from softcal.core.training import NetworkConfig
+from softcal.app.batch.lot_work import BatchConfig, Watch
+from softcal.app.cli.main import main
+from softcal.app.line.demo import TABLE_HEADER, DemoConfig, press_demo_lot, run_demo, table_row
+from softcal.app.line.rig import PressTimes
+from softcal.core.network.training import NetworkConfig
 from softcal.db.connection import open_registry
 
 SMALL = DemoConfig(

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softcal.app import job_process
 from softcal.app.bootstrap import open_chosen_registry
-from softcal.app.texts import text
-from softcal.app.workflow.gap_desk import practise
-from softcal.app.workflow.jobs import run_job
-from softcal.core.line_rules import LineRules
+from softcal.app.gap.desk import practise
+from softcal.app.jobs import process as job_process
+from softcal.app.jobs.jobs import run_job
+from softcal.app.texts.catalogue import text
 from softcal.core.orders import Heartbeat, OrderKind, RunState, StationState
+from softcal.core.quality.line_rules import LineRules
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
 
@@ -38,7 +38,7 @@ def show(open_page, monkeypatch: pytest.MonkeyPatch):
     from streamlit.testing.v1 import AppTest
 
     def draw(url: str, page: str, role: str = "engineer", **query: str) -> AppTest:
-        source = f"from softcal.app.app_pages import {page}\n{page}.render()\n"
+        source = f"from softcal.app.ui.app_pages import {page}\n{page}.render()\n"
         monkeypatch.setattr(AppTest, "from_function", lambda _: AppTest.from_string(source))
         return open_page(url, lambda: None, role=role, **query)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from softcal.app.engine import EngineChoice, WorkerLost, run_all
+from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.core.errors import InputError
 
 

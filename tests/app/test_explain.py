@@ -8,8 +8,8 @@ import pytest
 
 from softcal.app.charts.palette import palette
 from softcal.app.charts.why import why_figure
-from softcal.app.cli import main
-from softcal.app.texts import text
+from softcal.app.cli.main import main
+from softcal.app.texts.catalogue import text
 from softcal.app.views.unit import unit_view
 from softcal.db.connection import open_registry
 

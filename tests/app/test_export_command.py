@@ -13,9 +13,9 @@ import pytest
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from softcal.app.cli import main
-from softcal.app.workflow.calibrated_unit import ExportOptions, UnitLoader
-from softcal.app.workflow.export import export_units
+from softcal.app.cli.main import main
+from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.export import export_units
 from softcal.core.errors import InputError
 from softcal.core.export.loader import open_sensor
 from softcal.db.connection import open_registry

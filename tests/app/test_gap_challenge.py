@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from softcal.app.commands.gap_challenge import add_parsers
+from softcal.app.cli.gap_challenge import add_parsers
 from softcal.app.files.lot_folder import open_lot_folder
-from softcal.app.workflow.challenge import ask_rig, make_challenge, open_challenge, press_rig_lot, score_challenge
+from softcal.app.gap.challenge import ask_rig, make_challenge, open_challenge, press_rig_lot, score_challenge
 from softcal.core.errors import InputError
 
 

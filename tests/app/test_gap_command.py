@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.cli import main
+from softcal.app.cli.main import main
 from softcal.app.files.case_folder import open_case
-from softcal.app.workflow.diagnose import read_twin, run_views, write_twin
+from softcal.app.gap.diagnose import read_twin, run_views, write_twin
 from softcal.core import profiles
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import diagnose

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from softcal.app.cli import main
+from softcal.app.cli.main import main
 
 
 @pytest.mark.parametrize(("line", "cases"), [("usual", 4), ("none", 3)])

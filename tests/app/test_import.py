@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.cli import main
+from softcal.app.cli.main import main
 from softcal.app.files.lot_folder import open_lot_folder
 
 

@@ -6,11 +6,11 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from softcal.app import job_process
+from softcal.app.gap.desk import cases, has_sealed_rig, practise, run_views_of, store_upload, truth
+from softcal.app.jobs import process as job_process
+from softcal.app.jobs.jobs import run_job
 from softcal.app.views.gap import cause_rows, hidden_effects, named_causes, next_experiment, place_rows
 from softcal.app.views.network import hidden_widths, loss_spec
-from softcal.app.workflow.gap_desk import cases, has_sealed_rig, practise, run_views_of, store_upload, truth
-from softcal.app.workflow.jobs import run_job
 from softcal.core.errors import InputError
 from softcal.core.orders import RunState
 from softcal.db.connection import open_registry
@@ -65,7 +65,7 @@ def test_a_defect_in_a_job_is_logged_and_said(calibrated: str, monkeypatch: pyte
     def broken(*_: object) -> None:
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr("softcal.app.workflow.jobs.check", broken)
+    monkeypatch.setattr("softcal.app.jobs.jobs.check", broken)
     with open_registry(calibrated) as registry:
         job_id = registry.job_board.place("station_check", {}, "Erin")
         assert run_job(registry, job_id, lambda: None) is RunState.ERROR
@@ -81,8 +81,8 @@ def test_a_job_somebody_wants_stopped_ends_cancelled(calibrated: str, monkeypatc
             time.sleep(0.01)
         raise InputError("the process would be gone by now")
 
-    monkeypatch.setattr("softcal.app.workflow.jobs.check", endless)
-    monkeypatch.setattr("softcal.app.workflow.jobs.BEAT_S", 0.05)
+    monkeypatch.setattr("softcal.app.jobs.jobs.check", endless)
+    monkeypatch.setattr("softcal.app.jobs.jobs.BEAT_S", 0.05)
     with open_registry(calibrated) as registry:
         job_id = registry.job_board.place("station_check", {}, "Erin")
         assert run_job(registry, job_id, lambda: told.append("gone")) is RunState.CANCELLED

@@ -4,15 +4,15 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from softcal.app import browser_memory, registry_of_server
-from softcal.app.workflow import line as workflow
+from softcal.app.line import line as workflow
+from softcal.app.ui import browser_memory, registry_of_server
 from softcal.core.errors import RegistryError
 from softcal.core.orders import Heartbeat, OrderKind, StationState
 from softcal.db.connection import open_registry
 
 
 def _line_page() -> None:
-    from softcal.app.app_pages import line
+    from softcal.app.ui.app_pages import line
 
     line.render()
 

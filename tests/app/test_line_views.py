@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from softcal.app import texts
 from softcal.app.charts import palette
-from softcal.app.components import line_card
+from softcal.app.line.line import LineFacts, LotAtLine
+from softcal.app.texts import catalogue as texts
+from softcal.app.ui.components import line_card
 from softcal.app.views import line as views_line
 from softcal.app.views.line import ACTIONS, KEYS, TONES, away_view, line_view
-from softcal.app.workflow.line import LineFacts, LotAtLine
-from softcal.core.line_rules import LineRules
 from softcal.core.lot import Lot
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
+from softcal.core.quality.line_rules import LineRules
 from softcal.db.entries import RunEntry
 from softcal.station.service import CODES
 

@@ -5,10 +5,10 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from softcal.app.workflow.line import Choice, read_line, take_scan
-from softcal.core.line_rules import LineRules
+from softcal.app.line.line import Choice, read_line, take_scan
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
+from softcal.core.quality.line_rules import LineRules
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from softcal.app.cli import main
+from softcal.app.cli.main import main
 from softcal.db.connection import open_registry
 
 SMALL = ("--hidden", "16,8", "--no-own")

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from softcal.app.cli import main
-from softcal.app.workflow import watch
-from softcal.app.workflow.lot_work import BatchConfig, Watch
-from softcal.app.workflow.watch import WatchConfig, watch_lot
+from softcal.app.batch import watch
+from softcal.app.batch.lot_work import BatchConfig, Watch
+from softcal.app.batch.watch import WatchConfig, watch_lot
+from softcal.app.cli.main import main
 from softcal.core.lot import Lot
 from softcal.db.connection import open_registry
 

@@ -13,14 +13,14 @@ from types import ModuleType
 
 import pytest
 
-from softcal.app import station_host
-from softcal.app.reasons import told
-from softcal.app.texts import LANGUAGES, catalogue, text
-from softcal.app.workflow import pressed_run
-from softcal.app.workflow import station_gate as gate_facts
-from softcal.core import drift, station_gate
+from softcal.app.line import gate_facts, pressed_run
+from softcal.app.line import host as station_host
+from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
+from softcal.app.texts.reasons import told
 from softcal.core.orders import OrderKind, RunState
-from softcal.core.station_gate import CellCertificate, GoldenCheck, RigFacts, StationFacts, may_run
+from softcal.core.quality import gate as station_gate
+from softcal.core.quality.gate import CellCertificate, GoldenCheck, RigFacts, StationFacts, may_run
+from softcal.core.use import tracker as drift
 from softcal.db import people
 from softcal.station import (
     acquisition,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softcal.app.cli import main
+from softcal.app.cli.main import main
 from softcal.app.files.profile_file import profile_toml, read_profile
 from softcal.core.errors import InputError
 from softcal.core.profiles import BUILT_IN

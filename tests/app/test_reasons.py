@@ -8,13 +8,13 @@ from types import ModuleType
 
 import pytest
 
-from softcal.app.reasons import PREFIX, parted, said
-from softcal.app.texts import LANGUAGES, catalogue, text
+from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
+from softcal.app.texts.reasons import PREFIX, parted, said
 from softcal.app.views.lot import reason_kind
-from softcal.core import findings, health, verdict
 from softcal.core.maps import affine, monotone, paired, phase, synchronous
-from softcal.core.uncertainty import ErrorForecast
-from softcal.core.verdict import Limit, decide, decide_audited, default_limit
+from softcal.core.unit import findings, health, verdict
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import Limit, decide, decide_audited, default_limit
 
 KOREAN, ENGLISH = partial(text, "ko"), partial(text, "en")
 MODULES = [findings, health, verdict, affine, monotone, paired, phase, synchronous]

@@ -9,13 +9,13 @@ import openpyxl
 import pytest
 
 from softcal.app import logs
-from softcal.app.cli import main
+from softcal.app.cli.main import main
 from softcal.app.files.spreadsheet import write_table
-from softcal.core.calibration import CalibrationRecord
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
-from softcal.core.network import Network
+from softcal.core.network.network import Network
+from softcal.core.unit.calibration import CalibrationRecord
 from softcal.db.connection import open_registry
 
 
@@ -188,7 +188,7 @@ def test_work_goes_on_where_no_log_can_be_written(url, capsys, tmp_path, monkeyp
 
 
 def test_a_defect_is_one_line_and_its_traceback_is_in_the_log(url, capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("softcal.app.commands.registry.print_table", lambda *_: 1 / 0)
+    monkeypatch.setattr("softcal.app.cli.registry.print_table", lambda *_: 1 / 0)
     code, _, err = run(capsys, "registry", "list", "--registry", url)
     assert code == 2 and "a defect of softcal" in err and "Traceback" not in err
     (log,) = (tmp_path / "logs").glob("*.jsonl")

@@ -4,9 +4,9 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from softcal.app import identity
-from softcal.app.pages import PAGES, pages_for
-from softcal.app.texts import catalogue
+from softcal.app.texts.catalogue import catalogue
+from softcal.app.ui import account as identity
+from softcal.app.ui.pages import PAGES, pages_for
 from softcal.db.connection import open_registry
 from softcal.db.entries import User
 
@@ -32,13 +32,13 @@ def test_who_may_no_longer_sign_in_may_open_what_everybody_may() -> None:
 
 
 def _sign_in_page() -> None:
-    from softcal.app.app_pages import sign_in
+    from softcal.app.ui.app_pages import sign_in
 
     sign_in.render()
 
 
 def _people_page() -> None:
-    from softcal.app.app_pages import people
+    from softcal.app.ui.app_pages import people
 
     people.render()
 

@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from softcal.app import texts
+from softcal.app.texts import catalogue as texts
 from softcal.app.views.lot import lot_view
 from softcal.db.connection import open_registry
 
 
 def _lot_page() -> None:
-    from softcal.app.app_pages import lot
+    from softcal.app.ui.app_pages import lot
 
     lot.render()
 
@@ -40,13 +40,13 @@ def test_an_empty_registry_says_how_to_begin(tmp_path: Path, open_page) -> None:
 
 
 def _unit_page() -> None:
-    from softcal.app.app_pages import unit
+    from softcal.app.ui.app_pages import unit
 
     unit.render()
 
 
 def _audit_page() -> None:
-    from softcal.app.app_pages import audit_trail
+    from softcal.app.ui.app_pages import audit_trail
 
     audit_trail.render()
 
@@ -93,6 +93,6 @@ def test_a_filter_that_leaves_fewer_pages_goes_back_to_the_first(calibrated: str
 
 
 def _lot_page() -> None:
-    from softcal.app.app_pages import lot
+    from softcal.app.ui.app_pages import lot
 
     lot.render()

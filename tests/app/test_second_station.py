@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import create_engine, text
 from sqlalchemy.exc import OperationalError
 
-from softcal.app.cli import main
+from softcal.app.cli.main import main
 from softcal.db.connection import open_registry
 from softcal.db.grants import grant_statements
 
@@ -46,7 +46,7 @@ def line_url(require, monkeypatch):
 
 def softcal(url: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run a command on a computer that knows nothing but where the registry is."""
-    command = [sys.executable, "-m", "softcal.app.cli", *arguments]
+    command = [sys.executable, "-m", "softcal.app.cli.main", *arguments]
     environment = os.environ | {"SOFTCAL_REGISTRY": url, "OMP_NUM_THREADS": "1"}
     return subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
 

@@ -15,7 +15,7 @@ LONGEST_S = 120
 
 
 def _source_page() -> None:
-    from softcal.app.app_pages import source
+    from softcal.app.ui.app_pages import source
 
     source.render()
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from softcal.app.commands import station as command
+from softcal.app.cli import station as command
 from softcal.app.files.lot_folder import read_labelled
 from softcal.app.files.recording_file import read_recording
 from softcal.core.errors import DeviceError, InputError, NoReply
@@ -135,7 +135,7 @@ def test_a_rig_on_serial_ports_is_found_and_written_down_in_real_time(tmp_path):
     wires = (rig.readout_wire, rig.force_wire, rig.stage_wire)
     ports = [word for wire in wires for word in ("--port", wire.port)]
     with rig.world.in_background():
-        command = [sys.executable, "-m", "softcal.app.cli", "station", "check", *ports, "--write", str(path)]
+        command = [sys.executable, "-m", "softcal.app.cli.main", "station", "check", *ports, "--write", str(path)]
         found = subprocess.run(command, capture_output=True, text=True, check=False)
     rig.close()
     # The scale of the cell is not known yet: the check says what to do, and writes the rest.
@@ -157,7 +157,7 @@ def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
     words = ["station", "unit", "--simulated", "--serial", "A1", "--out", str(tmp_path / "A1.csv")]
     words += ["--seconds", "3000", "--spool", str(tmp_path / "spool")]
     code = (
-        "import argparse; from softcal.app.commands import station; parser = argparse.ArgumentParser(); "
+        "import argparse; from softcal.app.cli import station; parser = argparse.ArgumentParser(); "
         f"station.add_parser(parser.add_subparsers()); options = parser.parse_args({words!r}); options.run(options)"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
@@ -173,8 +173,8 @@ def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
 
 
 def test_serve_performs_an_order_and_gives_the_ports_back(tmp_path):
-    from softcal.app.workflow.station_gate import RIG_ONLY
-    from softcal.app.workflow.station_serve import Serving, serve
+    from softcal.app.line.gate_facts import RIG_ONLY
+    from softcal.app.line.serve import Serving, serve
     from softcal.core.lot import Lot
     from softcal.core.orders import Order, OrderKind, RunState, StationState
     from softcal.db.connection import open_registry

@@ -5,12 +5,12 @@ from datetime import UTC, date, datetime, timedelta
 import numpy as np
 import pytest
 
-from softcal.app.workflow.station_gate import GateRules, StationGate, check_golden, quarantine
+from softcal.app.line.gate_facts import GateRules, StationGate, check_golden, quarantine
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import Order, OrderKind, Progress, RunState
+from softcal.core.quality.gate import RigFacts
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.station_gate import RigFacts
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig

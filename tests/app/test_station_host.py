@@ -6,13 +6,13 @@ from datetime import UTC, datetime
 
 import pytest
 
-from softcal.app.station_host import StationHost
-from softcal.app.workflow.pressed_run import RunKeeper
+from softcal.app.line.host import StationHost
+from softcal.app.line.pressed_run import RunKeeper
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, RunState, StationState
 from softcal.core.profiles import ramps
-from softcal.core.station_gate import Gate
+from softcal.core.quality.gate import Gate
 from softcal.db.connection import open_registry
 from softcal.db.order_queue import OrderQueue
 from softcal.station.bench import Bench, open_simulated_bench

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from softcal.app.workflow.station_recover import recover
+from softcal.app.line.recover import recover
 from softcal.core.orders import Order, OrderKind, RunState
 from softcal.db.connection import open_registry
 

@@ -8,11 +8,11 @@ from datetime import UTC, date, datetime
 import pytest
 from sqlalchemy import update
 
-from softcal.app.workflow.station_gate import RIG_ONLY, GateRules
-from softcal.app.workflow.station_serve import Serving, serve
+from softcal.app.line.gate_facts import RIG_ONLY, GateRules
+from softcal.app.line.serve import Serving, serve
 from softcal.core.errors import InputError
+from softcal.core.network.training import NetworkConfig
 from softcal.core.orders import Order, OrderKind, RunState, StationState
-from softcal.core.training import NetworkConfig
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
 from softcal.db.tables import heartbeats

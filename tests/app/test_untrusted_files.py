@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 
-from softcal.app.cli import main
+from softcal.app.cli.main import main
 from softcal.app.files import recording_file
 from softcal.app.files.recording_file import read_recording, read_table
 from softcal.core.errors import InputError

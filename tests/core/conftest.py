@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.source_model import SourceModel, make_source_model
+from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.windows import TAPS
 
 RATE_HZ = 50.0

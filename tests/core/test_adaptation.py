@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softcal.core.adapt_intake import CLOCK_ROWS, WRONG_RATE
-from softcal.core.adaptation import RECALIBRATE, STATE_FORMAT, UNSETTLED, AdaptConfig, Adapter
-from softcal.core.calibration import Calibration
 from softcal.core.errors import InputError
 from softcal.core.estimate import GAP, INVALID, STUCK, WARM_UP, estimate
-from softcal.core.health import output_limits
 from softcal.core.maps.affine import AffineMap
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.source_model import make_source_model
-from softcal.core.uncertainty import ErrorForecast
-from softcal.core.verdict import Verdict
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.health import output_limits
+from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import Verdict
+from softcal.core.use.adapter import RECALIBRATE, STATE_FORMAT, UNSETTLED, AdaptConfig, Adapter
+from softcal.core.use.intake import CLOCK_ROWS, WRONG_RATE
 from softcal.core.windows import TAPS
 
 RELEASED = Path(__file__).parent / "released"

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, hypergeom
 
-from softcal.core.audit_plan import AuditConfig, judge_lot, nonconforming_upper, plan_audit, process_upper
 from softcal.core.errors import InputError
-from softcal.core.verdict import Limit
+from softcal.core.quality.audit_plan import AuditConfig, judge_lot, nonconforming_upper, plan_audit, process_upper
+from softcal.core.unit.verdict import Limit
 
 LIMIT = Limit("N", 0.2)
 FORECASTS = {f"U{k:02d}": 0.05 + 0.001 * k for k in range(60)}

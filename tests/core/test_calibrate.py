@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softcal.core.calibrate import CalibrationConfig, calibrate_unit
-from softcal.core.calibration import Calibration
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.estimate import estimate
-from softcal.core.explanation import contributions, explain
-from softcal.core.findings import opening_findings
 from softcal.core.maps.choose import MapConfig
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.recording import OutputRecording
 from softcal.core.simulated_lot import FAULTS, LotDesign, simulate_lot
-from softcal.core.source_model import make_source_model
-from softcal.core.verdict import Limit
+from softcal.core.unit.calibrate import CalibrationConfig, calibrate_unit
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.explanation import contributions, explain
+from softcal.core.unit.findings import opening_findings
+from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.verdict import Limit
 
 AFFINE = CalibrationConfig(map=MapConfig(family="affine"))
 

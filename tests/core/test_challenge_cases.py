@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
+from softcal.core.challenge.catalogue_equations import CATALOGUE
+from softcal.core.challenge.draw import LINES, draw_case, draw_challenge
+from softcal.core.challenge.outside_equations import OUTSIDE
+from softcal.core.challenge.realised import BASE, realised_shrink, refitted_base
+from softcal.core.challenge.rig import Cause
+from softcal.core.challenge.seal import open_seal, seal_labels
+from softcal.core.challenge.sizes import CATALOGUE_SIZES, OUTSIDE_SIZES
 from softcal.core.errors import InputError
-from softcal.core.gap.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
-from softcal.core.gap.challenge.catalogue_equations import CATALOGUE
-from softcal.core.gap.challenge.draw import LINES, draw_case, draw_challenge
-from softcal.core.gap.challenge.outside_equations import OUTSIDE
-from softcal.core.gap.challenge.realised import BASE, realised_shrink, refitted_base
-from softcal.core.gap.challenge.rig import Cause
-from softcal.core.gap.challenge.seal import open_seal, seal_labels
-from softcal.core.gap.challenge.sizes import CATALOGUE_SIZES, OUTSIDE_SIZES
 
 
 def test_the_same_seed_gives_the_same_case() -> None:

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from softcal.core.challenge.cases import SealedCase
+from softcal.core.challenge.draw import draw_case
+from softcal.core.challenge.judge import Judged, read_answer
+from softcal.core.challenge.rig import Cause
+from softcal.core.challenge.score import calibration_error, score_reports, wilson
+from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
-from softcal.core.gap.challenge.cases import SealedCase
-from softcal.core.gap.challenge.draw import draw_case
-from softcal.core.gap.challenge.judge import Judged, read_answer
-from softcal.core.gap.challenge.rig import Cause
-from softcal.core.gap.challenge.seal import Label
-from softcal.core.gap.score import calibration_error, score_reports, wilson
 
 
 def report(

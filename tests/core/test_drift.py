@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from softcal.core.adapt_activity import CalibratedUse, learn_use
-from softcal.core.adapt_cycle import KEPT, Cycle, CycleCutter
-from softcal.core.drift import FOLLOWED, HELD, JUMP_CYCLES, JUMPED, TRIED, DriftTracker, Observation
 from softcal.core.recording import Array, OutputRecording
+from softcal.core.use.activity import CalibratedUse, learn_use
+from softcal.core.use.cycles import KEPT, Cycle, CycleCutter
+from softcal.core.use.tracker import FOLLOWED, HELD, JUMP_CYCLES, JUMPED, TRIED, DriftTracker, Observation
 
 RATE_HZ = 50.0
 PERIOD_S = 4.0

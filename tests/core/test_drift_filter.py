@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from softcal.core.drift_filter import DriftFilter
 from softcal.core.recording import Array
+from softcal.core.use.filter import DriftFilter
 
 NOISE = np.array([[0.04, -0.01], [-0.01, 0.02]])
 

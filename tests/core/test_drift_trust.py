@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from softcal.core.drift_trust import STEP, Trust, movement
 from softcal.core.recording import Array
+from softcal.core.use.trust import STEP, Trust, movement
 
 SURE = 1e-8 * np.eye(2)
 REST = -1.2

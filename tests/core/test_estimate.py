@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softcal.core.calibrate import calibrate_unit
-from softcal.core.calibration import Calibration
 from softcal.core.errors import InputError
 from softcal.core.estimate import StreamingEstimator, estimate
-from softcal.core.health import OutputLimits
 from softcal.core.maps.affine import AffineMap
 from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import OutputRecording
+from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.health import OutputLimits
 from softcal.core.windows import TAPS
 
 

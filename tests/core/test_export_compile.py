@@ -10,7 +10,7 @@ from softcal.core.errors import UnitRefused
 from softcal.core.export.compile_map import InputScale, compile_map, fine_forms
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.maps.interface import FitProblem
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.windows import TAPS, windows
 

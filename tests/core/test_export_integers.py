@@ -11,7 +11,7 @@ from softcal.core.export.integer_network import (
     PiecewiseMap,
 )
 from softcal.core.export.quantise import evaluate_float64, quantise_layer, quantise_network
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.windows import TAPS, windows
 
 SIZES = (TAPS, 120, 70, 35, 1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import UnitRefused
-from softcal.core.health import check_alive, count_presses, health_findings, output_limits, run_lengths
+from softcal.core.unit.health import check_alive, count_presses, health_findings, output_limits, run_lengths
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ from softcal.core.maps.choose import MapConfig, choose_map
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.maps.synchrony import find_synchrony
 from softcal.core.metrics import rmse
+from softcal.core.network.training import NetworkConfig, TrainedNetwork, fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.training import NetworkConfig, TrainedNetwork, fit_network
 
 GAIN, OFFSET = 1.3, 0.04
 NOISE_V = 0.0005

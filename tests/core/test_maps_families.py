@@ -17,7 +17,7 @@ from softcal.core.maps.interface import FitProblem, UnitMap, map_sha256
 from softcal.core.maps.label_shift import level_weights
 from softcal.core.maps.phase import paired_by_stage
 from softcal.core.maps.plan import barycentric, solve_exact
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.windows import windows
 

@@ -7,9 +7,9 @@ from softcal.core.maps.catalogue import family
 from softcal.core.maps.interface import FitProblem
 from softcal.core.maps.paired import DynamicMap
 from softcal.core.metrics import rmse
-from softcal.core.network import Network
+from softcal.core.network.network import Network
+from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.training import NetworkConfig, fit_network
 
 NOISE_V = 0.05
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softcal.core.calibrate import calibrate_unit
 from softcal.core.maps.ends import output_noise
 from softcal.core.maps.interface import FitProblem
-from softcal.core.own_forecast import OWN, noise_error
+from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.own_forecast import OWN, noise_error
 
 
 def own_forecast(model, network, unit):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from softcal.core.control_chart import RULES, capability, control_chart
 from softcal.core.errors import InputError
-from softcal.core.gauge_study import study_by_anova, study_by_ranges
-from softcal.core.yields import Run, Share, rolled_throughput, yields
+from softcal.core.quality.control_chart import RULES, capability, control_chart
+from softcal.core.quality.gauge_study import study_by_anova, study_by_ranges
+from softcal.core.quality.yields import Run, Share, rolled_throughput, yields
 
 # AIAG, Measurement Systems Analysis, 4th edition, chapter III section B: 3 appraisers, 3 trials, 10 parts.
 AIAG = """

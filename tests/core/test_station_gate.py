@@ -6,7 +6,7 @@ from datetime import UTC, date, datetime, timedelta
 import pytest
 
 from softcal.core.orders import OrderKind
-from softcal.core.station_gate import (
+from softcal.core.quality.gate import (
     CellCertificate,
     GoldenCheck,
     Override,

@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from softcal.core.errors import InputError
-from softcal.core.network import Network
+from softcal.core.network.network import Network
+from softcal.core.network.training import NetworkConfig, fit_network, merge_members, validation_blocks
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.training import NetworkConfig, fit_network, merge_members, validation_blocks
 
 QUICK = NetworkConfig(hidden=(16, 8), max_epochs=12)
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softcal.core.forecast import SENSITIVITY, forecast_error, gather_evidence, variance_table
-from softcal.core.health import output_limits
 from softcal.core.maps.affine import AffineMap
-from softcal.core.support import fit_support
-from softcal.core.uncertainty import Interval, conformal_quantile, source_residuals
+from softcal.core.unit.forecast import SENSITIVITY, forecast_error, gather_evidence, variance_table
+from softcal.core.unit.health import output_limits
+from softcal.core.unit.support import fit_support
+from softcal.core.unit.uncertainty import Interval, conformal_quantile, source_residuals
 from softcal.core.windows import TAPS, windows
 
 

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from softcal.core.errors import InputError
-from softcal.core.uncertainty import ErrorForecast
-from softcal.core.verdict import VERDICTS, Finding, Limit, decide, decide_audited, default_limit, four_word, refuse
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import VERDICTS, Finding, Limit, decide, decide_audited, default_limit, four_word, refuse
 
 LIMIT = Limit("N", 0.30)
 

@@ -13,11 +13,11 @@ from sqlalchemy import URL, create_engine, delete, text
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.pool import NullPool
 
-from softcal.core.calibration import CalibrationRecord
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.calibration import CalibrationRecord
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 from softcal.db.tables import metadata

@@ -10,7 +10,7 @@ from sqlalchemy import create_engine, delete, insert, select, text, update
 from sqlalchemy.pool import NullPool
 
 from softcal.core.errors import RegistryError
-from softcal.core.line_rules import LineRules
+from softcal.core.quality.line_rules import LineRules
 from softcal.db.arrays import get_arrays, parts_of, put_arrays
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.sync import synchronise

@@ -7,7 +7,7 @@ import textwrap
 import pytest
 from sqlalchemy import Engine, event
 
-from softcal.app.cli import main
+from softcal.app.cli.main import main
 from softcal.core.errors import RegistryError
 from softcal.db.connection import open_registry
 

@@ -3,8 +3,8 @@
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.line_rules import LineRules
 from softcal.core.lot import Lot
+from softcal.core.quality.line_rules import LineRules
 
 LOT = Lot("L1", "A0", 50.0)
 

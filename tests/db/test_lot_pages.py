@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.line_rules import LineRules
+from softcal.core.quality.line_rules import LineRules
 from softcal.db.entries import GoldenRun
 from softcal.db.lot_pages import UnitFilter
 

@@ -11,7 +11,7 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Date, DateTime, LargeBinary, MetaData, insert, text
 
-from softcal.app.workflow.registry import upgrade
+from softcal.app.registry.maintenance import upgrade
 from softcal.core.errors import RegistryError
 from softcal.db.connection import open_registry
 from softcal.db.database import open_database

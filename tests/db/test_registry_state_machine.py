@@ -9,12 +9,12 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from softcal.core.calibration import CalibrationRecord
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import OutputRecording
+from softcal.core.unit.calibration import CalibrationRecord
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
 

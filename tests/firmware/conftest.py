@@ -14,7 +14,7 @@ from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
 from softcal.core.maps.affine import Affine, AffineMap
 from softcal.core.maps.interface import FitProblem
-from softcal.core.network import Network
+from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 
 ROOT = Path(__file__).parents[2]
@@ -47,7 +47,7 @@ class DeviceCase:
 @pytest.fixture(scope="session")
 def real_case(measured_data: Path) -> DeviceCase:
     """The paper's network on its own first sensor, and the second one mapped to it; 10-bit codes as recorded."""
-    from softcal.core.training import NetworkConfig, fit_network
+    from softcal.core.network.training import NetworkConfig, fit_network
 
     source, target = (_recording(measured_data / "egain_pair" / f"{name}.csv", name) for name in ("S1", "S2"))
     network = fit_network(source, NetworkConfig(max_epochs=60)).network

@@ -23,10 +23,10 @@ def test_every_folder_with_modules_is_packaged() -> None:
     assert on_disk == set(_project()["tool"]["setuptools"]["packages"])
 
 
-def test_no_module_of_app_has_the_name_of_a_library() -> None:
-    # `streamlit run app/main.py` puts app/ first on sys.path.
+def test_no_module_beside_the_page_script_has_the_name_of_a_library() -> None:
+    # `streamlit run app/ui/main.py` puts app/ui/ first on sys.path.
     libraries = set(sys.stdlib_module_names) | set(importlib.metadata.packages_distributions()) - {"softcal"}
-    modules = {path.stem for path in (ROOT / "app").glob("*.py")} - {"__init__"}
+    modules = {path.stem for path in (ROOT / "app" / "ui").glob("*.py")} - {"__init__"}
     assert not modules & libraries
 
 

@@ -8,7 +8,7 @@ import pytest
 from softcal.core.errors import NoReply, RegistryError
 from softcal.core.orders import Condition, Order, OrderKind, RunState, StationState
 from softcal.core.profiles import ramps
-from softcal.core.station_gate import Gate
+from softcal.core.quality.gate import Gate
 from softcal.station.bench import open_simulated_bench
 from softcal.station.service import Hooks, StationService
 

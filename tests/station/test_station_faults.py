@@ -5,8 +5,8 @@ from functools import partial
 
 import pytest
 
-from softcal.app.reasons import told
-from softcal.app.texts import text
+from softcal.app.texts.catalogue import text
+from softcal.app.texts.reasons import told
 from softcal.station.simulated.faults import FAULTS
 from softcal.station.simulated.trial import run_with_dead_host, run_with_fault, run_with_full_disk
 

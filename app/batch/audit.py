@@ -1,0 +1,157 @@
+"""Audits of a lot: which units to check with the load cell, kept in the registry, and what their results say."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+from softcal.core.errors import InputError
+from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
+from softcal.core.unit.verdict import Limit
+from softcal.db.entries import UnitEntry
+from softcal.db.registry import Registry
+
+PLAN, STATEMENT = "audit_plan", "audit_result"
+ACCEPTED = ("pass", "conditional")
+
+
+@dataclass(frozen=True, eq=False)
+class LotAudit:
+    """Where the audit of a lot stands.
+
+    Args:
+        plan: the units to check, and the forecasts it was drawn from.
+        forecasts: forecast RMSE by serial, as it was when the plan was drawn.
+        limit: what a checked unit is held to.
+        measured: RMSE against the load cell of the units of the plan that were checked.
+        statement: what they say about the lot; None until every unit of the plan was measured.
+    """
+
+    plan: AuditPlan
+    forecasts: Mapping[str, float]
+    limit: Limit
+    measured: Mapping[str, float]
+    statement: LotStatement | None
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Units of the plan that were not measured yet."""
+        return tuple(serial for serial in self.plan.serials if serial not in self.measured)
+
+
+def draw_plan(
+    registry: Registry, lot_id: str, config: AuditConfig, *, reason: str = "", actor: str | None = None
+) -> LotAudit:
+    """Draw which accepted units of a lot to check, and write it down before anything is measured.
+
+    A plan that stands is not drawn again without a reason: a random sample that one may repeat until it pleases says
+    nothing.
+
+    Raises:
+        InputError: no unit of the lot was accepted yet, or a plan stands and no reason was given.
+    """
+    if registry.events(PLAN, (lot_id,)) and not reason.strip():
+        raise InputError(f"lot {lot_id!r} has an audit plan; a new draw needs --new with --reason")
+    accepted = _accepted(registry, lot_id)
+    if not accepted:
+        raise InputError(f"lot {lot_id!r} has no accepted unit yet; run `softcal batch` first")
+    plan = plan_audit(accepted, config)
+    facts = {
+        "plan": plan.settings(),
+        "config": asdict(config),
+        "forecasts": {serial: accepted[serial] for serial in plan.serials},
+        "limit": asdict(_limit(registry, lot_id)),
+    }
+    registry.add_event("draw", PLAN, (lot_id,), facts, reason=reason, actor=actor)
+    return _standing(registry, lot_id, facts)
+
+
+def lot_audit(registry: Registry, lot_id: str) -> LotAudit | None:
+    """Return the newest audit plan of a lot with what was measured since; None where none was drawn."""
+    drawn = registry.events(PLAN, (lot_id,))
+    return _standing(registry, lot_id, json.loads(drawn[-1].after or "{}")) if drawn else None
+
+
+def update_lot(registry: Registry, lot_id: str, actor: str | None = None) -> LotAudit | None:
+    """Judge the lot by its audits as far as they are in, and keep a new statement in the registry."""
+    audit = lot_audit(registry, lot_id)
+    if audit is None or audit.statement is None:
+        return audit
+    told = [json.loads(row.after or "{}") for row in registry.events(STATEMENT, (lot_id,))]
+    facts = {"statement": statement_json(audit.statement), "measured": dict(audit.measured)}
+    if not told or told[-1] != json.loads(json.dumps(facts)):
+        registry.add_event("judge", STATEMENT, (lot_id,), facts, actor=actor)
+    return audit
+
+
+def statement_json(statement: LotStatement) -> dict[str, object]:
+    """Return a statement as JSON values."""
+    return {**vars(statement), "failed": list(statement.failed)}
+
+
+def audit_json(audit: LotAudit) -> dict[str, object]:
+    """Return where an audit stands as JSON values: schema `softcal.lot.audit/1`."""
+    return {
+        "schema": "softcal.lot.audit/1",
+        "plan": audit.plan.settings(),
+        "limit_rmse": audit.limit.maximum_rmse,
+        "predicted_rmse": dict(audit.forecasts),
+        "measured_rmse": dict(audit.measured),
+        "missing": list(audit.missing),
+        "verdict": None if audit.statement is None else audit.statement.word,
+        "statement": None if audit.statement is None else statement_json(audit.statement),
+    }
+
+
+def audit_rows(audit: LotAudit) -> list[list[object]]:
+    """Return one row per unit of the plan under `AUDIT_HEADER`."""
+    rows: list[list[object]] = []
+    for serial in audit.plan.serials:
+        why = "largest predicted error" if serial in audit.plan.doubtful else "random"
+        measured = audit.measured.get(serial)
+        word = "to be measured" if measured is None else "within" if _holds(audit, serial) else "misses the limit"
+        rows.append([serial, why, audit.forecasts[serial], measured, word])
+    return rows
+
+
+AUDIT_HEADER = ("serial", "why", "predicted", "measured", "result")
+
+
+def audit_line(audit: LotAudit) -> str:
+    """Return in one line where the audit of a lot stands."""
+    if audit.statement is None:
+        missing = ", ".join(audit.missing[:8]) + (" ..." if len(audit.missing) > 8 else "")
+        return f"audit: {len(audit.measured)} of {len(audit.plan.serials)} units measured; still to press: {missing}"
+    return f"audit: lot {audit.statement.word}: {audit.statement.text}"
+
+
+def _holds(audit: LotAudit, serial: str) -> bool:
+    return audit.measured[serial] <= audit.limit.maximum_rmse
+
+
+def _standing(registry: Registry, lot_id: str, facts: Mapping[str, object]) -> LotAudit:
+    settings = json.loads(json.dumps(facts))
+    plan, limit = AuditPlan.from_settings(settings["plan"]), Limit(**settings["limit"])
+    errors = {unit.serial: unit.after_rmse for unit in _targets(registry, lot_id)}
+    measured = {s: float(e) for s in plan.serials if (e := errors.get(s)) is not None}
+    is_complete = len(measured) == len(plan.serials)
+    statement = judge_lot(plan, settings["forecasts"], measured, limit) if is_complete else None
+    return LotAudit(plan, settings["forecasts"], limit, measured, statement)
+
+
+def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:
+    return [unit for unit in registry.units(lot_id) if unit.role == "target"]
+
+
+def _accepted(registry: Registry, lot_id: str) -> dict[str, float]:
+    units = [unit for unit in _targets(registry, lot_id) if unit.verdict in ACCEPTED]
+    return {unit.serial: unit.predicted_rmse for unit in units if unit.predicted_rmse is not None}
+
+
+def _limit(registry: Registry, lot_id: str) -> Limit:
+    """Return the lot's limit, or the one its units were judged by where none was stated."""
+    lot = registry.lot(lot_id)
+    if lot.limit_rmse is not None:
+        return Limit(lot.reference_unit, lot.limit_rmse)
+    serial = next(iter(_accepted(registry, lot_id)))
+    evidence = registry.calibration(serial).record.evidence
+    return Limit(lot.reference_unit, float(str(evidence["limit_rmse"])), str(evidence["limit_origin"]))

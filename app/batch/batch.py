@@ -1,0 +1,40 @@
+"""Calibrate a whole lot without a screen: train or reuse f, fit every unit, verdicts, registry; resumable."""
+
+import time
+
+from softcal.app.batch.audit import update_lot
+from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
+from softcal.app.batch.report import BatchReport
+from softcal.app.batch.train import train_or_find
+from softcal.app.batch.unit_work import SharedWork
+from softcal.app.files.lot_folder import LotFolder
+from softcal.core.lot import Lot
+from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.verdict import Limit
+from softcal.db.registry import Registry
+
+
+def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch: Watch = Watch()) -> BatchReport:  # noqa: B008 - frozen
+    """Calibrate every unit of a lot folder and register the results as they come.
+
+    A unit whose file cannot be read or that cannot be mapped gets a verdict with its reason, and the lot goes on.
+    Whatever the registry already has for the same recording, network and configuration is not computed again.
+
+    Raises:
+        InputError: the source cannot be used; without it there is no lot.
+    """
+    start_s = time.perf_counter()
+    source = folder.read_source()
+    trained = train_or_find(folder.lot, source, registry, config.network, config.actor, watch.on_epoch)
+    own = config.network if config.score_own else None
+    model = make_source_model(source, trained.network)
+    shared = SharedWork(folder.lot, model, config.calibration, own, _limit(registry.lot(folder.lot.id)))
+    watch.on_start(len(folder.unit_paths))
+    results = LotWork(folder, registry, shared, config, watch).results()
+    ordered = tuple(results[serial] for serial in folder.unit_paths)
+    audit = update_lot(registry, folder.lot.id, config.actor)
+    return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit)
+
+
+def _limit(lot: Lot) -> Limit | None:
+    return None if lot.limit_rmse is None else Limit(lot.reference_unit, lot.limit_rmse)

@@ -1,0 +1,97 @@
+"""What a batch says when it is done: a row per unit, as a table for people and as JSON for programs."""
+
+from dataclasses import dataclass
+
+from softcal.app.batch.audit import LotAudit, audit_json, audit_line
+from softcal.app.batch.train import TrainedOrFound
+from softcal.db.entries import MadeCalibration
+
+TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", "after/own", "fit_s", "map")
+
+
+@dataclass(frozen=True)
+class UnitResult:
+    """One row of the report.
+
+    Args:
+        serial: the unit.
+        verdict: pass, conditional, fail or retest.
+        reasons: why, most important first.
+        made: its calibration; None for a unit that could not be read or mapped.
+        is_new: whether this batch fitted it; otherwise the registry had it, or another batch made it meanwhile.
+    """
+
+    serial: str
+    verdict: str
+    reasons: tuple[str, ...]
+    made: MadeCalibration | None = None
+    is_new: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class BatchReport:
+    """What a batch did; `audit` is where the lot's audit stands, where one was planned."""
+
+    lot_id: str
+    network: TrainedOrFound
+    units: tuple[UnitResult, ...]
+    wall_s: float
+    audit: LotAudit | None = None
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Units by verdict."""
+        words = [unit.verdict for unit in self.units]
+        return {word: words.count(word) for word in ("pass", "conditional", "fail", "retest")}
+
+
+def report_json(report: BatchReport) -> dict[str, object]:
+    """Return the report as the JSON of `softcal batch --json` (schema `softcal.batch/1`)."""
+    return {
+        "schema": "softcal.batch/1",
+        "lot": report.lot_id,
+        "network": report.network.network.id,
+        "network_is_new": report.network.is_new,
+        "train_s": report.network.metrics.get("train_s"),
+        "wall_s": report.wall_s,
+        "counts": report.counts,
+        "audit": None if report.audit is None else audit_json(report.audit),
+        "units": [_unit_json(unit) for unit in report.units],
+    }
+
+
+def _unit_json(unit: UnitResult) -> dict[str, object]:
+    made = unit.made
+    errors = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse", "fit_s")
+    unit_map = None
+    if made is not None:
+        unit_map = {"family": made.family, "revision": made.revision, "sha256": made.map_sha256}
+    return {
+        "serial": unit.serial,
+        "verdict": unit.verdict,
+        "reasons": list(unit.reasons),
+        **{name: getattr(made, name, None) for name in errors},
+        "map": unit_map,
+        "audited_verdict": getattr(made, "audited_verdict", None),
+        "is_new": unit.is_new,
+    }
+
+
+def table_row(unit: UnitResult) -> list[object]:
+    """Return one row of the table a person reads, under `TABLE_HEADER`."""
+    made = unit.made
+    if made is None:
+        return [unit.serial, unit.verdict, *[None] * 7]
+    ratio = made.after_rmse / made.own_rmse if made.after_rmse and made.own_rmse else None
+    errors = [made.predicted_rmse, made.before_rmse, made.after_rmse, made.own_rmse, ratio, made.fit_s]
+    return [unit.serial, unit.verdict, *errors, made.family]
+
+
+def audit_lines(report: BatchReport) -> list[str]:
+    """Return what audits say, a line each: units whose measured error is not what their verdict says, and the lot."""
+    lines = []
+    for unit in report.units:
+        made = unit.made
+        if made is not None and made.audited_verdict in ("fail", "conditional") and unit.verdict == "pass":
+            lines.append(f"{unit.serial} audited {made.audited_verdict}: {made.audited_reasons}")
+    return lines if report.audit is None else [*lines, audit_line(report.audit)]

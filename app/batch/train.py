@@ -1,0 +1,85 @@
+"""Train the shared network f of a lot, or find the one trained before from the same recording and configuration."""
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+from softcal.app.batch.claims import Claims
+from softcal.app.logs import note
+from softcal.core.identity import content_sha256
+from softcal.core.lot import Lot
+from softcal.core.network.network import Network
+from softcal.core.network.training import EpochReport, NetworkConfig, fit_network
+from softcal.core.recording import LabelledRecording
+from softcal.db.registry import Registry
+from softcal.db.work_queue import WorkItem, WorkSet
+
+LOOK_EVERY_S = 1.0
+"""How often a process that waits for another one's network looks whether it is there."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedOrFound:
+    """The shared network of a lot.
+
+    Args:
+        network: f.
+        is_new: whether it was trained now; otherwise the registry had it.
+        metrics: errors on the validation blocks of the source and how long training took, in named units.
+    """
+
+    network: Network
+    is_new: bool
+    metrics: dict[str, float]
+
+
+def train_or_find(
+    lot: Lot,
+    source: LabelledRecording,
+    registry: Registry,
+    config: NetworkConfig,
+    actor: str | None = None,
+    on_epoch: Callable[[EpochReport], None] | None = None,
+) -> TrainedOrFound:
+    """Return the registered network of this source and configuration; train and register it where there is none.
+
+    Where another process trains the same just now, its network is waited for.
+    """
+    registry.add_lot(lot, actor=actor)
+    recording_sha256 = registry.add_recording(lot.id, source, "source", actor=actor)
+    input_sha256 = content_sha256({}, {"source": recording_sha256, "config": asdict(config)})
+    found = registry.find_network(input_sha256)
+    if found is not None:
+        return _registered(registry, found, False)
+    with Claims(registry, WorkSet(lot.id, input_sha256, "train")) as claims:
+        claims.queue.enqueue(claims.work, {source.serial: input_sha256})
+        mine = _turn(claims)
+        found = registry.find_network(input_sha256)
+        if found is not None:
+            return _registered(registry, found, False)
+        start_s = time.perf_counter()
+        trained = fit_network(source, config, on_epoch)
+        metrics = {
+            "validation_rmse": trained.validation_rmse,
+            "epochs": float(max(trained.epochs)),
+            "train_s": time.perf_counter() - start_s,
+        }
+        training = {"config": asdict(config), "source_recording_sha256": recording_sha256}
+        # Who loses its lease finds the other one's network there; the id that comes back is the one to go on with.
+        id_ = registry.add_network(lot.id, trained.network, metrics, training, input_sha256, actor=actor)
+        for item in mine:
+            claims.queue.finish(claims.owner, item.id, id_)
+    note("network", lot=lot.id, network=id_, **metrics)
+    return _registered(registry, id_, True)
+
+
+def _turn(claims: Claims) -> list[WorkItem]:
+    """Claim the training, or wait for the process that has it; nothing is claimed where that one has finished it."""
+    while not (items := claims.take(1)) and claims.queue.counts(work=claims.work)["claimed"]:
+        time.sleep(LOOK_EVERY_S)
+    return items
+
+
+def _registered(registry: Registry, network_id: str, is_new: bool) -> TrainedOrFound:
+    metrics = {name: float(str(value)) for name, value in registry.network_entry(network_id).metrics.items()}
+    return TrainedOrFound(registry.network(network_id), is_new, metrics)

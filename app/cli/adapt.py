@@ -1,0 +1,115 @@
+"""`softcal adapt`: estimates of a unit in long use, its map following the drift."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from softcal.app.cli.options import add_json, add_registry, registry_of
+from softcal.app.cli.output import Progress, say, write_json
+
+if TYPE_CHECKING:
+    from softcal.app.use.adapt import AdaptOptions, AdaptReport
+    from softcal.db.registry import Registry
+
+EXAMPLES = """examples:
+  a recorded stream, with a figure of drift, map and predicted error:
+    softcal adapt --serial A1 week.csv --out estimates.csv --html drift.html
+  day by day, each file going on where the one before ended:
+    softcal adapt --serial A1 monday.csv --out monday-estimates.csv --stream hall-3
+    softcal adapt --serial A1 tuesday.csv --out tuesday-estimates.csv --stream hall-3 --resume
+  live, from a sensor readout, from a pipe, or simulated; to a file, standard output or a socket:
+    softcal adapt --serial A1 serial:/dev/ttyACM0 --out live.csv
+    logger | softcal adapt --serial A1 - --out -
+    softcal adapt --serial A1 simulated --duration 60 --out tcp://127.0.0.1:7007
+
+Only t_s and output of IN are read. Row k of OUT depends on rows up to k alone; columns t_s, estimate, lower, upper
+(a 90 % interval that widens with the doubt about the drift) and flag (why a row is not to be trusted; `recalibrate`
+once a calibration with a reference is due). Missing, repeated or damaged samples are flagged and move nothing.
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal adapt`."""
+    parser = commands.add_parser(
+        "adapt",
+        help="estimate over long use, the map following the drift",
+        description="Estimate the reference from a long stream of a unit's output while its map follows the sensor's "
+        "drift; where drift and a change of use cannot be told apart, the map is held and the file says so.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("source", metavar="IN", help="CSV or Parquet with t_s, output; -, serial:PORT or simulated")
+    parser.add_argument("--out", required=True, metavar="OUT", help="CSV or Parquet; live also - or tcp://HOST:PORT")
+    parser.add_argument("--serial", required=True, metavar="S")
+    parser.add_argument("--revision", type=int, metavar="N", help="calibration to start from; default: the current one")
+    parser.add_argument("--mode", choices=("improved", "basic", "none"), default="improved", help=MODE_HELP)
+    parser.add_argument(
+        "--stream", metavar="NAME", help="name of the stream in the registry; default: from its content"
+    )
+    parser.add_argument("--resume", action="store_true", help="go on from the last state of the stream in the registry")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="figure of drift, map, estimate and predicted error")
+    live = parser.add_argument_group("live")
+    live.add_argument("--station", type=Path, metavar="FILE", help="station file with the readout's scale and rate")
+    live.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds; default: until Ctrl-C")
+    live.add_argument("--view", action="store_true", help="show the estimate in the terminal")
+    add_registry(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+MODE_HELP = (
+    "improved (default): compare with the calibration and with uses learnt since; basic: with the calibration alone; "
+    "none: leave the map as it is"
+)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Follow the stream, and say what was followed, held and flagged."""
+    from softcal.app.use.adapt import AdaptOptions
+    from softcal.core.use.adapter import AdaptConfig
+
+    adapt = AdaptOptions(AdaptConfig(options.mode), options.revision, options.stream, options.resume)
+    with registry_of(options, create=False) as registry:
+        report = _follow(registry, options, adapt)
+        _report(registry, options, report)
+    return 0
+
+
+def is_live(source: str) -> bool:
+    """Return whether IN names a stream rather than a file."""
+    return source in ("-", "simulated") or source.startswith(("serial:", "simulated:"))
+
+
+def _follow(registry: "Registry", options: argparse.Namespace, adapt: "AdaptOptions") -> "AdaptReport":
+    if is_live(options.source):
+        from softcal.app.use.live import LiveOptions, adapt_live
+
+        live = LiveOptions(options.source, options.out, options.station, options.duration, options.view)
+        return adapt_live(registry, options.serial, live, adapt)
+    from softcal.app.files.stream_file import count_rows
+    from softcal.app.use.adapt import adapt_file
+
+    source = Path(options.source)
+    progress = Progress("rows", count_rows(source))
+    return adapt_file(registry, options.serial, source, Path(options.out), adapt, progress.reach)
+
+
+def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptReport") -> None:
+    from softcal.app.use.adapt import maps_of, report_json, write_figure
+
+    flags = [f"{count} {flag}" for flag, count in sorted(report.flags.items()) if flag]
+    verdicts = ", ".join(f"{count} x {verdict}" for verdict, count in report.verdicts.items() if verdict != "start")
+    say(f"{options.out}: {report.rows} rows; {', '.join(flags) or 'no row flagged'}")
+    unit = registry.lot(registry.calibration(report.serial, report.revision).lot_id).reference_unit
+    say(f"map: {verdicts or 'never moved'}; predicted error {report.current.predicted_rmse:.3g} {unit}")
+    if report.current.reason:
+        say(f"{report.current.verdict}: {report.current.reason}")
+    if report.current.alarm:
+        say(f"ALARM: {report.current.alarm}")
+    if options.html is None and not options.json:
+        return
+    course = registry.adaptations(report.serial, report.stream)
+    if options.html is not None:
+        write_figure(registry, options.html, report, maps_of(course))
+    if options.json:
+        write_json(options.json, report_json(report, course))

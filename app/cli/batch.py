@@ -1,0 +1,91 @@
+"""`softcal batch`: calibrate a whole lot without a screen."""
+
+import argparse
+from pathlib import Path
+
+from softcal.app.cli.options import add_json, add_network, add_registry, batch_watch, network_config, registry_of
+from softcal.app.cli.output import print_table, say, write_json
+
+EXAMPLES = """examples:
+  softcal batch lot-1
+  softcal batch lot-1 --jobs 2 --out calibration-files --json report.json
+  softcal batch lot-1 --engine dask --scheduler tcp://10.0.0.5:8786 --registry postgresql://line@db/softcal
+
+Stopped in the middle? Run the same command again: finished units are kept.
+Exit code 0: every unit passed; 1: done, but some unit did not pass.
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal batch`."""
+    parser = commands.add_parser(
+        "batch",
+        help="calibrate a lot: train or reuse f, fit every map, verdicts, registry, exports",
+        description="Calibrate a lot folder. One bad unit never stops the lot; what is done is never done again.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
+    add_registry(parser)
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write calibration files of the passed units here")
+    parser.add_argument("--plots", type=Path, metavar="DIR", help="write a figure per unit: why its verdict")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes (default 1)")
+    parser.add_argument("--engine", choices=("local", "dask"), default="local")
+    parser.add_argument("--scheduler", metavar="ADDR", help="a running Dask scheduler; default: one for this run")
+    parser.add_argument("--anchors", type=Path, metavar="FILE", help="known loads: columns serial, output, reference")
+    parser.add_argument("--no-own", action="store_true", help="do not train own calibrations on audits for comparison")
+    parser.add_argument("--refit", action="store_true", help="fit again what the registry already has")
+    add_network(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the batch, print the table, write the report."""
+    from softcal.app.batch.batch import run_batch
+    from softcal.app.batch.engine import EngineChoice
+    from softcal.app.batch.lot_work import BatchConfig
+    from softcal.app.batch.report import TABLE_HEADER, audit_lines, report_json, table_row
+    from softcal.app.files.anchors import read_anchors
+    from softcal.app.files.lot_folder import open_lot_folder
+
+    folder = open_lot_folder(options.lot)
+    for remark in folder.remarks:
+        say(f"note: {remark}")
+    anchors = {} if options.anchors is None else read_anchors(options.anchors, folder.unit_paths)
+    config = BatchConfig(
+        anchors=anchors,
+        network=network_config(options),
+        engine=EngineChoice(options.engine, options.jobs, options.scheduler),
+        score_own=not options.no_own,
+        refit=options.refit,
+    )
+    with registry_of(options) as registry:
+        report = run_batch(folder, registry, config, batch_watch(folder.lot.reference_unit))
+        if options.out is not None:
+            from softcal.app.export.export import export_units
+
+            passed = [u.serial for u in report.units if u.verdict in ("pass", "conditional")]
+            export_units(registry, passed, ("json",), options.out)
+            say(f"{options.out}: calibration files of {len(passed)} units")
+        if options.plots is not None:
+            from softcal.app.batch.explain import explain_units
+
+            mapped = [u.serial for u in report.units if u.made is not None]
+            explain_units(registry, mapped, options.plots)
+            say(f"{options.plots}: figures of {len(mapped)} units")
+    print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
+    for unit in report.units:
+        if unit.verdict != "pass":
+            print(f"{unit.serial} {unit.verdict}: {'; '.join(unit.reasons)}")
+    for line in audit_lines(report):
+        print(line)
+    print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
+    if options.json:
+        write_json(options.json, report_json(report))
+    return 0 if report.counts["pass"] == len(report.units) else 1
+
+
+def _summary(counts: dict[str, int], unit: str, wall_s: float) -> str:
+    words = ", ".join(f"{count} {word}" for word, count in counts.items())
+    return f"{sum(counts.values())} units in {wall_s:.1f} s: {words}; errors are RMSE in {unit}"

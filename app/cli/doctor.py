@@ -1,0 +1,56 @@
+"""`softcal doctor`: look the installation over and collect what support needs, without secrets."""
+
+import argparse
+import json
+from pathlib import Path
+
+from softcal.app.cli.options import add_json, add_registry
+from softcal.app.cli.output import print_table, say, write_json
+
+DONE = 0
+EXAMPLES = """examples:
+  softcal doctor
+  softcal doctor --registry postgresql://line@db/softcal --out support.zip
+
+No password, PIN or recording goes into the report; logs go in with the passwords of URLs masked.
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal doctor`."""
+    parser = commands.add_parser(
+        "doctor",
+        help="look the installation over; collect what support needs",
+        description="Versions, folders, free space, the registry and its integrity: what is there and what is wrong.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_registry(parser)
+    add_json(parser)
+    parser.add_argument("--out", type=Path, metavar="ZIP", help="write report and logs into one file for support")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the facts, the problems on standard error."""
+    from softcal.app.registry.doctor import collect, examine
+
+    facts, problems = examine(options.registry)
+    report = {"schema": "softcal.doctor/1", **facts, "problems": problems}
+    if options.out:
+        logs = collect(options.out, json.dumps(report, indent=2))
+        say(f"{options.out}: report and {logs} logs")
+    if options.json:
+        write_json(options.json, report)
+    if options.json != "-":
+        print_table(("what", "found"), [(name, _text(value)) for name, value in facts.items()])
+        print(f"{len(problems)} problems" if problems else "no problems found")
+    for problem in problems:
+        say(f"problem: {problem}")
+    return DONE
+
+
+def _text(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_text(inner)}" for name, inner in value.items() if inner not in (None, [], {}))
+    return str(value)

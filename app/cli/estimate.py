@@ -1,0 +1,47 @@
+"""`softcal estimate`: estimates of one unit with interval and flags."""
+
+import argparse
+from pathlib import Path
+
+from softcal.app.cli.options import add_json, add_registry, registry_of
+from softcal.app.cli.output import say, write_json
+
+EXAMPLES = """examples:
+  softcal estimate --serial A1 recording.csv --out estimate.csv
+  softcal estimate --serial A1 recording.parquet --out estimate.parquet --revision 2
+
+Columns of the result: t_s, estimate, lower, upper (a 90 % interval), flag (why a row is not to be trusted).
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal estimate`."""
+    parser = commands.add_parser(
+        "estimate",
+        help="estimate the reference from a unit's output",
+        description="Estimate the reference from the columns t_s, output of a recording with the unit's current map.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("recording", type=Path, metavar="IN", help="CSV or Parquet with t_s, output")
+    parser.add_argument("--out", required=True, type=Path, metavar="OUT", help="CSV or Parquet to write")
+    parser.add_argument("--serial", required=True, metavar="S")
+    parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
+    add_registry(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Estimate, and say how much of it can be trusted."""
+    from softcal.app.use.estimate import estimate_file
+
+    with registry_of(options, create=False) as registry:
+        result = estimate_file(registry, options.serial, options.recording, options.out, options.revision)
+    flags = [flag for flag in result.flag if flag]
+    counts = {flag: flags.count(flag) for flag in sorted(set(flags))}
+    said = ", ".join(f"{count} {flag}" for flag, count in counts.items()) or "no row flagged"
+    say(f"{options.out}: {len(result.flag)} rows; {said}")
+    if options.json:
+        write_json(options.json, {"schema": "softcal.estimate/1", "rows": len(result.flag), "flags": counts})
+    return 0

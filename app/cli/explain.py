@@ -1,0 +1,51 @@
+"""`softcal explain`: why the verdict of one unit is what it is."""
+
+import argparse
+from pathlib import Path
+
+from softcal.app.cli.options import add_json, add_registry, registry_of
+from softcal.app.cli.output import print_table, say, write_json
+
+EXAMPLES = """examples:
+  softcal explain --serial A1
+  softcal explain --serial A1 --out why-A1.html       the same as a figure, to open in a browser
+  softcal batch lot-1 --plots why                     a figure of every unit
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal explain`."""
+    parser = commands.add_parser(
+        "explain",
+        help="why the verdict of a unit is what it is: reasons, error budget, one figure",
+        description="Show what a unit's verdict rests on: reasons, what the predicted error is made of, limit.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--serial", required=True, metavar="S")
+    parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write the figure as a page (.html)")
+    add_registry(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print reasons and budget, write the figure."""
+    from softcal.app.batch.explain import explain_unit, why_json
+    from softcal.app.views.unit import unit_view
+
+    with registry_of(options, create=False) as registry:
+        if options.out is None:
+            view = unit_view(registry, options.serial, options.revision)
+        else:
+            view = explain_unit(registry, options.serial, options.out, options.revision)
+            say(f"{options.out}: the figure of {options.serial}")
+    facts = why_json(view)
+    if options.json:
+        write_json(options.json, facts)
+    if options.json != "-":
+        print(f"{options.serial} {view.calibration.verdict.word}: {'; '.join(view.calibration.verdict.reasons)}")
+        rows = [[name, value] for name, value in view.explanation.contributions.items()]
+        print_table(("part of the predicted error", view.lot.reference_unit), rows)
+    return 0

@@ -1,0 +1,175 @@
+"""`softcal export`: calibration files for devices, PCs and auditors."""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from softcal.app.cli.options import add_json, add_registry, registry_of
+from softcal.app.cli.output import Progress, print_table, say, write_json
+
+if TYPE_CHECKING:
+    from softcal.app.export.calibrated_unit import ExportOptions
+
+FORMATS = ("json", "c", "blob", "hex", "onnx", "pdf", "dcc")
+
+EXAMPLES = """examples:
+  softcal export --serial A1 --format blob --adc-bits 10 --adc-full-scale 5 --out files --check
+  softcal export --serial A1 --serial A2 --format c --format pdf --out files
+  softcal export --lot lot-1 --format blob --format json --out files --sign factory.pem
+  softcal export --check --out files --public-key factory.pub
+
+formats:
+  json  lossless, for people and databases: map, interval, hashes and the device files as numbers
+  c     C headers and softsensor.h, for firmware          blob  network-<id>.ssc and unit-<serial>.ssc
+  hex   the same two as Intel HEX at an address           onnx  f and map in one model, for PCs
+  pdf   calibration certificate                           dcc   Digital Calibration Certificate (PTB, XML)
+
+A unit that failed gets json, pdf and dcc, which say so, but no file that gives numbers unless --failed-too is given.
+Every folder has a manifest.json with the SHA-256 of every file. The table shows what the device form changes: `map` by
+its small curve, `error` in all, both as changes of the estimate on the unit's own recording.
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal export`."""
+    parser = commands.add_parser(
+        "export",
+        help="write calibration files for devices, PCs and auditors",
+        description="Write calibration files of units, or read an export folder back and check it.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    units = parser.add_argument_group("which units")
+    units.add_argument("--serial", action="append", default=[], metavar="S", help="a unit; may be repeated")
+    units.add_argument("--lot", metavar="ID", help="every unit of a lot that passed, conditionally or not")
+    units.add_argument("--revision", type=int, metavar="N", help="an older calibration; default: the one in use")
+    units.add_argument("--failed-too", action="store_true", help="device files also of units that did not pass")
+    parser.add_argument("--format", action="append", default=[], choices=FORMATS, help="may be repeated")
+    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder to write into or to check")
+    parser.add_argument("--check", action="store_true", help="read everything back: hashes, CRCs, self-tests, twins")
+    _add_device_options(parser)
+    _add_certificate_options(parser)
+    add_registry(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def _add_device_options(parser: argparse.ArgumentParser) -> None:
+    device = parser.add_argument_group("devices")
+    device.add_argument("--adc-bits", type=int, metavar="N", help="the converter's bits; its codes go left-aligned")
+    device.add_argument("--adc-full-scale", type=float, metavar="X", help="output at the converter's highest code")
+    device.add_argument(
+        "--max-deviation", type=float, default=0.25, metavar="SHARE", help="of the predicted error, default 0.25"
+    )
+    device.add_argument(
+        "--adapt-offset", type=float, default=0.1, metavar="SHARE", help="of the span, that firmware may follow (0.1)"
+    )
+    device.add_argument(
+        "--adapt-gain", type=float, default=0.0, metavar="SHARE", help="of the gain, that firmware may follow (0)"
+    )
+    device.add_argument("--unit-address", type=_address, default=0x3FF00, metavar="ADDR", help="for hex: 0x3ff00")
+    device.add_argument("--network-address", type=_address, default=0x38000, metavar="ADDR", help="for hex: 0x38000")
+
+
+def _add_certificate_options(parser: argparse.ArgumentParser) -> None:
+    paper = parser.add_argument_group("certificates and signatures")
+    paper.add_argument("--laboratory", type=Path, metavar="TOML", help="laboratory, person, customer and load cell")
+    paper.add_argument("--sign", type=Path, metavar="PEM", help="Ed25519 private key for manifest.sig")
+    paper.add_argument("--public-key", type=Path, metavar="PEM", help="with --check: verify manifest.sig")
+
+
+def _address(text: str) -> int:
+    try:
+        return int(text, 0)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no address such as 0x3ff00") from error
+
+
+def run(options: argparse.Namespace) -> int:
+    """Export, or check a folder, or both."""
+    from softcal.core.errors import InputError
+
+    result: dict[str, object] = {"schema": "softcal.export-report/1"}
+    code = 0
+    if options.serial or options.lot:
+        result["units"], code = _export(options)
+    elif not options.check:
+        raise InputError("nothing to do: give --serial or --lot with --format, or --check to check a folder")
+    if options.check:
+        result["check"], problems = _check(options)
+        code = 2 if problems else code
+    if options.json:
+        write_json(options.json, result)
+    return code
+
+
+def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
+    from softcal.app.export.export import export_units, lot_serials
+    from softcal.core.errors import UnitRefused
+
+    with registry_of(options, create=False) as registry:
+        serials = [*options.serial, *(lot_serials(registry, options.lot, options.failed_too) if options.lot else ())]
+        progress = Progress("units exported", len(serials))
+        formats = options.format or ["json"]
+        units = export_units(
+            registry, serials, formats, options.out, _options(options), lambda unit: progress.step(unit.serial)
+        )
+    refused = [unit for unit in units if unit.refusal]
+    if len(units) == 1 and refused:
+        raise UnitRefused(f"{refused[0].refusal}; written: {', '.join(refused[0].files) or 'nothing'}")
+    header = ("serial", "revision", "verdict", "bytes", "map rms", "error rms", "error max", "unit", "files")
+    print_table(header, [_row(unit.serial, unit.revision, unit.verdict, unit.device, unit.files) for unit in units])
+    _say_cost([unit.device for unit in units if unit.device])
+    for unit in refused:
+        say(f"refused: {unit.refusal}")
+    return [vars(unit) for unit in units], 1 if refused else 0
+
+
+def _row(serial: str, revision: int, verdict: str, device: object, files: tuple[str, ...]) -> list[object]:
+    facts = device if isinstance(device, dict) else {}
+    numbers = [facts.get(name) for name in ("unit_bytes", "map_rms_deviation", "rms_error", "max_error", "unit")]
+    return [serial, revision, verdict, *numbers, len(files)]
+
+
+def _say_cost(devices: Sequence[Mapping[str, object]]) -> None:
+    """Print what the dearest unit needs on a small device."""
+    if not devices:
+        return
+    dearest = max(devices, key=lambda facts: float(str(facts["cortex_m0_ms"])))
+    ms = float(str(dearest["cortex_m0_ms"]))
+    say(
+        f"on a Cortex-M0+ at 48 MHz: network {dearest['network_bytes']} B, code 1.5 KB, RAM {dearest['ram_bytes']} B, "
+        f"about {ms:.2f} ms per estimate (at most {1000 / ms:.0f} Hz)"
+    )
+
+
+def _options(options: argparse.Namespace) -> "ExportOptions":
+    from softcal.app.export.calibrated_unit import ExportOptions
+    from softcal.core.errors import InputError
+    from softcal.core.export.device import DeviceOptions
+
+    for name in ("max_deviation", "adapt_offset", "adapt_gain"):
+        if not 0 <= getattr(options, name) <= 0.5:
+            raise InputError(f"--{name.replace('_', '-')} {getattr(options, name)}: 0 ... 0.5 is allowed")
+    return ExportOptions(
+        adc_bits=options.adc_bits,
+        adc_full_scale=options.adc_full_scale,
+        device=DeviceOptions(None, options.max_deviation, options.adapt_gain, options.adapt_offset),
+        unit_address=options.unit_address,
+        network_address=options.network_address,
+        failed_too=options.failed_too,
+        revision=options.revision,
+        signing_key=options.sign,
+        laboratory=options.laboratory,
+    )
+
+
+def _check(options: argparse.Namespace) -> tuple[dict[str, object], tuple[str, ...]]:
+    from softcal.app.export.check import check_folder
+
+    found = check_folder(options.out, options.public_key)
+    for problem in found.problems:
+        say(f"problem: {problem}")
+    say(f"{options.out}: {found.files} files, {found.opened} units opened, {len(found.problems)} problems")
+    return vars(found), found.problems

@@ -1,0 +1,171 @@
+"""`softcal gap`: diagnose the gap between the twin and a rig, apply what was found, and check both blindly."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from softcal.app.cli import gap_challenge, gap_transfer
+from softcal.app.cli.options import add_json
+from softcal.app.cli.output import print_table, say, write_json
+from softcal.core.errors import InputError
+
+if TYPE_CHECKING:
+    from softcal.core.gap.diagnosis import Cause, Diagnosis
+    from softcal.core.twin.parameters import ReadoutMetadata
+
+_EXAMPLES = """examples:
+  softcal gap diagnose rig-7 --json rig-7.gap.json --page rig-7.html
+  softcal gap apply --report rig-7.gap.json --out rig-7.twin.json
+  softcal gap transfer --report rig-7.gap.json --lot lot-1
+  softcal gap challenge --cases 40 --out sealed
+"""
+_CASE_HELP = "folder with runs/<n>/recording.csv and recording.json, or one such run"
+_DIAGNOSE_EXAMPLES = """examples:
+  softcal gap diagnose rig-7 --json rig-7.gap.json
+  softcal gap diagnose rig-7/runs/2 --json - --page run-2.html
+  softcal gap diagnose S1.csv --vref-V 5 --adc-bits 10 --rate-Hz 50 --page S1.html
+
+columns of recording.csv: t_s, stage_mm, force_N, output_V, temperature_C (what is missing narrows the diagnosis)
+keys of recording.json:   vref_V, adc_bits, r_series_ohm, sample_rate_Hz, serial, profile, kind, sensor_type, dummy_ohm
+kind: press (default), rest, rigid_block, dummy_resistor, dead_weights
+"""
+_APPLY_EXAMPLES = """examples:
+  softcal gap apply rig-7 --out rig-7.twin.json
+  softcal gap apply --report rig-7.gap.json --out rig-7.twin.json    without diagnosing again
+  softcal station unit --simulated --twin rig-7.twin.json --serial A1 --out A1.csv
+  softcal demo --twin rig-7.twin.json
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal gap` and its commands."""
+    parser = commands.add_parser(
+        "gap",
+        help="diagnose the sim-to-real gap: where, which cause, how far it shrinks",
+        description="Compare the twin with recordings of a rig: where it is wrong, which effect causes it, how far the "
+        "gap shrinks when that effect is added, and what to press next.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    _add_diagnose(inner)
+    _add_apply(inner)
+    gap_transfer.add_parser(inner)
+    gap_challenge.add_parsers(inner)
+
+
+def _add_diagnose(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = commands.add_parser(
+        "diagnose",
+        help="find the causes of the gap in a case",
+        description="Fit the base twin and every effect of the catalogue jointly to all runs of a case and report "
+        "where the gap lies, its causes with probabilities, the shrink on held-out runs, and the next experiment.",
+        epilog=_DIAGNOSE_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("case", type=Path, metavar="CASE", help=f"{_CASE_HELP}; or a plain table")
+    table = parser.add_argument_group("electronics of a plain table (a case states its own)")
+    table.add_argument("--vref-V", type=float, dest="vref_V", metavar="V", help="supply of divider and ADC")
+    table.add_argument("--adc-bits", type=int, metavar="N", help="resolution of the ADC")
+    table.add_argument("--rate-Hz", type=float, dest="rate_Hz", metavar="HZ", help="sample rate")
+    table.add_argument(
+        "--series-ohm", type=float, metavar="OHM", help="series resistor; without it resistances come as shares of it"
+    )
+    add_json(parser)
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write a page of figures (standalone HTML)")
+    parser.set_defaults(run=_diagnose)
+
+
+def _add_apply(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = commands.add_parser(
+        "apply",
+        help="write the twin that explains a case",
+        description="Diagnose a case and write base parameters, noise and named causes as a twin that the simulated "
+        "station and simulated lots can load.",
+        epilog=_APPLY_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
+    parser.add_argument("--report", type=Path, metavar="FILE", help="take the twin of this report instead of CASE")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="twin as JSON")
+    add_json(parser)
+    parser.set_defaults(run=_apply)
+
+
+def _diagnose(options: argparse.Namespace) -> int:
+    from softcal.app.gap.diagnose import diagnose_case, write_page
+
+    diagnosis = diagnose_case(options.case, say, _table_readout(options))
+    if options.page:
+        write_page(options.page, diagnosis)
+    _show(diagnosis, options.json)
+    return 0
+
+
+def _table_readout(options: argparse.Namespace) -> "ReadoutMetadata | None":
+    """Return the electronics given for a plain table; only R/Rs enters the divider, so Rs may stay unknown."""
+    from softcal.core.twin.parameters import ReadoutMetadata
+
+    given = (options.vref_V, options.adc_bits, options.rate_Hz)
+    if all(value is None for value in (*given, options.series_ohm)):
+        return None
+    if options.case.is_dir():
+        raise InputError(f"{options.case}: a case states its electronics in recording.json; leave the options out")
+    if any(value is None for value in given):
+        raise InputError("a plain table needs --vref-V, --adc-bits and --rate-Hz together")
+    if options.series_ohm is None:
+        say("series resistor not given: resistances are shares of it")
+    return ReadoutMetadata(options.vref_V, options.adc_bits, options.series_ohm or 1.0, options.rate_Hz)
+
+
+def _apply(options: argparse.Namespace) -> int:
+    from softcal.app.gap.diagnose import apply_case, apply_report
+
+    if (options.case is None) == (options.report is None):
+        raise InputError("give either a case to diagnose or --report with the JSON of a diagnosis")
+    if options.report is not None:
+        twin = apply_report(options.report, options.out)
+        causes = ", ".join(setting.effect_id for setting in twin.effects) or "no effect, the refitted base alone"
+        say(f"twin written to {options.out}: {causes}")
+        return 0
+    diagnosis = apply_case(options.case, options.out, say)
+    said = "; nothing explains the gap, so it is the refitted base alone" if diagnosis.verdict == "unknown" else ""
+    say(f"twin written to {options.out}{said}")
+    _show(diagnosis, options.json)
+    return 0
+
+
+def _show(diagnosis: "Diagnosis", target: str | None) -> None:
+    """Print the diagnosis as tables; with `--json -` the record alone goes to standard output."""
+    if target:
+        write_json(target, diagnosis.report())
+    if target == "-":
+        return
+    shrink = diagnosis.shrink
+    print(f"verdict     {diagnosis.verdict}")
+    for channel, gap in diagnosis.gap.items():
+        print(f"{channel:<11} {gap.rmse_before:.4g} before, {gap.rmse_after:.4g} after, floor {gap.noise_floor:.4g}")
+    forecast = f"{shrink.predicted:.2f} [{shrink.low:.2f}, {shrink.high:.2f}]"
+    print(f"shrink      {shrink.held_out:.2f} held out; forecast {forecast}")
+    named = [c for c in diagnosis.causes if c.probability > 0.01]
+    if named:
+        print_table(
+            ["effect", "stage", "probability", "shrink", "hidden", "parameters"],
+            [
+                [c.effect, c.stage, c.probability, c.shrink, diagnosis.hidden_fraction.get(c.effect), _values(c)]
+                for c in named
+            ],
+        )
+    for place in diagnosis.places:
+        print(f"where       {place.stage}, {place.channel}, {place.regime}: {place.share:.0%}  {place.detail}")
+    for pair in diagnosis.ambiguous_with:
+        print(f"ambiguous   {' / '.join(pair)}")
+    print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
+    if diagnosis.case.missing_channels:
+        print(f"missing     {', '.join(diagnosis.case.missing_channels)}")
+    if diagnosis.case.unseen_stages:
+        print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
+
+
+def _values(cause: "Cause") -> str:
+    return ", ".join(f"{name} = {p.value:.3g} {p.unit}".rstrip() for name, p in cause.parameters.items())

@@ -1,0 +1,158 @@
+"""`softcal gap challenge`, `softcal gap ask` and `softcal gap score`: the withheld check of the diagnosis."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from softcal.core.challenge.score import Row, ScoreSheet
+
+_CHALLENGE_EXAMPLES = """examples:
+  softcal gap challenge --cases 40 --out sealed            # secret seed; labels go to sealed.seal.json
+  for c in sealed/case-*; do softcal gap diagnose $c --json reports/$(basename $c).json; done
+  softcal gap score sealed --reports reports --seal sealed.seal.json
+"""
+_ASK_EXAMPLES = """examples:
+  softcal gap ask sealed case-007 --experiment rate_sweep --seal sealed.seal.json
+  softcal gap ask sealed case-007 --experiment dead_weights --seal sealed.seal.json
+  softcal gap ask sealed case-007 --lot lot-7 --seal sealed.seal.json       units made with the sealed one
+"""
+_SCORE_EXAMPLES = """examples:
+  softcal gap score sealed --reports reports --seal sealed.seal.json
+  softcal gap score sealed --reports reports --seal sealed.seal.json --json score.json
+"""
+
+
+def add_parsers(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the three commands to those of `softcal gap`."""
+    _add_challenge(commands)
+    _add_ask(commands)
+    _add_score(commands)
+
+
+def _add_challenge(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = commands.add_parser(
+        "challenge",
+        help="make sealed cases whose cause is withheld",
+        description="Make sealed cases: recordings of simulated rigs with hidden effects, by a generator that shares "
+        "no code with the twin. The labels go into a file of their own; its SHA-256 is printed and published with "
+        "the cases before anybody diagnoses them.",
+        epilog=_CHALLENGE_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--cases", type=int, required=True, metavar="N", help="how many cases")
+    parser.add_argument("--seed", type=int, help="seed of the draw (default: a secret one, kept in the seal)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="new folder for the cases")
+    parser.add_argument("--seal", type=Path, metavar="FILE", help="file for the labels (default: DIR.seal.json)")
+    parser.add_argument("--line", metavar="NAME", help="draw one line of the benchmark instead of the mix")
+    parser.set_defaults(run=_challenge)
+
+
+def _add_ask(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = commands.add_parser(
+        "ask",
+        help="run one more experiment on a sealed rig",
+        description="Run one more experiment on a sealed rig, with the same hidden causes. The recording is added to "
+        "the case as runs/asked-<n>; diagnose the case again to see whether the ambiguity is gone.",
+        epilog=_ASK_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("folder", type=Path, metavar="DIR", help="folder of the challenge")
+    parser.add_argument("case", metavar="CASE", help="name of the case")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--experiment", metavar="NAME", help="name of the experiment")
+    what.add_argument("--lot", type=Path, metavar="DIR", help="press a lot of units on the rig into this new folder")
+    parser.add_argument("--units", type=int, default=6, metavar="N", help="target units of the lot (default 6)")
+    parser.add_argument("--seal", type=Path, required=True, metavar="FILE", help="file with the labels")
+    parser.set_defaults(run=_ask)
+
+
+def _add_score(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = commands.add_parser(
+        "score",
+        help="open the seal of a challenge and score the reports",
+        description="Check the seal of a challenge against its published hash, open it, and score one report per "
+        "case: causes, sets, false alarms, abstention, stage, forecast of the shrink, calibration of probabilities.",
+        epilog=_SCORE_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("folder", type=Path, metavar="DIR", help="folder of the challenge")
+    parser.add_argument("--reports", type=Path, required=True, metavar="DIR", help="folder with CASE.json per case")
+    parser.add_argument("--seal", type=Path, required=True, metavar="FILE", help="file with the labels")
+    parser.add_argument("--json", metavar="FILE", help="write the scores as JSON ('-' for standard output)")
+    parser.set_defaults(run=_score)
+
+
+def _challenge(options: argparse.Namespace) -> int:
+    from softcal.app.cli.output import Progress, say
+    from softcal.app.gap.challenge import make_challenge
+
+    folder: Path = options.out
+    seal_file = options.seal or folder.parent / f"{folder.name}.seal.json"
+    progress = Progress("cases", max(1, options.cases))
+    made = make_challenge(folder, seal_file, options.cases, options.seed, options.line, progress.step)
+    print(f"commitment  {made.commitment}")
+    say(f"{len(made.cases)} cases in {folder}; labels in {seal_file}: keep it away from whoever diagnoses")
+    return 0
+
+
+def _ask(options: argparse.Namespace) -> int:
+    from softcal.app.gap.challenge import ask_rig, press_rig_lot
+
+    if options.lot is not None:
+        print(press_rig_lot(options.folder, options.seal, options.case, options.units, options.lot))
+        return 0
+    print(ask_rig(options.folder, options.seal, options.case, options.experiment))
+    return 0
+
+
+def _score(options: argparse.Namespace) -> int:
+    from softcal.app.cli.output import write_json
+    from softcal.app.gap.challenge import score_challenge
+
+    sheet = score_challenge(options.folder, options.reports, options.seal)
+    if options.json:
+        write_json(options.json, sheet.to_record())
+    if options.json != "-":
+        _print(sheet)
+    return 0
+
+
+def _print(sheet: "ScoreSheet") -> None:
+    from softcal.app.cli.output import print_table
+
+    header = ("line", "measure", "hits", "of", "share", "95 % interval")
+    print_table(header, [_cells(row) for row in (*sheet.rows, *sheet.shrink.rows) if row.count])
+    sure = sheet.probabilities
+    print()
+    print_table(
+        ("probabilities", "value"),
+        [
+            ("expected calibration error, all effects", sure.ece),
+            ("expected calibration error, first cause", sure.ece_first),
+            ("Brier score", sure.brier),
+            ("mean probability on the true single cause", sure.on_truth),
+        ],
+    )
+    wrong = [j for j in sheet.judged if j.outcome not in ("right", "set", "below noise")]
+    print()
+    print_table(
+        ("case", "line", "outcome", "verdict", "first", "truth", "σ"),
+        [
+            (
+                j.label.case.name,
+                j.label.case.line,
+                j.outcome,
+                j.answer.verdict if j.answer else None,
+                j.answer.first if j.answer else None,
+                " + ".join(cause.effect for cause in j.label.case.causes) or "none",
+                j.label.distance_sigma,
+            )
+            for j in wrong
+        ],
+    )
+
+
+def _cells(row: "Row") -> tuple[object, ...]:
+    low, high = row.interval
+    return row.line, row.measure, row.hits, row.count, f"{100 * row.share:.1f} %", f"{100 * low:.1f}–{100 * high:.1f} %"

@@ -1,0 +1,89 @@
+"""`softcal import`: a lot folder out of CSV, Excel or Parquet files."""
+
+import argparse
+from pathlib import Path
+
+from softcal.app.cli.output import say, write_json
+from softcal.core.errors import InputError
+
+EXAMPLES = """examples:
+  one file per unit; S1 has a load cell, the others' forces only score:
+    softcal import S1.csv S2.csv --source S1 --output-column output_V --reference-column force_N \\
+        --sample-rate 50 --audit --out lot-1
+  one wide file, a column per unit:
+    softcal import insole.parquet --source taxel_003 --output-column 'taxel_*' --reference-column pressure_bar \\
+        --time-column t_s --reference-quantity pressure --reference-unit bar --output-unit count --out lot-2
+then: softcal batch lot-1
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal import`."""
+    parser = commands.add_parser(
+        "import",
+        help="make a lot folder out of CSV, Excel or Parquet files",
+        description="Make a lot folder: one file per unit, or one wide file with a column per unit. Nothing is "
+        "written unless every file can be used.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="CSV, .xlsx or Parquet")
+    parser.add_argument("--out", required=True, type=Path, help="lot folder to make; must not exist yet")
+    parser.add_argument("--source", required=True, metavar="SERIAL", help="unit with the reference that trains f")
+    parser.add_argument("--lot-id", help="default: the name of the lot folder")
+    parser.add_argument("--sensor-model", default="")
+    parser.add_argument("--output-column", default="output", help="column of the output; with * one unit per column")
+    parser.add_argument("--reference-column", help="column of the reference (load cell); needed for the source")
+    parser.add_argument("--time-column", help="column of the time in s; without it --sample-rate makes the time")
+    parser.add_argument("--stage-column", help="column of the stage position in mm")
+    parser.add_argument("--sample-rate", type=float, metavar="HZ", help="default: what the time column shows")
+    parser.add_argument("--serial", action="append", metavar="S", help="serial of each file in order; else its name")
+    parser.add_argument("--audit", action="store_true", help="keep the targets' references in audit/; they only score")
+    parser.add_argument("--rows", type=_rows, metavar="A:B", help="data rows that fit, counted from 0")
+    parser.add_argument("--audit-rows", type=_rows, metavar="A:B", help="data rows that score")
+    parser.add_argument("--sheet", help="sheet of an Excel file")
+    parser.add_argument("--reference-quantity", default="force")
+    parser.add_argument("--reference-unit", default="N")
+    parser.add_argument("--output-unit", default="V")
+    parser.add_argument("--limit", type=float, metavar="RMSE", help="largest acceptable error, in the reference unit")
+    parser.add_argument("--json", metavar="FILE", help="machine-readable result; - for standard output")
+    parser.set_defaults(run=run)
+
+
+def _rows(text: str) -> tuple[int, int]:
+    start, _, stop = text.partition(":")
+    try:
+        return int(start), int(stop)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r}: START:STOP was expected, for example 0:800") from error
+
+
+def run(options: argparse.Namespace) -> int:
+    """Import, and say what was made."""
+    from softcal.app.files.importing import Columns, ImportPlan, import_lot, median_rate_Hz
+    from softcal.core.lot import Lot
+
+    if options.sample_rate is None and options.time_column is None:
+        raise InputError(
+            "neither --sample-rate nor --time-column is given; one of them must say when samples were taken"
+        )
+    rate_Hz = options.sample_rate or median_rate_Hz(options.files[0], options.time_column, options.sheet)
+    lot = Lot(
+        id=options.lot_id or options.out.name,
+        source=options.source,
+        sample_rate_Hz=rate_Hz,
+        sensor_model=options.sensor_model,
+        reference_quantity=options.reference_quantity,
+        reference_unit=options.reference_unit,
+        output_unit=options.output_unit,
+        limit_rmse=options.limit,
+    )
+    columns = Columns(options.output_column, options.reference_column, options.time_column, options.stage_column)
+    plan = ImportPlan(
+        options.files, columns, lot, options.audit, options.rows, options.audit_rows, options.sheet, options.serial
+    )
+    units = import_lot(plan, options.out)
+    say(f"{options.out}: lot {lot.id!r}, source {lot.source}, {len(units)} target units, {rate_Hz:g} Hz")
+    if options.json:
+        write_json(options.json, {"schema": "softcal.import/1", "lot": lot.id, "source": lot.source, "units": units})
+    return 0

@@ -1,0 +1,48 @@
+"""`softcal inspect`: what a calibration file holds."""
+
+import argparse
+from pathlib import Path
+
+from softcal.app.cli.options import add_json
+from softcal.app.cli.output import print_table, write_json
+
+EXAMPLES = """examples:
+  softcal inspect files/unit-A1.ssc
+  softcal inspect files/unit-A1.ssc --network files/network-0123456789abcdef.ssc
+  softcal inspect files/unit-A1.json --json -
+
+A damaged file is refused with the reason; with --network the unit's self-tests are run as a device would.
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal inspect`."""
+    parser = commands.add_parser(
+        "inspect",
+        help="say what a calibration file holds, and whether it is whole",
+        description="Show a network or unit file (.ssc, or its JSON twin), after checking all that can be checked.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", type=Path, metavar="FILE", help=".ssc or .json")
+    parser.add_argument("--network", type=Path, metavar="FILE", help="the network file, to run a unit's self-tests")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read, check and show one file."""
+    from softcal.app.export.inspect_file import file_rows, file_values, read_device_file
+    from softcal.core.errors import InputError
+    from softcal.core.export.blob import NetworkFile
+
+    file = read_device_file(options.file)
+    network = read_device_file(options.network) if options.network else None
+    if network is not None and not isinstance(network, NetworkFile):
+        raise InputError(f"{options.network}: a network file was expected, this one is of unit {network.serial}")
+    rows = file_rows(file, network)
+    if options.json:
+        write_json(options.json, file_values(file))
+    if options.json != "-":
+        print_table(("what", "value"), rows)
+    return 0

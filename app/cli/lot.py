@@ -1,0 +1,183 @@
+"""`softcal lot`: watch a lot folder, set the limit its units are judged by, plan and judge its audit."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from softcal.app.bootstrap import open_chosen_registry
+from softcal.app.cli.options import add_json, add_network, add_registry, network_config
+from softcal.app.cli.output import print_table, say, write_json
+from softcal.core.errors import InputError
+from softcal.core.quality.line_rules import LETTERS, RETESTS
+
+DONE, SOME_UNIT_NOT_PASSED = 0, 1
+EXAMPLES = """examples:
+  softcal lot watch lot-1                        calibrate units as their recordings land, until Ctrl-C
+  softcal lot watch lot-1 --idle 60 --jobs 2     stop when nothing came for a minute
+  softcal lot limit lot-1 --rmse 0.15 --reason "customer drawing, revision C"
+  softcal lot limit lot-1                        every version of the limit, who set it and why
+  softcal lot rules lot-1 --serial-pattern 'EG-[0-9]{4}' --letters upper --target 500 --reason "order 4711"
+  softcal lot rules lot-1 --retests fail=0 retest=3 --reason "customer allows no second try"
+  softcal lot audit-plan lot-1                   which few units to check with the load cell, and how far that is
+  softcal lot audit-plan lot-1 --new --random 20 --reason "first draw was lost in transit"
+
+Put the labelled recordings of the drawn units into the lot folder's audit/ and run `softcal batch` again: it scores
+them and judges the lot.
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal lot`."""
+    parser = commands.add_parser(
+        "lot",
+        help="watch a lot folder; set the limit of a lot; plan and judge its audit",
+        description="What concerns a lot as a whole.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    watch = actions.add_parser("watch", help="calibrate units as their recordings land")
+    watch.add_argument("folder", type=Path, metavar="LOT", help="lot folder")
+    add_registry(watch)
+    watch.add_argument("--every", type=float, default=2.0, metavar="S", help="seconds between two looks (default 2)")
+    watch.add_argument("--idle", type=float, metavar="S", help="stop when nothing came for so long (default: never)")
+    watch.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes (default 1)")
+    add_network(watch)
+    watch.set_defaults(run=_watch)
+    limit = actions.add_parser("limit", help="show or set the largest acceptable error of a lot's units")
+    limit.add_argument("lot", metavar="ID", help="lot in the registry")
+    add_registry(limit)
+    add_json(limit)
+    limit.add_argument("--rmse", type=float, help="new limit in the lot's reference unit")
+    limit.add_argument("--reason", help="why; needed with --rmse")
+    limit.add_argument("--expect", type=int, metavar="VERSION", help="refuse when somebody changed it since")
+    limit.set_defaults(run=_limit)
+    rules = actions.add_parser(
+        "rules", help="show or set how a lot's serials look, how many are planned, and who may be pressed again"
+    )
+    rules.add_argument("lot", metavar="ID", help="lot in the registry")
+    add_registry(rules)
+    add_json(rules)
+    rules.add_argument("--serial-pattern", metavar="REGEX", help="what a whole serial matches; '' takes any")
+    rules.add_argument("--letters", choices=LETTERS, help="turn what was scanned into these letters")
+    rules.add_argument("--target", type=int, metavar="N", help="units that are planned")
+    rules.add_argument(
+        "--retests", nargs="+", metavar="VERDICT=N", help=f"re-tests after a verdict: {', '.join(RETESTS)}"
+    )
+    rules.add_argument("--reason", default="", help="why; needed with every change")
+    rules.set_defaults(run=_rules)
+    _add_audit_plan(actions)
+
+
+def _add_audit_plan(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    audit = actions.add_parser(
+        "audit-plan",
+        help="draw which few units to check with the load cell; show how far the checks are and what they say",
+        description="The first call draws the plan and writes it down; later calls show where it stands.",
+    )
+    audit.add_argument("lot", metavar="ID", help="lot in the registry, or its folder")
+    add_registry(audit)
+    add_json(audit)
+    for name, kind, text in (
+        ("--doubtful", int, "units with the largest predicted error (default 3)"),
+        ("--random", int, "units drawn from the other accepted ones, to speak for the unchecked (default 5)"),
+        ("--seed", int, "drives the draw (default 0)"),
+        ("--allowed-share", float, "share of nonconforming units the lot may hold (default 0.1)"),
+    ):
+        audit.add_argument(name, type=kind, metavar="N", help=text)
+    audit.add_argument("--new", action="store_true", help="draw again although a plan stands; needs --reason")
+    audit.add_argument("--reason", default="", help="why the plan is drawn again")
+    audit.set_defaults(run=_audit_plan)
+
+
+def _audit_plan(options: argparse.Namespace) -> int:
+    from softcal.app.batch.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, update_lot
+    from softcal.app.files.lot_folder import open_lot_folder
+    from softcal.core.quality.audit_plan import AuditConfig
+
+    folder = Path(options.lot)
+    lot_id = open_lot_folder(folder).lot.id if (folder / "lot.toml").is_file() else options.lot
+    with open_chosen_registry(options.registry, create=False) as registry:
+        registry.lot(lot_id)
+        audit = None if options.new else update_lot(registry, lot_id)
+        if audit is None:
+            names = ("doubtful", "random", "seed", "allowed_share")
+            asked = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+            audit = draw_plan(registry, lot_id, AuditConfig(**asked), reason=options.reason)
+    if options.json:
+        write_json(options.json, audit_json(audit))
+    if options.json != "-":
+        print_table(AUDIT_HEADER, audit_rows(audit))
+        print(audit_line(audit))
+    return SOME_UNIT_NOT_PASSED if audit.statement is not None and audit.statement.word == "fail" else DONE
+
+
+def _watch(options: argparse.Namespace) -> int:
+    from softcal.app.batch.engine import EngineChoice
+    from softcal.app.batch.lot_work import BatchConfig, Watch
+    from softcal.app.batch.report import TABLE_HEADER, table_row
+    from softcal.app.batch.watch import WatchConfig, watch_lot
+
+    if not options.every > 0 or (options.idle is not None and not options.idle > 0):
+        raise InputError("--every and --idle are seconds above 0")
+    batch = BatchConfig(network=network_config(options), engine=EngineChoice(jobs=options.jobs), actor="softcal lot")
+    passed = True
+    say(f"{options.folder}: waiting for recordings; Ctrl-C stops")
+    with open_chosen_registry(options.registry) as registry:
+        config = WatchConfig(options.every, options.idle)
+        try:
+            for report in watch_lot(options.folder, registry, batch, config, Watch()):
+                print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
+                passed = passed and report.counts["pass"] == len(report.units)
+        except KeyboardInterrupt:
+            say("stopped; what was finished is kept")
+    return DONE if passed else SOME_UNIT_NOT_PASSED
+
+
+def _limit(options: argparse.Namespace) -> int:
+    if options.rmse is not None and not (options.reason or "").strip():
+        raise InputError("--rmse needs --reason: a limit without a reason cannot be defended")
+    with open_chosen_registry(options.registry, create=False) as registry:
+        if options.rmse is not None:
+            registry.set_limit(options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
+        unit = registry.lot(options.lot).reference_unit
+        versions = registry.limit_versions(options.lot)
+    if options.json:
+        entries = [vars(entry) | {"made_at": entry.made_at.isoformat()} for entry in versions]
+        write_json(options.json, {"schema": "softcal.lot.limit/1", "unit": unit, "versions": entries})
+    if options.json != "-":
+        rows = [[e.version, e.rmse, f"{e.made_at:%Y-%m-%d %H:%M}", e.actor, e.reason] for e in versions]
+        print_table(("version", f"limit {unit}", "set (UTC)", "by", "reason"), rows)
+    return DONE
+
+
+def _rules(options: argparse.Namespace) -> int:
+    changes = {name: getattr(options, name) for name in ("serial_pattern", "letters", "target")}
+    changes = {name: value for name, value in changes.items() if value is not None}
+    with open_chosen_registry(options.registry, create=False) as registry:
+        rules = registry.line_rules(registry.lot(options.lot))
+        if options.retests:
+            changes["retests"] = {**rules.retests, **dict(_retest(text) for text in options.retests)}
+        if changes:
+            registry.set_line_rules(options.lot, replace(rules, **changes), reason=options.reason)
+        versions = registry.line_rules_versions(options.lot)
+        rules = registry.line_rules(registry.lot(options.lot))
+    if options.json:
+        entries = [vars(e) | {"made_at": e.made_at.isoformat(), "rules": e.rules.settings()} for e in versions]
+        write_json(options.json, {"schema": "softcal.lot.rules/1", "now": rules.settings(), "versions": entries})
+    if options.json != "-":
+        retests = ", ".join(f"{times} after {verdict}" for verdict, times in rules.retests.items())
+        shown = rules.settings() | {"serial_pattern": rules.serial_pattern or "any", "retests": retests}
+        print_table(
+            ("rule", "holds now"), [[name, "–" if value is None else str(value)] for name, value in shown.items()]
+        )
+        rows = [[e.version, f"{e.made_at:%Y-%m-%d %H:%M}", e.actor, e.reason] for e in versions]
+        print_table(("version", "set (UTC)", "by", "reason"), rows)
+    return DONE
+
+
+def _retest(text: str) -> tuple[str, int]:
+    verdict, _, times = text.partition("=")
+    if not times.isdigit():
+        raise InputError(f"--retests {text!r}: VERDICT=N was expected, for example fail=1")
+    return verdict, int(times)

@@ -1,0 +1,103 @@
+"""The console script `softcal`: parse, run one command, map errors to exit codes. Heavy imports stay in commands."""
+
+import argparse
+import importlib
+import sys
+from importlib.metadata import version
+from typing import Any
+
+from softcal.core.errors import DeviceError, InputError, RegistryError, SoftcalError
+
+DONE, SOME_UNIT_NOT_PASSED, WRONG_USE, RIG_FAILED, REGISTRY_FAILED = 0, 1, 2, 3, 4
+
+COMMANDS = (
+    "demo",
+    "import_",
+    "train",
+    "batch",
+    "estimate",
+    "explain",
+    "adapt",
+    "station",
+    "export",
+    "inspect_",
+    "registry",
+    "lot",
+    "quality",
+    "gap",
+    "ui",
+    "doctor",
+)
+"""Modules of `softcal.app.cli`, in the order of `softcal --help`; each has `add_parser` and sets `run`."""
+
+LOGGED = ("demo", "import_", "train", "batch", "adapt", "station", "lot", "ui")
+"""Commands whose runs are in the log: with what they were called, what they did, how they ended."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command and return its exit code (0 done, 1 some unit did not pass, 2 use, 3 rig, 4 registry).
+
+    A defect of softcal itself is one line for the person, too; its traceback goes to the log.
+    """
+    options = _parser().parse_args(arguments)
+    log = _log_of(options, sys.argv[1:] if arguments is None else arguments)
+    code, message = _outcome(options)
+    if log is not None:
+        from softcal.app.logs import end_run
+
+        end_run(log, code, message)
+    if message:
+        print(f"softcal: {message}", file=sys.stderr)
+    return code
+
+
+def _outcome(options: argparse.Namespace) -> tuple[int, str]:
+    """Run the command; return its exit code, and what is to be said where it did not end well."""
+    try:
+        return int(options.run(options)), ""
+    except InputError as error:
+        return WRONG_USE, str(error)
+    except DeviceError as error:
+        return RIG_FAILED, str(error)
+    except RegistryError as error:
+        return REGISTRY_FAILED, str(error)
+    except SoftcalError as error:
+        return WRONG_USE, str(error)
+    except KeyboardInterrupt:
+        return WRONG_USE, "stopped by the keyboard; what was finished is kept, run the same command to go on"
+    except BrokenPipeError:
+        sys.stderr.close()
+        return DONE, ""
+    except Exception as error:
+        from softcal.app.logs import log_crash
+
+        return WRONG_USE, log_crash(error, str(options.run.__module__))
+
+
+def _log_of(options: argparse.Namespace, arguments: list[str]) -> Any:
+    """Begin the log of a command that works long or changes something; None for all the others."""
+    command = str(options.run.__module__).rpartition(".")[2]
+    if command not in LOGGED:
+        return None
+    from softcal.app.logs import begin_run
+
+    names = ("lot", "serial", "station", "actor")
+    context = {name: str(value) for name in names if (value := getattr(options, name, None)) is not None}
+    return begin_run(command.strip("_"), arguments, **context)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="softcal",
+        description="Calibrate soft sensors: one shared network, one optimal-transport map per unit.",
+        epilog="Start with: softcal demo",
+    )
+    parser.add_argument("--version", action="version", version=f"softcal {version('softcal')}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for name in COMMANDS:
+        importlib.import_module(f"softcal.app.cli.{name}").add_parser(commands)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

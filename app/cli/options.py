@@ -1,0 +1,116 @@
+"""Options that several commands share, and what they mean."""
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from softcal.app.cli.output import Progress, say
+
+if TYPE_CHECKING:
+    from softcal.app.batch.lot_work import Watch
+    from softcal.app.batch.report import UnitResult
+    from softcal.core.network.training import EpochReport, NetworkConfig
+    from softcal.db.registry import Registry
+
+REGISTRY_HELP = (
+    "SQLAlchemy URL of the registry; default: $SOFTCAL_REGISTRY, else an SQLite file in the user's data folder"
+)
+JSON_HELP = "machine-readable result; - for standard output"
+
+
+def add_registry(parser: argparse.ArgumentParser) -> None:
+    """Add `--registry URL`."""
+    parser.add_argument("--registry", metavar="URL", help=REGISTRY_HELP)
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add `--json FILE`."""
+    parser.add_argument("--json", metavar="FILE", help=JSON_HELP)
+
+
+def add_network(parser: argparse.ArgumentParser) -> None:
+    """Add the options of f's training."""
+    group = parser.add_argument_group("shared network")
+    group.add_argument("--hidden", type=_widths, default=(120, 70, 35), metavar="N,N,..", help="default 120,70,35")
+    group.add_argument("--seed", type=int, default=0, help="drives initial weights and batch order (default 0)")
+    group.add_argument("--members", type=int, default=1, metavar="N", help="networks averaged into one (default 1)")
+
+
+def positive(text: str) -> float:
+    """Return a number above 0, for argparse."""
+    value = float(text)
+    if not 0 < value < 1e5:
+        raise argparse.ArgumentTypeError(f"{text}: a number above 0 was expected")
+    return value
+
+
+def _widths(text: str) -> tuple[int, ...]:
+    try:
+        widths = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        widths = ()
+    if not widths or min(widths) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: positive layer widths such as 120,70,35 were expected")
+    return widths
+
+
+def network_config(options: argparse.Namespace) -> "NetworkConfig":
+    """Return the training configuration that the options give."""
+    from softcal.core.network.training import NetworkConfig
+
+    return NetworkConfig(hidden=options.hidden, seed=options.seed, members=options.members)
+
+
+@contextmanager
+def registry_of(options: argparse.Namespace, *, create: bool = True) -> "Iterator[Registry]":
+    """Open the registry the options name, and close it after the block; a new one is made only where `create`."""
+    from softcal.app.bootstrap import open_chosen_registry
+
+    with open_chosen_registry(options.registry, create=create) as registry:
+        yield registry
+
+
+def say_epoch(report: "EpochReport", unit: str) -> None:
+    """Print every 20th epoch of a training as one line of progress."""
+    if report.epoch % 20 == 0:
+        say(
+            f"training f: epoch {report.epoch}/{report.max_epochs}, validation {report.validation_rmse:.4g} {unit}, "
+            f"best {report.best_validation_rmse:.4g} {unit}"
+        )
+
+
+def batch_watch(unit: str) -> "Watch":
+    """Return a watch that prints the progress of a batch; errors are in `unit`."""
+    from softcal.app.batch.lot_work import Watch
+
+    return _BatchProgress(unit).watch(Watch)
+
+
+class _BatchProgress:
+    """Progress of a lot that other batches may work at, too."""
+
+    def __init__(self, unit: str) -> None:
+        self._unit, self._total, self._note = unit, 0, ""
+        self._progress: Progress | None = None
+
+    def watch(self, kind: "type[Watch]") -> "Watch":
+        return kind(
+            on_epoch=lambda report: say_epoch(report, self._unit),
+            on_start=self._start,
+            on_unit=self._told,
+            on_done=self._reached,
+            on_wait=lambda held: say(f"waiting for {held} units that other batches hold"),
+        )
+
+    def _start(self, total: int) -> None:
+        self._total = total
+
+    def _told(self, result: "UnitResult") -> None:
+        self._note = f"{result.serial} {result.verdict}"
+
+    def _reached(self, done: int) -> None:
+        if self._progress is None:
+            self._progress = Progress("units", self._total, done)
+        else:
+            self._progress.reach(done, self._note)

@@ -1,0 +1,160 @@
+"""`softcal quality`: gauge studies, capability, yields and golden units."""
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from softcal.app.bootstrap import open_chosen_registry
+from softcal.app.cli.options import add_json, add_registry
+from softcal.app.cli.output import print_table, write_json
+from softcal.core.errors import InputError
+
+if TYPE_CHECKING:
+    from softcal.core.quality.control_chart import ControlChart
+
+DONE = 0
+EXAMPLES = """examples:
+  softcal quality grr study.csv              columns unit, station, trial, value; one row per press
+  softcal quality yield --lot lot-1
+  softcal quality capability --lot lot-1     predicted errors against the lot's limit
+  softcal quality capability --file peaks.csv --column peak_N --min 2.8 --max 3.2
+  softcal quality golden --station line-1 --baseline 20
+
+A capability is refused while the process is not stable: the number would promise what nobody can keep.
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal quality`."""
+    parser = commands.add_parser(
+        "quality",
+        help="gauge R&R, capability, yields, golden-unit trends",
+        description="Numbers for quality: is the gauge good enough, is the process stable, how many units pass.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    grr = _action(actions, "grr", "gauge repeatability and reproducibility", _grr)
+    grr.add_argument("file", type=Path, metavar="CSV", help="columns unit, station, trial, value")
+    grr.add_argument("--method", choices=("anova", "range"), default="anova", help="default: anova")
+    grr.add_argument("--tolerance", type=float, metavar="WIDTH", help="also in %% of this tolerance width")
+    able = _action(actions, "capability", "Cp, Cpk, Pp, Ppk with interval, on a stable process only", _capability)
+    add_registry(able)
+    able.add_argument("--lot", metavar="ID", help="predicted errors of this lot")
+    able.add_argument("--file", type=Path, metavar="CSV", help="numbers from a file instead, in time order")
+    able.add_argument("--column", help="which column of the file")
+    able.add_argument("--min", type=float, dest="minimum")
+    able.add_argument("--max", type=float, dest="maximum", help="default: the lot's limit")
+    count = _action(actions, "yield", "first-pass, second-pass and final yield of a lot", _yield)
+    add_registry(count)
+    count.add_argument("--lot", metavar="ID", required=True)
+    count.add_argument("--conditional-is-good", action="store_true", help="count conditional verdicts as good")
+    golden = _action(actions, "golden", "control charts of the golden units", _golden)
+    add_registry(golden)
+    golden.add_argument("--station", metavar="NAME")
+    golden.add_argument("--serial")
+    golden.add_argument("--baseline", type=int, metavar="N", help="limits from the first N checks (default: all)")
+
+
+def _action(
+    actions: "argparse._SubParsersAction[argparse.ArgumentParser]",
+    name: str,
+    summary: str,
+    action: Callable[[argparse.Namespace], int],
+) -> argparse.ArgumentParser:
+    parser = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
+    add_json(parser)
+    parser.set_defaults(run=action)
+    return parser
+
+
+def _grr(options: argparse.Namespace) -> int:
+    from softcal.app.registry.quality import gauge_study, study_json
+
+    if options.tolerance is not None and not options.tolerance > 0:
+        raise InputError(f"--tolerance {options.tolerance:g}: a positive width was expected")
+    study = gauge_study(options.file, options.method)
+    value = {"schema": "softcal.quality.grr/1"} | study_json(study)
+    parts = [
+        ("repeatability (EV)", study.repeatability),
+        ("reproducibility (AV)", study.reproducibility),
+        ("interaction", study.interaction),
+        ("gauge R&R", study.grr),
+        ("units (PV)", study.parts),
+        ("total (TV)", study.total),
+    ]
+    header, rows = ["what", "standard deviation", "% of total"], [[n, s, 100 * s / study.total] for n, s in parts]
+    if options.tolerance is not None:
+        value["tolerance_percent"] = study.tolerance_percent(options.tolerance)
+        header.append("% of tolerance")
+        rows = [[*row, 600 * spread / options.tolerance] for row, (_, spread) in zip(rows, parts, strict=True)]
+    closing = f"{study.word}: {study.grr_percent:.1f} % gauge R&R, {study.categories} distinct categories, 5 are wanted"
+    return _answer(options, value, header, rows, closing)
+
+
+def _capability(options: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from softcal.app.registry.quality import chart_json, file_chart, lot_capability
+    from softcal.core.quality.control_chart import capability
+
+    if (options.lot is None) == (options.file is None):
+        raise InputError("give either --lot ID or --file CSV --column NAME")
+    if options.file is not None:
+        if options.column is None:
+            raise InputError("--file needs --column NAME")
+        chart = file_chart(options.file, options.column)
+        found = capability(chart, options.minimum, options.maximum)
+    else:
+        with open_chosen_registry(options.registry, create=False) as registry:
+            chart, found = lot_capability(registry, options.lot, options.maximum)
+    value = {"schema": "softcal.quality.capability/1", "capability": asdict(found), "chart": chart_json(chart)}
+    row = [found.count, found.cp, found.cpk, found.cpk_lower, found.cpk_upper, found.pp, found.ppk]
+    header = ["values", "Cp", "Cpk", "lower 95 %", "upper 95 %", "Pp", "Ppk"]
+    return _answer(options, value, header, [row], "the process is stable")
+
+
+def _yield(options: argparse.Namespace) -> int:
+    from softcal.app.registry.quality import lot_yields, named_shares, yields_json
+
+    with open_chosen_registry(options.registry, create=False) as registry:
+        found = lot_yields(registry, options.lot, conditional_is_good=options.conditional_is_good)
+    value = {"schema": "softcal.quality.yield/1", "lot": options.lot} | yields_json(found)
+    rows = [[name.replace("_", " "), s.count, s.of, s.value, *s.interval] for name, s in named_shares(found)]
+    reasons = "; ".join(f"{count} x {reason}" for reason, count in found.reasons[:5])
+    header = ["yield", "good", "of", "share", "lower 95 %", "upper 95 %"]
+    return _answer(options, value, header, rows, f"not good: {reasons}" if reasons else "")
+
+
+def _golden(options: argparse.Namespace) -> int:
+    from softcal.app.registry.quality import chart_json, golden_charts
+
+    with open_chosen_registry(options.registry, create=False) as registry:
+        charts = golden_charts(registry, options.station, options.serial, options.baseline)
+    found = [{"station": key[0], "serial": key[1]} | chart_json(chart) for key, chart in charts.items()]
+    header = ["station", "unit", "checks", "centre", "lower", "upper", "newest", "state"]
+    rows = [[*key, *_golden_row(chart)] for key, chart in charts.items()]
+    return _answer(options, {"schema": "softcal.quality.golden/1", "charts": found}, header, rows, "")
+
+
+def _golden_row(chart: "ControlChart") -> list[object]:
+    newest = chart.signals[-1] if chart.signals else None
+    state = f"check {newest.index + 1}: {newest.text}" if newest else "in control"
+    return [len(chart.values), chart.centre, chart.lower, chart.upper, float(chart.values[-1]), state]
+
+
+def _answer(
+    options: argparse.Namespace,
+    value: Mapping[str, object],
+    header: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    closing: str,
+) -> int:
+    if options.json:
+        write_json(options.json, value)
+    if options.json != "-":
+        print_table(header, rows)
+        if closing:
+            print(closing)
+    return DONE

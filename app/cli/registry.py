@@ -1,0 +1,195 @@
+"""`softcal registry`: the database with every unit's history."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from softcal.app.bootstrap import open_chosen_registry, registry_url
+from softcal.app.cli.options import add_json, add_registry
+from softcal.app.cli.output import print_table, say, write_json
+from softcal.core.errors import RegistryError
+
+if TYPE_CHECKING:
+    from softcal.db.registry import Registry
+DONE = 0
+EXAMPLES = """examples:
+  softcal registry list --lot lot-1
+  softcal registry history --serial A17
+  softcal registry rollback --serial A17 --to 2 --reason "remounted, revision 3 was wrong"
+  softcal registry verify
+  softcal registry backup /backup/registry-2026-05-04.db
+  softcal registry restore /backup/registry-2026-05-04.db --registry sqlite:///new.db
+  softcal registry sync --with postgresql://line@db/softcal
+  softcal registry grants --line line --reader office | psql softcal
+  softcal registry upgrade
+
+The registry is an SQLite file or a PostgreSQL database:
+  --registry sqlite:///relative.db, sqlite:////absolute/file.db or postgresql://USER@HOST/DATABASE
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal registry` and what it does."""
+    parser = commands.add_parser(
+        "registry",
+        help="the database: list, history, verify, backup, restore, sync, rollback, upgrade",
+        description="Units, maps and who did what: append-only, with a chained audit trail.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    listing = _action(actions, "list", "units with their newest verdict", _list)
+    listing.add_argument("--lot", metavar="ID", help="only this lot")
+    listing.add_argument("--csv", type=Path, metavar="FILE", help="write the table as CSV for a spreadsheet")
+    history = _action(actions, "history", "every revision of a unit's map", _history)
+    history.add_argument("--serial", required=True)
+    _action(actions, "verify", "check every stored byte, every row and the audit trail", _verify)
+    backup = _action(actions, "backup", "write one consistent copy while the registry is in use", _backup)
+    backup.add_argument("file", type=Path, metavar="FILE", help="new SQLite file")
+    restore = _action(actions, "restore", "fill an empty registry from a backup", _restore)
+    restore.add_argument("file", type=Path, metavar="FILE", help="a backup")
+    rollback = _action(actions, "rollback", "bring an older revision back into use", _rollback)
+    rollback.add_argument("--serial", required=True)
+    rollback.add_argument("--to", required=True, type=int, metavar="REVISION")
+    rollback.add_argument("--reason", required=True, help="lands in the audit trail")
+    sync = _action(actions, "sync", "bring a station's registry and the line's together, both ways", _sync)
+    sync.add_argument("--with", required=True, dest="other", metavar="URL", help="the other registry")
+    grants = _action(actions, "grants", "print the SQL that gives a PostgreSQL role what the line needs", _grants)
+    grants.add_argument("--line", default="softcal_line", metavar="ROLE", help="may calibrate; default softcal_line")
+    grants.add_argument("--reader", default="softcal_reader", metavar="ROLE", help="may read; default softcal_reader")
+    _action(actions, "upgrade", "bring the tables to this version (SQLite: after a backup)", _upgrade)
+
+
+def _action(
+    actions: "argparse._SubParsersAction[argparse.ArgumentParser]",
+    name: str,
+    summary: str,
+    action: Callable[[argparse.Namespace], int],
+) -> argparse.ArgumentParser:
+    parser = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
+    add_registry(parser)
+    add_json(parser)
+    parser.set_defaults(run=action)
+    return parser
+
+
+def _existing(options: argparse.Namespace) -> "Registry":
+    return open_chosen_registry(options.registry, create=False)
+
+
+def _answer(options: argparse.Namespace, line: str, value: dict[str, object]) -> int:
+    """Say what was done: as JSON where asked for, else as one line on standard output."""
+    if options.json:
+        write_json(options.json, value)
+    if options.json != "-":
+        print(line)
+    return DONE
+
+
+def _list(options: argparse.Namespace) -> int:
+    from softcal.app.files.spreadsheet import write_table
+    from softcal.app.registry.maintenance import UNIT_HEADER, unit_json, unit_row
+
+    with _existing(options) as registry:
+        units = registry.units(options.lot)
+    if options.csv:
+        write_table(options.csv, UNIT_HEADER, [unit_row(unit) for unit in units])
+    if options.json:
+        write_json(options.json, {"schema": "softcal.registry.list/1", "units": [unit_json(unit) for unit in units]})
+    if options.json != "-":
+        print_table(UNIT_HEADER, [unit_row(unit) for unit in units])
+    return DONE
+
+
+def _history(options: argparse.Namespace) -> int:
+    from softcal.app.registry.maintenance import HISTORY_HEADER, history_json, history_row
+
+    with _existing(options) as registry:
+        revisions = registry.history(options.serial)
+        units = registry.units(serial=options.serial)
+    if options.json:
+        value = {"schema": "softcal.registry.history/1", "serial": options.serial}
+        write_json(options.json, value | {"revisions": [history_json(stored) for stored in revisions]})
+    if options.json == "-":
+        return DONE
+    print(f"unit {options.serial} of lot {', '.join(unit.lot_id for unit in units)}")
+    if revisions:
+        print_table(HISTORY_HEADER, [history_row(stored) for stored in revisions])
+    else:
+        print("no calibration yet" + "".join(f"; {reason}" for unit in units for reason in unit.reasons))
+    return DONE
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from softcal.app.registry.maintenance import verify
+
+    with _existing(options) as registry:
+        found = verify(registry)
+    value: dict[str, object] = {"schema": "softcal.registry.verify/1", "faults": list(found.faults)}
+    value |= {"audit_rows": found.audit_rows, "head_sha256": found.head_sha256}
+    if not found.faults:
+        line = f"the registry is whole: {found.audit_rows} rows in the audit trail, the last one {found.head_sha256}"
+        return _answer(options, line, value)
+    for fault in found.faults:
+        say(fault)
+    if options.json:
+        write_json(options.json, value)
+    raise RegistryError(f"{len(found.faults)} faults; keep the file as evidence and go back to a backup")
+
+
+def _backup(options: argparse.Namespace) -> int:
+    from softcal.app.registry.maintenance import back_up_registry
+
+    with _existing(options) as registry:
+        back_up_registry(registry, options.file)
+    size_MB = options.file.stat().st_size / 1e6
+    value = {"schema": "softcal.registry.backup/1", "file": str(options.file), "size_MB": size_MB}
+    return _answer(options, f"{options.file}: {size_MB:.1f} MB", value)
+
+
+def _restore(options: argparse.Namespace) -> int:
+    from softcal.app.registry.maintenance import restore_registry
+
+    restore_registry(options.file, registry_url(options.registry))
+    value: dict[str, object] = {"schema": "softcal.registry.restore/1", "file": str(options.file)}
+    return _answer(options, f"restored from {options.file}; every byte of it was checked", value)
+
+
+def _rollback(options: argparse.Namespace) -> int:
+    with _existing(options) as registry:
+        revision = registry.rollback(options.serial, options.to, reason=options.reason)
+    line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
+    value = {"schema": "softcal.registry.rollback/1", "serial": options.serial, "revision": revision}
+    return _answer(options, line, value | {"rolled_back_to": options.to})
+
+
+def _sync(options: argparse.Namespace) -> int:
+    from softcal.app.registry.maintenance import synchronise_with
+
+    with open_chosen_registry(options.registry) as registry:
+        report = synchronise_with(registry, options.other)
+    for conflict in report.conflicts:
+        say(f"conflict: {conflict}")
+    value: dict[str, object] = {"schema": "softcal.registry.sync/1", "sent": report.sent, "received": report.received}
+    line = f"sent {report.sent}, received {report.received} changes, {len(report.conflicts)} conflicts"
+    return _answer(options, line, value | {"conflicts": list(report.conflicts)})
+
+
+def _grants(options: argparse.Namespace) -> int:
+    from softcal.db.grants import grant_statements
+
+    statements = grant_statements(options.line, options.reader)
+    return _answer(options, "\n".join(statements), {"schema": "softcal.registry.grants/1", "sql": statements})
+
+
+def _upgrade(options: argparse.Namespace) -> int:
+    from softcal.app.registry.maintenance import upgrade
+
+    done = upgrade(registry_url(options.registry))
+    value: dict[str, object] = {"schema": "softcal.registry.upgrade/1", "before": done.before, "after": done.after}
+    value["backup"] = None if done.backup is None else str(done.backup)
+    if done.before == done.after:
+        return _answer(options, f"the registry has schema {done.after} already; nothing to do", value)
+    made = f"; backup of the old one: {done.backup}" if done.backup else ""
+    return _answer(options, f"schema {done.before or 'none'} -> {done.after}{made}", value)

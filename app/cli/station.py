@@ -1,0 +1,293 @@
+"""`softcal station`: find and test the rig, press the source unit or a target unit and record it."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from softcal.app.cli.options import add_json, positive
+from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.cli.station_service import add_service_actions
+from softcal.core.errors import InputError
+
+if TYPE_CHECKING:
+    from softcal.app.line.recover import Recovered
+    from softcal.core.twin.simulate import Twin
+    from softcal.station.acquisition import OnProgress
+    from softcal.station.self_test import Finding
+
+EXAMPLES = """examples:
+  softcal station check                                       look at every USB serial port
+  softcal station check --port /dev/ttyACM0 --port /dev/ttyACM1 --write station.toml
+  softcal station check --station station.toml                test all devices, home, move 2 mm
+  softcal station source --station station.toml --serial A0 --out lot-1/source/A0.csv
+  softcal station unit --station station.toml --serial A1 --out lot-1/units/A1.csv
+  softcal station unit --simulated --serial A1 --out A1.csv   the same on the simulated rig
+  softcal station unit --simulated --serial A1 A2 A3 --out units   several channels pressed at once
+  softcal station unit --simulated --twin rig-7.twin.json --serial A1 --out A1.csv   on the twin of a diagnosis
+
+  softcal station profiles --write unit unit.toml             a profile as a file: edit it, give it to --profile
+  softcal station calibrate-cell --station station.toml --weights 0 0.2 0.5 1
+  softcal station serve --station station.toml --name line-1  own the ports for screens and programs
+  softcal station order --name line-1 unit --serial A1 --lot L1  press a unit on it, and wait for the verdict
+  softcal station status                                      every station, its gate, its run, its quarantine
+  softcal station recover --out recovered                     after a power cut in mid-run
+
+Exit code 3: a device is missing or failed; the stage was stopped and no file was written.
+"""
+
+SPOOL_HELP = "where samples go as they come; default: the user's data folder"
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal station` and its actions."""
+    parser = commands.add_parser(
+        "station",
+        help="the rig: find devices, self-test, press and record a unit",
+        description="The rig: find its devices, test it, press a unit with a profile and record it.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    _add_check(actions)
+    for kind, what in (("source", "with the load cell: output and reference"), ("unit", "output only")):
+        _add_press(actions, kind, what)
+    _add_profiles(actions)
+    _add_calibrate_cell(actions)
+    _add_recover(actions)
+    add_service_actions(actions)
+
+
+def _add_check(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    check = actions.add_parser(
+        "check",
+        help="find ports, identify devices, test them, and say everything that is missing",
+        description="Find the devices, read every channel, home the stage and move it by 2 mm. All faults at once.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    check.add_argument("--port", action="append", default=[], metavar="PORT", help="look at this port only; repeatable")
+    _add_station(check)
+    check.add_argument("--write", type=Path, metavar="FILE", help="write a station file from what was found")
+    check.add_argument("--no-motion", action="store_true", help="do not home or move the stage")
+    add_json(check)
+    check.set_defaults(run=run_check)
+
+
+def _add_press(actions: "argparse._SubParsersAction[argparse.ArgumentParser]", kind: str, what: str) -> None:
+    name = "source unit" if kind == "source" else "unit"
+    press = actions.add_parser(
+        kind,
+        help=f"press a {name} and record it {what}",
+        description=f"Home, find contact, press with the {kind} profile and record {what}. Whole or not at all.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    press.add_argument("--serial", nargs="+", required=True, metavar="S", help="serial; one per channel of the readout")
+    press.add_argument("--out", type=Path, required=True, metavar="FILE", help="CSV or Parquet; a folder for channels")
+    press.add_argument("--seconds", type=positive, metavar="S", help="how long to press")
+    press.add_argument("--depth", type=positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
+    press.add_argument("--profile", type=Path, metavar="FILE", help="TOML file of moves instead (`station profiles`)")
+    press.add_argument("--profile-seed", type=int, default=0, help="draws the random presses (default 0)")
+    press.add_argument("--spool", type=Path, metavar="DIR", help=SPOOL_HELP)
+    _add_station(press)
+    press.add_argument(
+        "--twin", type=Path, metavar="FILE", help="with --simulated: the unit of this twin (softcal gap apply)"
+    )
+    add_json(press)
+    press.set_defaults(run=run_press, kind=kind)
+
+
+def _add_profiles(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    profiles = actions.add_parser(
+        "profiles",
+        help="the stage profiles there are, and how long each takes",
+        description="List the built-in profiles, or write one as a file to edit and give to --profile.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    profiles.add_argument("--depth", type=positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
+    profiles.add_argument("--profile-seed", type=int, default=0, help="draws the random presses (default 0)")
+    profiles.add_argument("--write", nargs=2, metavar=("NAME", "FILE"), help="write this profile into a TOML file")
+    add_json(profiles)
+    profiles.set_defaults(run=run_profiles)
+
+
+def _add_calibrate_cell(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    calibrate = actions.add_parser(
+        "calibrate-cell",
+        help="find the scale of the load cell with dead weights",
+        description="Asks for one weight after the other, reads the cell, and writes its scale into the station file.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    calibrate.add_argument("--station", type=Path, required=True, metavar="FILE", help="station file; it is updated")
+    calibrate.add_argument(
+        "--weights", type=_weight, nargs="+", required=True, metavar="KG", help="weights in kg, 0 for the unloaded cell"
+    )
+    add_json(calibrate)
+    calibrate.set_defaults(run=run_calibrate_cell)
+
+
+def _add_recover(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    recover = actions.add_parser(
+        "recover",
+        help="write what runs that were cut off had read",
+        description="Read the spools: finished runs become recordings, all others files marked as aborted.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    recover.add_argument("--spool", type=Path, metavar="DIR", help=SPOOL_HELP)
+    recover.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the files")
+    add_json(recover)
+    recover.set_defaults(run=run_recover)
+
+
+def _add_station(parser: argparse.ArgumentParser) -> None:
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--station", type=Path, metavar="FILE", help="station file (TOML)")
+    where.add_argument(
+        "--simulated", nargs="?", type=int, const=0, metavar="SEED", help="the simulated rig, faster than real time"
+    )
+
+
+def _weight(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < 1000:
+        raise argparse.ArgumentTypeError(f"{text}: a weight in kg, 0 or more, was expected")
+    return value
+
+
+def run_check(options: argparse.Namespace) -> int:
+    """Identify, test, report."""
+    from softcal.app.line.rig import check_station
+
+    check = check_station(options.port, options.station, options.simulated, may_move=not options.no_motion)
+    if check.devices:
+        print_table(("port", "is", "dialect", "says"), [(d.port, d.role, d.kind, d.description) for d in check.devices])
+    if check.findings:
+        print_table(("device", "what", "value", "to do"), [_row(finding) for finding in check.findings])
+    if options.write:
+        from softcal.app.files.atomic import write_text
+        from softcal.station.config import station_toml
+
+        write_text(options.write, station_toml(check.config))
+        say(f"{options.write}: station file written; set the safety bounds, the load cell's serial and its scale in it")
+    if options.json:
+        write_json(options.json, check.as_json())
+    faults = [finding for finding in check.findings if not finding.is_good]
+    for finding in faults:
+        say(f"{finding.device}, {finding.what}: {finding.cure}")
+    say(f"station {check.config.name}: " + (f"{len(faults)} fault(s)" if faults else "good"))
+    return 3 if faults else 0
+
+
+def run_profiles(options: argparse.Namespace) -> int:
+    """List the profiles, or write one."""
+    import numpy as np
+
+    from softcal.app.files.atomic import write_text
+    from softcal.app.files.profile_file import profile_toml
+    from softcal.core.profiles import BUILT_IN
+
+    made = {name: make(np.random.default_rng(options.profile_seed), options.depth) for name, make in BUILT_IN.items()}
+    if options.write:
+        name, file = options.write
+        if name not in made:
+            raise InputError(f"profile {name!r} is unknown; known are {', '.join(made)}")
+        write_text(Path(file), profile_toml(made[name]))
+        say(f"{file}: profile {name!r} written; edit it, then give it to --profile")
+        return 0
+    names = ("duration_s", "presses", "deepest_mm", "fastest_mm_s")
+    rows = [{"name": name} | {fact: getattr(profile, fact) for fact in names} for name, profile in made.items()]
+    print_table(
+        ("profile", "seconds", "presses", "deepest, mm", "fastest, mm/s"), [tuple(row.values()) for row in rows]
+    )
+    if options.json:
+        write_json(options.json, {"schema": "softcal.station-profiles/1", "profiles": rows})
+    return 0
+
+
+def run_press(options: argparse.Namespace) -> int:
+    """Press one unit and write its recording."""
+    from softcal.app.line.rig import chosen_bench, profile_for, record_to_files, run_json, spool_folder
+
+    profile = profile_for(options.kind, options.profile_seed, options.seconds, options.depth, options.profile)
+    twin = _chosen_twin(options)
+    with chosen_bench(options.station, options.simulated, len(options.serial), twin) as bench:
+        with_reference, spools = options.kind == "source", spool_folder(options.spool)
+        run = record_to_files(bench, options.serial, options.out, profile, with_reference, spools, _progress())
+    for path in run.files:
+        say(f"{path}: {len(run.recording.t_s)} samples in {run.seconds:.0f} s of station time")
+    if options.json:
+        write_json(options.json, run_json(run))
+    return 0
+
+
+def _chosen_twin(options: argparse.Namespace) -> "Twin | None":
+    from softcal.app.gap.diagnose import read_twin
+
+    if options.twin is None:
+        return None
+    if options.simulated is None:
+        raise InputError("--twin is the unit of the simulated rig; give --simulated as well, or leave it out")
+    return read_twin(options.twin)
+
+
+def run_calibrate_cell(options: argparse.Namespace) -> int:
+    """Ask for weights, fit, write the station file."""
+    from softcal.app.files.atomic import write_text
+    from softcal.app.line.cell_scale import calibrate_cell
+    from softcal.station.config import read_station_file, station_toml
+
+    def wait_for(mass_kg: float) -> None:
+        say(f"put {mass_kg:g} kg on the load cell and press Enter" if mass_kg else "unload the cell and press Enter")
+        if not sys.stdin.readline():
+            raise InputError("no Enter came; the station file is as it was")
+
+    found, config = calibrate_cell(read_station_file(options.station), options.weights, wait_for)
+    rows = zip(found.mass_kg.tolist(), found.reading.tolist(), found.noise.tolist(), strict=True)
+    print_table(("weight, kg", "reading", "noise"), list(rows))
+    write_text(options.station, station_toml(config))
+    say(f"{options.station}: {found.per_N:.6g} counts per N, off by {found.largest_error_N:.3g} N at most")
+    if options.json:
+        values = {"per_N": found.per_N, "zero": found.zero, "largest_error_N": found.largest_error_N}
+        write_json(options.json, {"schema": "softcal.station-cell/1", **values})
+    return 0
+
+
+def run_recover(options: argparse.Namespace) -> int:
+    """Write what the spools hold."""
+    from softcal.app.line.recover import recover
+    from softcal.app.line.rig import spool_folder
+
+    found = recover(spool_folder(options.spool), options.out)
+    print_table(("serial", "profile", "ended", "samples", "file"), [_recovered_row(run) for run in found])
+    if options.json:
+        runs = [vars(run) | {"spool": str(run.spool), "files": [str(file) for file in run.files]} for run in found]
+        write_json(options.json, {"schema": "softcal.station-recover/1", "runs": runs})
+    say(f"{len(found)} spool(s) read; they were left where they are")
+    return 0
+
+
+def _recovered_row(run: "Recovered") -> tuple[str, str, str, int, str]:
+    return run.serial, run.profile, run.end[:60], run.samples, ", ".join(map(str, run.files))
+
+
+def _row(finding: "Finding") -> tuple[str, str, str, str]:
+    return finding.device, finding.what, finding.value, finding.cure or "good"
+
+
+def _progress() -> "OnProgress":
+    from softcal.station.acquisition import RunProgress
+
+    shown_phase, shown_percent = "", -10
+
+    def tell(progress: RunProgress) -> None:
+        nonlocal shown_phase, shown_percent
+        percent = int(100 * progress.fraction)
+        if progress.phase != shown_phase or percent >= shown_percent + 10:
+            shown_phase, shown_percent = progress.phase, percent
+            say(f"{percent:3d} % {progress.phase}, about {progress.remaining_s:.0f} s left")
+
+    return tell

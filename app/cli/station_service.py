@@ -1,0 +1,324 @@
+"""The resident service of a station on the command line: serve it, order from it, look at it, certify its load cell."""
+
+import argparse
+import signal
+import time
+import uuid
+from dataclasses import replace
+from datetime import date, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from softcal.app.cli.options import add_json, add_network, add_registry, network_config, positive, registry_of
+from softcal.app.cli.output import print_table, say, write_json
+from softcal.core.errors import DeviceError, InputError
+from softcal.core.orders import Order, OrderKind, Progress, RunState
+
+if TYPE_CHECKING:
+    from softcal.core.orders import Heartbeat
+    from softcal.db.registry import Registry
+
+SPOOL_HELP = "where samples go as they come; default: the user's data folder"
+
+EXAMPLES = """examples:
+  softcal station serve --station station.toml --name line-1       one process owns the ports
+  softcal station serve --simulated --name line-1 --speed 10       the simulated rig, ten times faster than real
+  softcal station certificate --cell K1 --number 17 --laboratory Lab --issued 2026-01-05 --due 2027-01-05 \\
+      --capacity 20 --uncertainty 0.02                              the load cell may be used until then
+  softcal station certificate --dcc K1.xml                          the same from a Digital Calibration Certificate
+  softcal station order --name line-1 source --serial A0 --lot L1   press the source unit, train f
+  softcal station order --name line-1 unit --serial A1 --lot L1     press a unit, wait for its verdict
+  softcal station order --name line-1 golden --serial G1            the check of the shift
+  softcal station order --name line-1 acknowledge                   after a stop: the next run homes first
+  softcal station order --name line-1 override --reason "certificate is in the post"
+  softcal station order --name line-1 fault --reason "load cell unplugged while pressing"   simulated rig only
+  softcal station status                                            every station: state, gate, run, quarantine
+
+Exit code 1: the unit did not pass. Exit code 2: the order makes no sense, nothing moved. Exit code 3: the run was
+stopped; the sentence says what to do.
+"""
+
+POLL_S = 0.2
+
+
+def add_service_actions(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `serve`, `order`, `status` and `certificate`."""
+    _add_serve(actions)
+    _add_order(actions)
+    _add_status(actions)
+    _add_certificate(actions)
+
+
+def _action(
+    actions: "argparse._SubParsersAction[argparse.ArgumentParser]", name: str, what: str, description: str
+) -> argparse.ArgumentParser:
+    return actions.add_parser(
+        name,
+        help=what,
+        description=description,
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def _add_serve(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    serve = _action(
+        actions,
+        "serve",
+        "own the ports and perform what screens and programs order through the registry",
+        "The resident service of one station. Ctrl-C stops a run in progress and gives the ports back; nothing "
+        "resumes by itself.",
+    )
+    serve.add_argument("--name", required=True, metavar="NAME", help="name of the station, as orders call it")
+    serve.add_argument("--spool", type=Path, metavar="DIR", help=SPOOL_HELP)
+    serve.add_argument("--warm-up", type=float, metavar="MIN", help="of the load cell (default 15 min; gate rig: 0)")
+    serve.add_argument(
+        "--shift", type=positive, default=8.0, metavar="H", help="hours between golden units (default 8)"
+    )
+    serve.add_argument(
+        "--gate",
+        choices=("full", "rig"),
+        help="full: certificate and golden unit too (default); rig: what the rig alone shows (default when simulated)",
+    )
+    serve.add_argument("--override", default="", metavar="REASON", help="open a closed gate for a shift; audited")
+    serve.add_argument("--depth", type=positive, default=3.5, metavar="MM", help="deepest press (default 3.5 mm)")
+    serve.add_argument("--unit-seconds", type=positive, metavar="S", help="how long a unit is pressed (25 s)")
+    serve.add_argument("--source-seconds", type=positive, metavar="S", help="how long a source is (default 170 s)")
+    for kind in ("unit", "source"):
+        what = f"TOML file of moves instead of the {kind} profile (`softcal station profiles`)"
+        serve.add_argument(f"--{kind}-profile", type=Path, metavar="FILE", help=what)
+    serve.add_argument(
+        "--speed", type=positive, default=1.0, metavar="X", help="simulated seconds a second (default 1)"
+    )
+    where = serve.add_mutually_exclusive_group()
+    where.add_argument("--station", type=Path, metavar="FILE", help="station file (TOML)")
+    where.add_argument("--simulated", nargs="?", type=int, const=0, metavar="SEED", help="the simulated rig")
+    add_network(serve)
+    add_registry(serve)
+    serve.set_defaults(run=run_serve)
+
+
+def _add_order(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    order = _action(
+        actions,
+        "order",
+        "ask a resident station for something, and wait until it is done",
+        "Write an order into the registry, show its progress, print how it ended. Ctrl-C stops a run.",
+    )
+    order.add_argument("kind", choices=[kind.value for kind in OrderKind], help="what to do")
+    order.add_argument("--name", required=True, metavar="NAME", help="name of the station")
+    order.add_argument("--serial", default="", metavar="S", help="the unit, for source, unit and golden")
+    order.add_argument("--lot", default="", metavar="LOT", help="its lot, for source and unit")
+    order.add_argument("--reason", default="", metavar="TEXT", help="why; for override and repeats; fault: which one")
+    add_registry(order)
+    add_json(order)
+    order.set_defaults(run=run_order)
+
+
+def _add_status(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    status = _action(
+        actions,
+        "status",
+        "every station: state, gate, run in progress, units in quarantine",
+        "What stations say of themselves, and which units were pressed since the last good golden unit.",
+    )
+    status.add_argument("--name", metavar="NAME", help="this station only")
+    add_registry(status)
+    add_json(status)
+    status.set_defaults(run=run_status)
+
+
+def _add_certificate(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    certificate = _action(
+        actions,
+        "certificate",
+        "put a load cell's calibration certificate on file, or list them",
+        "Type a certificate in, import its DCC (XML), or list what is on file. Without one the gate stays closed.",
+    )
+    certificate.add_argument("--cell", metavar="SERIAL", help="serial of the load cell, as in the station file")
+    certificate.add_argument("--number", metavar="TEXT", help="number of the certificate")
+    certificate.add_argument("--laboratory", default="", metavar="TEXT", help="who issued it")
+    certificate.add_argument("--issued", type=_day, metavar="YYYY-MM-DD", help="first day it holds")
+    certificate.add_argument("--due", type=_day, metavar="YYYY-MM-DD", help="first day it no longer holds")
+    certificate.add_argument("--capacity", type=float, metavar="N", help="largest force it covers, N")
+    certificate.add_argument("--uncertainty", type=float, metavar="N", help="expanded uncertainty, k = 2, N")
+    certificate.add_argument(
+        "--dcc", type=Path, metavar="FILE", help="import it from this DCC; options above fill gaps"
+    )
+    add_registry(certificate)
+    add_json(certificate)
+    certificate.set_defaults(run=run_certificate)
+
+
+def _day(text: str) -> date:
+    try:
+        return date.fromisoformat(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text}: a day as 2026-01-31 was expected") from error
+
+
+def run_serve(options: argparse.Namespace) -> int:
+    """Serve until Ctrl-C or a terminate signal."""
+    from softcal.app.line.gate_facts import RIG_ONLY, GateRules
+    from softcal.app.line.rig import spool_folder
+    from softcal.app.line.serve import Serving, serve
+
+    is_rig_only = options.gate == "rig" or (options.gate is None and options.simulated is not None)
+    rules = replace(RIG_ONLY if is_rig_only else GateRules(), shift=timedelta(hours=options.shift))
+    if options.warm_up is not None:
+        rules = replace(rules, warm_up=timedelta(minutes=options.warm_up))
+    serving = Serving(
+        options.name,
+        options.station,
+        options.simulated,
+        options.speed,
+        options.source_seconds,
+        options.unit_seconds,
+        options.depth,
+        source_profile=options.source_profile,
+        unit_profile=options.unit_profile,
+        rules=rules,
+        override=options.override,
+        network=network_config(options),
+    )
+    is_wanted = True
+
+    def end(signal_number: int, frame: object) -> None:
+        nonlocal is_wanted
+        is_wanted = False
+
+    signal.signal(signal.SIGTERM, end)
+    signal.signal(signal.SIGINT, end)
+    say(f"station {options.name}: serving; Ctrl-C stops a run in progress and ends it")
+    with registry_of(options) as registry:
+        serve(registry, serving, spool_folder(options.spool), lambda: is_wanted)
+    say(f"station {options.name}: ports given back")
+    return 0
+
+
+def run_order(options: argparse.Namespace) -> int:
+    """Place an order and wait for its end."""
+    from softcal.app.bootstrap import current_user
+
+    kind = OrderKind(options.kind)
+    if kind.presses and not options.serial:
+        raise InputError(f"an order of kind {kind} needs the serial of a unit: give --serial")
+    order_id = uuid.uuid4().hex
+    with registry_of(options, create=False) as registry:
+        queue = registry.order_queue
+        if not queue.is_answering(options.name):
+            raise DeviceError(f"station {options.name!r} is not served; start `softcal station serve` first")
+        facts = (options.serial, options.lot, current_user(), options.reason)
+        queue.place(Order(order_id, options.name, kind, *facts))
+        try:
+            progress = _followed(registry, options.name, order_id)
+        except KeyboardInterrupt:
+            queue.place(Order(uuid.uuid4().hex, options.name, OrderKind.STOP, actor=facts[2]))
+            progress = _followed(registry, options.name, order_id)
+    if options.json:
+        write_json(options.json, _order_json(options, progress))
+    say(f"{f'{kind} {options.serial}'.strip()}: {progress.verdict or progress.state}: {progress.message}")
+    if progress.state is not RunState.DONE:
+        return 2 if progress.code == "E-ORDER" else 3
+    return 0 if progress.verdict in ("", "pass") else 1
+
+
+def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
+    """Wait for the end of an order; print each new phase and every tenth of the way."""
+    shown = ("", -1)
+    while (progress := registry.order_queue.progress(order_id)).state.is_active:
+        step = (progress.phase, int(10 * progress.fraction))
+        if progress.phase and step != shown:
+            shown = step
+            left = f", about {progress.remaining_s:.0f} s left" if progress.remaining_s else ""
+            say(f"{100 * progress.fraction:3.0f} % {progress.phase}{left}")
+        if not registry.order_queue.is_answering(station):
+            raise DeviceError(
+                f"station {station!r} does not answer any more; look at the rig, then start its service again"
+            )
+        time.sleep(POLL_S)
+    return progress
+
+
+def _order_json(options: argparse.Namespace, progress: Progress) -> dict[str, object]:
+    names = ("order_id", "state", "code", "message", "verdict", "recording_sha256")
+    facts = {name: getattr(progress, name) for name in names}
+    return {"schema": "softcal.station-order/1", "kind": options.kind, "serial": options.serial, **facts}
+
+
+def run_status(options: argparse.Namespace) -> int:
+    """Print what stations say of themselves."""
+    from datetime import UTC, datetime
+
+    from softcal.app.line.gate_facts import quarantine
+
+    with registry_of(options, create=False) as registry:
+        beats = [b for b in registry.order_queue.stations() if options.name in (None, b.station)]
+        if options.name and not beats:
+            raise InputError(f"station {options.name!r} never gave a sign of life in this registry")
+        rows = [_status(registry, beat, quarantine(registry, beat.station, datetime.now(UTC))) for beat in beats]
+    if options.json:
+        write_json(options.json, {"schema": "softcal.station-status/1", "stations": rows})
+    if not beats:
+        say("no station yet; start one with `softcal station serve`")
+    for row in rows:
+        say(f"station {row['station']}: {row['state']}, last seen {row['at']}, run: {row['run'] or 'none'}")
+        gate = row["gate"]
+        if isinstance(gate, list) and gate:
+            print_table(
+                ("gate", "is", "says"), [(c["name"], "good" if c["is_good"] else "CLOSED", c["says"]) for c in gate]
+            )
+        held = row["quarantine"]
+        if isinstance(held, list) and held:
+            say(f"in quarantine since the last good golden unit: {', '.join(held)}")
+    return 0
+
+
+def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> dict[str, object]:
+    active = registry.order_queue.active(beat.station)
+    run = "" if active is None else f"{active[0].kind} {active[0].serial}, {active[1].phase or active[1].state}".strip()
+    is_there = registry.order_queue.is_answering(beat.station)
+    return {
+        "station": beat.station,
+        "state": beat.state.value if is_there or beat.state == "off" else f"not answering (was {beat.state})",
+        "at": f"{beat.at:%Y-%m-%d %H:%M:%S} UTC",
+        "process": beat.process,
+        "reasons": list(beat.reasons),
+        "is_overridden": beat.is_overridden,
+        "gate": [vars(condition) for condition in beat.gate],
+        "run": run,
+        "quarantine": list(held),
+    }
+
+
+def run_certificate(options: argparse.Namespace) -> int:
+    """Put a certificate on file, or list them."""
+    from softcal.app.line.cell_certificate import certificate_from
+
+    given = {
+        "cell_serial": options.cell,
+        "number": options.number,
+        "laboratory": options.laboratory or None,
+        "issued_on": options.issued,
+        "due_on": options.due,
+        "capacity_N": options.capacity,
+        "uncertainty_N": options.uncertainty,
+    }
+    with registry_of(options) as registry:
+        if options.dcc is not None or any(value is not None for name, value in given.items() if name != "cell_serial"):
+            certificate = certificate_from(given, options.dcc)
+            registry.add_certificate(certificate)
+            say(f"load cell {certificate.cell_serial}: certificate {certificate.number} is on file")
+        entries = registry.certificates(options.cell)
+    names = ("cell_serial", "number", "laboratory", "issued_on", "due_on", "capacity_N", "uncertainty_N")
+    rows = [{name: getattr(entry, name) for name in names} for entry in entries]
+    if options.json:
+        texts = [
+            {name: str(value) if isinstance(value, date) else value for name, value in row.items()} for row in rows
+        ]
+        write_json(options.json, {"schema": "softcal.cell-certificates/1", "certificates": texts})
+    if not rows:
+        say("no certificate on file; give --cell, --number, --issued, --due, --capacity and --uncertainty, or --dcc")
+        return 0
+    print_table(names, [tuple(row.values()) for row in rows])
+    return 0

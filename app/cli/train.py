@@ -1,0 +1,67 @@
+"""`softcal train`: the shared network of a lot."""
+
+import argparse
+from pathlib import Path
+
+from softcal.app.cli.options import add_json, add_network, add_registry, network_config, registry_of, say_epoch
+from softcal.app.cli.output import print_table, say, write_json
+
+EXAMPLES = """examples:
+  softcal train lot-1
+  softcal train lot-1 --registry sqlite:///line-3.db --hidden 32,16 --seed 7 --json -
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal train`."""
+    parser = commands.add_parser(
+        "train",
+        help="train the shared network f on the source unit",
+        description="Train f on the source's labelled recording and store it under its content hash. The same "
+        "recording and configuration find the network trained before.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
+    add_registry(parser)
+    add_network(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Train or find f, and print what it is."""
+    from softcal.app.batch.train import train_or_find
+    from softcal.app.files.lot_folder import open_lot_folder
+
+    folder = open_lot_folder(options.lot)
+    for remark in folder.remarks:
+        say(f"note: {remark}")
+    lot, source = folder.lot, folder.read_source()
+    with registry_of(options) as registry:
+        trained = train_or_find(
+            lot,
+            source,
+            registry,
+            network_config(options),
+            on_epoch=lambda report: say_epoch(report, lot.reference_unit),
+        )
+    network = trained.network
+    print_table(
+        ["lot", "source", "network", "layers", "status", f"validation RMSE [{lot.reference_unit}]", "train_s"],
+        [
+            [
+                lot.id,
+                lot.source,
+                network.id[:16],
+                "-".join(map(str, network.sizes)),
+                "trained" if trained.is_new else "found, trained before",
+                trained.metrics.get("validation_rmse"),
+                trained.metrics.get("train_s"),
+            ]
+        ],
+    )
+    if options.json:
+        result = {"schema": "softcal.train/1", "lot": lot.id, "network": network.id, "is_new": trained.is_new}
+        write_json(options.json, result | trained.metrics)
+    return 0

@@ -1,0 +1,56 @@
+"""`softcal ui`: the operator's Streamlit application, in the browser or in a window of its own."""
+
+import argparse
+from pathlib import Path
+
+from softcal.app.cli.options import add_registry
+
+EXAMPLES = """examples:
+  softcal ui                       open the application in the default browser
+  softcal ui --window              as an application window (Chromium or Edge)
+  softcal ui --window --kiosk      full screen, for the panel at the line
+  softcal ui --station line-1      the screen of one of several stations
+  softcal ui --no-browser --port 8501 --registry postgresql://line@db/softcal
+
+Closing the application never stops the station: its service is a process of its own (softcal station serve).
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal ui`."""
+    parser = commands.add_parser(
+        "ui",
+        help="the operator's screen and the engineer's desk",
+        description="Serve the Streamlit application on this machine only and open it. Needs no internet.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_registry(parser)
+    parser.add_argument("--port", type=int, default=0, help="default: the first free one from 8501")
+    parser.add_argument("--address", default="127.0.0.1", help="default: this machine only")
+    parser.add_argument("--window", action="store_true", help="open as an application window instead of a browser tab")
+    parser.add_argument("--kiosk", action="store_true", help="with --window: full screen")
+    parser.add_argument("--no-browser", action="store_true", help="serve only")
+    parser.add_argument("--station", metavar="NAME", help="the station at this screen; default: the only one there is")
+    parser.add_argument(
+        "--accounts", type=Path, metavar="FILE", help="TOML with [auth]: sign in by company account (OIDC)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Serve until the window is closed or Ctrl-C."""
+    from softcal.app.ui.desktop import UiOptions, serve
+
+    return serve(
+        UiOptions(
+            registry=options.registry,
+            port=options.port,
+            address=options.address,
+            is_window=options.window or options.kiosk,
+            is_kiosk=options.kiosk,
+            opens_browser=not options.no_browser,
+            station=options.station,
+            accounts=options.accounts,
+        )
+    )

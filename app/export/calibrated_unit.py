@@ -1,0 +1,159 @@
+"""One calibrated unit as the registry knows it, and what exports derive from it."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+from softcal.core.errors import InputError, UnitRefused
+from softcal.core.estimate import estimate
+from softcal.core.export.blob import NetworkFile
+from softcal.core.export.compile_map import InputScale
+from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, build_network_file, build_unit_file
+from softcal.core.lot import Lot
+from softcal.core.network.network import Network
+from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.calibration import Calibration
+from softcal.db.entries import StoredCalibration
+from softcal.db.registry import Registry
+
+REFUSED_VERDICTS = ("fail", "retest")
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Choices of one export.
+
+    Args:
+        adc_bits, adc_full_scale: the device's converter: codes are left-aligned to 16 bits, full scale in the output
+            unit; None covers the unit's output with a round full scale.
+        device: limits of the device form.
+        unit_address, network_address: where `hex` places the files.
+        failed_too: write device files also of units whose verdict is fail or retest; the file says so.
+        revision: an older calibration; None is the one in use.
+        signing_key: Ed25519 private key (PEM) that signs the manifest.
+        laboratory: TOML with laboratory, customer, responsible person and load cell, for certificates.
+    """
+
+    adc_bits: int | None = None
+    adc_full_scale: float | None = None
+    device: DeviceOptions = DeviceOptions()
+    unit_address: int = 0x3FF00
+    network_address: int = 0x38000
+    failed_too: bool = False
+    revision: int | None = None
+    signing_key: Path | None = None
+    laboratory: Path | None = None
+
+    @property
+    def scaled_device(self) -> DeviceOptions:
+        """Device options with the converter's scale, where one is given."""
+        if self.adc_bits is None and self.adc_full_scale is None:
+            return self.device
+        if self.adc_bits is None or self.adc_full_scale is None:
+            raise InputError("a converter needs both its bits and its full scale; give both or neither")
+        if not 1 <= self.adc_bits <= 16 or not 0 < self.adc_full_scale < float("inf"):
+            raise InputError(
+                f"a converter of {self.adc_bits} bits over {self.adc_full_scale}: 1 ... 16 bits and a positive full "
+                "scale were expected"
+            )
+        scale = InputScale.of_converter(self.adc_bits, self.adc_full_scale)
+        return replace(self.device, scale=scale)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedNetwork:
+    """The network of a lot and the source it was trained on; its device file is made once."""
+
+    network: Network
+    source: LabelledRecording
+    source_sha256: str
+
+    @cached_property
+    def file(self) -> NetworkFile:
+        """The shared device file of the lot."""
+        return build_network_file(self.network, self.source)
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedUnit:
+    """A unit as the registry knows it; what exports derive from it is made once and only when asked for."""
+
+    stored: StoredCalibration
+    lot: Lot
+    shared: SharedNetwork
+    recording: OutputRecording
+    options: ExportOptions
+
+    @property
+    def serial(self) -> str:
+        return self.stored.serial
+
+    @property
+    def network(self) -> Network:
+        return self.shared.network
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        """The calibration, ready to estimate with."""
+        return Calibration.from_record(self.stored.record)
+
+    @cached_property
+    def facts(self) -> UnitFacts:
+        """What the device form is made from."""
+        found = estimate(self.network, self.calibration, self.recording)
+        rows = self.recording.window_rows
+        record = self.stored.record
+        return UnitFacts(
+            serial=self.serial,
+            revision=self.stored.revision,
+            verdict=record.verdict,
+            time_s=int(self.stored.made_at.timestamp()),
+            unit_map=self.calibration.unit_map,
+            recording=self.recording,
+            lower=found.lower[rows],
+            upper=found.upper[rows],
+            predicted_rmse=record.predicted_rmse,
+        )
+
+    def check_usable(self) -> None:
+        """Raise `UnitRefused` where this unit's verdict forbids files that give numbers."""
+        record = self.stored.record
+        if record.verdict in REFUSED_VERDICTS and not self.options.failed_too:
+            why = record.reasons[0] if record.reasons else "no reason is stored"
+            raise UnitRefused(
+                f"unit {self.serial} has the verdict {record.verdict} ({why}); its device files are not written "
+                "unless --failed-too is given"
+            )
+
+    @cached_property
+    def device_unit(self) -> DeviceUnit:
+        """The device file of the unit and what it costs; `UnitRefused` where there is none."""
+        self.check_usable()
+        return build_unit_file(self.facts, self.network, self.shared.file, self.options.scaled_device)
+
+
+@dataclass
+class UnitLoader:
+    """Reads units one by one; units of one network share it."""
+
+    registry: Registry
+    options: ExportOptions
+    _networks: dict[str, SharedNetwork] = field(default_factory=dict)
+
+    def load(self, serial: str) -> CalibratedUnit:
+        """Read one unit; `InputError` where the registry does not know it."""
+        stored = self.registry.calibration(serial, self.options.revision)
+        recording = self.registry.recording(stored.record.recording_sha256)
+        unlabelled = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
+        lot = self.registry.lot(stored.lot_id)
+        return CalibratedUnit(stored, lot, self._shared(stored), unlabelled, self.options)
+
+    def _shared(self, stored: StoredCalibration) -> SharedNetwork:
+        network_id = stored.record.network_id
+        if network_id not in self._networks:
+            sha256 = str(self.registry.network_entry(network_id).training["source_recording_sha256"])
+            source = self.registry.recording(sha256)
+            if not isinstance(source, LabelledRecording):
+                raise InputError(f"the source recording of network {network_id[:12]} has no reference")
+            self._networks[network_id] = SharedNetwork(self.registry.network(network_id), source, sha256)
+        return self._networks[network_id]

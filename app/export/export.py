@@ -1,0 +1,159 @@
+"""Calibration files of units: one folder, whole files, a manifest with hashes, and the same bytes every time."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from softcal.app.export.calibrated_unit import REFUSED_VERDICTS, CalibratedUnit, ExportOptions, UnitLoader
+from softcal.app.export.formats import WRITERS, Writer, device_summary
+from softcal.app.export.manifest import FileEntry, Manifest, read_manifest, write_manifest
+from softcal.app.files.atomic import write_bytes
+from softcal.core.errors import InputError, UnitRefused
+from softcal.core.export.blob import serial_field
+from softcal.db.registry import Registry
+
+DEVICE_FORMATS = ("blob", "c", "hex")
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedUnit:
+    """What was written for one unit, or why something was not.
+
+    Args:
+        serial, revision, verdict: which calibration.
+        files: names of the files in the folder.
+        refusal: why files that give numbers were not written; None where all were.
+        device: sizes and errors of the device form; empty where none was asked for or it was refused.
+    """
+
+    serial: str
+    revision: int
+    verdict: str
+    files: tuple[str, ...]
+    refusal: str | None = None
+    device: Mapping[str, object] = field(default_factory=dict)
+
+
+def _silent(_: ExportedUnit) -> None:
+    return None
+
+
+def export_units(
+    registry: Registry,
+    serials: Sequence[str],
+    formats: Sequence[str],
+    out: Path,
+    options: ExportOptions = ExportOptions(),  # noqa: B008
+    on_unit: Callable[[ExportedUnit], None] = _silent,
+) -> list[ExportedUnit]:
+    """Write the calibration files of units and the manifest of the folder.
+
+    A unit whose device form is refused (its verdict, its map) still gets its report formats, and the reason stands in
+    the manifest; an older device file of it is taken out of the folder. The other units go on.
+
+    Args:
+        registry: where the calibrations are.
+        serials: which units.
+        formats: of `WRITERS`.
+        out: folder; files of other units in it stay, and stay in its manifest.
+        options: choices for all of them.
+        on_unit: told after each unit.
+
+    Raises:
+        InputError: an unknown format or serial, serials a device could not tell apart, or a folder that cannot be
+            written.
+    """
+    writers = _writers(formats)
+    _check_serials(registry, serials)
+    manifest, loader = read_manifest(out), UnitLoader(registry, options)
+    exported = []
+    for serial in serials:
+        unit = loader.load(serial)
+        contents, refusal = _contents(unit, writers)
+        manifest = _write(out, manifest, serial, contents, refusal)
+        done = _summary(unit, writers, tuple(contents), refusal)
+        manifest = manifest.with_unit(serial, _manifest_facts(unit, done))
+        exported.append(done)
+        on_unit(done)
+    write_manifest(out, manifest, options.signing_key)
+    return exported
+
+
+def lot_serials(registry: Registry, lot_id: str, failed_too: bool = False) -> list[str]:
+    """Return the calibrated units of a lot whose newest result lets them out; all of them with `failed_too`.
+
+    Raises:
+        InputError: no such lot, or no such unit in it.
+    """
+    units = [unit for unit in registry.units(lot_id) if unit.revision is not None]
+    serials = [unit.serial for unit in units if failed_too or unit.verdict not in REFUSED_VERDICTS]
+    if not serials:
+        raise InputError(f"lot {lot_id!r} has no unit to export: {len(units)} are calibrated, none of them passed")
+    return serials
+
+
+def _writers(formats: Sequence[str]) -> dict[str, Writer]:
+    unknown = [name for name in formats if name not in WRITERS]
+    if unknown or not formats:
+        raise InputError(f"format {', '.join(unknown) or 'missing'}; known: {', '.join(WRITERS)}")
+    return {name: WRITERS[name] for name in dict.fromkeys(formats)}
+
+
+def _check_serials(registry: Registry, serials: Sequence[str]) -> None:
+    """Refuse, before anything is written, unknown serials and those a device or a file system would mix up."""
+    seen: dict[str, str] = {}
+    for serial in serials:
+        for key in {serial.casefold(), serial_field(serial).rstrip(b"\0").decode().casefold()}:
+            if key in seen:
+                raise InputError(f"serials {seen[key]} and {serial} look the same to a device; export one of them")
+            seen[key] = serial
+    known = {entry.serial for entry in registry.units() if entry.revision is not None} if len(serials) > 1 else None
+    unknown = [serial for serial in serials if known is not None and serial not in known]
+    if unknown:
+        raise InputError(f"the registry has no calibration of {', '.join(unknown[:5])}; nothing was written")
+
+
+def _contents(unit: CalibratedUnit, writers: Mapping[str, Writer]) -> tuple[dict[str, bytes], str | None]:
+    contents: dict[str, bytes] = {}
+    refusal = None
+    for write in writers.values():
+        try:
+            contents |= write(unit)
+        except UnitRefused as error:
+            refusal = str(error)
+    return contents, refusal
+
+
+def _write(out: Path, manifest: Manifest, serial: str, contents: Mapping[str, bytes], refusal: str | None) -> Manifest:
+    for name, content in contents.items():
+        write_bytes(out / name, content)
+        is_shared = name.startswith("network-") or name == "softsensor.h"
+        manifest = manifest.with_file(FileEntry.of(name, content, None if is_shared else serial))
+    if refusal is None:
+        return manifest
+    stale = [name for name, entry in manifest.files.items() if entry.serial == serial and name not in contents]
+    for name in stale:
+        (out / name).unlink(missing_ok=True)
+    return manifest.without_files(stale)
+
+
+def _summary(
+    unit: CalibratedUnit, writers: Mapping[str, Writer], files: tuple[str, ...], refusal: str | None
+) -> ExportedUnit:
+    has_device = refusal is None and any(name in writers for name in DEVICE_FORMATS)
+    device = device_summary(unit) if has_device else {}
+    return ExportedUnit(unit.serial, unit.stored.revision, unit.stored.record.verdict, files, refusal, device)
+
+
+def _manifest_facts(unit: CalibratedUnit, done: ExportedUnit) -> dict[str, object]:
+    record = unit.stored.record
+    return {
+        "revision": done.revision,
+        "verdict": record.verdict,
+        "lot": unit.lot.id,
+        "network": record.network_id,
+        "map": record.map_sha256,
+        "recording": record.recording_sha256,
+        "refused": done.refusal,
+        "device": dict(done.device),
+    }

@@ -1,0 +1,171 @@
+"""One function per export format: a calibrated unit in, the contents of its files out."""
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softcal.app.export.calibrated_unit import CalibratedUnit
+from softcal.core.errors import InputError, UnitRefused
+from softcal.core.export.c_text import network_header, unit_header
+from softcal.core.export.compile_map import compile_map, fine_forms
+from softcal.core.export.cost import device_cost
+from softcal.core.export.device import device_limit
+from softcal.core.export.graph import compose
+from softcal.core.export.intel_hex import intel_hex
+from softcal.core.export.json_text import json_text, network_values, unit_values
+
+Writer = Callable[[CalibratedUnit], dict[str, bytes]]
+
+
+def runtime_header() -> bytes:
+    """Return softsensor.h, from the checkout or from where the wheel put it."""
+    places = (
+        Path(__file__).parents[2] / "firmware" / "softsensor" / "softsensor.h",
+        Path(sys.prefix) / "share" / "softcal" / "softsensor.h",
+    )
+    for place in places:
+        if place.is_file():
+            return place.read_bytes()
+    raise InputError(f"softsensor.h is neither in {places[0].parent} nor in {places[1].parent}; install softcal again")
+
+
+def _json_files(unit: CalibratedUnit) -> dict[str, bytes]:
+    """Always written; where the device form is refused, `device` says why."""
+    values: dict[str, object] = {"schema": "softcal.calibration/1", "calibration": calibration_values(unit)}
+    files = {}
+    try:
+        values["device"] = unit_values(unit.device_unit.file)
+        network = unit.shared.file
+        files[f"network-{network.id.hex()}.json"] = json_text(network_values(network)).encode()
+    except UnitRefused as error:
+        values["device"] = None
+        values["device_refused"] = str(error)
+    return {f"unit-{unit.serial}.json": json_text(values).encode(), **files}
+
+
+def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
+    """Return the calibration itself, without loss: map and interval in full precision, hashes, verdict and scores."""
+    record = unit.stored.record
+    names = ("network_id", "family", "map_sha256", "predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
+    return {
+        "serial": record.serial,
+        "lot": unit.lot.id,
+        "source": unit.lot.source,
+        "revision": unit.stored.revision,
+        "made_at": unit.stored.made_at.isoformat(),
+        "verdict": record.verdict,
+        "reasons": list(record.reasons),
+        **{name: getattr(record, name) for name in names},
+        "recording_sha256": record.recording_sha256,
+        "input_sha256": record.input_sha256,
+        "output_unit": unit.network.output_unit,
+        "reference_unit": unit.network.reference_unit,
+        "settings": record.settings,
+        "arrays": {name: _array_values(array) for name, array in sorted(record.arrays.items())},
+        "softcal": version("softcal"),
+    }
+
+
+def _array_values(array: np.ndarray[Any, Any]) -> dict[str, object]:
+    return {"dtype": array.dtype.str, "shape": list(array.shape), "values": array.ravel().tolist()}
+
+
+def _blob_files(unit: CalibratedUnit) -> dict[str, bytes]:
+    network, device = unit.shared.file, unit.device_unit
+    return {
+        f"unit-{unit.serial}.ssc": device.file.to_bytes(),
+        f"network-{network.id.hex()}.ssc": network.to_bytes(),
+    }
+
+
+def _c_files(unit: CalibratedUnit) -> dict[str, bytes]:
+    network, device = unit.shared.file, unit.device_unit
+    return {
+        f"unit-{unit.serial}.h": unit_header(device.file).encode(),
+        f"network-{network.id.hex()}.h": network_header(network).encode(),
+        "softsensor.h": runtime_header(),
+    }
+
+
+def _hex_files(unit: CalibratedUnit) -> dict[str, bytes]:
+    network, device, options = unit.shared.file, unit.device_unit, unit.options
+    try:
+        unit_hex = intel_hex(device.file.to_bytes(), options.unit_address)
+        network_hex = intel_hex(network.to_bytes(), options.network_address)
+    except ValueError as error:
+        raise InputError(f"no Intel HEX: {error}") from error
+    return {f"unit-{unit.serial}.hex": unit_hex.encode(), f"network-{network.id.hex()}.hex": network_hex.encode()}
+
+
+def _onnx_files(unit: CalibratedUnit) -> dict[str, bytes]:
+    from softcal.app.files.onnx_file import onnx_bytes
+
+    unit.check_usable()
+    record = unit.stored.record
+    limit = device_limit(unit.facts, unit.network, unit.options.device)
+    compiled = compile_map(unit.calibration.unit_map, unit.network, unit.recording, limit, fine_forms)
+    metadata = {
+        "serial": unit.serial,
+        "revision": str(unit.stored.revision),
+        "verdict": record.verdict,
+        "lot": unit.lot.id,
+        "network_id": record.network_id,
+        "map_sha256": record.map_sha256,
+        "output_unit": unit.network.output_unit,
+        "reference_unit": unit.network.reference_unit,
+        "sample_rate_Hz": repr(unit.lot.sample_rate_Hz),
+        "map_rms_deviation": repr(compiled.rms_deviation),
+        "softcal": version("softcal"),
+    }
+    return {f"unit-{unit.serial}.onnx": onnx_bytes(compose(compiled.form, unit.network), metadata)}
+
+
+def _pdf_files(unit: CalibratedUnit) -> dict[str, bytes]:
+    from softcal.app.certificates.content import certificate_of
+    from softcal.app.certificates.pdf import certificate_pdf
+
+    return {f"certificate-{unit.serial}.pdf": certificate_pdf(certificate_of(unit))}
+
+
+def _dcc_files(unit: CalibratedUnit) -> dict[str, bytes]:
+    from softcal.app.certificates.content import certificate_of
+    from softcal.app.certificates.dcc import certificate_xml
+
+    return {f"certificate-{unit.serial}.xml": certificate_xml(certificate_of(unit))}
+
+
+def device_summary(unit: CalibratedUnit) -> dict[str, object]:
+    """Return sizes of the device form and what it costs in accuracy; `UnitRefused` where there is none."""
+    device, network = unit.device_unit, unit.shared.file.network
+    cost = device_cost(network, device.file.device_map)
+    return {
+        "network_file_id": unit.shared.file.id.hex(),
+        "unit_bytes": len(device.file.to_bytes()),
+        "network_bytes": len(unit.shared.file.to_bytes()),
+        "multiplications": network.multiplications,
+        "map_rms_deviation": device.compiled.rms_deviation,
+        "map_max_deviation": device.compiled.max_deviation,
+        "rms_error": device.rms_error,
+        "max_error": device.max_error,
+        "limit": device.limit,
+        "ram_bytes": cost.ram_bytes,
+        "cortex_m0_instructions": cost.instructions,
+        "cortex_m0_ms": cost.estimate_ms,
+        "unit": unit.network.reference_unit,
+    }
+
+
+WRITERS: Mapping[str, Writer] = {
+    "json": _json_files,
+    "c": _c_files,
+    "blob": _blob_files,
+    "hex": _hex_files,
+    "onnx": _onnx_files,
+    "pdf": _pdf_files,
+    "dcc": _dcc_files,
+}
+"""The one list of formats."""

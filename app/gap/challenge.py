@@ -1,0 +1,223 @@
+"""Sealed cases on disk: make a challenge, ask a sealed rig for one more run, open the seal and score the reports."""
+
+import hashlib
+import json
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softcal.app.files.atomic import whole_folder, write_text
+from softcal.app.files.lot_folder import write_lot_toml
+from softcal.app.files.recording_file import write_columns
+from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase
+from softcal.core.challenge.draw import LINES, draw_case, draw_challenge
+from softcal.core.challenge.lot import press_lot
+from softcal.core.challenge.realised import realised_shrink
+from softcal.core.challenge.rig import Measured
+from softcal.core.challenge.score import ScoreSheet, score_reports
+from softcal.core.challenge.seal import Label, open_seal, seal_labels
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+
+SCHEMA = "softcal.challenge/1"
+FOLDER_FILE = "challenge.json"
+DECIMALS = {"t_s": 5, "stage_mm": 5, "force_N": 5, "output_V": 7, "temperature_C": 3, "known_force_N": 5}
+
+
+@dataclass(frozen=True)
+class MadeChallenge:
+    """Where a challenge lies and the commitment to publish."""
+
+    folder: Path
+    seal_file: Path
+    commitment: str
+    cases: tuple[str, ...]
+
+
+def make_challenge(
+    folder: Path,
+    seal_file: Path,
+    count: int,
+    seed: int | None = None,
+    line: str | None = None,
+    on_case: Callable[[str], None] = lambda name: None,
+) -> MadeChallenge:
+    """Draw sealed cases, write their recordings into a new folder and their labels into a separate file.
+
+    Args:
+        folder: where the cases go; must not exist or be empty.
+        seal_file: where the labels go; outside of `folder`.
+        count: how many cases.
+        seed: seed of the draw; a secret one is chosen when it is not given.
+        line: draw this one line instead of the mix.
+        on_case: called with the name of each case when it is written.
+
+    Raises:
+        InputError: the folder is not empty, the seal would lie in it or exists, a count below 1, an unknown line.
+    """
+    _check_places(folder, seal_file, count)
+    seed = secrets.randbits(31) if seed is None else seed
+    cases = draw_challenge(seed, count) if line is None else _one_line(seed, count, line)
+    contents = {}
+    for case in cases:
+        contents[case.name] = write_case(folder / case.name, case)
+        on_case(case.name)
+    seal = seal_labels(cases, contents, seed, secrets.token_hex(32))
+    write_text(seal_file, seal.text)
+    published = {"schema": SCHEMA, "cases": contents, "commitment": seal.commitment, "hash": "sha256"}
+    write_text(folder / FOLDER_FILE, json.dumps(published, indent=2) + "\n")
+    return MadeChallenge(folder, seal_file, seal.commitment, tuple(contents))
+
+
+def _check_places(folder: Path, seal_file: Path, count: int) -> None:
+    if count < 1:
+        raise InputError(f"--cases {count}: at least one case was expected")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: is not an empty folder; nothing was written; name a new one")
+    if seal_file.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{seal_file}: the seal must not lie in the folder that is handed over; name another place")
+    if seal_file.exists():
+        raise InputError(f"{seal_file}: exists; a seal is never overwritten; name another file")
+
+
+def _one_line(seed: int, count: int, line: str) -> list[SealedCase]:
+    if line not in LINES:
+        raise InputError(f"--line {line}: not known; known are {', '.join(LINES)}")
+    rng = np.random.default_rng([seed, 20_011])
+    width = max(3, len(str(count)))
+    return [draw_case(int(rng.integers(2**31)), f"case-{k:0{width}d}", line) for k in range(1, count + 1)]
+
+
+def write_case(folder: Path, case: SealedCase) -> str:
+    """Record every run of a sealed case into `runs/<n>/` and return the content hash of the folder."""
+    for number, plan in enumerate(case.plans, start=1):
+        write_run(folder / "runs" / str(number), case, plan)
+    return folder_sha256(folder)
+
+
+def write_run(folder: Path, case: SealedCase, plan: RunPlan) -> None:
+    """Record one run as `recording.csv` and `recording.json`."""
+    measured = case.measure(plan)
+    metadata: dict[str, object] = {
+        "serial": case.name.upper(),
+        "kind": measured.kind,
+        "profile": measured.profile,
+        "vref_V": case.rig.vref_V,
+        "adc_bits": case.rig.adc_bits,
+        "r_series_ohm": case.rig.r_series_ohm,
+        "sample_rate_Hz": case.rig.sample_rate_Hz,
+    }
+    if measured.dummy_ohm is not None:
+        metadata["dummy_ohm"] = measured.dummy_ohm
+    write_text(folder / "recording.csv", _csv(measured))
+    write_text(folder / "recording.json", json.dumps(metadata, indent=2) + "\n")
+
+
+def _csv(measured: Measured) -> str:
+    names = list(measured.columns)
+    columns = [[f"{value:.{DECIMALS[name]}f}" for value in measured.columns[name].tolist()] for name in names]
+    return "\n".join([",".join(names), *(",".join(row) for row in zip(*columns, strict=True))]) + "\n"
+
+
+def folder_sha256(folder: Path) -> str:
+    """Hash names and contents of the runs of a case; runs asked for later do not belong to it."""
+    digest = hashlib.sha256()
+    for path in sorted((folder / "runs").rglob("recording.*")):
+        if not path.parent.name.startswith("asked"):
+            digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def ask_rig(folder: Path, seal_file: Path, case_name: str, experiment: str) -> Path:
+    """Run one more experiment on a sealed rig with the same hidden causes; it is added to the case as `runs/asked-<n>`.
+
+    Raises:
+        InputError: the seal is broken, no such case, or an experiment that is not on the menu.
+    """
+    case = _labelled(folder, seal_file, case_name).case
+    if experiment not in EXPERIMENTS:
+        raise InputError(f"{experiment}: not on the menu; known are {', '.join(EXPERIMENTS)}")
+    runs = folder / case_name / "runs"
+    number = 1 + sum(path.name.startswith("asked") for path in runs.iterdir())
+    write_run(runs / f"asked-{number}", case, RunPlan(experiment, case.kept_back.seed + number))
+    return runs / f"asked-{number}"
+
+
+def press_rig_lot(folder: Path, seal_file: Path, case_name: str, units: int, out: Path) -> Path:
+    """Press a lot on a sealed rig, with its hidden causes, and write it as a lot folder with audits.
+
+    Raises:
+        InputError: the seal is broken, no such case, no unit asked for, or `out` exists.
+    """
+    if units < 1:
+        raise InputError(f"--units {units}: at least one unit was expected")
+    case = _labelled(folder, seal_file, case_name).case
+    with whole_folder(out) as part:
+        write_lot_toml(part, Lot(case_name, "R00", case.rig.sample_rate_Hz, "sealed rig"))
+        for run in press_lot(case, units):
+            columns = run.measured.columns
+            written = [("t_s", columns["t_s"]), ("output", columns["output_V"]), ("stage_mm", columns["stage_mm"])]
+            if run.place != "units":
+                written.append(("reference", columns["force_N"]))
+            write_columns(part / run.place / f"{run.serial}.csv", written)
+    return out
+
+
+def _labelled(folder: Path, seal_file: Path, case_name: str) -> Label:
+    labels = {label.case.name: label for label in open_challenge(folder, seal_file)}
+    if case_name not in labels:
+        raise InputError(f"{case_name}: no case of {folder}; known are {', '.join(labels)}")
+    return labels[case_name]
+
+
+def open_challenge(folder: Path, seal_file: Path) -> list[Label]:
+    """Open the seal of a challenge and check that its cases are those that were handed out.
+
+    Raises:
+        InputError: a file is missing, the seal is broken, or a case was changed.
+    """
+    published = _json(folder / FOLDER_FILE)
+    if published.get("schema") != SCHEMA:
+        raise InputError(f"{folder / FOLDER_FILE}: schema {published.get('schema')!r}; {SCHEMA!r} was expected")
+    labels = open_seal(_text(seal_file), str(published.get("commitment")))
+    for label in labels:
+        case_folder = folder / label.case.name
+        if not case_folder.is_dir() or folder_sha256(case_folder) != label.sha256:
+            raise InputError(f"{case_folder}: is not the case that was sealed; nothing was scored")
+    return labels
+
+
+def score_challenge(folder: Path, reports: Path, seal_file: Path) -> ScoreSheet:
+    """Open the seal and score the reports `<case>.json` of a folder.
+
+    Raises:
+        InputError: the seal is broken, a case was changed, the folder has no report, or a report cannot be read.
+    """
+    labels = open_challenge(folder, seal_file)
+    found = {label.case.name: reports / f"{label.case.name}.json" for label in labels}
+    read = {name: _json(path) for name, path in found.items() if path.exists()}
+    if not read:
+        raise InputError(f"{reports}: no report of this challenge; expected files such as {labels[0].case.name}.json")
+    return score_reports(labels, read, lambda label, report: realised_shrink(label.case, report))
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        value = json.loads(_text(path))
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}: is not JSON: line {error.lineno}: {error.msg}") from error
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: holds {type(value).__name__}; a JSON object was expected")
+    return value

@@ -1,0 +1,158 @@
+"""Cases of the gap page: where they lie, uploads, sealed rigs to practise on, and a diagnosis as values to keep."""
+
+import json
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from softcal.app.bootstrap import data_folder
+from softcal.app.files.atomic import whole_folder, write_bytes, write_text
+from softcal.app.files.case_folder import METADATA, RECORDING, open_case
+from softcal.app.gap.challenge import ask_rig, make_challenge, open_challenge
+from softcal.app.gap.diagnose import diagnose_case, run_views
+from softcal.core.errors import InputError
+from softcal.core.recording import Array
+from softcal.db.arrays import Arrays
+
+if TYPE_CHECKING:
+    from softcal.app.charts.gap import RunView
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
+LARGEST_RUN_BYTES = 50_000_000
+MOST_RUNS = 40
+
+
+def cases_folder() -> Path:
+    """Return the folder of cases among the user's data."""
+    folder = data_folder() / "cases"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def cases() -> list[Path]:
+    """Return the cases of that folder, the newest first: plain ones and those of sealed rigs."""
+    places = [p for p in cases_folder().iterdir() if p.is_dir() and not p.name.startswith(".")]
+    found = [c for place in places for c in (place, *place.iterdir()) if (c / "runs").is_dir() or _is_run(c)]
+    return sorted(found, key=lambda case: -case.stat().st_mtime)
+
+
+def _is_run(folder: Path) -> bool:
+    return (folder / RECORDING).is_file()
+
+
+def practise() -> Path:
+    """Make a sealed rig with a hidden cause and return its case; the label lies in a file beside it."""
+    folder = cases_folder() / f"practice-{datetime.now(UTC):%Y%m%d-%H%M%S}"
+    made = make_challenge(folder, _seal(folder), 1)
+    return folder / made.cases[0]
+
+
+def has_sealed_rig(case: Path) -> bool:
+    """Whether a case comes from a sealed rig that can be pressed again."""
+    return _seal(case.parent).is_file()
+
+
+def ask_case(case: Path, experiment: str) -> Path:
+    """Press a sealed rig once more and return the new run.
+
+    Raises:
+        InputError: the case comes from no sealed rig, or the experiment is not on its menu.
+    """
+    if not has_sealed_rig(case):
+        raise InputError(f"{case.name}: no simulated rig belongs to this case; press {experiment!r} on the station")
+    return ask_rig(case.parent, _seal(case.parent), case.name, experiment)
+
+
+def truth(case: Path) -> tuple[str, ...]:
+    """Open the seal of a case and return the effects that were hidden in its rig; none for a rig without a gap."""
+    labels = open_challenge(case.parent, _seal(case.parent))
+    label = next(label for label in labels if label.case.name == case.name)
+    return tuple(cause.effect for cause in label.case.causes)
+
+
+def _seal(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}.seal.json")
+
+
+def store_upload(name: str, runs: Sequence[bytes], metadata: Mapping[str, object]) -> Path:
+    """Write uploaded runs as a case, whole or not at all, and read it once to see that it is one.
+
+    Args:
+        name: of the case; it becomes a folder. The names of uploaded files are not used.
+        runs: contents of CSV files, in order.
+        metadata: of every run: serial, vref_V, adc_bits, r_series_ohm, sample_rate_Hz, sensor_type.
+
+    Raises:
+        InputError: a name that is none, too many or too large runs, or the case cannot be read; nothing is kept.
+    """
+    if not NAME.fullmatch(name) or ".." in name:
+        raise InputError(f"case {name[:60]!r}: 1 to 64 letters, digits, spaces, '.', '-' or '_' were expected")
+    if not 1 <= len(runs) <= MOST_RUNS or any(len(run) > LARGEST_RUN_BYTES for run in runs):
+        raise InputError(f"{len(runs)} runs: 1 to {MOST_RUNS} files of at most {LARGEST_RUN_BYTES // 10**6} MB each")
+    target = cases_folder() / name
+    with whole_folder(target) as part:
+        for number, content in enumerate(runs, 1):
+            write_bytes(part / "runs" / str(number) / RECORDING, content)
+            write_text(part / "runs" / str(number) / METADATA, json.dumps(dict(metadata), indent=2) + "\n")
+        try:
+            open_case(part)
+        except InputError as error:
+            # The person knows runs by their number, not by the place they were checked in.
+            raise InputError(str(error).replace(str(part), name)) from error
+    return target
+
+
+def diagnosis_outcome(folder: Path, progress: Callable[[str], None]) -> tuple[dict[str, Any], Arrays]:
+    """Diagnose a case and return its report with a list of runs, and the arrays of their figures."""
+    diagnosis = diagnose_case(folder, progress)
+    views = run_views(diagnosis)
+    runs = [
+        {"name": v.name, "profile": v.profile, "noise": {name: c.noise for name, c in v.channels.items()}}
+        for v in views
+    ]
+    arrays: dict[str, Any] = {}
+    for k, view in enumerate(views):
+        arrays |= {f"{k}.{name}": getattr(view, name) for name in ("t_s", "drive", "load_N")}
+        for name, channel in view.channels.items():
+            arrays |= {f"{k}.{name}.{part}": getattr(channel, part) for part in ("measured", "base", "explained")}
+    report: dict[str, Any] = _plain(diagnosis.report())
+    return report | {"runs": _plain(runs)}, {name: np.asarray(a, dtype=np.float32) for name, a in arrays.items()}
+
+
+def run_views_of(report: Mapping[str, Any], arrays: Arrays) -> list["RunView"]:
+    """Return the runs of a kept diagnosis, ready for its figures."""
+    from softcal.app.charts.gap import ChannelView, RunView
+
+    def array(k: int, *parts: str) -> Array:
+        return np.asarray(arrays[".".join((str(k), *parts))], dtype=float)
+
+    def channel(k: int, name: str, noise: float) -> ChannelView:
+        return ChannelView(array(k, name, "measured"), array(k, name, "base"), array(k, name, "explained"), noise)
+
+    return [
+        RunView(
+            run["name"],
+            run["profile"],
+            array(k, "t_s"),
+            array(k, "drive"),
+            array(k, "load_N"),
+            {name: channel(k, name, noise) for name, noise in run["noise"].items()},
+        )
+        for k, run in enumerate(report["runs"])
+    ]
+
+
+def _plain(value: Any) -> Any:
+    """Return JSON values: what is not finite becomes null, as in every report."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

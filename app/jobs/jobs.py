@@ -1,0 +1,176 @@
+"""What another process computes for a page: train f, compare networks and maps, diagnose a gap, check a rig.
+
+A job reads its request from the registry, tells how far it is, and leaves its result there; what it registers (a
+network) it registers as any command would.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from softcal.app.logs import log_crash
+from softcal.core.errors import InputError, SoftcalError
+from softcal.core.network.training import EpochReport, NetworkConfig
+from softcal.core.orders import RunState
+from softcal.core.recording import LabelledRecording
+from softcal.db.arrays import Arrays
+from softcal.db.job_board import Job, JobBoard
+from softcal.db.registry import Registry
+
+BEAT_S = 1.0
+REPORT_S = 0.4
+"""Between two reports; each is one transaction."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a job leaves: a sentence, JSON values, arrays."""
+
+    message: str
+    result: Mapping[str, Any] = field(default_factory=dict)
+    arrays: Arrays | None = None
+
+
+class Teller:
+    """Writes how far a job is, at most every `REPORT_S`."""
+
+    def __init__(self, board: JobBoard, job_id: str) -> None:
+        self._board, self._job_id, self._told_s = board, job_id, 0.0
+
+    def __call__(self, fraction: float, message: str, trace: Mapping[str, Any] | None = None) -> None:
+        """Tell fraction (0 ... 1), a sentence and live values."""
+        if time.monotonic() - self._told_s >= REPORT_S:
+            self._told_s = time.monotonic()
+            self._board.report(self._job_id, fraction, message, trace)
+
+
+Work = Callable[[Registry, Job, Teller], Outcome]
+
+
+def run_job(registry: Registry, job_id: str, on_cancel: Callable[[], None]) -> RunState:
+    """Do a job and return how it ended. It always ends: with a result, or with one line that says why not.
+
+    Args:
+        on_cancel: called from another thread once somebody wants the job stopped and it is marked so; ends the process.
+
+    Raises:
+        InputError: there is no such job, or it was taken already.
+    """
+    board = registry.job_board
+    job = board.take(job_id)
+    over = threading.Event()
+    beater = threading.Thread(target=_beat, args=(board, job_id, over, on_cancel), name="job beat", daemon=True)
+    beater.start()
+    try:
+        outcome = _work(job.kind)(registry, job, Teller(board, job_id))
+        board.end(job_id, RunState.DONE, outcome.message, outcome.result, outcome.arrays)
+    except SoftcalError as error:
+        board.end(job_id, RunState.ERROR, str(error))
+    except Exception as error:
+        board.end(job_id, RunState.ERROR, log_crash(error, f"job {job.kind}"))
+    finally:
+        over.set()
+        beater.join()
+    return board.job(job_id).state
+
+
+def _beat(board: JobBoard, job_id: str, over: threading.Event, on_cancel: Callable[[], None]) -> None:
+    while not over.wait(BEAT_S):
+        try:
+            if board.beat(job_id):
+                board.end(job_id, RunState.CANCELLED, "cancelled")
+                on_cancel()
+                return
+        except SoftcalError:
+            continue  # Away for a moment: the next beat tries again.
+
+
+def _work(kind: str) -> Work:
+    works: Mapping[str, Work] = {"train": train, "compare": compare, "diagnose": diagnose, "station_check": check}
+    if kind not in works:
+        raise InputError(f"jobs of kind {kind!r} are unknown to this version; known: {', '.join(works)}")
+    return works[kind]
+
+
+def train(registry: Registry, job: Job, tell: Teller) -> Outcome:
+    """Train f on the newest source recording of a lot; request: lot, hidden, seed, members, max_epochs."""
+    from softcal.app.batch.train import train_or_find
+
+    request = job.request
+    lot = registry.lot(request["lot"])
+    config = NetworkConfig(
+        hidden=tuple(request["hidden"]),
+        seed=request["seed"],
+        members=request["members"],
+        max_epochs=request["max_epochs"],
+    )
+    trace: dict[str, list[float]] = {"epoch": [], "train": [], "validation": []}
+
+    def on_epoch(report: EpochReport) -> None:
+        trace["epoch"].append(float(len(trace["epoch"]) + 1))
+        trace["train"].append(round(report.train_rmse, 6))
+        trace["validation"].append(round(report.validation_rmse, 6))
+        done = (report.member + report.epoch / report.max_epochs) / config.members
+        tell(done, f"{report.epoch} / {report.max_epochs}, {report.best_validation_rmse:.4g}", trace)
+
+    tell(0.0, "")
+    found = train_or_find(lot, newest_source(registry, lot.id), registry, config, job.actor, on_epoch)
+    result = {"network": found.network.id, "is_new": found.is_new, "trace": trace, **found.metrics}
+    return Outcome(found.network.id[:12], result)
+
+
+def newest_source(registry: Registry, lot_id: str) -> LabelledRecording:
+    """Return the newest labelled recording of a lot's source.
+
+    Raises:
+        InputError: there is none yet.
+    """
+    entries = registry.recordings(lot_id, kind="source")
+    if not entries:
+        raise InputError(f"lot {lot_id!r} has no source recording; press its source unit first")
+    source = registry.recording(entries[-1].sha256)
+    if not isinstance(source, LabelledRecording):
+        raise ValueError("a source recording without reference")
+    return source
+
+
+def compare(registry: Registry, job: Job, tell: Teller) -> Outcome:
+    """Map a lot's units with several networks and families; request: lot, networks, families, units."""
+    from softcal.app.batch.compare import compare_on_lot
+
+    rows = compare_on_lot(registry, job.request, tell)
+    return Outcome("", {"rows": rows})
+
+
+def diagnose(registry: Registry, job: Job, tell: Teller) -> Outcome:
+    """Diagnose a case; request: case, and experiment where the sealed rig is to be pressed once more before."""
+    from softcal.app.gap.desk import ask_case, diagnosis_outcome
+
+    folder = Path(job.request["case"])
+    if experiment := job.request.get("experiment"):
+        tell(0.05, f"pressing: {experiment}")
+        ask_case(folder, experiment)
+    steps = 0
+
+    def on_step(text: str) -> None:
+        nonlocal steps
+        steps += 1
+        tell(min(0.95, 1 - 0.9**steps), text)
+
+    report, arrays = diagnosis_outcome(folder, on_step)
+    return Outcome(report["verdict"], report, arrays)
+
+
+def check(registry: Registry, job: Job, tell: Teller) -> Outcome:
+    """Find and test the devices of a rig; request: file or simulated, ports, may_move."""
+    from softcal.app.line.rig import check_station
+    from softcal.station.config import station_toml
+
+    request = job.request
+    file = None if request["file"] is None else Path(request["file"])
+    tell(0.1, "")
+    found = check_station(request["ports"], file, request["simulated"], request["may_move"])
+    return Outcome("", found.as_json() | {"toml": station_toml(found.config)})

@@ -1,0 +1,50 @@
+"""A job in a process of its own: it goes on when its page is closed, reloaded, or the server of the screens ends."""
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+from softcal.app.bootstrap import open_chosen_registry
+from softcal.app.logs import log_folder
+from softcal.db.registry import Registry
+
+THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+"""The station at this machine comes first: a job takes one core."""
+
+
+def start_job(registry: Registry, kind: str, request: Mapping[str, Any], actor: str) -> str:
+    """Write a job down, start its process and return its id."""
+    job_id = registry.job_board.place(kind, request, actor)
+    launch(job_id)
+    return job_id
+
+
+def launch(job_id: str) -> None:
+    """Start the process of a job on the registry of the environment; it outlives this one."""
+    with (log_folder() / "jobs.log").open("ab") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "softcal.app.jobs.process", job_id],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            start_new_session=True,
+            env=dict(os.environ) | THREADS,
+        )
+    # Somebody has to take note of its end, or it stays in the table of processes for as long as the screens run.
+    threading.Thread(target=process.wait, name=f"job {job_id}", daemon=True).start()
+
+
+def main(job_id: str) -> None:
+    """Do one job of the registry of the environment."""
+    from softcal.app.jobs.jobs import run_job
+
+    with open_chosen_registry(None) as registry:
+        # Whatever a job registers is registered whole or not at all: it can be ended anywhere.
+        run_job(registry, job_id, on_cancel=lambda: os._exit(0))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,99 @@
+"""The main job from end to end on a simulated station: press, train, map, judge, register, export."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from softcal.app.batch.batch import run_batch
+from softcal.app.batch.lot_work import BatchConfig, Watch
+from softcal.app.batch.report import BatchReport, UnitResult
+from softcal.app.files.atomic import whole_folder
+from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_toml
+from softcal.app.files.recording_file import write_columns
+from softcal.app.line.rig import PressedLot, PressTimes, press_simulated_lot
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.simulated_lot import draw_twins
+from softcal.core.twin.simulate import Twin
+from softcal.db.registry import Registry
+
+TABLE_HEADER = ("unit", "verdict", "before [N]", "after [N]", "own [N]", "after/own", "before/own", "predicted [N]")
+
+
+@dataclass(frozen=True)
+class DemoConfig:
+    """What the demo shows.
+
+    Args:
+        units: target units beside the source.
+        seed: of the units' differences, of mounting, noise and profiles.
+        times: how long each run presses. An audit is as long as it takes to train a fair own calibration on it.
+        batch: how the lot is calibrated.
+        twin: the nominal unit, of a diagnosis for example; None draws one.
+    """
+
+    units: int = 6
+    seed: int = 20201900178
+    times: PressTimes = PressTimes(source_s=300.0, unit_s=150.0, audit_s=90.0)
+    batch: BatchConfig = BatchConfig()
+    twin: Twin | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.units <= 99:
+            raise InputError(f"{self.units} units; 1 to 99 were expected")
+
+
+def press_demo_lot(config: DemoConfig, folder: Path, on_run: Callable[[str], None]) -> LotFolder:
+    """Press a simulated lot over its serial lines and write it as a lot folder; one pressed before is taken as it is.
+
+    Raises:
+        InputError: `folder` is there and is no lot folder.
+        DeviceError: the simulated station failed; nothing was written.
+    """
+    if folder.exists():
+        on_run(f"{folder}: pressed before, taken as it is; remove it to press again")
+        return open_lot_folder(folder)
+    serials = [f"DEMO-{k:02d}" for k in range(config.units + 1)]
+    rng = np.random.default_rng(config.seed)
+    twins = draw_twins(rng, len(serials), twin=config.twin)
+    pressed = press_simulated_lot(twins, serials, config.seed, config.times, on_run)
+    _write(
+        folder, pressed, Lot("demo", serials[0], pressed.source.unlabelled.sample_rate_Hz, "simulated eGaIn channel")
+    )
+    return open_lot_folder(folder)
+
+
+def run_demo(config: DemoConfig, folder: LotFolder, registry: Registry, watch: Watch) -> BatchReport:
+    """Calibrate the demo's lot."""
+    return run_batch(folder, registry, replace(config.batch, score_own=True), watch)
+
+
+def table_row(unit: UnitResult) -> list[object]:
+    """Return one row of the table like the paper's Table 1, under `TABLE_HEADER`."""
+    made = unit.made
+    if made is None:
+        return [unit.serial, unit.verdict, *[None] * 6]
+    before, after, own = made.before_rmse, made.after_rmse, made.own_rmse
+    ratios = [after / own if after and own else None, before / own if before and own else None]
+    return [unit.serial, unit.verdict, before, after, own, *ratios, made.predicted_rmse]
+
+
+def _write(folder: Path, pressed: PressedLot, lot: Lot) -> None:
+    with whole_folder(folder) as part:
+        write_lot_toml(part, lot)
+        _write_labelled(part / "source" / f"{lot.source}.csv", pressed.source)
+        for serial, unit in pressed.units.items():
+            write_columns(part / "units" / f"{serial}.csv", _columns(unit))
+            _write_labelled(part / "audit" / f"{serial}.csv", pressed.audits[serial])
+
+
+def _write_labelled(path: Path, recording: LabelledRecording) -> None:
+    write_columns(path, [*_columns(recording.unlabelled), ("reference", recording.reference)])
+
+
+def _columns(recording: OutputRecording) -> list[tuple[str, Array]]:
+    columns = [("t_s", recording.t_s), ("output", recording.output)]
+    return columns if recording.stage_mm is None else [*columns, ("stage_mm", recording.stage_mm)]

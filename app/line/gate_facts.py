@@ -1,0 +1,151 @@
+"""What the registry knows of a station, as facts for its gate; and the check of a golden unit that opens it."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from softcal.app.use.estimate import calibrated_unit
+from softcal.core.errors import InputError
+from softcal.core.estimate import estimate
+from softcal.core.orders import OrderKind
+from softcal.core.quality.control_chart import control_chart
+from softcal.core.quality.gate import (
+    CellCertificate,
+    Gate,
+    GoldenCheck,
+    Override,
+    RigFacts,
+    StationFacts,
+    may_run,
+    quarantined,
+)
+from softcal.core.recording import LabelledRecording
+from softcal.db.entries import GoldenRun
+from softcal.db.registry import Registry
+from softcal.station.config import StationConfig
+
+FIRST_RUNS = 8
+"""So many runs of a golden unit make its control limits; until then the lot's limit judges it."""
+
+
+@dataclass(frozen=True)
+class GateRules:
+    """How strict this line is.
+
+    Args:
+        warm_up: how long the load cell must be powered.
+        shift: a golden unit must have been pressed within this time.
+        needs_certificate, needs_golden: a bench in development may do without; a line may not.
+    """
+
+    warm_up: timedelta = timedelta(minutes=15)
+    shift: timedelta = timedelta(hours=8)
+    needs_certificate: bool = True
+    needs_golden: bool = True
+
+
+RIG_ONLY = GateRules(timedelta(0), needs_certificate=False, needs_golden=False)
+"""What the rig alone shows; all that a simulated station can be asked for."""
+
+
+class StationGate:
+    """The gate of one station: asked anew for every order, from what registry and rig say then.
+
+    Args:
+        registry: knows certificates and golden runs.
+        station: name of the station.
+        config: its load cell and safety bounds.
+        rules: how strict the line is.
+    """
+
+    def __init__(self, registry: Registry, station: str, config: StationConfig, rules: GateRules) -> None:
+        self._registry, self._station, self._config, self._rules = registry, station, config, rules
+        self._override: Override | None = None
+
+    def __call__(self, kind: OrderKind, rig: RigFacts) -> Gate:
+        """Return whether an order of this kind may run now."""
+        now, rules, config = datetime.now(UTC), self._rules, self._config
+        golden = self._registry.golden_runs(self._station, since=now - rules.shift)
+        facts = StationFacts(
+            now=now,
+            certificate=_certificate(self._registry, config),
+            largest_force_N=config.safety.force_N,
+            shift_began=now - rules.shift,
+            golden=_check(golden[-1]) if golden else None,
+            rig=rig,
+            zero_return_limit_N=config.safety.zero_return_N,
+            warm_up=rules.warm_up,
+            has_cell=config.force is not None,
+            needs_certificate=rules.needs_certificate,
+            needs_golden=rules.needs_golden,
+            override=self._override,
+        )
+        return may_run(facts, kind)
+
+    def override(self, actor: str, reason: str) -> None:
+        """Open the gate for a shift in spite of its reasons; the decision goes into the audit trail.
+
+        Raises:
+            InputError: no reason.
+        """
+        if not reason.strip():
+            raise InputError("an override needs a reason; the gate is as it was")
+        until = datetime.now(UTC) + self._rules.shift
+        facts = {"until": until.isoformat()}
+        self._registry.add_event(
+            "override", "station_gate", (self._station,), facts, reason=reason, actor=actor or None
+        )
+        self._override = Override(actor, reason, until)
+
+
+def check_golden(registry: Registry, station: str, recording: LabelledRecording, actor: str = "") -> GoldenRun:
+    """Judge a run of a golden unit against its own history, and store it.
+
+    The value is the error of the unit's estimates against the load cell; once it has run often enough, it must lie
+    within three sigma of its own control chart, before that below the limit of its lot.
+
+    Raises:
+        InputError: the unit has no calibration in the registry.
+    """
+    lot, network, calibration = calibrated_unit(registry, recording.serial)
+    found = estimate(network, calibration, recording.unlabelled).estimate
+    value = float(np.sqrt(np.nanmean((found - recording.reference) ** 2)))
+    earlier = [run.value for run in registry.golden_runs(station, recording.serial) if run.passed]
+    if len(earlier) >= FIRST_RUNS:
+        largest, what = control_chart(np.array(earlier)).upper, "its control limit"
+    else:
+        # Without a limit of its lot, the one that its own verdict was given by.
+        largest = lot.limit_rmse or float(str(calibration.evidence["limit_rmse"]))
+        what = "the limit of its lot"
+    passed = value <= largest
+    unit = recording.reference_unit
+    reasons = () if passed else (f"error {value:.3g} {unit} is above {what}, {largest:.3g} {unit}",)
+    run = GoldenRun(station, recording.serial, datetime.now(UTC), value, unit, passed, reasons, actor)
+    registry.add_golden_run(run)
+    return run
+
+
+def quarantine(registry: Registry, station: str, now: datetime) -> tuple[str, ...]:
+    """Return the serials a station pressed since its last good golden unit, once one has failed."""
+    pressed = [
+        (order.serial, order.created)
+        for order, progress in registry.order_queue.runs(station, 10_000)
+        if order.kind is OrderKind.UNIT and progress.recording_sha256 and order.created is not None
+    ]
+    return quarantined(pressed, [_check(run) for run in registry.golden_runs(station)], now)
+
+
+def _certificate(registry: Registry, config: StationConfig) -> CellCertificate | None:
+    if config.force is None:
+        return None
+    entries = registry.certificates(config.force.serial)
+    if not entries:
+        return None
+    newest = entries[-1]
+    last_day = newest.due_on - timedelta(days=1)
+    return CellCertificate(newest.number, last_day, newest.capacity_N, newest.uncertainty_N)
+
+
+def _check(run: GoldenRun) -> GoldenCheck:
+    return GoldenCheck(run.made_at, run.serial, run.passed)

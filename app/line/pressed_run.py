@@ -1,0 +1,200 @@
+"""What becomes of a run that went through: a recording, and with it a trained network, a verdict or a golden check."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+
+from softcal.app.batch.train import train_or_find
+from softcal.app.line.gate_facts import check_golden, quarantine
+from softcal.core.errors import InputError, UnitRefused
+from softcal.core.identity import content_sha256
+from softcal.core.lot import Lot, check_serial
+from softcal.core.maps.interface import FitProblem
+from softcal.core.network.training import EpochReport, NetworkConfig
+from softcal.core.orders import Order, OrderKind, Progress, RunState
+from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.calibrate import CalibrationConfig, calibrate_unit
+from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.verdict import Limit
+from softcal.db.entries import NetworkEntry
+from softcal.db.registry import Registry
+from softcal.station.recording import StationRecording
+
+Tell = Callable[[Progress], None]
+
+TRAINING, CALIBRATING = "training the shared network", "calibrating"
+
+WORST_FIRST = ("fail", "retest", "conditional", "pass")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What one unit got.
+
+    Args:
+        word: pass, conditional, fail or retest.
+        reasons: why, most important first.
+    """
+
+    word: str
+    reasons: tuple[str, ...]
+
+
+class RunKeeper:
+    """Takes finished runs of one station into the registry and calibrates what was pressed.
+
+    Args:
+        registry: where recordings, networks and verdicts go.
+        station: name of the station.
+        network: how f is trained from a source's recording.
+        calibration: how units are calibrated.
+    """
+
+    def __init__(
+        self,
+        registry: Registry,
+        station: str,
+        network: NetworkConfig = NetworkConfig(),  # noqa: B008 - frozen
+        calibration: CalibrationConfig = CalibrationConfig(),  # noqa: B008 - frozen
+    ) -> None:
+        self._registry, self._station = registry, station
+        self._network, self._calibration = network, calibration
+        self._source: tuple[str, SourceModel] | None = None
+
+    def check(self, order: Order) -> None:
+        """Raise `InputError` where the run of an order could not be kept; asked before anything moves."""
+        if not order.kind.presses:
+            return
+        check_serial(order.serial)
+        if order.kind is OrderKind.GOLDEN:
+            self._registry.calibration(order.serial)
+            return
+        if not order.lot_id:
+            raise InputError(f"unit {order.serial}: which lot does it belong to? the order names none; nothing moved")
+        if order.kind is OrderKind.SOURCE and self._known_lot(order.lot_id) is None:
+            Lot(order.lot_id, order.serial, 1.0)  # refuses an id that cannot be one
+            return
+        source = self._registry.lot(order.lot_id).source
+        if (order.serial == source) != (order.kind is OrderKind.SOURCE):
+            raise InputError(
+                f"the source unit of lot {order.lot_id} is {source}; {order.serial} was ordered as {order.kind}; "
+                "nothing moved"
+            )
+
+    def keep(self, order: Order, recording: StationRecording, tell: Tell) -> Progress:
+        """Store a finished run and do what follows from it; return how the order ended.
+
+        Args:
+            order: what was asked.
+            recording: what was pressed.
+            tell: takes progress while a network is trained or a unit calibrated.
+
+        Raises:
+            RegistryError: the registry is away; doing it again later stores nothing twice.
+            InputError: the recording cannot be used.
+        """
+        done = Progress(order.order_id, RunState.DONE, "done", 1.0)
+        if order.kind is OrderKind.GOLDEN:
+            return self._keep_golden(order, recording, done)
+        if order.kind is OrderKind.SOURCE:
+            return self._keep_source(order, recording, tell, done)
+        tell(Progress(order.order_id, RunState.RUNNING, CALIBRATING, 0.99, 1.0))
+        kept = [self._keep_unit(order, unit) for unit in _units(order, recording)]
+        sha256 = kept[0][0]
+        verdicts = [verdict for _, verdict in kept if verdict is not None]
+        if not verdicts:
+            message = f"recorded; lot {order.lot_id} has no shared network yet: press its source unit, or train one"
+            return replace(done, message=message, recording_sha256=sha256)
+        worst = min(verdicts, key=lambda verdict: WORST_FIRST.index(verdict.word))
+        return replace(done, message="; ".join(worst.reasons), recording_sha256=sha256, verdict=worst.word)
+
+    def _keep_golden(self, order: Order, recording: StationRecording, done: Progress) -> Progress:
+        labelled = recording.labelled_recording()
+        lot_id = self._registry.calibration(order.serial).lot_id
+        sha256 = self._registry.add_recording(lot_id, labelled, "audit", actor=order.actor or None)
+        run = check_golden(self._registry, self._station, labelled, order.actor)
+        done = replace(done, recording_sha256=sha256, verdict="pass" if run.passed else "fail")
+        if run.passed:
+            return replace(done, message="golden unit within its limits")
+        held = quarantine(self._registry, self._station, run.made_at)
+        facts = {"units": list(held), "golden": order.serial}
+        self._registry.add_event("quarantine", "station", (self._station,), facts, reason="; ".join(run.reasons))
+        return replace(done, message=f"{'; '.join(run.reasons)}; quarantined: {', '.join(held) or 'no unit'}")
+
+    def _keep_source(self, order: Order, recording: StationRecording, tell: Tell, done: Progress) -> Progress:
+        def on_epoch(report: EpochReport) -> None:
+            fraction = report.epoch / report.max_epochs
+            tell(Progress(order.order_id, RunState.RUNNING, TRAINING, fraction, message=_epoch_line(report)))
+
+        tell(Progress(order.order_id, RunState.RUNNING, TRAINING))
+        source = recording.labelled_recording()
+        lot = self._known_lot(order.lot_id) or Lot(
+            order.lot_id, order.serial, recording.sample_rate_Hz, output_unit=recording.output_unit
+        )
+        trained = train_or_find(lot, source, self._registry, self._network, order.actor or None, on_epoch)
+        rmse = trained.metrics["validation_rmse"]
+        message = f"source recorded, shared network trained: {rmse:.3g} {lot.reference_unit} on held-out blocks"
+        return replace(done, message=message, recording_sha256=source.sha256)
+
+    def _keep_unit(self, order: Order, unit: OutputRecording) -> tuple[str, Verdict | None]:
+        registry, actor = self._registry, order.actor or None
+        sha256 = registry.add_recording(order.lot_id, unit, "unit", actor=actor)
+        entry = newest_network(registry, order.lot_id)
+        if entry is None:
+            return sha256, None
+        lot = registry.lot(order.lot_id)
+        limit = None if lot.limit_rmse is None else Limit(lot.reference_unit, lot.limit_rmse)
+        settings = {
+            "recording": sha256,
+            "network": entry.id,
+            "calibration": asdict(self._calibration),
+            "limit": None if limit is None else asdict(limit),
+        }
+        input_sha256 = content_sha256({}, settings)
+        known = registry.find_calibration(unit.serial, input_sha256)
+        if known is not None:
+            return sha256, Verdict(known.record.verdict, known.record.reasons)
+        return sha256, self._calibrate(lot, unit, limit, entry, input_sha256, order)
+
+    def _calibrate(
+        self, lot: Lot, unit: OutputRecording, limit: Limit | None, entry: NetworkEntry, input_sha256: str, order: Order
+    ) -> Verdict:
+        registry, actor = self._registry, order.actor or None
+        model = self._source_model(entry)
+        try:
+            calibration = calibrate_unit(FitProblem(model.source, model.network, unit), limit, self._calibration, model)
+        except UnitRefused as error:
+            registry.add_refusal(lot.id, unit.serial, "fail", (str(error),), actor=actor)
+            return Verdict("fail", (str(error),))
+        record = calibration.to_record(input_sha256=input_sha256, recording_sha256=unit.sha256, fit_s=0.0)
+        registry.add_calibration(lot.id, record, actor=actor, reason=order.reason or f"pressed on {self._station}")
+        return Verdict(record.verdict, record.reasons)
+
+    def _known_lot(self, lot_id: str) -> Lot | None:
+        return next((lot for lot in self._registry.lots() if lot.id == lot_id), None)
+
+    def _source_model(self, entry: NetworkEntry) -> SourceModel:
+        """Return what is known of the lot's source, made once for all its units."""
+        if self._source is None or self._source[0] != entry.id:
+            source = self._registry.recording(str(entry.training["source_recording_sha256"]))
+            if not isinstance(source, LabelledRecording):
+                raise InputError(f"network {entry.id[:12]}: its source recording has no reference; train it again")
+            self._source = entry.id, make_source_model(source, self._registry.network(entry.id))
+        return self._source[1]
+
+
+def newest_network(registry: Registry, lot_id: str) -> NetworkEntry | None:
+    """Return the newest shared network of a lot, None before the first."""
+    entries = [entry for entry in registry.networks() if entry.lot_id == lot_id]
+    return entries[-1] if entries else None
+
+
+def _units(order: Order, recording: StationRecording) -> list[OutputRecording]:
+    """Return one recording per channel; several units pressed at once are numbered behind the order's serial."""
+    channels = recording.output.shape[1]
+    if channels == 1:
+        return [recording.output_recording(0, order.serial)]
+    return [recording.output_recording(channel, f"{order.serial}-{channel + 1}") for channel in range(channels)]
+
+
+def _epoch_line(report: EpochReport) -> str:
+    return f"epoch {report.epoch} of at most {report.max_epochs}, error {report.validation_rmse:.3g}"

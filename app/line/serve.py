@@ -1,0 +1,100 @@
+"""A resident station: its rig, its gate and its registry, joined and served until somebody says no."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from softcal.app.bootstrap import current_user
+from softcal.app.line.gate_facts import GateRules, StationGate
+from softcal.app.line.host import Fixture, HandFixture, StationHost
+from softcal.app.line.pressed_run import RunKeeper
+from softcal.app.line.rig import profile_for
+from softcal.app.logs import start_logging
+from softcal.core.errors import InputError
+from softcal.core.network.training import NetworkConfig
+from softcal.core.orders import OrderKind, Progress
+from softcal.core.profiles import Profile
+from softcal.core.simulated_lot import twin_of
+from softcal.db.registry import Registry
+from softcal.station.bench import Bench, open_bench
+from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
+from softcal.station.service import Hooks, StationService
+from softcal.station.simulated.line import SimulatedLine
+
+SIMULATED = StationConfig(StageConfig(""), ReadoutConfig(""), ForceConfig("", serial="SIM-CELL"), name="simulated")
+"""What the gate of the simulated station looks at: its load cell and its safety bounds."""
+
+
+@dataclass(frozen=True)
+class Serving:
+    """What a resident station is started with.
+
+    Args:
+        station: its name, as orders call it.
+        station_file: the rig; None for the simulated one.
+        simulated_seed: of the simulated rig and its lot of units; None for a real one.
+        speed: simulated seconds per second.
+        source_s, unit_s, depth_mm, profile_seed: of the profiles it presses with.
+        source_profile, unit_profile: files of profiles, where others are wanted.
+        rules: how strict its gate is.
+        override: an engineer's reason to run in spite of the gate; "" where there is none.
+        network: how f is trained from a source's recording.
+    """
+
+    station: str
+    station_file: Path | None = None
+    simulated_seed: int | None = None
+    speed: float = 1.0
+    source_s: float | None = None
+    unit_s: float | None = None
+    depth_mm: float = 3.5
+    profile_seed: int = 0
+    source_profile: Path | None = None
+    unit_profile: Path | None = None
+    rules: GateRules = GateRules()
+    override: str = ""
+    network: NetworkConfig = NetworkConfig()
+
+    @property
+    def profiles(self) -> dict[OrderKind, Profile]:
+        """The profile of each kind of order."""
+        source = profile_for("source", self.profile_seed, self.source_s, self.depth_mm, self.source_profile)
+        unit = profile_for("unit", self.profile_seed, self.unit_s, self.depth_mm, self.unit_profile)
+        return {OrderKind.SOURCE: source, OrderKind.UNIT: unit, OrderKind.GOLDEN: unit}
+
+
+def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[[], bool]) -> None:
+    """Own the ports of a station and perform its orders until `goes_on` says no.
+
+    Raises:
+        InputError: no station is named, its file cannot be read, or another process serves it.
+    """
+    config, fixture, opened = _rig(serving)
+    gate = StationGate(registry, serving.station, config, serving.rules)
+    if serving.override:
+        gate.override(current_user(), serving.override)
+    profiles = serving.profiles
+    log = start_logging(command="station serve", station=serving.station)
+
+    def make_service(report: Callable[[Progress], None], is_stop_wanted: Callable[[], bool]) -> StationService:
+        return StationService(opened, profiles, spools, Hooks(report, is_stop_wanted, gate))
+
+    def write_log(event: str, facts: dict[str, object]) -> None:
+        log.info(event, **facts)
+
+    keeper = RunKeeper(registry, serving.station, serving.network)
+    StationHost(registry.order_queue, serving.station, keeper, gate.override, make_service, fixture, write_log).run(
+        goes_on
+    )
+
+
+def _rig(serving: Serving) -> tuple[StationConfig, Fixture, Callable[[], AbstractContextManager[Bench]]]:
+    if serving.simulated_seed is not None:
+        line = SimulatedLine(partial(twin_of, serving.simulated_seed), serving.simulated_seed, serving.speed)
+        return SIMULATED, line, line.open
+    if serving.station_file is None:
+        raise InputError("which station? give --station FILE or --simulated")
+    config = read_station_file(serving.station_file)
+    return config, HandFixture(), partial(open_bench, config)

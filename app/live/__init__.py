@@ -1,1 +1,0 @@
-"""Estimates while the samples come: where they are read from, where they go, what the terminal shows."""

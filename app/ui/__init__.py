@@ -1,0 +1,1 @@
+"""The Streamlit application: its frame, its pages and their components."""

@@ -1,0 +1,162 @@
+"""Who sits at the screen and what the role allows: the line's operator without login, people by PIN or company account.
+
+A sign-in by PIN lives in this server's memory under a random token that the browser keeps in a cookie, so that it
+survives a reload and a link, and ends with the shift, the browser or the server.
+"""
+
+import os
+import secrets
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+import streamlit as st
+
+from softcal.app.ui.browser_memory import forget, recall, remember
+from softcal.app.ui.registry_of_server import registry
+from softcal.core.errors import InputError
+from softcal.db.entries import User
+from softcal.db.people import PERMISSIONS, ROLES, may
+
+SHIFT = timedelta(hours=10)
+"""A sign-in ends after this time, whatever the browser keeps; Streamlit's cookie of a company account lives 30 days."""
+
+SESSION = "session"
+BADGE = "badge"
+ROLE_CLAIM_VARIABLE = "SOFTCAL_ROLE_CLAIM"
+"""Environment variable: which claim of a company account names the role; `roles` where it is not set."""
+
+
+@dataclass(frozen=True)
+class SignIn:
+    """One sign-in by PIN: who, and until when."""
+
+    name: str
+    until: datetime
+
+
+@st.cache_resource(max_entries=1)
+def _sign_ins() -> dict[str, SignIn]:
+    return {}
+
+
+def person() -> User:
+    """Return who is at the screen; without sign-in the operator of the line, named by the badge if one was scanned."""
+    return _by_company_account() or _by_pin() or User(recall(BADGE), "operator", True, 0)
+
+
+def is_signed_in() -> bool:
+    """Whether somebody has shown who they are; a badge is no proof."""
+    return person().version != 0
+
+
+def sign_in(name: str, pin: str) -> User:
+    """Sign a person in at this browser.
+
+    Raises:
+        InputError: wrong name or PIN, not active, or a pause after wrong ones.
+    """
+    user = registry().sign_in(name.strip(), pin)
+    token = secrets.token_urlsafe(24)
+    now = datetime.now(UTC)
+    known = _sign_ins()
+    for old in [key for key, entry in known.items() if entry.until < now]:
+        del known[old]
+    known[token] = SignIn(user.name, now + SHIFT)
+    remember(SESSION, token)
+    return user
+
+
+def sign_out() -> None:
+    """End the sign-in of this browser; the screen is the operator's again."""
+    _sign_ins().pop(recall(SESSION), None)
+    forget(SESSION)
+    if st.user.get("is_logged_in"):
+        st.logout()
+
+
+def scan_badge(name: str) -> None:
+    """Take the name of the operator from a badge; "" hands the screen back to nobody in particular."""
+    remember(BADGE, name) if name else forget(BADGE)
+
+
+def permit(action: str) -> User:
+    """Return who is at the screen if the role allows an action of `PERMISSIONS`; asked by every function that writes.
+
+    Raises:
+        InputError: the role does not allow it.
+    """
+    user = person()
+    if not may(user, action):
+        allowed = [role for role in ROLES if action in PERMISSIONS[role]]
+        raise InputError(f"{user.role} may not do this; sign in as {' or '.join(allowed)}; nothing was changed")
+    return user
+
+
+def actor() -> str:
+    """Return the name for the audit trail."""
+    return person().name or "operator"
+
+
+def has_company_accounts() -> bool:
+    """Whether this server was started with an identity provider (OIDC)."""
+    try:
+        return "auth" in st.secrets
+    except FileNotFoundError:
+        return False
+
+
+def account_without_role() -> str:
+    """Return the company account that is signed in at this browser and names no role here; "" without."""
+    claims = _claims()
+    return _name_of(claims) if claims and role_of(claims, role_claim()) is None else ""
+
+
+def role_claim() -> str:
+    """Return which claim of a company account names the role."""
+    return os.environ.get(ROLE_CLAIM_VARIABLE) or "roles"
+
+
+def role_of(claims: dict[str, object], claim: str) -> str | None:
+    """Return the highest role that the claims of a company account name, None where they name none.
+
+    Args:
+        claims: of the identity token.
+        claim: which of them holds the role, or a list of roles or groups; a group may end in `/engineer`.
+    """
+    value = claims.get(claim)
+    named = value if isinstance(value, list) else [value]
+    words = {str(word).rpartition("/")[2].lower() for word in named if word}
+    return next((role for role in ("quality", "engineer", "operator") if role in words), None)
+
+
+def is_of_this_shift(claims: dict[str, object], now: datetime) -> bool:
+    """Whether an identity token was issued less than a shift ago (`iat`; OpenID Connect Core 1.0, section 2)."""
+    issued_s = claims.get("iat")
+    return isinstance(issued_s, int | float) and now.timestamp() - issued_s < SHIFT.total_seconds()
+
+
+def _by_company_account() -> User | None:
+    claims = _claims()
+    role = role_of(claims, role_claim())
+    return None if role is None else User(_name_of(claims), role, True, 1)
+
+
+def _claims() -> dict[str, object]:
+    """Return the claims of the company account at this browser; none once its sign-in is older than a shift."""
+    if not st.user.get("is_logged_in"):
+        return {}
+    claims: dict[str, object] = {**st.user}
+    return claims if is_of_this_shift(claims, datetime.now(UTC)) else {}
+
+
+def _name_of(claims: dict[str, object]) -> str:
+    return str(claims.get("email") or claims.get("name") or claims.get("sub"))
+
+
+def _by_pin() -> User | None:
+    entry = _sign_ins().get(recall(SESSION))
+    if entry is None or entry.until < datetime.now(UTC):
+        return None
+    # Asked anew each time: who was made inactive, or has another role since, is so at once.
+    user = next((user for user in registry().users() if user.name == entry.name), None)
+    return user if user is not None and user.is_active else None

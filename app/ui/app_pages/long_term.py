@@ -1,0 +1,48 @@
+"""Units in use: which need a calibration, and the drift, map and predicted error of one over time."""
+
+import streamlit as st
+
+from softcal.app.charts.long_term import course_figure
+from softcal.app.ui.desk import choose, colours, empty, errors_in_words, in_words, registry, show_figure, words
+from softcal.app.ui.first_paint import rest_may_follow
+from softcal.app.ui.panels import heading, table
+from softcal.app.views.common import number
+from softcal.app.views.long_term import UnitInUse, course, units_in_use
+
+
+def render() -> None:
+    """Draw the page."""
+    say = words()
+    with errors_in_words():
+        beside = heading("long_term")
+        units = units_in_use(registry())
+        if not units:
+            empty(say("long_term.none"), say("long_term.none.how"))
+            return
+        with beside:
+            serial = choose(say("choose.unit"), [unit.serial for unit in units], "unit") or units[0].serial
+        table([_row(unit) for unit in units])
+        streams = registry().streams(serial)
+        stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
+        found = course(registry(), serial, stream)
+        st.subheader(say("long_term.course", serial=serial))
+        if found.alarm:
+            st.warning(in_words(found.alarm), icon=":material/notification_important:", title=say("long_term.due"))
+        if not found.steps:
+            st.caption(say("long_term.no_steps"))
+            return
+        if rest_may_follow():
+            show_figure(course_figure(found, colours(), say), f"course-{serial}")
+
+
+def _row(unit: UnitInUse) -> dict[str, object]:
+    say = words()
+    return {
+        say("column.serial"): unit.serial,
+        say("long_term.state"): say("event.alarm") if unit.alarm else say(f"event.{unit.verdict}"),
+        say("lot.predicted"): number(unit.predicted_rmse),
+        say("chart.drift_scale"): number(unit.drift),
+        say("long_term.steps"): unit.steps,
+        say("column.made"): unit.made_at,
+        say("column.remark"): in_words(unit.alarm),
+    }

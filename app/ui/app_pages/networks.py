@@ -1,0 +1,44 @@
+"""The shared networks of a lot: train one with the loss live, and compare networks and map families on its units."""
+
+from softcal.app.ui.components.network_panels import comparison, training
+from softcal.app.ui.desk import empty, errors_in_words, registry, words
+from softcal.app.ui.first_paint import rest_may_follow
+from softcal.app.ui.panels import lot_heading, table
+from softcal.app.views.common import instant, number
+from softcal.app.views.network import NetworkRow, network_rows
+
+
+def render() -> None:
+    """Draw the page."""
+    say = words()
+    with errors_in_words():
+        lots = {lot.id: lot for lot in registry().lots()}
+        lot_id = lot_heading("networks", list(lots))
+        if lot_id is None:
+            return
+        lot = lots[lot_id]
+        rows = network_rows(registry(), lot.id)
+        if rows:
+            table([_row(row, lot.reference_unit) for row in rows])
+        else:
+            empty(say("networks.none"), say("networks.none.how"))
+        if not rest_may_follow():
+            return
+        training(lot)
+        if rows:
+            comparison(lot, rows)
+
+
+def _row(row: NetworkRow, unit: str) -> dict[str, object]:
+    say = words()
+    return {
+        say("column.network"): row.id[:12],
+        say("column.made"): instant(row.added_at),
+        say("networks.hidden"): row.layers,
+        say("networks.members"): row.members,
+        say("networks.seed"): row.seed,
+        say("networks.validation"): number(row.validation_rmse, unit),
+        say("networks.epochs"): row.epochs,
+        say("networks.train_s"): number(row.train_s, "s"),
+        say("column.remark"): say("networks.stale") if row.is_stale else "",
+    }

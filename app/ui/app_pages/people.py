@@ -1,0 +1,64 @@
+"""Who may do what: people, their roles and PINs; every change asks for a reason."""
+
+import streamlit as st
+
+from softcal.app.ui.account import actor
+from softcal.app.ui.desk import ask_reason, in_words, registry, words
+from softcal.app.ui.first_paint import rest_may_follow
+from softcal.app.ui.panels import heading, table
+from softcal.core.errors import InputError
+from softcal.db.entries import User
+from softcal.db.people import ROLES
+
+NEW = User("", "operator", True, 0)
+
+
+def render() -> None:
+    """Draw the page."""
+    say = words()
+    people = registry().users()
+    heading("people")
+    if done := st.session_state.pop("people-done", ""):
+        st.success(done, icon=":material/check:")
+    left, right = st.columns([3, 2])
+    with left:
+        table([_row(user) for user in people])
+        for role in ROLES:
+            st.caption(f"**{say(f'role.{role}')}** · {say(f'role.{role}.may')}")
+    if rest_may_follow():
+        with right, st.container(border=True):
+            _change(people)
+
+
+def _row(user: User) -> dict[str, str]:
+    say = words()
+    state = say("people.active") if user.is_active else say("people.inactive")
+    return {say("sign_in.name"): user.name, say("people.role"): say(f"role.{user.role}"), say("people.state"): state}
+
+
+def _change(people: list[User]) -> None:
+    say = words()
+    known = {user.name: user for user in people}
+    chosen = st.selectbox(say("people.who"), ["", *known], format_func=lambda name: name or say("people.new"))
+    user = known.get(chosen, NEW)
+    # Keys carry the version, so that the fields show what is stored after each change.
+    mark = f"{user.name}-{user.version}"
+    name = user.name or str(st.text_input(say("sign_in.name"), key=f"people-name-{mark}")).strip()
+    role = st.selectbox(
+        say("people.role"), ROLES, ROLES.index(user.role), lambda role: say(f"role.{role}"), key=f"people-role-{mark}"
+    )
+    pin_label = say("sign_in.new_pin") if user is NEW else say("people.pin")
+    pin = st.text_input(pin_label, type="password", key=f"people-pin-{mark}", autocomplete="new-password")
+    is_active = st.checkbox(say("people.may_sign_in"), user.is_active, key=f"people-active-{mark}")
+    reason = ask_reason(f"people-{mark}", say("people.save"), "people")
+    if reason is None:
+        return
+    try:
+        registry().set_user(
+            name, role, pin or None, actor=actor(), reason=reason, is_active=is_active, version=user.version
+        )
+    except InputError as error:
+        st.error(in_words(error), icon=":material/error:")
+        return
+    st.session_state["people-done"] = say("people.saved", name=name)
+    st.rerun()

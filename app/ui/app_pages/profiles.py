@@ -1,0 +1,85 @@
+"""The profiles a station presses with: their course, their time, and whether they keep the bounds of the station."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import streamlit as st
+
+from softcal.app.charts.station import profile_figure
+from softcal.app.files.profile_file import profile_toml, read_profile
+from softcal.app.ui.desk import colours, errors_in_words, show_figure, words
+from softcal.app.ui.first_paint import rest_may_follow
+from softcal.app.ui.panels import heading, numbers
+from softcal.app.views.profile import bounds
+from softcal.core.profiles import BUILT_IN, Profile
+from softcal.station.config import FixtureConfig, SafetyConfig
+
+FILE = "file"
+
+
+def render() -> None:
+    """Draw the page."""
+    say = words()
+    with errors_in_words():
+        with heading("profiles"):
+            name = st.selectbox(
+                say("profiles.profile"), [*BUILT_IN, FILE], format_func=lambda key: say(f"profile.{key}")
+            )
+        left, right = st.columns([1, 3])
+        with left:
+            profile = _from_file() if name == FILE else _built_in(name)
+            safety = _station()
+        if profile is None:
+            return
+        with right:
+            _bounds(profile, safety)
+            if not rest_may_follow():
+                return
+            figure = profile_figure(profile, safety.deepest_mm, safety.speed_mm_s, colours(), say)
+            show_figure(figure, "profile")
+            file_name = f"{profile.name.replace(' ', '-').replace('/', '-')}.toml"
+            st.download_button(say("profiles.save"), profile_toml(profile), file_name, on_click="ignore")
+
+
+def _built_in(name: str) -> Profile:
+    depth_mm = st.number_input(f"{words()('profiles.depth')} [mm]", 0.1, 50.0, 3.5, 0.1)
+    seed = int(st.number_input(words()("networks.seed"), 0, 10**6, 0))
+    return BUILT_IN[name](np.random.default_rng(seed), depth_mm)
+
+
+def _from_file() -> Profile | None:
+    file = st.file_uploader(words()("profiles.file"), type=["toml"])
+    if file is None:
+        return None
+    with tempfile.TemporaryDirectory(prefix="softcal-profile-") as folder:
+        path = Path(folder) / "profile.toml"
+        path.write_bytes(file.getvalue())
+        return read_profile(path)
+
+
+def _station() -> SafetyConfig:
+    """Take the bounds of a station; they live in its file, at its machine."""
+    say = words()
+    st.caption(say("profiles.bounds_typed"))
+    deepest_mm = st.number_input(f"{say('profiles.deepest')} [mm]", 0.1, 500.0, SafetyConfig().deepest_mm)
+    speed_mm_s = st.number_input(f"{say('profiles.fastest')} [mm/s]", 0.01, 500.0, SafetyConfig().speed_mm_s)
+    return SafetyConfig(deepest_mm=deepest_mm, speed_mm_s=speed_mm_s)
+
+
+def _bounds(profile: Profile, safety: SafetyConfig) -> None:
+    say = words()
+    found = bounds(profile, safety.deepest_mm, safety.speed_mm_s, FixtureConfig().approach_mm)
+    numbers(
+        (
+            (say("column.duration"), f"{profile.duration_s:.0f} s", None),
+            (say("profiles.presses"), str(profile.presses), None),
+            *((say(f"profiles.{bound.name}"), f"{bound.value:.3g} {bound.unit}", None) for bound in found),
+        ),
+        narrowest_px=185,
+    )
+    for bound in (bound for bound in found if not bound.is_kept):
+        limit = f"{bound.largest:g} {bound.unit}"
+        st.error(say(f"profiles.{bound.name}.broken", limit=limit), icon=":material/block:")
+    if all(bound.is_kept for bound in found):
+        st.caption(say("profiles.kept"))

@@ -1,0 +1,94 @@
+"""Sign in by PIN or company account; the first person of a registry; the language; and the way out."""
+
+from html import escape
+from typing import Literal
+
+import streamlit as st
+
+from softcal.app.ui.account import (
+    account_without_role,
+    has_company_accounts,
+    is_signed_in,
+    person,
+    role_claim,
+    sign_in,
+    sign_out,
+)
+from softcal.app.ui.desk import choose_language, in_words, registry, words
+from softcal.core.errors import InputError
+
+
+def render() -> None:
+    """Draw the page."""
+    say = words()
+    _, middle, _ = st.columns([1, 2, 1])
+    with middle:
+        choose_language()
+        if is_signed_in():
+            _who(person().name)
+            st.markdown(say("sign_in.role", role=say(f"role.{person().role}")))
+            st.caption(say(f"role.{person().role}.may"))
+            _leave()
+        elif account := account_without_role():
+            _who(account)
+            st.warning(say("sign_in.no_role", claim=role_claim()), icon=":material/no_accounts:")
+            _leave()
+        else:
+            _enter()
+
+
+def _who(name: str) -> None:
+    # As HTML: Markdown would make a link of an address.
+    st.html(f"<h1>{escape(name)}</h1>")
+
+
+def _enter() -> None:
+    say, is_known = words(), bool(registry().users())
+    if not is_known and not has_company_accounts():
+        _first_person()
+        return
+    st.title(say("sign_in.title"))
+    st.caption(say("sign_in.why" if is_known else "sign_in.why.company"))
+    if is_known:
+        _by_pin()
+    if has_company_accounts():
+        kind: Literal["primary", "secondary"] = "secondary" if is_known else "primary"
+        st.button(say("sign_in.company"), on_click=st.login, type=kind, width="stretch", icon=":material/badge:")
+
+
+def _leave() -> None:
+    # A callback: a rerun after it would throw away the order to go to the provider.
+    st.button(words()("sign_in.leave"), on_click=sign_out, icon=":material/logout:", type="primary", width="stretch")
+
+
+def _by_pin() -> None:
+    say = words()
+    with st.form("sign-in"):
+        name = st.text_input(say("sign_in.name"), key="sign-in-name", autocomplete="username")
+        pin = st.text_input(say("sign_in.pin"), key="sign-in-pin", type="password", autocomplete="current-password")
+        if not st.form_submit_button(say("sign_in.enter"), type="primary", width="stretch"):
+            return
+    try:
+        sign_in(name, pin)
+    except InputError as error:
+        st.error(in_words(error), icon=":material/lock:")
+    else:
+        st.rerun()
+
+
+def _first_person() -> None:
+    say = words()
+    st.title(say("sign_in.first"))
+    st.caption(say("sign_in.first.why"))
+    with st.form("first-person"):
+        name = st.text_input(say("sign_in.name"), key="first-name").strip()
+        pin = st.text_input(say("sign_in.new_pin"), key="first-pin", type="password", autocomplete="new-password")
+        if not st.form_submit_button(say("sign_in.first.enter"), type="primary", width="stretch"):
+            return
+    try:
+        registry().set_user(name, "quality", pin, actor=name, reason=say("sign_in.first"))
+        sign_in(name, pin)
+    except InputError as error:
+        st.error(in_words(error), icon=":material/error:")
+    else:
+        st.rerun()

@@ -1,0 +1,88 @@
+"""Calibrate a source, step by step: the lot, the press with the load cell, a look at the recording, the network."""
+
+import streamlit as st
+
+from softcal.app.charts import station as charts_station
+from softcal.app.charts import unit as charts_unit
+from softcal.app.jobs.jobs import newest_source
+from softcal.app.ui.components.lot_form import choose_or_add_lot
+from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
+from softcal.app.ui.desk import colours, errors_in_words, in_words, registry, show_figure, words
+from softcal.app.ui.first_paint import rest_may_follow
+from softcal.app.ui.panels import go_to, heading, numbers
+from softcal.app.views.common import instant
+from softcal.app.views.network import network_rows
+from softcal.app.views.station import source_facts
+from softcal.core.lot import Lot
+from softcal.core.orders import OrderKind
+
+
+def render() -> None:
+    """Draw the page."""
+    say = words()
+    with errors_in_words():
+        heading("source")
+        st.caption(say("source.how"))
+        with _step(1):
+            lot = choose_or_add_lot()
+        if lot is None:
+            return
+        with _step(2):
+            _press(lot)
+        if not registry().recordings(lot.id, kind="source"):
+            return
+        with _step(3):
+            _look(lot)
+        with _step(4):
+            _network(lot)
+
+
+def _step(number: int) -> st.delta_generator.DeltaGenerator:
+    box = st.container(border=True)
+    box.markdown(f"#### {number} · {words()(f'source.step.{number}')}")
+    return box
+
+
+def _press(lot: Lot) -> None:
+    say = words()
+    station = choose_station()
+    if station is None:
+        return
+    beat = registry().order_queue.heartbeat(station)
+    for reason in beat.reasons if beat else ():
+        st.warning(in_words(reason), icon=":material/lock:")
+    st.caption(say("source.press.how", serial=lot.source))
+    run = newest_run(station, (OrderKind.SOURCE,), lot.id)
+    is_busy = registry().order_queue.active(station) is not None
+    if st.button(say("source.press"), type="primary", icon=":material/play_arrow:", disabled=is_busy):
+        if place(station, OrderKind.SOURCE, lot.source, lot.id):
+            st.rerun()
+    if run is not None and run_panel(run):
+        st.success(in_words(run[1].message) or say("source.pressed"), icon=":material/check:")
+
+
+def _look(lot: Lot) -> None:
+    say, source = words(), newest_source(registry(), lot.id)
+    made = registry().recordings(lot.id, kind="source")[-1].added_at
+    numbers([(say(key), value, None) for key, value in source_facts(source).items()], narrowest_px=235)
+    st.caption(say("source.look.how", made=instant(made)))
+    if not rest_may_follow():
+        return
+    left, right = st.columns(2)
+    with left:
+        show_figure(charts_unit.recording(source, lot, colours(), say), "source-recording")
+    with right:
+        units = (lot.reference_unit, lot.output_unit)
+        figure = charts_station.source_curve(source.reference, source.unlabelled.output, units, colours(), say)
+        show_figure(figure, "source-curve")
+
+
+def _network(lot: Lot) -> None:
+    say = words()
+    fresh = [row for row in network_rows(registry(), lot.id) if not row.is_stale]
+    if fresh:
+        st.markdown(say("source.trained", network=fresh[0].id[:12], layers=fresh[0].layers))
+    else:
+        st.markdown(say("source.untrained"))
+    if st.button(say("source.to_networks"), icon=":material/arrow_forward:"):
+        go_to("networks", lot=lot.id)

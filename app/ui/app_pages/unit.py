@@ -1,0 +1,100 @@
+"""One unit by serial: why its verdict is what it is, its map, its estimates, its history and its files."""
+
+import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
+
+from softcal.app.charts import unit as charts_unit
+from softcal.app.charts.why import HEIGHT, why_figure
+from softcal.app.texts.reasons import all_said, said
+from softcal.app.ui.components.unit_choice import choose_unit
+from softcal.app.ui.components.unit_files import unit_files
+from softcal.app.ui.components.unit_history import unit_history, unit_recordings
+from softcal.app.ui.desk import colours, empty, errors_in_words, registry, verdict_badge, words
+from softcal.app.ui.first_paint import rest_may_follow
+from softcal.app.ui.panels import figure_under, heading, numbers
+from softcal.app.views.common import number, percent
+from softcal.app.views.unit import UnitView, unit_view
+from softcal.db.entries import StoredCalibration
+
+TABS = ("why", "map", "estimates", "recordings", "history", "files")
+TITLES = {
+    "output_distributions": "unit.outputs",
+    "map_curve": "unit.map",
+    "hysteresis": "unit.hysteresis",
+    "estimate_band": "unit.estimate",
+}
+
+
+def render() -> None:
+    """Draw the page."""
+    say = words()
+    with errors_in_words():
+        with heading("unit"):
+            serial = choose_unit()
+        if serial is None:
+            empty(say("empty.units"), say("empty.units.how"))
+            return
+        if done := st.session_state.pop("unit-done", ""):
+            st.success(done, icon=":material/check:")
+        history = registry().history(serial)
+        if not history:
+            _refused(serial)
+            return
+        _revision(serial, history)
+
+
+def _refused(serial: str) -> None:
+    unit = registry().units(serial=serial)[-1]
+    verdict_badge(unit.verdict)
+    empty(words()("empty.calibration"), all_said(unit.reasons, words()))
+    unit_recordings(serial, registry().lot(unit.lot_id))
+
+
+def _revision(serial: str, history: list[StoredCalibration]) -> None:
+    say = words()
+    current = next(entry.revision for entry in history if entry.is_current)
+    revisions = [entry.revision for entry in reversed(history)]
+    left, right = st.columns([1, 4], vertical_alignment="bottom")
+    revision = right.selectbox(say("choose.revision"), revisions, index=revisions.index(current)) or current
+    stored = next(entry for entry in history if entry.revision == revision)
+    with left:
+        verdict_badge(stored.record.verdict)
+    _verdict(stored, registry().lot(stored.lot_id).reference_unit)
+    if not rest_may_follow():
+        return
+    view = unit_view(registry(), serial, revision)
+    share = percent(view.flagged / len(view.estimate.flag))
+    st.caption(say("unit.flags", flagged=view.flagged, rows=len(view.estimate.flag), share=share))
+    why, map_tab, estimates, recordings, changes, files = st.tabs([say(f"unit.tab.{name}") for name in TABS])
+    with why:
+        # The head of the figure says what stands above it already.
+        figure = why_figure(view, colours(), say).update_layout(title=None, margin_t=40, height=HEIGHT)
+        figure_under("unit.why", figure, "why")
+    _figures(map_tab, view, ("output_distributions", "map_curve"))
+    _figures(estimates, view, ("hysteresis", "estimate_band"))
+    with recordings:
+        unit_recordings(serial, view.lot)
+    with changes:
+        unit_history(history, view.lot.reference_unit)
+    with files:
+        unit_files(serial, revision)
+
+
+def _verdict(stored: StoredCalibration, unit: str) -> None:
+    say, record = words(), stored.record
+    scores = [(say(f"column.{n}"), getattr(record, f"{n}_rmse"), None) for n in ("before", "after", "own")]
+    cells = [(say("lot.predicted"), record.predicted_rmse, say("unit.predicted.help")), *scores]
+    numbers([(label, number(value, unit), tip) for label, value, tip in cells if value is not None])
+    for reason in record.reasons:
+        st.markdown(f"- {said(reason, say)}")
+
+
+def _figures(place: DeltaGenerator, view: UnitView, names: tuple[str, ...]) -> None:
+    with place:
+        for column, name in zip(st.columns(2), names, strict=True):
+            with column:
+                _figure(view, name)
+
+
+def _figure(view: UnitView, name: str) -> None:
+    figure_under(TITLES[name], getattr(charts_unit, name)(view, colours(), words()), name)

@@ -1,0 +1,67 @@
+"""What a browser remembers for this server across reloads and links: language, badge, sign-in. Kept in cookies."""
+
+from collections.abc import Mapping
+from urllib.parse import unquote
+
+import streamlit as st
+
+from softcal.app.ui.first_paint import PLACE, has_drawn, is_awaited
+
+STATE = "browser-memory"
+HTML = "<span hidden></span>\n"
+JS = """
+export default function ({ data, setTriggerValue }) {
+  for (const [name, value] of Object.entries(data.told)) {
+    const age = value === "" ? "; Max-Age=0" : ""
+    document.cookie = `${name}=${encodeURIComponent(value)}; Path=/; SameSite=Strict${age}`
+  }
+  if (!data.asks) return
+  // What is still being read stands as a skeleton; so does the place of the rest, which is not waited for.
+  const count = (where) => document.querySelectorAll(`${where} [data-testid=stSkeleton]`).length
+  const isDrawn = () => count("body") === count(`.st-key-${data.place}`)
+  const last = performance.now() + data.longest_ms
+  const idle = window.requestIdleCallback ?? setTimeout
+  const look = () => requestAnimationFrame(() =>
+    isDrawn() || performance.now() > last ? idle(() => setTriggerValue("drawn", true)) : look())
+  look()
+}
+"""
+LONGEST_MS = 3000
+"""Whatever stands as a skeleton, the rest of a page comes after this time."""
+
+
+def recall(name: str) -> str:
+    """Return what was remembered under a name in this tab or, after a reload, in this browser; "" without."""
+    here = st.session_state.get(STATE, {})
+    return str(here[name]) if name in here else unquote(_cookies().get(_cookie(name), ""))
+
+
+def remember(name: str, value: str) -> None:
+    """Remember a text; the browser hears of it at the end of this run, by `keep`."""
+    st.session_state[STATE] = st.session_state.get(STATE, {}) | {name: value}
+
+
+def forget(name: str) -> None:
+    """Forget what was remembered under a name."""
+    remember(name, "")
+
+
+def keep() -> None:
+    """Tell the browser what to remember, and ask whether it has drawn the page; drawn once at the end of every run."""
+    told = {_cookie(name): value for name, value in st.session_state.get(STATE, {}).items()}
+    # Registered here because a component needs a running server; the same again changes nothing.
+    draw = st.components.v2.component("softcal_memory", html=HTML, js=JS)
+    draw(
+        data={"told": told, "asks": is_awaited(), "place": PLACE, "longest_ms": LONGEST_MS},
+        key="browser-memory-component",
+        on_drawn_change=has_drawn,
+    )
+
+
+def _cookies() -> Mapping[str, str]:
+    return st.context.cookies
+
+
+def _cookie(name: str) -> str:
+    # Cookies do not tell ports apart, but two servers on one machine are two.
+    return f"softcal_{st.get_option('server.port')}_{name}"

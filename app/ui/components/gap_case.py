@@ -1,0 +1,91 @@
+"""Choose the case of a diagnosis: one that lies there, a folder, uploaded runs, or a simulated rig to practise on."""
+
+from pathlib import Path
+
+import streamlit as st
+
+from softcal.app.gap.desk import cases, cases_folder, practise, store_upload
+from softcal.app.ui.account import permit
+from softcal.app.ui.desk import in_words, words
+from softcal.core.errors import InputError
+
+METADATA = (("vref_V", 5.0), ("adc_bits", 16), ("r_series_ohm", 1000.0), ("sample_rate_Hz", 50.0))
+
+
+def choose_case() -> Path | None:
+    """Draw the choice and return the case; None where there is none yet."""
+    say = words()
+    wanted = str(st.query_params.get("case", ""))
+    known = [str(case) for case in cases()]
+    options = [wanted, *known] if wanted and wanted not in known else known
+    if not options:
+        return None
+    index = options.index(wanted) if wanted in options else 0
+    chosen = str(st.selectbox(say("gap.case"), options, index=index, format_func=_shown, key=f"case-{wanted}"))
+    if chosen != wanted:
+        st.query_params["case"] = chosen
+    return Path(chosen)
+
+
+def _shown(path: str) -> str:
+    folder = Path(path)
+    return str(folder.relative_to(cases_folder())) if folder.is_relative_to(cases_folder()) else path
+
+
+def add_case() -> None:
+    """Draw the three ways to a new case."""
+    say = words()
+    with st.expander(say("gap.add"), icon=":material/add:", expanded=not cases()):
+        folder, upload, rig = st.tabs([say("gap.add.folder"), say("gap.add.upload"), say("gap.add.rig")])
+        with folder:
+            _folder()
+        with upload:
+            _upload()
+        with rig:
+            st.caption(say("gap.rig.how"))
+            if st.button(say("gap.rig.do"), icon=":material/casino:"):
+                permit("set_up")
+                with st.spinner(say("gap.rig.wait")):
+                    _open(practise())
+
+
+def _folder() -> None:
+    say = words()
+    with st.form("case-folder", border=False):
+        path = str(st.text_input(say("gap.folder"), placeholder="/data/rig-7")).strip()
+        st.caption(say("gap.folder.how"))
+        if st.form_submit_button(say("gap.folder.do")) and path:
+            permit("set_up")
+            if Path(path).is_dir():
+                _open(Path(path).resolve())
+            st.error(say("gap.folder.none", path=path), icon=":material/error:")
+
+
+def _upload() -> None:
+    say = words()
+    with st.form("case-upload", border=False):
+        left, right = st.columns(2)
+        name = str(left.text_input(say("gap.name"), placeholder="rig-7"))
+        serial = str(right.text_input(say("column.serial"), placeholder="A17"))
+        fields = zip(st.columns(len(METADATA)), METADATA, strict=True)
+        values: dict[str, object] = {
+            key: column.number_input(key, value=usual, min_value=type(usual)(1e-3) if key != "adc_bits" else 1)
+            for column, (key, usual) in fields
+        }
+        values["sensor_type"] = st.selectbox(say("gap.sensor"), ("pressure", "strain"))
+        files = st.file_uploader(say("gap.files"), type=["csv"], accept_multiple_files=True)
+        st.caption(say("gap.files.how"))
+        if not st.form_submit_button(say("gap.upload.do")):
+            return
+    permit("set_up")
+    try:
+        target = store_upload(name.strip(), [file.getvalue() for file in files], {"serial": serial.strip(), **values})
+    except InputError as error:
+        st.error(in_words(error), icon=":material/error:")
+        return
+    _open(target)
+
+
+def _open(case: Path) -> None:
+    st.query_params["case"] = str(case)
+    st.rerun()

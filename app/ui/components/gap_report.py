@@ -1,0 +1,155 @@
+"""A diagnosis on the screen: where the twin is wrong, why, what fixing it gains, how sure, what to press next."""
+
+from pathlib import Path
+
+import plotly.graph_objects as go
+import streamlit as st
+
+from softcal.app.charts import gap as gap_figures
+from softcal.app.charts.gap_page import chain_svg
+from softcal.app.charts.style import coloured
+from softcal.app.gap.desk import has_sealed_rig, run_views_of, truth
+from softcal.app.jobs.process import start_job
+from softcal.app.ui.account import actor, permit, person
+from softcal.app.ui.desk import colours, registry, show_figure, words
+from softcal.app.ui.first_paint import rest_may_follow
+from softcal.app.ui.panels import numbers, table
+from softcal.app.views.common import percent
+from softcal.app.views.gap import (
+    Report,
+    ambiguous_groups,
+    cause_rows,
+    hidden_effects,
+    named_causes,
+    next_experiment,
+    place_rows,
+    plain_name,
+)
+from softcal.db.job_board import Job
+from softcal.db.people import may
+
+ICONS = {"no_gap": "check_circle", "explained": "lightbulb", "ambiguous": "call_split", "unknown": "help"}
+SHOWN_CAUSES = 8
+
+
+def gap_report(job: Job, case: Path) -> None:
+    """Draw the diagnosis a job has left."""
+    report = job.result
+    _headline(report)
+    if not rest_may_follow():
+        return
+    runs = run_views_of(report, registry().job_board.arrays(job))
+    _where(report, runs)
+    _why(report)
+    _gain(report)
+    _next(report, case)
+    _runs(runs)
+
+
+def _headline(report: Report) -> None:
+    say = words()
+    st.subheader(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
+    if causes := named_causes(report):
+        st.markdown(say("gap.causes", causes=", ".join(causes)))
+    if report["missing_channels"]:
+        st.caption(say("gap.missing", channels=", ".join(report["missing_channels"])))
+    shrink = report["shrink"]
+    cells = [
+        (say(f"gap.{name}"), percent(shrink.get(key)), say(f"gap.{name}.help"))
+        for name, key in (("forecast", "predicted"), ("held_out", "held_out"))
+        if shrink.get(key) is not None
+    ]
+    if cells:
+        numbers(cells)
+    if shrink.get("low") is not None:
+        st.caption(say("gap.interval", low=percent(shrink["low"]), high=percent(shrink["high"])))
+
+
+def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
+    say = words()
+    st.subheader(say("gap.where"))
+    # The picture has a light ground of its own: its shades of red would not be read on a dark one.
+    picture = chain_svg(report).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" ', 1)
+    st.image(picture, width="stretch")
+    _rows(place_rows(report), "gap.where.none")
+    for channel in gap_figures.CHANNEL_WORDS:
+        figure = gap_figures.map_figure(runs, channel)
+        if figure is not None:
+            _figure(figure, f"map-{channel}")
+
+
+def _why(report: Report) -> None:
+    say = words()
+    st.subheader(say("gap.why"))
+    _rows(cause_rows(report), "gap.why.none")
+    for group in ambiguous_groups(report):
+        st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
+    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES), "ranking")
+
+
+def _gain(report: Report) -> None:
+    say = words()
+    left, right = st.columns(2)
+    with left:
+        st.subheader(say("gap.gain"))
+        _figure(gap_figures.gain_figure(report), "gain")
+    figure = gap_figures.hidden_figure(report)
+    with right:
+        st.subheader(say("gap.sure"))
+        if hidden := hidden_effects(report):
+            st.caption(say("gap.hidden", effects=", ".join(hidden)))
+        if figure is not None:
+            _figure(figure, "hidden")
+
+
+def _next(report: Report, case: Path) -> None:
+    say, proposed = words(), next_experiment(report)
+    st.subheader(say("gap.next"))
+    with st.container(border=True):
+        if proposed is None:
+            st.markdown(say("gap.next.none"))
+        else:
+            minutes = f" · {proposed['minutes']:.0f} min" if proposed.get("minutes") else ""
+            st.markdown(f"**{plain_name(proposed['profile'])}**{minutes}  \n{proposed['why']}")
+            _press(case, str(proposed["profile"]))
+        if has_sealed_rig(case):
+            _truth(case)
+
+
+def _press(case: Path, experiment: str) -> None:
+    say = words()
+    if not has_sealed_rig(case):
+        st.caption(say("gap.next.by_hand", experiment=experiment))
+    elif may(person(), "set_up") and st.button(say("gap.next.do"), type="primary", icon=":material/play_arrow:"):
+        permit("set_up")
+        start_job(registry(), "diagnose", {"case": str(case), "experiment": experiment}, actor())
+        st.rerun()
+
+
+def _truth(case: Path) -> None:
+    say = words()
+    if st.toggle(say("gap.truth"), key=f"truth-{case}"):
+        st.markdown(say("gap.truth.is", causes=", ".join(map(plain_name, truth(case))) or say("gap.truth.none")))
+
+
+def _runs(runs: list[gap_figures.RunView]) -> None:
+    with st.expander(words()("gap.runs"), icon=":material/show_chart:"):
+        for channel in gap_figures.CHANNEL_WORDS:
+            figure = gap_figures.trace_figure(runs, channel)
+            if figure is not None:
+                _figure(figure, f"trace-{channel}")
+
+
+def _rows(rows: list[dict[str, str]], otherwise: str) -> None:
+    say = words()
+    if rows:
+        table([{say(f"gap.column.{name}"): value for name, value in row.items()} for row in rows])
+    else:
+        st.caption(say(otherwise))
+
+
+def _figure(figure: go.Figure, key: str) -> None:
+    """Draw a figure made for paper in the colours of the theme."""
+    own = {name: figure.layout[name].to_plotly_json() for name in ("margin", "legend")}
+    shown = coloured(figure, colours(), figure.layout.height).update_layout(**own)
+    show_figure(shown.update_xaxes(automargin=True).update_yaxes(automargin=True), key)

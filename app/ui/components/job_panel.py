@@ -1,0 +1,57 @@
+"""How far a job is, live, with a way to stop it; the page finds it again after a reload."""
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+
+import streamlit as st
+
+from softcal.app.ui.desk import errors_in_words, in_words, registry, words
+from softcal.core.orders import RunState
+from softcal.db.job_board import Job
+
+POLL_S = 1.0
+Live = Callable[[Job], None]
+
+
+def newest_job(kind: str, **request: object) -> Job | None:
+    """Return the newest job of a kind whose request has these values, with its trace and result."""
+    board = registry().job_board
+    for job in board.jobs(kind):
+        if all(job.request.get(name) == value for name, value in request.items()):
+            return board.job(job.job_id)
+    return None
+
+
+def job_panel(job: Job, live: Live | None = None) -> bool:
+    """Draw a job; return whether it is done and its result can be shown.
+
+    Args:
+        live: draws the trace of a running job.
+    """
+    say = words()
+    if job.is_lost(datetime.now(UTC)):
+        st.error(say("job.lost"), icon=":material/heart_broken:")
+        registry().job_board.end(job.job_id, RunState.ERROR, say("job.lost"))
+    elif job.state.is_active:
+        _running(job.job_id, live)
+    elif job.state is RunState.ERROR:
+        st.error(in_words(job.message), icon=":material/error:")
+    elif job.state is RunState.CANCELLED:
+        st.info(say("job.cancelled"), icon=":material/cancel:")
+    return job.state is RunState.DONE
+
+
+@st.fragment(run_every=POLL_S)
+@errors_in_words()
+def _running(job_id: str, live: Live | None) -> None:
+    say, board = words(), registry().job_board
+    job = board.job(job_id)
+    if not job.state.is_active or job.is_lost(datetime.now(UTC)):
+        st.rerun()
+    left, right = st.columns([5, 1], vertical_alignment="bottom")
+    text = job.message or say("job.starting")
+    left.progress(job.fraction, text=say("job.stopping") if job.is_cancel_wanted else text)
+    if right.button(say("job.cancel"), key=f"cancel-{job_id}", disabled=job.is_cancel_wanted, width="stretch"):
+        board.cancel(job_id)
+    if live is not None and job.trace:
+        live(job)

@@ -1,0 +1,95 @@
+"""The rules of a lot at the line in versions: how serials look, how many are planned, who may be pressed again."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import streamlit as st
+
+from softcal.app.ui.account import actor
+from softcal.app.ui.desk import ask_reason, in_words, registry, words
+from softcal.app.ui.panels import table
+from softcal.app.views.common import VERDICTS, instant
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+from softcal.core.quality.line_rules import LETTERS, LineRules
+from softcal.db.entries import LineRulesEntry
+
+MOST_UNITS, MOST_RETESTS = 10_000_000, 99
+
+
+def rules_form(lot: Lot) -> None:
+    """Draw the rules that hold, what to set instead, and every version."""
+    say = words()
+    st.subheader(say("rules.title"))
+    if done := st.session_state.pop("rules-done", ""):
+        st.success(done, icon=":material/check:")
+    versions = registry().line_rules_versions(lot.id)
+    with st.container(border=True):
+        _change(lot, versions)
+    if versions:
+        table([_row(entry) for entry in reversed(versions)])
+    else:
+        st.caption(say("rules.none"))
+
+
+def _change(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
+    # The version a person decides on is the one first drawn, not one that somebody else has written meanwhile.
+    looked_at = f"rules-seen-{lot.id}"
+    version = st.session_state.setdefault(looked_at, versions[-1].version if versions else 0)
+    wanted = _asked(registry().line_rules(lot), f"{lot.id}-{version}")
+    reason = ask_reason(f"rules-{lot.id}-{version}", words()("rules.set"), "set_limit")
+    if reason is None:
+        return
+    st.session_state.pop(looked_at)
+    try:
+        rules = LineRules(**wanted)
+        registry().set_line_rules(lot.id, rules, reason=reason, actor=actor(), expected_version=version)
+    except InputError as error:
+        st.error(in_words(error), icon=":material/error:")
+        return
+    st.session_state["rules-done"] = words()("rules.done")
+    st.rerun()
+
+
+def _asked(now: LineRules, mark: str) -> dict[str, Any]:
+    """Draw one field per rule with what holds now; return what stands in them."""
+    say = words()
+    left, middle, right = st.columns([3, 2, 2])
+    pattern = left.text_input(
+        say("rules.pattern"), now.serial_pattern, key=f"rules-pattern-{mark}", help=say("rules.pattern.help")
+    )
+    letters = middle.selectbox(
+        say("rules.letters"),
+        LETTERS,
+        LETTERS.index(now.letters),
+        format_func=lambda name: say(f"rules.letters.{name.replace(' ', '_')}"),
+        key=f"rules-letters-{mark}",
+    )
+    target = right.number_input(
+        say("rules.target"), 1, MOST_UNITS, now.target, key=f"rules-target-{mark}", placeholder=say("rules.target.none")
+    )
+    st.markdown(say("rules.retests"))
+    retests = {
+        verdict: int(
+            column.number_input(
+                say(f"verdict.{verdict}"), 0, MOST_RETESTS, now.retests.get(verdict, 0), key=f"rules-{verdict}-{mark}"
+            )
+        )
+        for verdict, column in zip(VERDICTS, st.columns(len(VERDICTS)), strict=True)
+    }
+    return {"serial_pattern": str(pattern).strip(), "letters": letters, "target": target, "retests": retests}
+
+
+def _row(entry: LineRulesEntry) -> dict[str, object]:
+    say, rules = words(), entry.rules
+    retests = ", ".join(f"{say(f'verdict.{verdict}')} {times}" for verdict, times in rules.retests.items())
+    return {
+        say("limits.version"): entry.version,
+        say("rules.pattern"): rules.serial_pattern or say("rules.pattern.any"),
+        say("rules.letters"): say(f"rules.letters.{rules.letters.replace(' ', '_')}"),
+        say("rules.target"): rules.target,
+        say("rules.retests.column"): retests,
+        say("column.made"): instant(entry.made_at),
+        say("column.actor"): entry.actor,
+        say("column.reason"): entry.reason,
+    }

@@ -1,0 +1,75 @@
+"""A run of a station live on an engineer's page: ordered through the queue, watched, stopped."""
+
+import uuid
+
+import streamlit as st
+
+from softcal.app.charts.station import live_spec
+from softcal.app.ui.account import actor, permit
+from softcal.app.ui.desk import errors_in_words, in_words, registry, words
+from softcal.app.views.common import phase_said
+from softcal.core.errors import InputError
+from softcal.core.orders import Order, OrderKind, Progress, RunState
+
+POLL_S = 0.7
+
+
+def choose_station() -> str | None:
+    """Let a person choose a station; None, with how to start one, where none has ever served this registry."""
+    say = words()
+    names = [beat.station for beat in registry().order_queue.stations()]
+    if not names:
+        st.info(say("station.none.how"), icon=":material/inbox:", title=say("station.none"))
+        return None
+    return str(st.selectbox(say("station.station"), names, key="station-choice"))
+
+
+def place(station: str, kind: OrderKind, serial: str = "", lot_id: str = "", reason: str = "") -> bool:
+    """Order something from a station; a refusal is shown as one line."""
+    permit("override" if kind is OrderKind.OVERRIDE else "set_up")
+    try:
+        if not registry().order_queue.is_answering(station):
+            raise InputError(words()("station.silent", station=station))
+        registry().order_queue.place(Order(uuid.uuid4().hex, station, kind, serial, lot_id, actor(), reason))
+    except InputError as error:
+        st.error(in_words(error), icon=":material/error:")
+        return False
+    return True
+
+
+def newest_run(station: str, kinds: tuple[OrderKind, ...], lot_id: str = "") -> tuple[Order, Progress] | None:
+    """Return the newest run of these kinds at a station, of one lot where it is given."""
+    runs = registry().order_queue.runs(station, 30)
+    return next((run for run in runs if run[0].kind in kinds and lot_id in ("", run[0].lot_id)), None)
+
+
+def run_panel(run: tuple[Order, Progress]) -> bool:
+    """Draw a run; return whether it is done."""
+    order, progress = run
+    if progress.state.is_active:
+        _running(order.order_id, order.station)
+    elif progress.state is RunState.ERROR:
+        st.error(in_words(progress.message), icon=":material/report:", title=progress.code)
+    elif progress.state is RunState.CANCELLED:
+        st.info(in_words(progress.message) or words()("job.cancelled"), icon=":material/cancel:")
+    return progress.state is RunState.DONE
+
+
+@st.fragment(run_every=POLL_S)
+@errors_in_words()
+def _running(order_id: str, station: str) -> None:
+    say, queue = words(), registry().order_queue
+    progress = queue.progress(order_id)
+    if not progress.state.is_active:
+        st.rerun()
+    left, right = st.columns([5, 1], vertical_alignment="bottom")
+    left.progress(
+        progress.fraction,
+        text=say("station.left", phase=phase_said(progress.phase, say), seconds=round(progress.remaining_s)),
+    )
+    if right.button(say("station.stop"), type="primary", key=f"stop-{order_id}", width="stretch"):
+        place(station, OrderKind.STOP)
+    if not queue.is_answering(station):
+        st.warning(say("station.silent", station=station), icon=":material/heart_broken:")
+    if progress.signal.t_s:
+        st.echarts_chart(live_spec(progress.signal, say), height=320, key=f"signal-{order_id}")

@@ -1,0 +1,54 @@
+"""The calibration files of one revision, made when somebody asks for them; who took what lands in the audit trail."""
+
+from collections.abc import Mapping
+
+import streamlit as st
+
+from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.formats import WRITERS
+from softcal.app.ui.account import actor
+from softcal.app.ui.desk import in_words, registry, words
+from softcal.core.errors import UnitRefused
+
+FORMATS = ("pdf", "json", "blob", "onnx", "dcc", "c")
+MIMES = {"pdf": "application/pdf", "json": "application/json", "xml": "application/xml"}
+
+
+def unit_files(serial: str, revision: int) -> None:
+    """Draw the choice of a format and a button per file."""
+    say = words()
+    chosen = st.segmented_control(
+        say("unit.files.format"), FORMATS, format_func=lambda name: say(f"format.{name}"), key=f"format-{serial}"
+    )
+    if chosen is None:
+        st.caption(say("unit.files.how"))
+        return
+    try:
+        files = _files(serial, revision, chosen)
+    except UnitRefused as error:
+        st.warning(in_words(error), icon=":material/block:")
+        return
+    with st.container(horizontal=True):
+        for name, content in files.items():
+            st.download_button(
+                f"{name}  ({_size(content)})",
+                data=content,
+                file_name=name,
+                mime=MIMES.get(name.rpartition(".")[2], "application/octet-stream"),
+                key=f"file-{revision}-{name}",
+                icon=":material/download:",
+                on_click=_tell,
+                args=(serial, revision, name),
+            )
+
+
+def _files(serial: str, revision: int, name: str) -> Mapping[str, bytes]:
+    return WRITERS[name](UnitLoader(registry(), ExportOptions(revision=revision)).load(serial))
+
+
+def _tell(serial: str, revision: int, name: str) -> None:
+    registry().add_event("export", "units", (serial,), {"revision": revision, "file": name}, actor=actor())
+
+
+def _size(content: bytes) -> str:
+    return f"{len(content)} B" if len(content) < 4096 else f"{len(content) / 1024:.0f} KiB"

@@ -1,0 +1,170 @@
+"""What every page of the Streamlit application shares: the language, the colours, reasons, and how errors look."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import streamlit as st
+
+from softcal.app.charts.palette import Palette, palette
+from softcal.app.logs import log_crash
+from softcal.app.texts.catalogue import LANGUAGES, text
+from softcal.app.texts.reasons import told
+from softcal.app.ui.account import permit, person
+from softcal.app.ui.browser_memory import recall, remember
+from softcal.app.ui.registry_of_server import registry
+from softcal.core.errors import SoftcalError
+from softcal.db.people import may
+
+__all__ = [
+    "ask_reason",
+    "choose",
+    "choose_language",
+    "colours",
+    "empty",
+    "errors_in_words",
+    "in_full",
+    "in_words",
+    "language",
+    "readable",
+    "registry",
+    "show_figure",
+    "verdict_badge",
+    "words",
+]
+
+PLOT_CONFIG = {"displayModeBar": False, "displaylogo": False}
+SHORTEST_REASON = 5
+LONGEST_IN_FIELD = 24
+LANGUAGE = "lang"
+
+
+def language() -> str:
+    """Return the language of the address, else the one this browser chose last, else English."""
+    chosen = str(st.query_params.get(LANGUAGE) or recall(LANGUAGE))
+    return chosen if chosen in LANGUAGES else "en"
+
+
+def words() -> Callable[..., str]:
+    """Return the texts of the chosen language."""
+    return partial(text, language())
+
+
+def in_words(message: object) -> str:
+    """Return an error, or what a station or a job says, in the chosen language where the catalogue has it."""
+    return told(str(message), words())
+
+
+def colours() -> Palette:
+    """Return the colours of the browser's theme."""
+    return palette(st.context.theme.type)
+
+
+def readable() -> None:
+    """Give what Streamlit draws too pale on its ground a contrast of 4.5:1; once per page."""
+    pale = "[data-testid=stCaptionContainer] { opacity: 0.8 !important }"
+    places = (
+        "[role=tab][aria-selected=true]",
+        "button[aria-checked=true]",
+        "[data-testid=stPagination] [aria-current]",
+    )
+    chosen = ", ".join(f"{place}, {place} *" for place in places)
+    st.html(f"<style>{pale} {chosen} {{ color: {colours().chosen} !important }}</style>")
+
+
+def choose_language() -> None:
+    """Let a person choose the language; the browser remembers it."""
+    codes = list(LANGUAGES)
+    chosen = st.selectbox(
+        words()("choose.language"),
+        codes,
+        index=codes.index(language()),
+        format_func=LANGUAGES.__getitem__,
+        key="language",
+        label_visibility="collapsed",
+    )
+    if chosen != language():
+        remember(LANGUAGE, chosen)
+        st.query_params.pop(LANGUAGE, None)
+        st.rerun()
+
+
+@contextmanager
+def errors_in_words() -> Iterator[None]:
+    """Show what a person can act on instead of a stack trace; what nobody foresaw goes to the log."""
+    try:
+        yield
+    except SoftcalError as error:
+        st.error(in_words(error), icon=":material/error:", title=words()("error.refused"))
+    except Exception as error:
+        st.error(log_crash(error, "ui"), icon=":material/report:", title=words()("error.defect"))
+
+
+def ask_reason(key: str, label: str, action: str) -> str | None:
+    """Ask for the reason of a change; return it in the run in which the button was pressed, else None.
+
+    The caller passes the reason and `identity.actor()` on to the function of the registry that makes the change and
+    its row in the audit trail; `registry().add_event` makes a row for what changes no table.
+
+    Args:
+        key: unique on the page.
+        label: of the button: what will be done.
+        action: of `PERMISSIONS`; a role without it sees why there is no button.
+
+    Raises:
+        InputError: the role lost the permission meanwhile.
+    """
+    say = words()
+    if not may(person(), action):
+        st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
+        return None
+    with st.form(f"reason-{key}", border=False):
+        reason = str(st.text_input(say("reason.label"), placeholder=say("reason.example"), key=f"reason-text-{key}"))
+        if not st.form_submit_button(label, type="primary"):
+            return None
+    if len(reason.strip()) < SHORTEST_REASON:
+        st.warning(say("reason.missing"), icon=":material/edit:")
+        return None
+    permit(action)
+    return reason.strip()
+
+
+def empty(title: str, how: str) -> None:
+    """Say that there is nothing yet, and how it comes to be."""
+    st.info(how, icon=":material/inbox:", title=title)
+
+
+def verdict_badge(verdict: str | None) -> None:
+    """Show a verdict by colour, mark and word."""
+    name = verdict or "none"
+    mark = {"pass": "✓", "conditional": "!", "fail": "✕", "retest": "↻", "none": "–"}[name]
+    ground = colours().verdict[name]
+    st.html(
+        f'<span role="status" style="background:{ground};color:#fff;border-radius:8px;padding:6px 16px;'
+        f'font-size:22px;font-weight:700;white-space:nowrap">{mark} {words()(f"verdict.{name}")}</span>'
+    )
+
+
+def show_figure(figure: Any, key: str) -> None:
+    """Show a static chart."""
+    st.plotly_chart(figure, width="stretch", config=PLOT_CONFIG, key=key, theme=None)
+
+
+def choose(label: str, options: list[str], parameter: str) -> str | None:
+    """Let a person choose one of some names; the choice stays in the address, so that a link leads back to it."""
+    if not options:
+        return None
+    wanted = st.query_params.get(parameter)
+    index = options.index(wanted) if wanted in options else 0
+    chosen = str(st.selectbox(label, options, index=index, key=f"choose-{parameter}"))
+    if chosen != wanted:
+        st.query_params[parameter] = chosen
+    in_full(chosen)
+    return chosen
+
+
+def in_full(name: str) -> None:
+    """Say a name in full below the field that has no room for it."""
+    if len(name) > LONGEST_IN_FIELD:
+        st.caption(name)

@@ -1,0 +1,45 @@
+"""Entry of the Streamlit application: which pages there are for whom, nothing else."""
+
+from pathlib import Path
+
+import streamlit as st
+from streamlit.navigation.page import Page as StreamlitPage
+
+from softcal.app.ui.account import is_signed_in, person
+from softcal.app.ui.browser_memory import keep
+from softcal.app.ui.desk import errors_in_words, readable, words
+from softcal.app.ui.pages import pages_for
+
+# A file of our own: a named icon would be fetched from outside.
+ICON = Path(__file__).with_name("icon.png")
+
+
+def run() -> None:
+    """Draw the navigation and the chosen page."""
+    say = words()
+    st.set_page_config(page_title=say("app.title"), page_icon=str(ICON), layout="wide")
+    readable()
+    with errors_in_words():
+        sections: dict[str, list[StreamlitPage]] = {"": []}
+        for entry in pages_for(person()):
+            title = say(f"section.{entry.section}") if entry.section else ""
+            sections.setdefault(title, []).append(
+                st.Page(entry.render, title=_title(entry.name), url_path=entry.name, icon=f":material/{entry.icon}:")
+            )
+        # The default page has no address of its own: a hidden one leads to the first that the person may open.
+        home = st.Page(
+            lambda: st.switch_page(sections[""][0]),
+            title=say("app.title"),
+            url_path="home",
+            default=True,
+            visibility="hidden",
+        )
+        st.navigation({**sections, "": [home, *sections[""]]}, position="top").run()
+    keep()
+
+
+def _title(name: str) -> str:
+    return person().name if name == "sign_in" and is_signed_in() else words()(f"page.{name}")
+
+
+run()

@@ -1,0 +1,66 @@
+"""The pages of the application, each declared once with who may open it.
+
+To add a page: write `app/ui/app_pages/NAME.py` with a function `render()` that draws it, add one line to `PAGES` and
+the text `page.NAME` in every language of texts.toml. A page that a role may not open is not in that session's list, so that
+its address answers as if it did not exist. What a page writes asks `identity.permit` again.
+"""
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from softcal.db.entries import User
+from softcal.db.people import may
+
+
+@dataclass(frozen=True)
+class PageEntry:
+    """One page.
+
+    Args:
+        name: module in `app_pages`, address and key of its title `page.NAME`.
+        icon: of Streamlit's bundled Material symbols.
+        actions: of `PERMISSIONS`; a role that has one of them may open the page. Empty: everybody.
+        section: menu it stands in, key of its title `section.NAME`; "" stands in the bar itself.
+    """
+
+    name: str
+    icon: str
+    actions: tuple[str, ...] = ()
+    section: str = ""
+
+    def is_open_to(self, user: User) -> bool:
+        """Whether a person may open it."""
+        return not self.actions or any(may(user, action) for action in self.actions)
+
+    @property
+    def render(self) -> Callable[[], None]:
+        """The function that draws it; its module is read when it is opened first, so that a screen starts quickly."""
+
+        def draw() -> None:
+            importlib.import_module(f"softcal.app.ui.app_pages.{self.name}").render()
+
+        return draw
+
+
+PAGES = (
+    PageEntry("line", "play_circle", ("calibrate",)),
+    PageEntry("lot", "inventory_2", ("look",)),
+    PageEntry("unit", "memory", ("look",)),
+    PageEntry("long_term", "timeline", ("look",)),
+    PageEntry("source", "straighten", ("set_up",), "calibrate"),
+    PageEntry("networks", "hub", ("set_up",), "calibrate"),
+    PageEntry("limits", "rule", ("set_limit",), "calibrate"),
+    PageEntry("gap", "troubleshoot", ("set_up",), "calibrate"),
+    PageEntry("station", "precision_manufacturing", ("set_up", "override"), "rig"),
+    PageEntry("profiles", "show_chart", ("set_up",), "rig"),
+    PageEntry("load_cells", "scale", ("set_up", "audit"), "rig"),
+    PageEntry("people", "group", ("people",)),
+    PageEntry("audit_trail", "history", ("audit",)),
+    PageEntry("sign_in", "login"),
+)
+
+
+def pages_for(user: User) -> tuple[PageEntry, ...]:
+    """Return the pages a person may open, in the order of the navigation."""
+    return tuple(page for page in PAGES if page.is_open_to(user))

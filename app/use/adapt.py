@@ -1,0 +1,356 @@
+"""Long-term use of one unit: estimates over a stream while its map follows the drift, every step in the registry."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor, Future
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from softcal.app.charts.adaptation import adaptation_figure
+from softcal.app.files.atomic import write_text
+from softcal.app.files.stream_file import estimate_writer, read_stream
+from softcal.app.use.trace import Trace
+from softcal.core.errors import InputError
+from softcal.core.estimate import Estimate
+from softcal.core.lot import Lot
+from softcal.core.maps.affine import AffineMap
+from softcal.core.network.network import Network
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.health import output_limits
+from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import Verdict
+from softcal.core.use.adapter import AdaptConfig, Adapter, MapUpdate
+from softcal.db.registry import Registry
+
+REASON = "the source unit itself: the shared network needs no map"
+
+
+@dataclass(frozen=True, eq=False)
+class UnitInUse:
+    """All that following a unit needs from the registry.
+
+    Args:
+        lot: its lot.
+        revision: of the calibration it starts from.
+        network: the shared network f.
+        calibration: f∘γ₀ and its interval.
+        recording: the unit's own output at calibration.
+    """
+
+    lot: Lot
+    revision: int
+    network: Network
+    calibration: Calibration
+    recording: OutputRecording
+
+
+def unit_in_use(registry: Registry, serial: str, revision: int | None = None) -> UnitInUse:
+    """Return a unit as the registry knows it. The source of a lot has the identity as its map.
+
+    Raises:
+        InputError: the registry has no calibration of the serial, and it is not the source of a lot with a network.
+    """
+    if revision is None and not _has_calibration(registry, serial):
+        _register_source(registry, serial)
+    stored = registry.calibration(serial, revision)
+    recording = registry.recording(stored.record.recording_sha256)
+    output = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
+    network = registry.network(stored.record.network_id)
+    calibration = Calibration.from_record(stored.record)
+    return UnitInUse(registry.lot(stored.lot_id), stored.revision, network, calibration, output)
+
+
+def _has_calibration(registry: Registry, serial: str) -> bool:
+    return bool(registry.history(serial))
+
+
+def _register_source(registry: Registry, serial: str) -> None:
+    """Give the source of a lot its calibration: f itself, the identity map, the interval of f on its recording."""
+    lots = [lot for lot in registry.lots() if lot.source == serial]
+    sources = {entry.sha256: lot.id for lot in lots for entry in registry.recordings(lot.id, serial, "source")}
+    trained = [entry for entry in registry.networks() if entry.training.get("source_recording_sha256") in sources]
+    if not trained:
+        return
+    network = trained[-1]
+    source = registry.recording(str(network.training["source_recording_sha256"]))
+    if not isinstance(source, LabelledRecording):
+        raise InputError(f"the source recording of {serial} has no reference; run `softcal batch` again")
+    calibration = source_calibration(source, registry.network(network.id))
+    record = calibration.to_record(input_sha256=network.input_sha256, recording_sha256=source.sha256)
+    registry.add_calibration(sources[source.sha256], record, reason=REASON)
+
+
+def source_calibration(source: LabelledRecording, network: Network) -> Calibration:
+    """Return the calibration of the source unit itself."""
+    model = make_source_model(source, network)
+    error = model.held_out_rmse
+    return Calibration(
+        serial=source.serial,
+        network_id=network.id,
+        unit_map=AffineMap(1.0, 0.0, "identity"),
+        interval=model.interval,
+        output_limits=output_limits(source.unlabelled, source.unlabelled, model.interval.slope_limit > 0),
+        forecast=ErrorForecast(error, error, error),
+        verdict=Verdict("pass", "pass", (REASON,)),
+        evidence={},
+        config={},
+    )
+
+
+MAPS_S = 2.0
+"""Most seconds of a live stream whose maps a crash can lose."""
+
+FILE_MAPS_ROWS = 100_000
+"""Rows of a file between two writes of its maps; its state is kept at its end only."""
+
+
+@dataclass(frozen=True)
+class AdaptOptions:
+    """How a stream is followed.
+
+    Args:
+        config: mode and alarm.
+        revision: calibration to start from; None for the one in use.
+        stream: name under which the registry keeps the course; None makes one from the file's content.
+        resume: go on from the last state of the stream in the registry.
+        checkpoint_s: seconds of a live stream between two states to resume from.
+    """
+
+    config: AdaptConfig = AdaptConfig()
+    revision: int | None = None
+    stream: str | None = None
+    resume: bool = False
+    checkpoint_s: float = 60.0
+
+
+@dataclass
+class AdaptReport:
+    """What became of a stream so far.
+
+    Args:
+        serial, revision, stream, mode: which unit, from which calibration, under which name, how.
+        rows: rows taken.
+        flags: rows by flag; the empty flag are the trusted ones.
+        verdicts: how often the map was followed, held or jumped.
+        current: the correction in force.
+        trace: the course of output, estimate and predicted error, thinned.
+    """
+
+    serial: str
+    revision: int
+    stream: str
+    mode: str
+    current: MapUpdate
+    rows: int = 0
+    flags: Counter[str] = field(default_factory=Counter)
+    verdicts: Counter[str] = field(default_factory=Counter)
+    trace: Trace = field(default_factory=Trace)
+
+
+class Follower:
+    """Follows one stream of one unit and keeps every map and the state to resume from in the registry.
+
+    Args:
+        keeper: writes to the registry while estimates go on; None writes at once.
+        is_repeatable: the same rows will come again after a crash, from the first on, as those of a file do.
+
+    Raises:
+        InputError: the stream has begun already and is not to be gone on with, or cannot be by this version.
+    """
+
+    def __init__(
+        self,
+        registry: Registry,
+        unit: UnitInUse,
+        stream: str,
+        options: AdaptOptions,
+        keeper: Executor | None = None,
+        is_repeatable: bool = False,
+    ) -> None:
+        serial = unit.calibration.serial
+        self._registry, self._keeper = registry, keeper
+        self._writing: Future[int] | None = None
+        self._adapter = Adapter(unit.network, unit.calibration, unit.recording, options.config)
+        newest = registry.last_adaptation(serial, unit.revision, stream)
+        # The same rows again give the same steps; those that are kept already stay as they are.
+        self._kept_until = -1 if newest is None else int(newest["sample"])
+        self._began: int | None = 0
+        self._state_until = -1
+        last = registry.last_checkpoint(serial, unit.revision, stream)
+        # A file that was broken off is begun again, and so is one whose content names its stream.
+        has_begun = last is not None and options.stream is not None if is_repeatable else newest is not None
+        if options.resume and last is not None:
+            self._restore(stream, last["state"])
+            self._began = last.get("began")
+        elif not options.resume and has_begun:
+            raise InputError(f"stream {stream!r} has begun already; go on with --resume, or give --stream another name")
+        if last is not None:
+            self._state_until = int(last["sample"])
+        self._pending: list[MapUpdate] = []
+        rate_Hz = unit.recording.sample_rate_Hz
+        self._maps_rows, self._state_rows = (max(1, round(s * rate_Hz)) for s in (MAPS_S, options.checkpoint_s))
+        self._since_maps = self._since_state = 0
+        self.report = AdaptReport(serial, unit.revision, stream, options.config.mode, self._adapter.current)
+
+    def _restore(self, stream: str, state: Mapping[str, Any]) -> None:
+        try:
+            self._adapter.restore(state)
+        except InputError as error:
+            begin = "begin again from the calibration with another --stream NAME"
+            raise InputError(f"stream {stream!r} cannot be gone on with: {error}; {begin}") from error
+
+    @property
+    def rows_since_begin(self) -> int | None:
+        """Rows the state to go on from has taken of the input now open; None where it has taken of others too."""
+        return None if self._began is None else self._adapter.row - self._began
+
+    def reconnect(self) -> None:
+        """Go on with rows that do not follow the last ones taken."""
+        self._began = None
+        self._adapter.reconnect(self._kept_until + 1)
+
+    def begin_file(self) -> None:
+        """Go on with the first row of another file; one that was broken off before gives the same steps again."""
+        self._adapter.reconnect()
+
+    def advance(self, t_s: Array, output: Array) -> Estimate:
+        """Take (n,) further samples and return their rows."""
+        rows = self._adapter.advance(t_s, output)
+        updates = self._adapter.take_updates()
+        self._pending += updates
+        report = self.report
+        report.rows += len(output)
+        report.flags.update(rows.flag.tolist())
+        report.verdicts.update(update.verdict for update in updates)
+        report.current = self._adapter.current
+        report.trace.add(rows, output, report.current)
+        self._since_maps += len(output)
+        self._since_state += len(output)
+        return rows
+
+    def keep(self) -> None:
+        """Keep the maps, and now and then the state, of rows whose estimates are written; never waits for a write."""
+        if self._writing is not None and not self._writing.done():
+            return
+        if self._since_state >= self._state_rows:
+            self.checkpoint()
+        elif self._pending and self._since_maps >= self._maps_rows:
+            self.keep_maps()
+
+    def keep_maps(self) -> None:
+        """Keep every map since the last time."""
+        self._write(None)
+
+    def checkpoint(self) -> None:
+        """Keep every map since the last time and the state now, in one transaction."""
+        state = {"event": "checkpoint", "state": self._adapter.state(), "began": self._began}
+        self._write({"stream": self.report.stream, "sample": self._adapter.row, **state})
+        self._since_state = 0
+
+    def _write(self, state: dict[str, Any] | None) -> None:
+        report = self.report
+        maps = [_entry(report.stream, update) for update in self._pending]
+        new = [entry for entry in maps if int(entry["sample"]) > self._kept_until]
+        self._kept_until = max([self._kept_until, *(int(entry["sample"]) for entry in new)])
+        if state is not None and self._adapter.row > self._state_until:
+            self._state_until = self._adapter.row
+            new.append(state)
+        self.settle()
+        if new and self._keeper is None:
+            self._registry.add_adaptations(report.serial, report.revision, new)
+        elif new and self._keeper is not None:
+            self._writing = self._keeper.submit(self._registry.add_adaptations, report.serial, report.revision, new)
+        self._pending, self._since_maps = [], 0
+
+    def settle(self) -> None:
+        """Wait until all that was to be kept is in the registry.
+
+        Raises:
+            RegistryError: it could not be written.
+        """
+        if self._writing is not None:
+            self._writing.result()
+            self._writing = None
+
+
+def _entry(stream: str, update: MapUpdate) -> dict[str, Any]:
+    return {"stream": stream, "sample": update.row, "event": update.verdict, **asdict(update)}
+
+
+def adapt_file(
+    registry: Registry,
+    serial: str,
+    source: Path,
+    target: Path,
+    options: AdaptOptions = AdaptOptions(),  # noqa: B008 - frozen
+    on_rows: Callable[[int], None] = lambda rows: None,
+) -> AdaptReport:
+    """Follow a recorded stream: `t_s, output` of `source` in, `t_s, estimate, lower, upper, flag` to `target`.
+
+    A row of the result depends on no later row of `source`; `target` appears whole or not at all.
+
+    Raises:
+        InputError: `source` cannot be read, or the registry does not know the serial.
+    """
+    unit = unit_in_use(registry, serial, options.revision)
+    stream = options.stream or _stream_of(source, options.config.mode)
+    follower = Follower(registry, unit, stream, options, is_repeatable=True)
+    if options.resume:
+        follower.begin_file()
+    kept = 0
+    with estimate_writer(target) as writer:
+        for t_s, output in read_stream(source):
+            writer.write(follower.advance(t_s, output))
+            on_rows(follower.report.rows)
+            if follower.report.rows - kept >= FILE_MAPS_ROWS:
+                follower.keep_maps()
+                kept = follower.report.rows
+    follower.checkpoint()
+    return follower.report
+
+
+def _stream_of(source: Path, mode: str) -> str:
+    """Return a name that the same content always has."""
+    if not source.is_file():
+        raise InputError(f"{source}: there is no such file")
+    with source.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return f"{source.name[:40]} {digest[:16]} {mode}"
+
+
+def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[str, object]:
+    """Return the report as the JSON of `softcal adapt --json` (schema `softcal.adapt/1`).
+
+    Args:
+        course: the steps of the stream as the registry keeps them.
+    """
+    return {
+        "schema": "softcal.adapt/1",
+        "serial": report.serial,
+        "revision": report.revision,
+        "stream": report.stream,
+        "mode": report.mode,
+        "rows": report.rows,
+        "flags": {flag: count for flag, count in sorted(report.flags.items()) if flag},
+        "verdicts": dict(report.verdicts),
+        "predicted_rmse": report.current.predicted_rmse,
+        "alarm": report.current.alarm or None,
+        "maps": [{name: value for name, value in step.items() if name != "state"} for step in maps_of(course)],
+    }
+
+
+def maps_of(course: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return the steps of a course that changed the map or what is said of it, without the checkpoints."""
+    return [step for step in course if step["event"] != "checkpoint"]
+
+
+def write_figure(registry: Registry, path: Path, report: AdaptReport, maps: list[Mapping[str, Any]]) -> None:
+    """Write drift, map, estimate and predicted error over time as one page that needs no network."""
+    lot = registry.lot(registry.calibration(report.serial, report.revision).lot_id)
+    title = f"{report.serial}, stream {report.stream}"
+    figure = adaptation_figure(title, report.trace, maps, lot.output_unit, lot.reference_unit)
+    write_text(path, figure.to_html(include_plotlyjs=True))

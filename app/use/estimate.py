@@ -1,0 +1,44 @@
+"""Estimates of one calibrated unit over a recording: f∘γ with interval and flags."""
+
+from pathlib import Path
+
+from softcal.app.files.recording_file import read_recording, write_columns
+from softcal.core.estimate import Estimate, estimate
+from softcal.core.lot import Lot
+from softcal.core.network.network import Network
+from softcal.core.unit.calibration import Calibration
+from softcal.db.registry import Registry
+
+
+def calibrated_unit(registry: Registry, serial: str, revision: int | None = None) -> tuple[Lot, Network, Calibration]:
+    """Return the lot, the shared network and the calibration of a unit.
+
+    Raises:
+        InputError: the registry has no calibration of the serial.
+    """
+    stored = registry.calibration(serial, revision)
+    network = registry.network(stored.record.network_id)
+    return registry.lot(stored.lot_id), network, Calibration.from_record(stored.record)
+
+
+def estimate_file(registry: Registry, serial: str, source: Path, target: Path, revision: int | None = None) -> Estimate:
+    """Read `t_s, output` of `source`, write `t_s, estimate, lower, upper, flag` to `target`, whole or not at all."""
+    lot, network, calibration = calibrated_unit(registry, serial, revision)
+    recording = read_recording(source, serial, lot.sample_rate_Hz, lot.output_unit)
+    result = estimate(network, calibration, recording)
+    write_estimate(target, result)
+    return result
+
+
+def write_estimate(target: Path, result: Estimate) -> None:
+    """Write an estimate as CSV or Parquet; rows without a full window stay empty."""
+    write_columns(
+        target,
+        [
+            ("t_s", result.t_s),
+            ("estimate", result.estimate),
+            ("lower", result.lower),
+            ("upper", result.upper),
+            ("flag", result.flag.tolist()),
+        ],
+    )

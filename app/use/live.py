@@ -1,0 +1,139 @@
+"""The live form of long-term adaptation: samples come, estimates go, the map follows, the registry keeps the course."""
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from softcal.app.use.adapt import AdaptOptions, AdaptReport, Follower, UnitInUse, unit_in_use
+from softcal.app.use.sink import Written, cell, lines_of, open_sink, written
+from softcal.app.use.source import Sample, Samples, open_source
+from softcal.app.use.view import Show, terminal_view
+from softcal.core.errors import InputError
+from softcal.db.registry import Registry
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """Where a live stream comes from and goes to.
+
+    Args:
+        source: `-`, `serial:PORT`, `simulated` or `simulated:FACTOR`.
+        target: a CSV file, `-` or `tcp://HOST:PORT`.
+        station_file: scale and rate of the readout; None takes those of the reference firmware.
+        duration_s: stop after so much time of the stream; None goes on until the keyboard or the source ends it.
+        has_view: show the estimate in the terminal.
+    """
+
+    source: str
+    target: str
+    station_file: Path | None = None
+    duration_s: float | None = None
+    has_view: bool = False
+
+
+def adapt_live(registry: Registry, serial: str, live: LiveOptions, options: AdaptOptions) -> AdaptReport:
+    """Follow a live stream until it ends; whatever ends it, the state to resume from is in the registry.
+
+    Raises:
+        InputError: source, target or serial cannot be used.
+        DeviceError: the sensor is gone; estimates up to then are written, the state is kept.
+    """
+    unit = unit_in_use(registry, serial, options.revision)
+    stream = options.stream or f"live {live.source} {options.config.mode}"
+    with ExitStack() as stack:
+        samples = stack.enter_context(open_source(live.source, live.station_file, unit.lot.output_unit))
+        held = written(live.target) if options.resume else Written()
+        sink = stack.enter_context(open_sink(live.target, options.resume))
+        keeper = stack.enter_context(ThreadPoolExecutor(1))
+        follower = stack.enter_context(_kept(Follower(registry, unit, stream, options, keeper)))
+        show = stack.enter_context(_view(unit, live.has_view))
+        samples = _limited(samples, live.duration_s)
+        for piece, is_held in _gone_on(follower, samples, held) if options.resume else _all_new(samples):
+            columns = np.array(piece)
+            rows = follower.advance(columns[:, 0], columns[:, 1])
+            if not is_held:
+                sink.write(lines_of(rows))
+            follower.keep()
+            show(rows, follower.report)
+    return follower.report
+
+
+Pieces: TypeAlias = Iterator[tuple[list[Sample], bool]]
+"""Samples, and whether their estimates are in the target already."""
+
+
+def _all_new(samples: Samples) -> Pieces:
+    for piece in samples:
+        yield piece, False
+
+
+def _gone_on(follower: Follower, samples: Samples, held: Written) -> Pieces:
+    """Go on with a stream: a log that is sent again from its start where it was broken off, else with what comes now.
+
+    Raises:
+        InputError: the log is sent again, but how much of it is estimated cannot be told.
+    """
+    first = next(samples, None)
+    if first is None:
+        return
+    samples = chain([first], samples)
+    if not held.rows or cell(first[0][0]) != held.first_t_s:
+        follower.reconnect()
+        yield from _all_new(samples)
+        return
+    taken = follower.rows_since_begin
+    if taken is None or taken > held.rows:
+        raise InputError("IN begins with the first row of OUT, which is not its alone; give OUT another name")
+    place = 0
+    for piece in samples:
+        new = piece[max(0, taken - place) :]
+        place += len(piece)
+        # Rows after the last kept state are estimated again, for the state, but stand in the target.
+        silent = max(0, len(new) - max(0, place - held.rows))
+        yield from ((part, is_held) for part, is_held in ((new[:silent], True), (new[silent:], False)) if part)
+
+
+@contextmanager
+def _kept(follower: Follower) -> Iterator[Follower]:
+    """Keep the state of a follower however the block ends. Ctrl-C is the usual way to end a stream."""
+    try:
+        yield follower
+    except KeyboardInterrupt:
+        pass
+    finally:
+        follower.checkpoint()
+        follower.settle()
+
+
+@contextmanager
+def _view(unit: UnitInUse, has_view: bool) -> Iterator[Show]:
+    if not has_view:
+        yield lambda rows, report: None
+        return
+    interval = unit.calibration.interval
+    with terminal_view(f"unit {unit.calibration.serial}", interval.low, interval.high, unit.lot.reference_unit) as show:
+        yield show
+
+
+def _limited(samples: Samples, duration_s: float | None) -> Samples:
+    """Yield the pieces that hold samples, for so much time of the stream, or of the clock while it gives none."""
+    first_s: float | None = None
+    start_s = time.monotonic()
+    for piece in samples:
+        times = [t_s for t_s, _ in piece if np.isfinite(t_s)]
+        if first_s is None and times:
+            first_s = times[0]
+        if piece:
+            yield piece
+        elapsed_s = times[-1] - first_s if times and first_s is not None else 0.0
+        if first_s is None:
+            elapsed_s = time.monotonic() - start_s
+        if duration_s is not None and elapsed_s >= duration_s:
+            return

@@ -1,0 +1,200 @@
+"""Where live samples come from: a sensor readout on a serial port, a simulated one, or lines on standard input."""
+
+import sys
+import threading
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from queue import Empty, Queue
+from typing import IO, TypeAlias
+
+import numpy as np
+
+from softcal.app.cli.output import say
+from softcal.core.errors import BadReply, InputError, NoReply
+from softcal.station.bench import open_simulated_bench
+from softcal.station.clock import HostClock
+from softcal.station.config import ReadoutConfig, read_station_file
+from softcal.station.drivers.arduino import ArduinoReadout
+from softcal.station.interfaces import Clock, Move, Readout, Stage
+from softcal.station.link import Link
+
+Sample: TypeAlias = tuple[float, float]
+"""Time in s and output; NaN where a line could not be read."""
+
+Samples: TypeAlias = Iterator[list[Sample]]
+"""What has come since the last call, often nothing."""
+
+WAIT_S = 0.005
+SILENCE_S = 10.0
+"""A sensor that says nothing for so long has stopped."""
+
+AWAY_S, REOPEN_S = 60.0, 0.5
+"""A sensor that stopped or whose port is gone is waited for so long, and tried again so often."""
+
+PRESS_MM, PRESS_MM_S = 3.0, 4.0
+"""Depth below contact height and speed of the simulated presses."""
+
+
+@contextmanager
+def open_source(source: str, station_file: Path | None, output_unit: str) -> Iterator[Samples]:
+    """Open `-`, `serial:PORT`, `simulated` or `simulated:FACTOR` (times real speed).
+
+    Raises:
+        InputError: no such kind of source, or it gives another unit than the calibration expects.
+        NoReply: the port cannot be opened.
+    """
+    if source == "-":
+        yield lines_of(sys.stdin)
+        return
+    if output_unit != "V":
+        raise InputError(f"the unit was calibrated in {output_unit}; a sensor readout gives V")
+    if source.startswith("serial:"):
+        config = _readout_config(source.removeprefix("serial:"), station_file)
+        clock = HostClock()
+        with closing(replugged(lambda: _open_readout(config, clock), clock)) as samples:
+            # The first step opens the port: one that is not there is refused before anything is written.
+            next(samples)
+            yield on_one_clock(samples, clock)
+        return
+    with open_simulated_bench(time_factor=_factor(source)) as (bench, _):
+        yield _pressed(bench.stage, bench.readout, bench.clock, bench.config.fixture.approach_mm)
+
+
+def _readout_config(port: str, station_file: Path | None) -> ReadoutConfig:
+    config = ReadoutConfig(port) if station_file is None else read_station_file(station_file).readout
+    return replace(config, port=port or config.port)
+
+
+def _open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
+    link = Link(config.port, clock, config.baud_rate)
+    return ArduinoReadout(link, config.vref_V, config.adc_bits, config.rate_Hz, config.channels)
+
+
+def replugged(open_readout: Callable[[], Readout], clock: Clock) -> Generator[list[Sample], None, None]:
+    """Yield what a readout sends, first nothing; when it goes in mid-stream, wait for it to come back.
+
+    Raises:
+        NoReply: it is not there at the start, or was away for `AWAY_S`.
+    """
+    readout, heard_s = open_readout(), clock.now_s()
+    yield []
+    while True:
+        try:
+            with closing(readout):
+                for piece in readings(readout, clock):
+                    heard_s = clock.now_s() if piece else heard_s
+                    yield piece
+        except NoReply as error:
+            gone = error
+        say(f"{gone}; waiting for it until it was away for {AWAY_S:g} s")
+        while True:
+            if clock.now_s() - heard_s > AWAY_S:
+                raise gone
+            yield []
+            clock.sleep_s(REOPEN_S)
+            with suppress(NoReply):
+                readout = open_readout()
+                break
+
+
+def on_one_clock(pieces: Samples, clock: Clock) -> Samples:
+    """Yield samples whose times go on by the host's clock where the device's began anew."""
+    shift_s, last_s, heard_s = 0.0, -np.inf, clock.now_s()
+    for piece in pieces:
+        if piece:
+            now_s = clock.now_s()
+            if piece[0][0] + shift_s <= last_s:
+                shift_s = last_s + max(now_s - heard_s, WAIT_S) - piece[0][0]
+            last_s, heard_s = piece[-1][0] + shift_s, now_s
+        yield [(t_s + shift_s, output) for t_s, output in piece]
+
+
+def _factor(source: str) -> float:
+    text = source.removeprefix("simulated").removeprefix(":") or "1"
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = -1.0
+    if not 0 < factor < float("inf"):
+        raise InputError(f"{source}: `simulated` or `simulated:20` for 20 times real speed was expected")
+    return factor
+
+
+def readings(readout: Readout, clock: Clock) -> Samples:
+    """Yield what a readout sends, by its own clock.
+
+    Raises:
+        NoReply: the port is gone, or nothing came for `SILENCE_S`.
+    """
+    readout.start()
+    heard_s = clock.now_s()
+    while True:
+        try:
+            samples = readout.poll()
+        except BadReply:
+            # A device that started again, or noise: the stream takes it for an interruption and goes on.
+            readout.start()
+            samples = []
+        if samples:
+            heard_s = clock.now_s()
+        elif clock.now_s() - heard_s > SILENCE_S:
+            raise NoReply(
+                f"{readout.name}: no sample for {SILENCE_S:g} s; the map is held and its state kept; check sensor and "
+                "cable, and run the same command with --resume should it have ended"
+            )
+        else:
+            clock.sleep_s(WAIT_S)
+        yield [(s.host_s if s.device_s is None else s.device_s, s.values[0]) for s in samples]
+
+
+def _pressed(stage: Stage, readout: Readout, clock: Clock, free_mm: float) -> Samples:
+    """Yield what a readout sends while the stage presses the unit again and again."""
+    stage.home()
+    stage.begin(Move(free_mm, stage.max_speed_mm_s))
+    is_down = False
+    for samples in readings(readout, clock):
+        stage.poll()
+        if not stage.is_moving:
+            is_down = not is_down
+            stage.begin(Move(free_mm + is_down * (1.0 + PRESS_MM), min(PRESS_MM_S, stage.max_speed_mm_s)))
+        yield samples
+
+
+def lines_of(file: IO[str]) -> Samples:
+    """Yield `t_s,output` lines as they come, until the end; a line that cannot be read is a sample of NaN.
+
+    Other columns are skipped by a header; without one the first two columns are taken.
+    """
+    queue: Queue[str | None] = Queue(maxsize=100_000)
+
+    def read() -> None:
+        for line in file:
+            queue.put(line)
+        queue.put(None)
+
+    threading.Thread(target=read, name="standard input", daemon=True).start()
+    places = (0, 1)
+    is_first = True
+    while True:
+        try:
+            line = queue.get(timeout=WAIT_S)
+        except Empty:
+            yield []
+            continue
+        if line is None:
+            return
+        cells = [cell.strip() for cell in line.split(",")]
+        if is_first and "t_s" in cells and "output" in cells:
+            places = (cells.index("t_s"), cells.index("output"))
+        elif line.strip():
+            yield [(_number(cells, places[0]), _number(cells, places[1]))]
+        is_first = False
+
+
+def _number(cells: list[str], place: int) -> float:
+    try:
+        return float(cells[place])
+    except (ValueError, IndexError):
+        return float(np.nan)

@@ -1,0 +1,227 @@
+"""A sealed case: one rig, its causes and its runs; recording them, and how far the causes stand out of the noise."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
+from softcal.core.challenge.chain import BLOCK_COMPLIANCE_MM_PER_N, Equation, Rack, record
+from softcal.core.challenge.other_forms import OTHER_FORMS
+from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
+from softcal.core.challenge.protocols import PROTOCOLS, weights
+from softcal.core.challenge.rig import (
+    DEAD_WEIGHTS,
+    DUMMY_RESISTOR,
+    PRESS,
+    REST,
+    RIGID_BLOCK,
+    Cause,
+    Measured,
+    Path,
+    Rig,
+)
+from softcal.core.recording import Array
+
+EQUATIONS: Mapping[tuple[str, str], Equation] = {
+    **{(effect, CATALOGUE_FORM): equation for effect, equation in CATALOGUE.items()},
+    **OTHER_FORMS,
+    **{(effect, OUTSIDE_FORM): equation for effect, equation in OUTSIDE.items()},
+}
+"""Every equation a sealed rig may hold, by (effect, form)."""
+
+SPECIAL = (RIGID_BLOCK, DUMMY_RESISTOR, DEAD_WEIGHTS)
+TEMPERATURE_STEP = "temperature_step"
+NOT_ASKED = ("kept_back", "lot_source", "lot_unit")
+EXPERIMENTS = (*(name for name in PROTOCOLS if name not in NOT_ASKED), *SPECIAL, TEMPERATURE_STEP)
+"""What may be asked of a sealed rig beyond the runs of its case."""
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """One run: a protocol or an experiment of the menu, and the seed of all that is random in it."""
+
+    protocol: str
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class SealedCase:
+    """What the seal holds of one case.
+
+    Args:
+        name: folder of the case.
+        line: the stratum it was drawn for.
+        rig: base parameters.
+        peak_N: force at full depth.
+        depth_mm: stage position at which the base model reaches the peak force.
+        causes: the effects at work; empty for none.
+        plans: the runs handed over.
+        withheld: columns taken out of every run.
+        kept_back: a run of a protocol that is not among `plans`.
+        turns_between_samples: the stage turns between two samples, so the pad goes up to 50 µm beyond the recorded
+            path; otherwise the pad sees the recorded path, as the written model has it.
+    """
+
+    name: str
+    line: str
+    rig: Rig
+    peak_N: float
+    depth_mm: float
+    causes: tuple[Cause, ...]
+    plans: tuple[RunPlan, ...]
+    kept_back: RunPlan
+    withheld: tuple[str, ...] = ()
+    turns_between_samples: bool = False
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Stages of TWIN.md where the causes sit."""
+        return tuple(dict.fromkeys(EQUATIONS[cause.effect, cause.form].stage for cause in self.causes))
+
+    def measure(self, plan: RunPlan) -> Measured:
+        """Run one plan on the rig; the same plan always gives the same recording."""
+        rng = np.random.default_rng([plan.seed, 1])
+        kind = plan.protocol if plan.protocol in (*SPECIAL, REST) else PRESS
+        path, known_force = self._path(plan)
+        path = path if self.turns_between_samples else _as_recorded(path, self.rig.sample_rate_Hz)
+        temperature = _temperature(np.random.default_rng([plan.seed, 2]), plan.protocol, path.duration_s)
+        dummy_ohm = self.rig.r0_ohm * (1.0 + plan.seed % 3) if kind == DUMMY_RESISTOR else None
+        measured = record(self.rig, Rack(self.causes, EQUATIONS), path, temperature, rng, kind, dummy_ohm, known_force)
+        return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
+
+    def _path(self, plan: RunPlan) -> tuple[Path, Callable[[Array], Array] | None]:
+        rng = np.random.default_rng([plan.seed, 0])
+        if plan.protocol == DEAD_WEIGHTS:
+            times, forces = weights(rng, self.peak_N)
+            return _still(plan.protocol, float(times[-1])), lambda t_s: np.asarray(np.interp(t_s, times, forces))
+        if plan.protocol == DUMMY_RESISTOR:
+            return _still(plan.protocol, 60.0), None
+        if plan.protocol == RIGID_BLOCK:
+            return self._block_path(), None
+        name = "mixed_ramps" if plan.protocol == TEMPERATURE_STEP else plan.protocol
+        return PROTOCOLS[name](rng, self.depth_mm), None
+
+    def _block_path(self) -> Path:
+        """Press the block twice up to the peak force at 0.02 mm/s, with two seconds at every turn."""
+        yielding = sum(cause.values.get("compliance_mm_per_N", 0.0) for cause in self.causes)
+        play_mm = sum(cause.values.get("width_mm", 0.0) for cause in self.causes)
+        start_mm = max(0.0, self.rig.u0_mm - 0.02)
+        deep_mm = self.rig.u0_mm + play_mm + (BLOCK_COMPLIANCE_MM_PER_N + yielding) * self.peak_N
+        places = np.repeat([start_mm, deep_mm, start_mm, deep_mm, start_mm], 2)
+        travel_s = np.abs(np.diff(places)) / 0.02
+        return Path("rigid block", np.concatenate([[0.0], np.cumsum(np.where(travel_s > 0, travel_s, 2.0))]), places)
+
+    def to_record(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        record = asdict(replace(self, causes=()))
+        return {**record, "causes": [cause.to_record() for cause in self.causes]}
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> "SealedCase":
+        """Rebuild a case from `to_record`."""
+        return cls(
+            name=record["name"],
+            line=record["line"],
+            rig=Rig(**record["rig"]),
+            peak_N=record["peak_N"],
+            depth_mm=record["depth_mm"],
+            causes=tuple(Cause.from_record(cause) for cause in record["causes"]),
+            plans=tuple(RunPlan(**plan) for plan in record["plans"]),
+            kept_back=RunPlan(**record["kept_back"]),
+            withheld=tuple(record["withheld"]),
+            turns_between_samples=record["turns_between_samples"],
+        )
+
+
+def full_depth_mm(rig: Rig, peak_N: float) -> float:
+    """Return the stage position at which the base model reaches a force, by bisection."""
+    low_mm, high_mm = 0.0, peak_N / rig.k1_N_mm
+    for _ in range(60):
+        middle_mm = 0.5 * (low_mm + high_mm)
+        too_deep = float(rig.pad_force_N(np.array(middle_mm))) > peak_N
+        low_mm, high_mm = (low_mm, middle_mm) if too_deep else (middle_mm, high_mm)
+    return rig.u0_mm + low_mm
+
+
+def _as_recorded(path: Path, sample_rate_Hz: float) -> Path:
+    """Return the straight lines between the positions at the sampling instants."""
+    sample_s: Array = np.arange(int(path.duration_s * sample_rate_Hz) + 1, dtype=np.float64) / sample_rate_Hz
+    return Path(path.name, sample_s, path.position_mm(sample_s))
+
+
+def _still(name: str, duration_s: float) -> Path:
+    return Path(name, np.array([0.0, duration_s]), np.zeros(2))
+
+
+def _temperature(rng: np.random.Generator, protocol: str, duration_s: float) -> Callable[[Array], Array]:
+    """Room temperature in °C during a run: warming to a level, a hump, or a slow wander of 1.5–8 K."""
+    start_C, swing_K, shape = rng.uniform(20.0, 27.0), rng.uniform(1.5, 8.0), rng.integers(3)
+    if protocol == TEMPERATURE_STEP:
+        return lambda t_s: start_C + np.where((t_s > duration_s / 3.0) & (t_s < 2.0 * duration_s / 3.0), 10.0, 0.0)
+    if shape == 0:
+        return lambda t_s: np.asarray(start_C + swing_K * (1.0 - np.exp(-t_s / (0.4 * duration_s))))
+    if shape == 1:
+        return lambda t_s: np.asarray(start_C + swing_K * np.sin(np.pi * t_s / duration_s) ** 2)
+    turns = rng.uniform(0.7, 2.2)
+    return lambda t_s: np.asarray(start_C + 0.5 * swing_K * np.sin(2.0 * np.pi * turns * t_s / duration_s))
+
+
+_STEPS = {"u0_mm": 1e-3, "k1_N_mm": 1e-3, "k3_N_mm3": 1e-3, "r0_ohm": 1e-4, "kappa_per_N": 1e-4}
+
+
+def distance_sigma(case: SealedCase) -> float:
+    """How far the causes stand out once the base is refitted: ‖what no base parameter can imitate‖ over the noise.
+
+    The clean signals with and without the causes are compared; the part that lies in the span of the base
+    parameters' derivatives is taken out (first-order refit). 5 is about the least that can be seen.
+    """
+    if "stage_mm" in case.withheld:
+        return _distance_without_stage(case)
+    base = replace(case, causes=())
+    gap = _clean(case) - _clean(base)
+    slopes = []
+    for name, step in _STEPS.items():
+        size = step * max(abs(float(getattr(case.rig, name))), 0.01)
+        moved = replace(base, rig=replace(case.rig, **{name: getattr(case.rig, name) + size}))
+        slopes.append((_clean(moved) - _clean(base)) / size)
+    return _left(gap, np.column_stack(slopes))
+
+
+def _clean(case: SealedCase) -> Array:
+    """All channels of all runs in units of their noise, without noise and rounding."""
+    silent = replace(case, rig=replace(case.rig, noise_V=0.0, noise_N=0.0, adc_bits=30))
+    parts = []
+    for plan in case.plans:
+        columns = silent.measure(plan).columns
+        parts.append(columns["output_V"] / case.rig.floor_V)
+        if "force_N" in columns:
+            parts.append(columns["force_N"] / case.rig.noise_N)
+    return np.concatenate(parts)
+
+
+def _distance_without_stage(case: SealedCase) -> float:
+    silent = replace(case, rig=replace(case.rig, noise_V=0.0, noise_N=0.0, adc_bits=30))
+    gaps, slopes = [], []
+    for plan in case.plans:
+        columns = silent.measure(plan).columns
+        force_N = np.maximum(0.0, columns["force_N"])
+        volts = {moved: _divider(case.rig, force_N, moved) for moved in ("", "r0_ohm", "kappa_per_N")}
+        slope = np.gradient(volts[""]) / np.where(np.abs(np.gradient(force_N)) > 1e-9, np.gradient(force_N), np.inf)
+        noise_V = np.hypot(case.rig.floor_V, slope * case.rig.noise_N)
+        gaps.append((columns["output_V"] - volts[""]) / noise_V)
+        slopes.append(np.column_stack([(volts[name] - volts[""]) / noise_V for name in ("r0_ohm", "kappa_per_N")]))
+    return _left(np.concatenate(gaps), np.concatenate(slopes))
+
+
+def _divider(rig: Rig, force_N: Array, moved: str) -> Array:
+    if moved:
+        rig = replace(rig, **{moved: getattr(rig, moved) * 1.001})
+    ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * force_N)
+    return np.asarray(rig.vref_V * ohm / (ohm + rig.r_series_ohm))
+
+
+def _left(gap: Array, slopes: Array) -> float:
+    weights_, *_ = np.linalg.lstsq(slopes, gap, rcond=None)
+    return float(np.linalg.norm(gap - slopes @ weights_))

@@ -1,0 +1,152 @@
+"""Draw sealed cases: the lines of the benchmark, each a stratum with its own kind of rig, causes and runs."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from softcal.core.challenge.cases import RunPlan, SealedCase, full_depth_mm
+from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
+from softcal.core.challenge.other_forms import OTHER_FORMS
+from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
+from softcal.core.challenge.rig import Cause, Rig
+from softcal.core.challenge.sizes import CATALOGUE_SIZES, OUTSIDE_SIZES, Scope
+
+Rng = np.random.Generator
+
+FOUR_RUNS = ("slow_ramps", "fast_ramps", "steps_with_holds", "random")
+SEED_LIMIT = 2**31
+
+
+def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
+    """Draw a plausible rig and its peak force: pads of 1–2.5 N/mm, a few ohms, 12 to 16 bits."""
+    vref_V = float(rng.choice([3.3, 5.0]))
+    peak_N = float(rng.uniform(5.0, 10.0))
+    r0_ohm = float(rng.uniform(2.5, 8.0))
+    rig = Rig(
+        u0_mm=float(rng.uniform(0.15, 0.5)),
+        k1_N_mm=float(rng.uniform(1.0, 2.5)),
+        k3_N_mm3=float(rng.uniform(0.05, 0.25)),
+        r0_ohm=r0_ohm,
+        kappa_per_N=float(rng.uniform(0.35, 0.6) / peak_N),
+        noise_V=float(rng.uniform(0.8e-3, 1.8e-3)),
+        noise_N=float(rng.uniform(8e-3, 2e-2)),
+        vref_V=vref_V,
+        r_series_ohm=float(r0_ohm * rng.uniform(1.2, 3.0)),
+        adc_bits=adc_bits or int(rng.choice([12, 14, 16])),
+        sample_rate_Hz=float(rng.choice([50.0, 50.0, 50.0, 50.0, 40.0, 80.0])),
+    )
+    return rig, peak_N
+
+
+def _scope(rig: Rig, peak_N: float) -> Scope:
+    peak_ohm = rig.r0_ohm / (1.0 - rig.kappa_per_N * peak_N)
+    rest_V = rig.vref_V * rig.r0_ohm / (rig.r0_ohm + rig.r_series_ohm)
+    return Scope(rig, peak_N, rest_V, rig.vref_V * peak_ohm / (peak_ohm + rig.r_series_ohm))
+
+
+def _named(rng: Rng, scope: Scope, effects: Sequence[str], scale: float = 1.0) -> tuple[Cause, ...]:
+    return tuple(Cause(effect, CATALOGUE_FORM, CATALOGUE_SIZES[effect](rng, scope, scale)) for effect in effects)
+
+
+def _some(rng: Rng, count: int, stages: Sequence[str] | None = None) -> list[str]:
+    pool = [effect for effect, equation in CATALOGUE.items() if stages is None or equation.stage in stages]
+    return [str(name) for name in rng.choice(pool, count, replace=False)]
+
+
+def _single(scale: float, stages: Sequence[str] | None = None) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
+    return lambda rng, scope: _named(rng, scope, _some(rng, 1, stages), scale)
+
+
+def _several(count: int) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
+    return lambda rng, scope: _named(rng, scope, _some(rng, count))
+
+
+def _none(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
+    return ()
+
+
+def _other_form(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
+    effect, form = list(OTHER_FORMS)[rng.integers(len(OTHER_FORMS))]
+    return (Cause(effect, form, CATALOGUE_SIZES[effect](rng, scope, 1.0)),)
+
+
+def _outside(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
+    effect = list(OUTSIDE)[rng.integers(len(OUTSIDE))]
+    return (Cause(effect, OUTSIDE_FORM, OUTSIDE_SIZES[effect](rng, scope, 1.0)),)
+
+
+def _single_or_none(stages: Sequence[str] | None = None) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
+    single = _single(1.0, stages)
+    return lambda rng, scope: () if rng.random() < 0.2 else single(rng, scope)
+
+
+_SEEN_WITHOUT_CELL = ("motion", "mechanics", "transduction", "electronics", "acquisition")
+_SEEN_WITHOUT_STAGE = ("transduction", "electronics", "load_cell", "acquisition")
+
+LINES: Mapping[str, Callable[[Rng, Scope], tuple[Cause, ...]]] = {
+    "usual": _single(1.0),
+    "third": _single(0.3),
+    "tenth": _single(0.1),
+    "form": _other_form,
+    "pair": _several(2),
+    "triple": _several(3),
+    "none": _none,
+    "outside": _outside,
+    "one_run": _single_or_none(),
+    "one_speed": _single_or_none(),
+    "no_load_cell": _single_or_none(_SEEN_WITHOUT_CELL),
+    "no_stage": _single_or_none(_SEEN_WITHOUT_STAGE),
+    "ten_bit": _single_or_none(),
+    "turning": _single(1.0),
+}
+"""The strata: singles at a rig's usual size and at 0.3 and 0.1 of it, the same causes by other equations, pairs,
+triples, none, effects outside the catalogue, poor recordings, and singles on a stage that turns between samples."""
+
+_SHARES = {"usual": 6, "third": 4, "tenth": 4, "form": 4, "pair": 5, "triple": 2, "none": 5, "outside": 5}
+"""The mix of a challenge; every poor line counts 1."""
+
+_PROTOCOLS = {"one_run": ("one_rich_run",), "one_speed": ("one_speed_ramps", "one_speed_ramps")}
+_WITHHELD = {"no_load_cell": ("force_N",), "no_stage": ("stage_mm",)}
+
+
+def draw_case(seed: int, name: str, line: str) -> SealedCase:
+    """Draw one case of a line; the same seed and line give the same case.
+
+    Args:
+        seed: seed of everything in the case.
+        name: its folder.
+        line: a key of `LINES`.
+    """
+    rng = np.random.default_rng([seed, list(LINES).index(line)])
+    rig, peak_N = draw_rig(rng, adc_bits=10 if line == "ten_bit" else None)
+    causes = LINES[line](rng, _scope(rig, peak_N))
+    plans = tuple(RunPlan(name_, int(rng.integers(SEED_LIMIT))) for name_ in _PROTOCOLS.get(line, FOUR_RUNS))
+    needs_temperature = any("coefficient_per_K" in cause.values for cause in causes)
+    unlogged = () if needs_temperature or rng.random() < 0.5 else ("temperature_C",)
+    return SealedCase(
+        name=name,
+        line=line,
+        rig=rig,
+        peak_N=peak_N,
+        depth_mm=full_depth_mm(rig, peak_N),
+        causes=causes,
+        plans=plans,
+        kept_back=RunPlan("kept_back", int(rng.integers(SEED_LIMIT))),
+        withheld=(*_WITHHELD.get(line, ()), *unlogged),
+        turns_between_samples=line == "turning",
+    )
+
+
+def draw_challenge(seed: int, count: int) -> list[SealedCase]:
+    """Draw a challenge of mixed lines, shuffled, so that neither name nor place tells anything."""
+    weights = np.array([_SHARES.get(line, 1) for line in LINES], dtype=np.float64)
+    quota = np.floor(weights / weights.sum() * count).astype(int)
+    rng = np.random.default_rng([seed, 10_007])
+    rest = rng.choice(len(weights), count - int(quota.sum()), p=weights / weights.sum())
+    lines = np.repeat(list(LINES), quota + np.bincount(rest, minlength=len(weights)))
+    rng.shuffle(lines)
+    width = max(3, len(str(count)))
+    return [
+        draw_case(int(rng.integers(SEED_LIMIT)), f"case-{number:0{width}d}", str(line))
+        for number, line in enumerate(lines, start=1)
+    ]

@@ -1,0 +1,149 @@
+"""Read a diagnosis and judge it against the truth of its case: one word for each outcome."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from softcal.core.challenge.catalogue_equations import CATALOGUE
+from softcal.core.challenge.outside_equations import ALIASES, OUTSIDE
+from softcal.core.challenge.seal import Label
+from softcal.core.errors import InputError
+
+VISIBLE_SIGMA = 5.0
+"""A cause that stands out by less than this after the base is refitted counts as below the noise."""
+
+NAMED = 0.5
+"""A cause is named when its stated probability is at least this."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a report says, read once.
+
+    Args:
+        verdict: word of the report.
+        probabilities: stated probability of every effect of the catalogue.
+        first: the effect with the highest probability, empty where none is above zero.
+        named: effects with a probability of at least one half.
+        groups: sets of effects the report cannot tell apart.
+        stages: stages under `where`, the largest share first.
+        predicted, low, high: forecast of the shrink and its interval, NaN where the report has none.
+    """
+
+    verdict: str
+    probabilities: Mapping[str, float]
+    first: str
+    named: frozenset[str]
+    groups: tuple[frozenset[str], ...]
+    stages: tuple[str, ...]
+    predicted: float
+    low: float
+    high: float
+
+    @property
+    def candidates(self) -> frozenset[str]:
+        """Every effect the report keeps in play: the named ones, the first, and those it cannot tell from them."""
+        kept = self.named | ({self.first} if self.first and self.verdict == "ambiguous" else frozenset())
+        return (
+            kept.union(*(group for group in self.groups if group & kept)) if kept else frozenset().union(*self.groups)
+        )
+
+
+def read_answer(name: str, report: Mapping[str, Any]) -> Answer:
+    """Read the parts of a report that are scored.
+
+    Raises:
+        InputError: a key of `softcal.gap/1` is missing or has another shape.
+    """
+    try:
+        stated = {str(cause["effect"]): float(cause["probability"]) for cause in report["causes"]}
+        shares = sorted(report["where"], key=lambda place: -float(place["share"]))
+        shrink = report["shrink"]
+        first = max(stated, key=lambda effect: stated[effect]) if any(stated.values()) else ""
+        return Answer(
+            verdict=str(report["verdict"]),
+            probabilities=stated,
+            first=first,
+            named=frozenset(effect for effect, p in stated.items() if p >= NAMED),
+            groups=tuple(frozenset(map(str, group)) for group in report["ambiguous_with"]),
+            stages=tuple(str(place["stage"]) for place in shares),
+            predicted=_number(shrink["predicted"]),
+            low=_number(shrink["low"]),
+            high=_number(shrink["high"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"report of {name}: {error!r}; a report of schema softcal.gap/1 was expected") from error
+
+
+def _number(value: object) -> float:
+    return float("nan") if value is None else float(value)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One case with its truth beside the answer.
+
+    Args:
+        label: the opened label.
+        answer: what the report said, None where there is no report.
+        realised_shrink: shrink on the run that was kept back, NaN where it was not computed.
+    """
+
+    label: Label
+    answer: Answer | None
+    realised_shrink: float = float("nan")
+
+    @property
+    def truth(self) -> frozenset[str]:
+        """The catalogue's causes at work; an effect outside it is no truth anybody can name."""
+        return frozenset(c.effect for c in self.label.case.causes if c.effect in CATALOGUE)
+
+    @property
+    def is_visible(self) -> bool:
+        """Whether the causes stand out of the noise after a refit of the base."""
+        return self.label.distance_sigma >= VISIBLE_SIGMA
+
+    @property
+    def outcome(self) -> str:
+        """One word: right, set (an honest ambiguity set), below noise, missed, abstained, alarm or wrong."""
+        if self.answer is None:
+            return "no report"
+        if self.label.case.causes and self.answer.verdict == "no_gap":
+            return "missed" if self.is_visible else "below noise"
+        if not self.label.case.causes:
+            return "right" if self.answer.verdict == "no_gap" else "alarm"
+        if any(cause.effect in OUTSIDE for cause in self.label.case.causes):
+            return self._outside(self.answer)
+        return self._known(self.answer)
+
+    def _outside(self, answer: Answer) -> str:
+        if answer.verdict == "unknown":
+            return "right"
+        alias = ALIASES.get(self.label.case.causes[0].effect)
+        return "set" if alias and alias in answer.candidates | {answer.first} else "wrong"
+
+    def _known(self, answer: Answer) -> str:
+        if answer.verdict == "explained" and answer.named == self.truth:
+            return "right"
+        if answer.verdict == "ambiguous":
+            if answer.named == self.truth or (len(self.truth) == 1 and answer.first in self.truth):
+                return "right"
+            if self.truth <= answer.candidates and len(answer.candidates) <= max(3, len(self.truth) + 1):
+                return "set"
+        return "abstained" if answer.verdict == "unknown" else "wrong"
+
+    @property
+    def is_first_right(self) -> bool:
+        """Whether the effect with the highest probability is a true cause."""
+        return self.answer is not None and self.answer.verdict != "no_gap" and self.answer.first in self.truth
+
+    @property
+    def is_stage_right(self) -> bool:
+        """Whether the place with the largest share is a stage of a true cause."""
+        return bool(self.answer and self.answer.stages and self.answer.stages[0] in self.label.case.stages)
+
+    @property
+    def is_stage_held_open(self) -> bool:
+        """Whether the report leaves the place open between two stages, one of which is that of a true cause."""
+        stages = set(self.answer.stages) if self.answer else set()
+        return len(stages) == 2 and not stages.isdisjoint(self.label.case.stages)

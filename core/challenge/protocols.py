@@ -1,0 +1,223 @@
+"""What the stage does in a run: ramps, steps with holds, random, rest, and the experiments of the menu."""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+
+from softcal.core.challenge.rig import Path
+from softcal.core.recording import Array
+
+RUN_S = 40.0
+"""Length of an ordinary run: four of them are a case of about 8,000 samples at 50 Hz."""
+
+Rng: TypeAlias = np.random.Generator
+
+
+class _Pen:
+    """Draws a path corner by corner."""
+
+    def __init__(self, rest_s: float) -> None:
+        self.times, self.places = [0.0, rest_s], [0.0, 0.0]
+
+    def go(self, place_mm: float, speed_mm_s: float) -> None:
+        self.times.append(self.times[-1] + abs(place_mm - self.places[-1]) / speed_mm_s)
+        self.places.append(place_mm)
+
+    def stay(self, duration_s: float) -> None:
+        self.times.append(self.times[-1] + duration_s)
+        self.places.append(self.places[-1])
+
+    def path(self, name: str, duration_s: float | None = None) -> Path:
+        if duration_s is None:
+            return Path(name, np.array(self.times), np.array(self.places))
+        times, places = np.array(self.times), np.array(self.places)
+        kept = times < duration_s
+        last_mm = float(np.interp(duration_s, times, places))
+        return Path(name, np.append(times[kept], duration_s), np.append(places[kept], last_mm))
+
+    @property
+    def now_s(self) -> float:
+        return self.times[-1]
+
+
+def _ramps(name: str, rng: Rng, depth_mm: float, speeds_mm_s: Callable[[], float], duration_s: float = RUN_S) -> Path:
+    pen = _Pen(rng.uniform(0.6, 2.0))
+    while pen.now_s < duration_s:
+        speed_mm_s = speeds_mm_s()
+        pen.go(depth_mm * rng.uniform(0.75, 1.0), speed_mm_s)
+        pen.go(0.0, speed_mm_s)
+        pen.stay(rng.uniform(0.2, 1.0))
+    return pen.path(name, duration_s)
+
+
+def slow_ramps(rng: Rng, depth_mm: float) -> Path:
+    """Press and release at 0.25–0.5 mm/s."""
+    return _ramps("slow ramps", rng, depth_mm, lambda: rng.uniform(0.25, 0.5))
+
+
+def fast_ramps(rng: Rng, depth_mm: float) -> Path:
+    """Press and release at 2–5 mm/s."""
+    return _ramps("fast ramps", rng, depth_mm, lambda: rng.uniform(2.0, 5.0))
+
+
+def one_speed_ramps(rng: Rng, depth_mm: float) -> Path:
+    """Press and release at 1 mm/s only."""
+    return _ramps("ramps at 1 mm/s", rng, depth_mm, lambda: 1.0)
+
+
+def mixed_ramps(rng: Rng, depth_mm: float) -> Path:
+    """Press and release at 0.4–4 mm/s."""
+    return _ramps("ramps of mixed speed", rng, depth_mm, lambda: float(np.exp(rng.uniform(np.log(0.4), np.log(4.0)))))
+
+
+def steps_with_holds(rng: Rng, depth_mm: float, duration_s: float = RUN_S) -> Path:
+    """Step up and down a staircase and hold on every step."""
+    pen = _Pen(rng.uniform(0.6, 2.0))
+    while pen.now_s < duration_s:
+        levels = np.sort(rng.uniform(0.2, 1.0, rng.integers(2, 5)))
+        for level in [*levels, *levels[:-1][::-1]]:
+            pen.go(depth_mm * float(level), 5.0)
+            pen.stay(rng.uniform(1.5, 4.0))
+        pen.go(0.0, 5.0)
+        pen.stay(rng.uniform(1.5, 4.0))
+    return pen.path("steps with holds", duration_s)
+
+
+def random_path(rng: Rng, depth_mm: float, duration_s: float = RUN_S) -> Path:
+    """Go to random depths at random speeds, with a rest now and then."""
+    pen = _Pen(rng.uniform(0.6, 2.0))
+    while pen.now_s < duration_s:
+        place = 0.0 if rng.random() < 0.2 else depth_mm * rng.uniform(0.0, 1.0)
+        pen.go(place, float(np.exp(rng.uniform(np.log(0.4), np.log(5.0)))))
+        if rng.random() < 0.3:
+            pen.stay(rng.uniform(0.2, 2.0))
+    return pen.path("random", duration_s)
+
+
+def one_rich_run(rng: Rng, depth_mm: float) -> Path:
+    """A ramp of each speed, a few holds, a random stretch, rest at both ends, in one run."""
+    pen = _Pen(1.0)
+    for speed_mm_s in (0.4, 4.0, 1.5):
+        pen.go(depth_mm * rng.uniform(0.85, 1.0), speed_mm_s)
+        pen.go(0.0, speed_mm_s)
+        pen.stay(0.7)
+    for level in rng.uniform(0.2, 1.0, 3):
+        pen.go(depth_mm * float(level), 5.0)
+        pen.stay(2.5)
+    for level in rng.uniform(0.0, 1.0, 10):
+        pen.go(depth_mm * float(level), rng.uniform(0.7, 4.0))
+    pen.go(0.0, 2.0)
+    pen.stay(2.0)
+    return pen.path("one rich run")
+
+
+def kept_back(rng: Rng, depth_mm: float) -> Path:
+    """A protocol no fit has seen: growing ramps of medium speed, a hold at mid-depth, a broken descent."""
+    pen = _Pen(1.0)
+    for share in (0.45, 0.7, 0.95):
+        pen.go(depth_mm * share, rng.uniform(0.8, 1.6))
+        pen.stay(rng.uniform(0.0, 2.5))
+        pen.go(depth_mm * share * 0.4, rng.uniform(0.8, 3.0))
+        pen.stay(rng.uniform(0.5, 2.0))
+        pen.go(0.0, rng.uniform(0.8, 3.0))
+        pen.stay(1.0)
+    return pen.path("kept back", RUN_S)
+
+
+def rest(rng: Rng, depth_mm: float) -> Path:
+    """Touch nothing for two minutes."""
+    return _Pen(120.0).path("rest")
+
+
+def long_hold(rng: Rng, depth_mm: float) -> Path:
+    """Hold for five minutes, then rest for half as long."""
+    pen = _Pen(2.0)
+    pen.go(0.9 * depth_mm, 5.0)
+    pen.stay(300.0)
+    pen.go(0.0, 5.0)
+    pen.stay(150.0)
+    return pen.path("long hold")
+
+
+def rate_sweep(rng: Rng, depth_mm: float) -> Path:
+    """Press once at each speed from 0.2 to 5 mm/s."""
+    pen = _Pen(2.0)
+    for speed_mm_s in (0.2, 5.0, 0.5, 2.0, 1.0, 5.0):
+        pen.go(0.95 * depth_mm, speed_mm_s)
+        pen.go(0.0, speed_mm_s)
+        pen.stay(1.0)
+    return pen.path("rate sweep")
+
+
+def amplitude_ladder(rng: Rng, depth_mm: float) -> Path:
+    """Press twice to each of four growing depths, then rest."""
+    pen = _Pen(2.0)
+    for share in (0.3, 0.3, 0.5, 0.5, 0.7, 0.7, 0.9, 0.9, 0.5):
+        pen.go(share * depth_mm, 1.0)
+        pen.go(0.0, 1.0)
+        pen.stay(1.0)
+    pen.stay(20.0)
+    return pen.path("amplitude ladder")
+
+
+def slow_touch_down(rng: Rng, depth_mm: float) -> Path:
+    """Touch down twice at 0.05 mm/s."""
+    pen = _Pen(2.0)
+    for _ in range(2):
+        pen.go(0.3 * depth_mm, 0.05)
+        pen.go(0.0, 0.05)
+        pen.stay(1.0)
+    return pen.path("slow touch-down")
+
+
+def small_reversals(rng: Rng, depth_mm: float) -> Path:
+    """Reverse by a few per cent of the depth, at three depths and two speeds."""
+    pen = _Pen(2.0)
+    for centre in (0.3, 0.6, 0.85):
+        for speed_mm_s in (0.2, 2.0):
+            for swing in (0.04, 0.08, 0.12):
+                pen.go((centre + swing) * depth_mm, speed_mm_s)
+                pen.go((centre - swing) * depth_mm, speed_mm_s)
+    pen.go(0.0, 2.0)
+    pen.stay(2.0)
+    return pen.path("small reversals")
+
+
+def lot_source(rng: Rng, depth_mm: float) -> Path:
+    """The source unit of a lot: random presses for three minutes."""
+    return random_path(rng, depth_mm, 180.0)
+
+
+def lot_unit(rng: Rng, depth_mm: float) -> Path:
+    """A target unit of a lot, or its audit: random presses for a minute and a half."""
+    return random_path(rng, depth_mm, 90.0)
+
+
+PROTOCOLS: dict[str, Callable[[Rng, float], Path]] = {
+    "slow_ramps": slow_ramps,
+    "fast_ramps": fast_ramps,
+    "one_speed_ramps": one_speed_ramps,
+    "mixed_ramps": mixed_ramps,
+    "steps_with_holds": steps_with_holds,
+    "random": random_path,
+    "one_rich_run": one_rich_run,
+    "kept_back": kept_back,
+    "lot_source": lot_source,
+    "lot_unit": lot_unit,
+    "rest": rest,
+    "long_hold": long_hold,
+    "rate_sweep": rate_sweep,
+    "amplitude_ladder": amplitude_ladder,
+    "slow_touch_down": slow_touch_down,
+    "small_reversals": small_reversals,
+}
+"""Paths by name; each takes a generator and the depth in mm at which the force reaches the rig's peak."""
+
+
+def weights(rng: Rng, peak_N: float) -> tuple[Array, Array]:
+    """Dead weights on the cell, up and down: corner times in s and forces in N."""
+    steps = np.concatenate([np.linspace(0.0, peak_N, 6), np.linspace(peak_N, 0.0, 6)[1:]])
+    starts_s = 8.0 * np.arange(len(steps))
+    times = np.ravel(np.column_stack([starts_s, starts_s + 7.5]))
+    return times, np.repeat(steps, 2)

@@ -1,0 +1,239 @@
+"""Score diagnoses against the opened labels of a challenge: what was named, what was held back, how sure it was."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softcal.core.challenge.judge import Judged, read_answer
+from softcal.core.challenge.seal import Label
+from softcal.core.metrics import finite_or_none
+
+POOR = ("one_run", "one_speed", "no_load_cell", "no_stage", "ten_bit")
+DISTANCE_EDGES = (0.0, 3.0, 5.0, 10.0, 30.0, 100.0, np.inf)
+"""Bins of the detection curve, in units of the noise over all samples."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A counted measure of one line with its Wilson interval."""
+
+    line: str
+    measure: str
+    hits: int
+    count: int
+
+    @property
+    def share(self) -> float:
+        """Hits over count, NaN without a case."""
+        return self.hits / self.count if self.count else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of Wilson (1927)."""
+        return wilson(self.hits, self.count)
+
+
+def wilson(hits: int, count: int, z: float = 1.959964) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a share."""
+    if count == 0:
+        return 0.0, 1.0
+    share, spread = hits / count, z * z / count
+    middle = (share + spread / 2.0) / (1.0 + spread)
+    half = z / (1.0 + spread) * float(np.sqrt(share * (1.0 - share) / count + spread / (4.0 * count)))
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+@dataclass(frozen=True)
+class Detection:
+    """How often one effect was named at a distance from the noise."""
+
+    effect: str
+    from_sigma: float
+    to_sigma: float
+    named: int
+    honest: int
+    count: int
+
+
+@dataclass(frozen=True)
+class Probabilities:
+    """How far stated probabilities can be trusted.
+
+    Args:
+        ece: expected calibration error over all effects of all cases, ten bins of equal width.
+        ece_first: the same for the probability of the first cause alone.
+        brier: mean squared error of all stated probabilities.
+        on_truth: mean probability on the true cause (FIA), singles.
+    """
+
+    ece: float
+    ece_first: float
+    brier: float
+    on_truth: float
+
+
+@dataclass(frozen=True)
+class Shrink:
+    """Forecast against realised shrink on a protocol that was in no fit; explained catalogue cases."""
+
+    count: int
+    median_realised: float
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class ScoreSheet:
+    """Everything a challenge shows."""
+
+    judged: tuple[Judged, ...]
+    rows: tuple[Row, ...]
+    detection: tuple[Detection, ...]
+    probabilities: Probabilities
+    shrink: Shrink
+
+    def to_record(self) -> dict[str, Any]:
+        """Return plain JSON values; what could not be computed is null."""
+        return {
+            "schema": "softcal.score/1",
+            "rows": [_row_record(row) for row in self.rows],
+            "detection": [{**asdict(bin_), "to_sigma": finite_or_none(bin_.to_sigma)} for bin_ in self.detection],
+            "probabilities": _finite(asdict(self.probabilities)),
+            "shrink": {
+                "count": self.shrink.count,
+                "median_realised": finite_or_none(self.shrink.median_realised),
+                "rows": [_row_record(row) for row in self.shrink.rows],
+            },
+            "cases": [_case_record(judged) for judged in self.judged],
+        }
+
+
+def _row_record(row: Row) -> dict[str, Any]:
+    low, high = row.interval
+    shared = finite_or_none(row.share)
+    return {**asdict(row), "share": shared, "low": low, "high": high}
+
+
+def _case_record(judged: Judged) -> dict[str, Any]:
+    label, answer = judged.label, judged.answer
+    return {
+        "case": label.case.name,
+        "line": label.case.line,
+        "truth": [cause.effect for cause in label.case.causes],
+        "distance_sigma": label.distance_sigma,
+        "outcome": judged.outcome,
+        "verdict": answer.verdict if answer else None,
+        "first": answer.first if answer else None,
+        "realised_shrink": finite_or_none(judged.realised_shrink),
+    }
+
+
+def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
+    return {name: finite_or_none(value) for name, value in values.items()}
+
+
+def score_reports(
+    labels: Sequence[Label],
+    reports: Mapping[str, Mapping[str, Any]],
+    realised: Callable[[Label, Mapping[str, Any]], float] = lambda label, report: float("nan"),
+) -> ScoreSheet:
+    """Score the reports of a challenge; a case without a report counts as wrong.
+
+    Args:
+        labels: the opened labels.
+        reports: per case name, a report of schema `softcal.gap/1`.
+        realised: shrink of a report's twin on the run that was kept back, NaN where it has none.
+    """
+    judged = tuple(_judge(label, reports.get(label.case.name), realised) for label in labels)
+    return ScoreSheet(judged, tuple(_rows(judged)), tuple(_detection(judged)), _probabilities(judged), _shrink(judged))
+
+
+def _judge(label: Label, report: Mapping[str, Any] | None, realised: Callable[..., float]) -> Judged:
+    if report is None:
+        return Judged(label, None)
+    answer = read_answer(label.case.name, report)
+    explained = answer.verdict in ("explained", "ambiguous")
+    return Judged(label, answer, realised(label, report) if explained else float("nan"))
+
+
+HONEST = ("right", "set", "below noise")
+
+
+def _rows(judged: Sequence[Judged]) -> Iterable[Row]:
+    for line in dict.fromkeys(j.label.case.line for j in judged):
+        cases = [j for j in judged if j.label.case.line == line]
+        with_cause = [j for j in cases if j.label.case.causes]
+        yield _row(line, "right", cases, lambda j: j.outcome == "right")
+        yield _row(line, "right or honest set or below noise", cases, lambda j: j.outcome in HONEST)
+        if line in POOR:
+            yield _row(line, "right or abstaining", cases, lambda j: j.outcome in (*HONEST, "abstained"))
+        if line == "none":
+            yield _row(line, "false alarm", cases, lambda j: j.outcome == "alarm")
+        visible = [j for j in with_cause if j.is_visible]
+        if any(len(j.truth) == 1 for j in with_cause):
+            yield _row(line, "cause first", [j for j in with_cause if j.truth], lambda j: j.is_first_right)
+            yield _row(line, "cause first where visible", [j for j in visible if j.truth], lambda j: j.is_first_right)
+        if with_cause:
+            yield _row(line, "stage", visible, lambda j: j.is_stage_right)
+            if line == "outside":
+                name = "stage right or held open between two"
+                yield _row(line, name, visible, lambda j: j.is_stage_right or j.is_stage_held_open)
+
+
+def _row(line: str, measure: str, cases: Sequence[Judged], is_hit: Callable[[Judged], bool]) -> Row:
+    return Row(line, measure, sum(map(is_hit, cases)), len(cases))
+
+
+def _detection(judged: Sequence[Judged]) -> Iterable[Detection]:
+    singles = [j for j in judged if len(j.truth) == 1 and len(j.label.case.causes) == 1]
+    for effect in sorted({next(iter(j.truth)) for j in singles}):
+        for low, high in zip(DISTANCE_EDGES[:-1], DISTANCE_EDGES[1:], strict=True):
+            here = [j for j in singles if effect in j.truth and low <= j.label.distance_sigma < high]
+            if here:
+                named, honest = sum(j.is_first_right for j in here), sum(j.outcome in HONEST for j in here)
+                yield Detection(effect, low, high, named, honest, len(here))
+
+
+def _probabilities(judged: Sequence[Judged]) -> Probabilities:
+    answered = [(j, j.answer) for j in judged if j.answer is not None]
+    stated = np.array([p for _, a in answered for p in a.probabilities.values()])
+    present = np.array([effect in j.truth for j, a in answered for effect in a.probabilities], dtype=np.float64)
+    first = [(a.probabilities[a.first], j.is_first_right) for j, a in answered if a.first and a.verdict != "no_gap"]
+    singles = [a.probabilities.get(next(iter(j.truth)), 0.0) for j, a in answered if len(j.truth) == 1]
+    return Probabilities(
+        ece=calibration_error(stated, present),
+        ece_first=calibration_error(np.array([p for p, _ in first]), np.array([float(y) for _, y in first])),
+        brier=float(np.mean((stated - present) ** 2)) if len(stated) else float("nan"),
+        on_truth=float(np.mean(singles)) if singles else float("nan"),
+    )
+
+
+def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64], bins: int = 10) -> float:
+    """Return Σ (nᵦ/n)·|mean stated − mean happened| over bins of equal width."""
+    if len(stated) == 0:
+        return float("nan")
+    bin_of = np.minimum((stated * bins).astype(int), bins - 1)
+    gaps = [abs(float(np.sum(stated[bin_of == b] - happened[bin_of == b]))) for b in range(bins)]
+    return sum(gaps) / len(stated)
+
+
+def _shrink(judged: Sequence[Judged]) -> Shrink:
+    known = [j for j in judged if j.answer and j.outcome == "right" and np.isfinite(j.realised_shrink)]
+
+    def is_near(j: Judged) -> bool:
+        return bool(j.answer and abs(j.answer.predicted - j.realised_shrink) <= 0.10)
+
+    def is_inside(j: Judged) -> bool:
+        return bool(j.answer and j.answer.low <= j.realised_shrink <= j.answer.high)
+
+    return Shrink(
+        count=len(known),
+        median_realised=float(np.median([j.realised_shrink for j in known])) if known else float("nan"),
+        rows=(
+            _row("explained", "realised ≥ 0.95", known, lambda j: j.realised_shrink >= 0.95),
+            _row("explained", "|forecast − realised| ≤ 0.10", known, is_near),
+            _row("explained", "realised inside [low, high]", known, is_inside),
+        ),
+    )

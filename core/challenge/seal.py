@@ -1,0 +1,79 @@
+"""The seal of a challenge: labels as canonical text, and the SHA-256 that is published before anybody diagnoses.
+
+The text holds a random nonce, so the published hash tells nothing about the labels; and it holds the hash of every
+case as it was handed out, so neither labels nor cases can change without the seal being broken.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from softcal.core.challenge.cases import SealedCase, distance_sigma
+from softcal.core.errors import InputError
+
+SCHEMA = "softcal.seal/1"
+
+
+@dataclass(frozen=True)
+class Label:
+    """What the seal says of one case.
+
+    Args:
+        case: the rig, its causes and its runs.
+        sha256: content hash of the case as it was handed out.
+        distance_sigma: how far its causes stand out of the noise after a refit of the base.
+    """
+
+    case: SealedCase
+    sha256: str
+    distance_sigma: float
+
+
+@dataclass(frozen=True)
+class Seal:
+    """The sealed text and its commitment."""
+
+    text: str
+
+    @property
+    def commitment(self) -> str:
+        """SHA-256 of the sealed text, hexadecimal."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+
+def seal_labels(cases: Sequence[SealedCase], contents: Mapping[str, str], seed: int, nonce: str) -> Seal:
+    """Write the labels of a challenge as sealed text.
+
+    Args:
+        cases: what was drawn.
+        contents: content hash of every case by its name.
+        seed: the seed of the draw.
+        nonce: random text of at least 128 bits.
+    """
+    labels = [
+        {"case": case.to_record(), "sha256": contents[case.name], "distance_sigma": round(distance_sigma(case), 3)}
+        for case in cases
+    ]
+    sealed = {"schema": SCHEMA, "nonce": nonce, "seed": seed, "labels": labels}
+    return Seal(json.dumps(sealed, sort_keys=True, separators=(",", ":"), allow_nan=False))
+
+
+def open_seal(text: str, commitment: str) -> list[Label]:
+    """Check a sealed text against its published commitment and return the labels.
+
+    Raises:
+        InputError: the text is not the one that was sealed, or no seal of softcal.
+    """
+    if Seal(text).commitment != commitment:
+        raise InputError(
+            f"the seal is broken: SHA-256 of the sealed file is {Seal(text).commitment}, {commitment} was published; "
+            "nothing was scored"
+        )
+    sealed = json.loads(text)
+    if sealed.get("schema") != SCHEMA:
+        raise InputError(f"the sealed file has schema {sealed.get('schema')!r}; {SCHEMA!r} was expected")
+    return [
+        Label(SealedCase.from_record(label["case"]), label["sha256"], label["distance_sigma"])
+        for label in sealed["labels"]
+    ]

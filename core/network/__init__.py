@@ -1,0 +1,1 @@
+"""The shared network f: its evaluation and its training."""

@@ -1,0 +1,199 @@
+"""Fit the shared network f to a labelled recording."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softcal.core.errors import InputError
+from softcal.core.network.network import Network
+from softcal.core.recording import Array, LabelledRecording
+from softcal.core.windows import TAPS
+
+Mask = NDArray[np.bool_]
+
+MIN_WINDOWS = 10 * TAPS
+"""Fewer windows leave nothing to validate on once the guards between the blocks are taken out."""
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """How f is built and trained; the defaults are the paper's 15-120-70-35-1 (Kim et al. 2020).
+
+    Args:
+        hidden: widths of the hidden layers.
+        seed: drives initial weights and batch order; equal seeds give equal networks on one machine.
+        members: networks trained from consecutive seeds and merged into one whose estimate is their mean.
+        max_epochs: passes over the training windows at most.
+        patience: epochs without a better validation error before training stops.
+        batch: windows per step at least; long recordings take larger ones.
+        learning_rate: first step size of Adam; it is halved on every plateau of `patience / 3` epochs.
+        validation_share: share of the recording kept for early stopping, in blocks spread over it.
+    """
+
+    hidden: tuple[int, ...] = (120, 70, 35)
+    seed: int = 0
+    members: int = 1
+    max_epochs: int = 200
+    patience: int = 15
+    batch: int = 64
+    learning_rate: float = 5e-3
+    validation_share: float = 0.15
+
+
+@dataclass(frozen=True)
+class EpochReport:
+    """Progress of a training; errors in the reference unit."""
+
+    member: int
+    epoch: int
+    max_epochs: int
+    train_rmse: float
+    validation_rmse: float
+    best_validation_rmse: float
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedNetwork:
+    """A network with what its training showed.
+
+    Args:
+        network: the shared network f.
+        validation_rmse: error on the held-out blocks, in the reference unit.
+        epochs: epochs trained, per member.
+        validation_rows: window indices of the held-out blocks; they never entered a gradient.
+    """
+
+    network: Network
+    validation_rmse: float
+    epochs: tuple[int, ...]
+    validation_rows: NDArray[np.int64]
+
+
+def fit_network(
+    source: LabelledRecording,
+    config: NetworkConfig = NetworkConfig(),  # noqa: B008 - frozen
+    on_epoch: Callable[[EpochReport], None] | None = None,
+) -> TrainedNetwork:
+    """Train f on a labelled recording with early stopping on time blocks; also gives a unit's own calibration.
+
+    Args:
+        source: output and reference of one unit.
+        config: layer widths, seed and stopping rule.
+        on_epoch: told the errors after every epoch.
+
+    Raises:
+        InputError: the recording is too short, constant or saturated, or output and reference have nothing in common.
+    """
+    check_trainable(source)
+    inputs, reference = source.windows, source.window_reference
+    output_mean, output_scale = float(source.unlabelled.output.mean()), float(source.unlabelled.output.std())
+    reference_mean, reference_scale = float(reference.mean()), float(reference.std())
+    validation = validation_blocks(len(inputs), config.validation_share)
+    training = ~_near(validation, TAPS)
+    x = ((inputs - output_mean) / output_scale).astype(np.float32)
+    y = ((reference - reference_mean) / reference_scale).astype(np.float32)[:, None]
+    # torch takes seconds and 100 MB to load: only who trains pays.
+    from softcal.core.network.training_steps import train_members
+
+    members = train_members(x, y, training, validation, config, reference_scale, on_epoch)
+    weights, biases = merge_members([layers for layers, _ in members])
+    unlabelled = source.unlabelled
+    network = Network(
+        weights,
+        biases,
+        output_mean,
+        output_scale,
+        reference_mean,
+        reference_scale,
+        unlabelled.output_unit,
+        source.reference_unit,
+    )
+    error = network.evaluate(inputs[validation]) - reference[validation]
+    rmse = float(np.sqrt(np.mean(error**2)))
+    if rmse > 0.95 * float(reference[validation].std()) and rmse > 0.5 * reference_scale:
+        raise InputError(
+            f"source {source.serial}: f errs by {rmse:.4g} {source.reference_unit} on held-out parts, no better than "
+            "the mean of the reference; check that output and reference belong together"
+        )
+    return TrainedNetwork(network, rmse, tuple(epochs for _, epochs in members), np.flatnonzero(validation))
+
+
+def check_trainable(source: LabelledRecording) -> None:
+    """Refuse a labelled recording that cannot teach a network.
+
+    Raises:
+        InputError: fewer than 150 windows, constant output or reference, or output saturated while the reference moves.
+    """
+    output, reference = source.unlabelled.output, source.reference
+    where = f"source {source.serial}"
+    count = len(source.windows)
+    if count < MIN_WINDOWS:
+        raise InputError(f"{where}: {count} full windows; at least {MIN_WINDOWS} are needed to train and validate f")
+    for name, values, unit in (
+        ("output", output, source.unlabelled.output_unit),
+        ("reference", reference, source.reference_unit),
+    ):
+        if np.ptp(values) == 0:
+            raise InputError(f"{where}: {name} is constant at {values[0]:.6g} {unit}; record the source again")
+    for name, limit in (("highest", output.max()), ("lowest", output.min())):
+        stuck = output == limit
+        if stuck.mean() > 0.02 and np.ptp(np.quantile(reference[stuck], [0.05, 0.95])) > 0.25 * np.ptp(reference):
+            raise InputError(
+                f"{where}: output stays at its {name} value {limit:.6g} {source.unlabelled.output_unit} in "
+                f"{stuck.mean():.0%} of the samples while the reference moves; widen the range of the readout"
+            )
+
+
+def validation_blocks(count: int, share: float) -> Mask:
+    """Mark the windows kept for validation: several blocks in time, spread evenly over the recording.
+
+    Args:
+        count: number of windows.
+        share: share of them to keep.
+
+    Returns:
+        (count,) True where a window validates; a guard of TAPS windows beside each block belongs to neither side.
+    """
+    blocks = int(np.clip(count // (10 * TAPS), 2, 10))
+    length = max(1, round(share * count / blocks))
+    mask = np.zeros(count, dtype=bool)
+    for middle in (np.arange(blocks) + 0.5) * count / blocks:
+        start = int(middle) - length // 2
+        mask[start : start + length] = True
+    return mask
+
+
+def merge_members(members: list[list[tuple[Array, Array]]]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Merge networks of equal depth into one whose estimate is exactly their mean.
+
+    The first layers stand side by side, hidden layers become block-diagonal, the last layers are stacked and divided
+    by the number of members.
+
+    Args:
+        members: per member its layers (weight (inputs, outputs), bias (outputs,)).
+    """
+    if len(members) == 1:
+        return tuple(w for w, _ in members[0]), tuple(b for _, b in members[0])
+    weights, biases = [], []
+    for depth, layers in enumerate(zip(*members, strict=True)):
+        last = depth == len(members[0]) - 1
+        parts = [w for w, _ in layers]
+        joined = np.hstack(parts) if depth == 0 else np.vstack(parts) / len(parts) if last else _block_diagonal(parts)
+        weights.append(joined)
+        biases.append(np.mean([b for _, b in layers], axis=0) if last else np.concatenate([b for _, b in layers]))
+    return tuple(weights), tuple(biases)
+
+
+def _block_diagonal(parts: list[Array]) -> Array:
+    joined = np.zeros((sum(p.shape[0] for p in parts), sum(p.shape[1] for p in parts)))
+    row = column = 0
+    for part in parts:
+        joined[row : row + part.shape[0], column : column + part.shape[1]] = part
+        row, column = row + part.shape[0], column + part.shape[1]
+    return joined
+
+
+def _near(mask: Mask, guard: int) -> Mask:
+    return np.convolve(mask, np.ones(2 * guard + 1), mode="same") > 0.5

@@ -1,0 +1,1 @@
+"""Decisions about lots, lines and stations from facts: gate, control chart, gauge study, yields, audits, rules."""

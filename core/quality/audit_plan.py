@@ -1,0 +1,156 @@
+"""Which few units of a lot to check with the load cell, and what their results say about all the others."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta, hypergeom
+
+from softcal.core.errors import InputError
+from softcal.core.unit.verdict import Limit
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class AuditConfig:
+    """How many units to check.
+
+    Args:
+        doubtful: units with the largest forecast error among the accepted ones.
+        random: units drawn from all other accepted ones; they alone carry the statement on the rest.
+        seed: drives the draw.
+        allowed_share: share of nonconforming units the lot may hold, agreed before measuring.
+    """
+
+    doubtful: int = 3
+    random: int = 5
+    seed: int = 0
+    allowed_share: float = 0.1
+
+
+@dataclass(frozen=True)
+class AuditPlan:
+    """The units to check.
+
+    Args:
+        doubtful: serials with the largest forecast error, worst first.
+        random: serials drawn from the rest.
+        population: number of accepted units the random ones were drawn from.
+        allowed_share: of nonconforming units.
+    """
+
+    doubtful: tuple[str, ...]
+    random: tuple[str, ...]
+    population: int
+    allowed_share: float
+
+    @property
+    def serials(self) -> tuple[str, ...]:
+        return (*self.doubtful, *self.random)
+
+    def settings(self) -> dict[str, object]:
+        """Return the plan as JSON values."""
+        return {**vars(self), "doubtful": list(self.doubtful), "random": list(self.random)}
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> "AuditPlan":
+        """Rebuild a plan from `settings()`."""
+        doubtful, drawn = (tuple(str(serial) for serial in settings[name]) for name in ("doubtful", "random"))
+        return cls(doubtful, drawn, int(settings["population"]), float(settings["allowed_share"]))
+
+
+@dataclass(frozen=True)
+class LotStatement:
+    """What the checked units say about the lot.
+
+    Args:
+        word: `pass` no checked unit failed and, at 95 % confidence, no more than the allowed share of the rest does;
+            `conditional` none failed but too few were checked to say that; `fail` a checked unit failed.
+        failed: serials that missed the limit.
+        nonconforming_upper: largest number of nonconforming units among the unchecked ones (95 %, hypergeometric).
+        process_upper: largest nonconforming share of the process (95 %, Clopper and Pearson 1934).
+        error_ratio: RMS of measured over forecast error; well above 1, the forecasts of this lot are too low.
+        text: the same in a sentence.
+    """
+
+    word: str
+    failed: tuple[str, ...]
+    nonconforming_upper: int
+    process_upper: float
+    error_ratio: float
+    text: str
+
+
+def plan_audit(forecasts: Mapping[str, float], config: AuditConfig = AuditConfig()) -> AuditPlan:  # noqa: B008 - frozen
+    """Choose the units to check among the accepted ones.
+
+    Args:
+        forecasts: forecast RMSE of every accepted unit by serial.
+        config: how many, and the seed.
+
+    Raises:
+        InputError: a forecast is not a number, no unit is asked for, or the share is not between 0 and 1.
+    """
+    if config.doubtful < 0 or config.random < 0 or config.doubtful + config.random == 0:
+        raise InputError(f"{config.doubtful} doubtful and {config.random} random units; at least one unit is needed")
+    if not 0 < config.allowed_share < 1:
+        raise InputError(f"allowed share {config.allowed_share:g}; a share between 0 and 1 was expected, such as 0.1")
+    for serial, rmse in forecasts.items():
+        if not np.isfinite(rmse):
+            raise InputError(f"unit {serial}: forecast error is {rmse}; only units with a forecast can be accepted")
+    ranked = sorted(forecasts, key=lambda serial: (-forecasts[serial], serial))
+    doubtful, rest = ranked[: config.doubtful], sorted(ranked[config.doubtful :])
+    drawn = np.random.default_rng(config.seed).permutation(len(rest))[: config.random]
+    return AuditPlan(tuple(doubtful), tuple(rest[k] for k in sorted(drawn)), len(rest), config.allowed_share)
+
+
+def judge_lot(
+    plan: AuditPlan, forecasts: Mapping[str, float], measured: Mapping[str, float], limit: Limit
+) -> LotStatement:
+    """Update the lot's verdict with the measured errors of the checked units.
+
+    Args:
+        plan: the plan that was carried out.
+        forecasts: as given to `plan_audit`.
+        measured: RMSE against the load cell by serial, every unit of the plan.
+        limit: the lot's tolerance limit.
+
+    Raises:
+        InputError: a unit of the plan was not measured.
+    """
+    missing = [serial for serial in plan.serials if serial not in measured]
+    if missing:
+        raise InputError(f"audit incomplete: no measurement of {', '.join(missing)}; the statement needs every unit")
+    failed = tuple(serial for serial in plan.serials if not measured[serial] <= limit.maximum_rmse)
+    random_failed = sum(serial in failed for serial in plan.random)
+    upper = nonconforming_upper(plan.population, len(plan.random), random_failed)
+    allowed = plan.allowed_share * max(plan.population, 1)
+    word = "fail" if failed else "pass" if upper <= allowed else "conditional"
+    ratios = [measured[serial] / forecasts[serial] for serial in plan.serials]
+    ratio = float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
+    unchecked = plan.population - len(plan.random)
+    text = (
+        f"{len(failed)} of {len(plan.serials)} checked units miss {limit.maximum_rmse:.3g} {limit.unit}; "
+        f"with 95 % confidence at most {upper - random_failed} of the {unchecked} unchecked accepted units do"
+    )
+    process = process_upper(len(plan.random), random_failed)
+    return LotStatement(word, failed, upper - random_failed, process, ratio, text)
+
+
+def nonconforming_upper(population: int, checked: int, failed: int) -> int:
+    """Return the largest number of nonconforming units in the population that the sample does not contradict.
+
+    The largest D with P(at most `failed` among `checked` | D of `population`) > 5 % (hypergeometric).
+    """
+    if checked >= population:
+        return failed
+    candidates = np.arange(failed, population - (checked - failed) + 1)
+    plausible = hypergeom.cdf(failed, population, candidates, checked) > 1 - CONFIDENCE
+    return int(candidates[plausible].max())
+
+
+def process_upper(checked: int, failed: int) -> float:
+    """Return the one-sided 95 % upper bound of a binomial share (Clopper and Pearson 1934)."""
+    return 1.0 if failed >= checked else float(beta.ppf(CONFIDENCE, failed + 1, checked - failed))

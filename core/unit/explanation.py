@@ -1,0 +1,102 @@
+"""The arrays of the one plot per unit that shows why its verdict is what it is. No drawing here."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.recording import Array, OutputRecording
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.forecast import UNSEEN, gather_evidence, sensitivity
+from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.uncertainty import DIRECTIONS, LEVELS
+
+DENSITY_BINS = 48
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Why a unit's verdict is what it is, in four panels.
+
+    Args:
+        levels: (LEVELS,) load levels in the reference unit, abscissa of the first two panels.
+        half_width: (3, LEVELS) of the unit's 90 % interval by direction, rows as `directions`.
+        source_half_width: the same for the source itself: what no map can better.
+        density_edges: (DENSITY_BINS + 1,) load levels.
+        source_density, mapped_density, unmapped_density: (DENSITY_BINS,) share of the windows per level: the source's,
+            the unit's with its map, and without.
+        contributions: error contributions in the reference unit by name, c_i u_i of the budget, largest first.
+        forecast, limit: forecast RMSE with its 95 % interval, and the tolerance limit; None where there is none.
+        t_s, estimate, distance: (n,) windows looked at: time, estimate, distance from the source's support.
+        familiar_distance: distances above it are unfamiliar.
+        reasons: the verdict's own words.
+    """
+
+    levels: Array
+    half_width: Array
+    source_half_width: Array
+    density_edges: Array
+    source_density: Array
+    mapped_density: Array
+    unmapped_density: Array
+    contributions: Mapping[str, float]
+    forecast: tuple[float, float, float] | None
+    limit: float | None
+    t_s: Array
+    estimate: Array
+    distance: Array
+    familiar_distance: float
+    reasons: tuple[str, ...]
+    directions: tuple[str, ...] = DIRECTIONS
+
+
+def explain(model: SourceModel, calibration: Calibration, target: OutputRecording) -> Explanation:
+    """Return the arrays that explain a unit's verdict.
+
+    Args:
+        model: the lot's source.
+        calibration: of the unit.
+        target: the recording it was made from.
+    """
+    interval = model.interval
+    evidence = gather_evidence(model, target, calibration.unit_map, (), (), calibration.output_limits)
+    edges = np.linspace(*_span(model.estimate, evidence.estimate), DENSITY_BINS + 1)
+    forecast = calibration.forecast
+    limit = calibration.evidence.get("limit_rmse")
+    return Explanation(
+        levels=interval.low + (np.arange(LEVELS) + 0.5) * (interval.high - interval.low) / LEVELS,
+        half_width=calibration.interval.half_width,
+        source_half_width=interval.half_width,
+        density_edges=edges,
+        source_density=_density(model.estimate, edges),
+        mapped_density=_density(evidence.estimate, edges),
+        unmapped_density=_density(evidence.unmapped, edges),
+        contributions=contributions(calibration),
+        forecast=None if forecast is None else (forecast.lower, forecast.rmse, forecast.upper),
+        limit=None if limit is None else float(limit),
+        t_s=target.t_s[target.window_rows[evidence.rows]],
+        estimate=evidence.estimate,
+        distance=evidence.distance,
+        familiar_distance=interval.familiar_distance,
+        reasons=calibration.verdict.reasons,
+    )
+
+
+def contributions(calibration: Calibration) -> dict[str, float]:
+    """Return the contributions c_i u_i to the forecast error in the reference unit, largest first."""
+    evidence = calibration.evidence
+    budget = {name.removeprefix("u_"): float(str(u)) for name, u in evidence.items() if name.startswith("u_")}
+    base = {"paired": UNSEEN} if "paired" in budget else {"model": 1.0}
+    # A calibration of an older version may lack a term that came later.
+    coefficients = {name: c for name, c in sensitivity(budget).items() if name in budget}
+    parts = {name: c * budget[name] for name, c in {**base, **coefficients}.items()}
+    return dict(sorted(parts.items(), key=lambda item: -item[1]))
+
+
+def _span(*estimates: Array) -> tuple[float, float]:
+    return min(float(e.min()) for e in estimates), max(float(e.max()) for e in estimates)
+
+
+def _density(estimate: Array, edges: Array) -> Array:
+    counts, _ = np.histogram(np.clip(estimate, edges[0], edges[-1]), edges)
+    return counts / len(estimate)

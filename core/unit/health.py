@@ -1,0 +1,199 @@
+"""What the output of a unit alone tells: a dead channel, a clipped range, a frozen reading, too little data."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.errors import UnitRefused
+from softcal.core.recording import Array, Indices, OutputRecording
+from softcal.core.unit.verdict import Finding
+
+RAIL_RUN = 5
+"""Samples in a row at the very end of the range that count as flat."""
+
+PILE = 3.0
+"""Samples of a press at the rail over its samples beside it; a triangle leaves about as many in both."""
+
+VISITS = 0.2
+"""Share of presses that end at a rail, beyond what the source shows at the same end, that is clipping."""
+
+STUCK_S = 2.0
+"""A reading that does not move for less than this is never called stuck."""
+
+NOISE_RATIO = 0.5
+"""Variance of the steps over twice the variance of the samples: 1 for white noise, near 0 for a pressed sensor."""
+
+FEW_WINDOWS, FEW_PRESSES = 500, 3
+
+
+@dataclass(frozen=True)
+class OutputLimits:
+    """Where the raw output of one unit stops to be believable.
+
+    Args:
+        rail_low, rail_high: samples at or beyond them are clipped; infinite where the recording shows no rail.
+        stuck_samples: this many equal samples in a row mean a frozen reading.
+    """
+
+    rail_low: float
+    rail_high: float
+    stuck_samples: int
+
+
+def run_lengths(output: Array) -> Indices:
+    """Return for each sample how many samples, itself included, have had exactly this value without a break."""
+    index = np.arange(len(output))
+    changes = np.concatenate([[True], np.diff(output) != 0])
+    return index - np.maximum.accumulate(np.where(changes, index, 0)) + 1
+
+
+@dataclass(frozen=True)
+class Rail:
+    """How the presses end at one end of the range.
+
+    Args:
+        level: inner edge of the band at this end, as wide as the noise, in the output unit.
+        visits: share of the presses that end flat in the band.
+        count: number of such presses.
+    """
+
+    level: float
+    visits: float
+    count: int
+
+    def is_clipped(self, source: "Rail") -> bool:
+        """Tell whether the readout clips here: presses of different depth all end flat at one level.
+
+        Holds at one same depth end flat too, but then they do so in the source.
+        """
+        return self.count >= 3 and self.visits > source.visits + VISITS
+
+
+def rail(output: Array, is_upper: bool) -> Rail:
+    """Describe the upper or lower end of an output's range."""
+    rising = output if is_upper else -output
+    band = noise_band(output)
+    top, span = float(rising.max()), float(np.ptp(rising))
+    in_band, beside = rising > top - band, (rising <= top - band) & (rising > top - 2 * band)
+    pressed = rising >= top - max(0.1 * span, 2 * band)
+    # Number 0 is what the recording begins with: nobody saw that press rise.
+    press = np.cumsum(np.concatenate([[False], pressed[1:] & ~pressed[:-1]]))
+    ran = np.bincount(press[in_band & (run_lengths(in_band.astype(np.float64)) == RAIL_RUN)], minlength=press[-1] + 1)
+    inside, next_inside = (np.bincount(press[rows], minlength=press[-1] + 1) for rows in (in_band, beside))
+    # Each press for itself: one long hold must not make flat ends of the tips of others as deep.
+    is_flat = (ran > 0) & (inside >= PILE * np.maximum(next_inside, 1))
+    count = int(np.count_nonzero(is_flat[1:]))
+    return Rail(
+        level=(top - band) * (1 if is_upper else -1),
+        visits=count / max(count_presses(output), 1),
+        count=count,
+    )
+
+
+def noise_band(output: Array) -> float:
+    """Return the width of a flat stretch: six standard deviations of the noise, at least one and a half ADC steps.
+
+    The noise comes from second differences, which a slow signal leaves small (median absolute value / 0.6745 / √6).
+    """
+    noise = float(np.median(np.abs(np.diff(output, 2)))) / 0.6745 / np.sqrt(6)
+    step = float(np.min(np.diff(np.unique(output)), initial=np.inf))
+    return float(max(6 * noise, 1.5 * step, 1e-3 * float(np.ptp(output))))
+
+
+def check_alive(target: OutputRecording, source: OutputRecording) -> None:
+    """Refuse a channel that carries no signal.
+
+    Raises:
+        UnitRefused: the output is constant, noise alone, or moves by less than a fiftieth of the source's.
+    """
+    output, unit = target.output, target.output_unit
+    cure = "check cable and contact, press the unit and record it again"
+    if np.ptp(output) == 0:
+        raise UnitRefused(
+            f"dead channel: output is constant at {output[0]:.6g} {unit} in all {len(output)} samples; {cure}"
+        )
+    spread = float(np.std(output))
+    if np.var(np.diff(output)) > NOISE_RATIO * 2 * spread**2:
+        raise UnitRefused(f"dead channel: output is noise alone (SD {spread:.3g} {unit}); {cure}")
+    span, source_span = (float(np.ptp(np.quantile(x, (0.01, 0.99)))) for x in (output, source.output))
+    if span < 0.02 * source_span:
+        raise UnitRefused(
+            f"dead channel: output moves by {span:.3g} {unit}, the source's by {source_span:.3g} {unit}; {cure}"
+        )
+
+
+def output_limits(target: OutputRecording, source: OutputRecording, is_rising: bool) -> OutputLimits:
+    """Find the rail of the unit's readout and the longest stillness it shows in good order.
+
+    Args:
+        target, source: the unit's recording and the source's.
+        is_rising: the output rises with the load. Only its loaded end is looked at: at rest every unit is flat.
+    """
+    end = rail(target.output, is_rising)
+    clipped = end.level if end.is_clipped(rail(source.output, is_rising)) else None
+    longest = int(max(run_lengths(target.output).max(), run_lengths(source.output).max()))
+    return OutputLimits(
+        rail_low=-np.inf if clipped is None or is_rising else clipped,
+        rail_high=np.inf if clipped is None or not is_rising else clipped,
+        stuck_samples=max(2 * longest, round(STUCK_S * target.sample_rate_Hz)),
+    )
+
+
+def clipped_share(output: Array, limits: OutputLimits) -> float:
+    """Return the share of samples at a rail."""
+    return float(np.mean((output <= limits.rail_low) | (output >= limits.rail_high)))
+
+
+def health_findings(target: OutputRecording, source: OutputRecording, limits: OutputLimits) -> tuple[Finding, ...]:
+    """Say in words what is wrong with the raw output, if anything."""
+    return (*_clipped(target, limits), *_frozen(target, source), *_short(target, source))
+
+
+def _clipped(target: OutputRecording, limits: OutputLimits) -> list[Finding]:
+    share = clipped_share(target.output, limits)
+    if share == 0:
+        return []
+    levels = [
+        f"{level:.6g} {target.output_unit}" for level in (limits.rail_low, limits.rail_high) if np.isfinite(level)
+    ]
+    text = (
+        f"clipped range: presses end flat at {' and '.join(levels)}, {share:.1%} of the samples; "
+        "check gain and supply of the readout"
+    )
+    return [Finding("saturated", text, "fail" if share > 0.05 else "conditional")]
+
+
+def _frozen(target: OutputRecording, source: OutputRecording) -> list[Finding]:
+    longest, allowed = (_longest_inner_run(recording.output) for recording in (target, source))
+    if longest <= max(10 * allowed, STUCK_S * target.sample_rate_Hz):
+        return []
+    still_s = longest / target.sample_rate_Hz
+    text = f"frozen reading: output does not move for {still_s:.1f} s in mid-range; check the cable"
+    return [Finding("stuck", text, "retest")]
+
+
+def _longest_inner_run(output: Array) -> int:
+    span = float(np.ptp(output))
+    inner = (output > output.min() + 0.1 * span) & (output < output.max() - 0.1 * span)
+    return int(np.max(run_lengths(output)[inner], initial=0))
+
+
+def _short(target: OutputRecording, source: OutputRecording) -> list[Finding]:
+    windows, presses = len(target.window_rows), count_presses(target.output)
+    # A slow programme may have but two presses in the source too.
+    enough = min(FEW_PRESSES, count_presses(source.output))
+    if windows >= FEW_WINDOWS and presses >= enough:
+        return []
+    text = (
+        f"too little data: {windows} windows and {presses} presses; "
+        f"at least {FEW_WINDOWS} windows and {enough} presses are needed for a firm verdict"
+    )
+    return [Finding("too little data", text)]
+
+
+def count_presses(output: Array) -> int:
+    """Count the excursions of the output through the middle half of its range, there and back."""
+    low, high = np.quantile(output, (0.01, 0.99))
+    state = np.where(output > low + 0.6 * (high - low), 1, np.where(output < low + 0.4 * (high - low), -1, 0))
+    state = state[state != 0]
+    return int(np.count_nonzero(np.diff(state))) // 2 + int(len(state) > 0 and np.count_nonzero(np.diff(state)) % 2)

@@ -1,0 +1,60 @@
+"""Score a map on an audit recording: before, after and own calibration on the same held-out rows."""
+
+from dataclasses import dataclass
+
+from softcal.core.errors import InputError, UnitRefused
+from softcal.core.maps.interface import UnitMap
+from softcal.core.metrics import rmse
+from softcal.core.network.network import Network
+from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.recording import LabelledRecording
+
+TEST_SHARE = 0.25
+"""The last quarter of an audit by time is tested; own calibration trains on what comes before it."""
+
+MIN_OWN_WINDOWS = 400
+"""With fewer training windows a network of one's own says little; `own_rmse` is then None."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Errors on one audit recording, in the reference unit.
+
+    Args:
+        before: RMSE of f on raw windows.
+        after: RMSE of f on mapped windows.
+        own: RMSE of a network trained on the unit's own labels; None where there are too few of them.
+    """
+
+    before: float
+    after: float
+    own: float | None
+
+
+def score_map(network: Network, unit_map: UnitMap, audit: LabelledRecording, own: NetworkConfig | None) -> Scores:
+    """Score a unit on the last quarter of its audit recording, by time (Kim et al. 2020, Table 1).
+
+    Args:
+        network: the shared network f.
+        unit_map: the unit's map.
+        audit: labelled recording of the unit that no fit has seen.
+        own: how to train the unit's own calibration on the first three quarters; None leaves it out.
+    """
+    split = round(len(audit) * (1 - TEST_SHARE))
+    test = audit.part(split, len(audit))
+    truth = test.window_reference
+    return Scores(
+        before=rmse(network.evaluate(test.windows), truth),
+        after=rmse(network.evaluate(unit_map.apply(test.windows)), truth),
+        own=None if own is None else _own_rmse(audit.part(0, split), test, own),
+    )
+
+
+def _own_rmse(train: LabelledRecording, test: LabelledRecording, config: NetworkConfig) -> float | None:
+    try:
+        if len(train.windows) < MIN_OWN_WINDOWS:
+            return None
+        trained = fit_network(train, config)
+    except (UnitRefused, InputError):
+        return None
+    return rmse(trained.network.evaluate(test.windows), test.window_reference)

@@ -1,0 +1,378 @@
+"""Estimates of a unit in long use: f∘γ₀∘A_t with a correction A_t that follows the drift of the sensor, causally.
+
+A stream is worked through in batches of fixed size, counted from its first row: each row is estimated with the map of
+its batch, and what a batch shows can change the map of the next one only. So a row depends on no later row, one sample
+at a time and whole arrays give the same rows, and memory does not grow.
+"""
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.estimate import FLAG_TYPE, SATURATED, STUCK, Estimate, EstimateRow, Flags, check_fits, judge
+from softcal.core.maps.affine import AffineMap
+from softcal.core.network.network import Network
+from softcal.core.recording import Array, OutputRecording
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.uncertainty import NORMAL_90
+from softcal.core.use.activity import CalibratedUse, learn_use
+from softcal.core.use.cycles import CycleCutter
+from softcal.core.use.intake import BATCH, WRONG_RATE, Intake, Mask
+from softcal.core.use.tracker import DriftTracker, Observation
+from softcal.core.windows import resting
+
+MODES = ("none", "basic", "improved")
+RECALIBRATE = "recalibrate"
+"""Flag of rows that would be trusted, were the unit not due for a calibration with a reference."""
+
+UNSETTLED = "unsettled"
+"""Flag of rows that would be trusted, were it not for a sudden change that more cycles must explain."""
+
+STATE_FORMAT = 2
+"""Of what `Adapter.state` returns; raised whenever a state kept before could not be gone on from."""
+
+NOT_EVIDENCE = (STUCK, SATURATED, WRONG_RATE)
+"""Rows with these flags say nothing about drift or use."""
+
+MOST_UPDATES = 4096
+"""Changes kept for a caller that does not take them."""
+
+SILENT_BATCHES = 8
+"""So many batches without a usable sample raise the alarm."""
+
+SWAP = 0.005
+"""The map is replaced when it would move an extreme of the output by this share of its scale."""
+
+
+@dataclass(frozen=True)
+class AdaptConfig:
+    """How a unit in use is followed.
+
+    Args:
+        mode: `none` leaves the map as it is; `basic` compares the use with the calibration recording alone; `improved`
+            also learns other uses from the best estimates so far (Kim et al. 2020, Fig. 5).
+        alarm_ratio: recalibration is due when the predicted error exceeds this many times that of the calibration.
+    """
+
+    mode: str = "improved"
+    alarm_ratio: float = 2.0
+
+    def __post_init__(self) -> None:
+        if self.mode not in MODES:
+            raise ValueError(f"mode {self.mode!r} is none of {', '.join(MODES)}")
+
+
+@dataclass(frozen=True)
+class MapUpdate:
+    """The correction A_t from one row on, and what it rests on. All numbers are JSON values.
+
+    Args:
+        row: first row it holds for, counted from 0.
+        t_s: time of the evidence.
+        gain, offset: calibrated output = offset + gain * output now.
+        shift, log_gain: drift of the output in scales of the calibrated use.
+        shift_sd, log_gain_sd: their standard deviations.
+        predicted_rmse: predicted error of the estimates, in the reference unit.
+        verdict: `start`, `followed`, `held`, `tried` or `jumped`.
+        reason: why it was held, or what was tried or jumped.
+        alarm: why a calibration with a reference is due; empty while it is not.
+    """
+
+    row: int
+    t_s: float | None
+    gain: float
+    offset: float
+    shift: float
+    log_gain: float
+    shift_sd: float
+    log_gain_sd: float
+    predicted_rmse: float
+    verdict: str
+    reason: str
+    alarm: str
+
+
+class Adapter:
+    """Estimates a stream and keeps the unit's map on its drift.
+
+    Args:
+        network: the shared network f.
+        calibration: of the unit, from the registry: f∘γ₀ and its interval.
+        recording: the unit's own output at calibration; what the use is compared with.
+        config: mode and alarm.
+
+    Raises:
+        InputError: the calibration belongs to another network, or the recording has another physical unit.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        calibration: Calibration,
+        recording: OutputRecording,
+        config: AdaptConfig = AdaptConfig(),  # noqa: B008 - frozen
+    ) -> None:
+        check_fits(network, calibration, recording.output_unit)
+        self._network, self._calibration, self._config = network, calibration, config
+        self._use, self._error_per_scale = _learn(network, calibration, recording)
+        self._calibrated_rmse = _calibrated_rmse(calibration)
+        self._sample_rate_Hz = recording.sample_rate_Hz
+        self._intake = Intake(self._sample_rate_Hz, self._use.mean)
+        self._cutter = CycleCutter(self._use.low, self._use.high, self._use.usual, self._use.longest)
+        self._tracker = DriftTracker(self._use, config.mode == "improved")
+        self._evidence: list[tuple[float, float] | None] = []
+        self._row, self._silent_batches, self._doubt = 0, 0, 0.0
+        self._current = self._start()
+        self._updates = deque([self._current], maxlen=MOST_UPDATES)
+
+    @property
+    def current(self) -> MapUpdate:
+        """The correction in force."""
+        return self._current
+
+    @property
+    def row(self) -> int:
+        """How many rows were taken."""
+        return self._row
+
+    @property
+    def calibrated_use(self) -> CalibratedUse:
+        """What the calibration recording taught about the unit's use."""
+        return self._use
+
+    def take_updates(self) -> list[MapUpdate]:
+        """Return every change of map, verdict or alarm since the last call, oldest first, `MOST_UPDATES` at most."""
+        taken = list(self._updates)
+        self._updates.clear()
+        return taken
+
+    def step(self, t_s: float, output: float) -> EstimateRow:
+        """Take one sample and return its row."""
+        rows = self.advance(np.array([t_s]), np.array([output]))
+        value, lower, upper = float(rows.estimate[0]), float(rows.lower[0]), float(rows.upper[0])
+        return EstimateRow(t_s, value, lower, upper, str(rows.flag[0]))
+
+    def advance(self, t_s: Array, output: Array) -> Estimate:
+        """Take (n,) further samples, one row each; the same rows as `step` one by one.
+
+        Args:
+            t_s: time stamps in s; a time that is not finite, repeats or goes backward makes the row `invalid`.
+            output: in the unit of the calibration; NaN makes the row `invalid`.
+        """
+        n = len(output)
+        value, lower, upper = (np.full(n, np.nan) for _ in range(3))
+        flag = np.empty(n, dtype=FLAG_TYPE)
+        start = 0
+        while start < n:
+            stop = min(n, start + BATCH - self._row % BATCH)
+            piece = slice(start, stop)
+            value[piece], lower[piece], upper[piece], flag[piece] = self._estimate(t_s[piece], output[piece])
+            self._row += stop - start
+            if self._row % BATCH == 0:
+                self._close_batch()
+            start = stop
+        return Estimate(t_s, value, lower, upper, flag, self._network.reference_unit)
+
+    def _estimate(self, t_s: Array, output: Array) -> tuple[Array, Array, Array, Flags]:
+        first = self._row % BATCH
+        rows = slice(first, first + len(output))
+        taken = self._intake.take(t_s, output, first)
+        correction = AffineMap(self._current.gain, self._current.offset)
+        mapped = self._calibration.unit_map.apply(correction.apply(taken.windows))
+        value, lower, upper, flag = judge(self._network, self._calibration, mapped, taken.windows[:, -1], taken.run)
+        half = np.sqrt((0.5 * (upper - lower)) ** 2 + (NORMAL_90 * self._doubt) ** 2)[rows]
+        value = np.where(taken.is_full, value, np.nan)[rows]
+        flag = np.where(taken.flag != "", taken.flag, flag)[rows]
+        self._gather(t_s, output, taken.is_valid[rows], taken.is_restart[rows], flag)
+        if self._tracker.is_unsettled or self._current.alarm:
+            flag[flag == ""] = UNSETTLED if self._tracker.is_unsettled else RECALIBRATE
+        return value, value - half, value + half, flag
+
+    def _gather(self, t_s: Array, output: Array, is_valid: Mask, is_restart: Mask, flag: Flags) -> None:
+        """Keep what this piece says about the use; None marks a break in it."""
+        is_usable = is_valid & ~np.isin(flag, NOT_EVIDENCE)
+        for k in range(len(output)):
+            if is_restart[k] or (is_valid[k] and not is_usable[k]):
+                self._evidence.append(None)
+            if is_usable[k]:
+                self._evidence.append((float(t_s[k]), float(output[k])))
+
+    def _close_batch(self) -> None:
+        observations = self._observe()
+        self._silent_batches = 0 if any(self._evidence) else self._silent_batches + 1
+        self._evidence = []
+        last = observations[-1] if observations else None
+        if self._intake.last_s is not None:
+            self._tracker.expire(self._intake.last_s)
+        self._doubt, growth = self._drift_errors(self._intake.last_s)
+        proposed = self._proposed(last, growth)
+        if self._is_news(proposed):
+            self._updates.append(proposed)
+            self._current = proposed
+        else:
+            # The map stays; only what is said about its error moves on.
+            self._current = replace(self._current, predicted_rmse=proposed.predicted_rmse)
+
+    def _observe(self) -> list[Observation]:
+        observations: list[Observation] = []
+        if self._config.mode == "none":
+            return observations
+        for stretch in _stretches(self._evidence):
+            if stretch is None:
+                self._cutter.restart()
+                continue
+            for cycle in self._cutter.advance(stretch[:, 0], stretch[:, 1]):
+                observations.append(self._tracker.observe(cycle))
+        return observations
+
+    def _proposed(self, last: Observation | None, growth: float) -> MapUpdate:
+        """Return what holds from the next row on."""
+        gain, offset = self._tracker.correction()
+        ends = np.array([self._use.low, self._use.high])
+        moved = (gain - self._current.gain) * ends + offset - self._current.offset
+        if np.max(np.abs(moved)) < SWAP * self._use.scale:
+            gain, offset = self._current.gain, self._current.offset
+        predicted_rmse = self._predicted_rmse(growth)
+        seen = self._current if last is None else last
+        return MapUpdate(
+            row=self._row,
+            t_s=self._current.t_s if last is None else last.t_s,
+            gain=gain,
+            offset=offset,
+            shift=seen.shift,
+            log_gain=seen.log_gain,
+            shift_sd=seen.shift_sd,
+            log_gain_sd=seen.log_gain_sd,
+            predicted_rmse=predicted_rmse,
+            verdict=seen.verdict,
+            reason=seen.reason,
+            alarm=self._alarm(predicted_rmse),
+        )
+
+    def _is_news(self, proposed: MapUpdate) -> bool:
+        names = ("gain", "offset", "verdict", "reason", "alarm")
+        return any(getattr(proposed, name) != getattr(self._current, name) for name in names)
+
+    def _drift_errors(self, now_s: float | None) -> tuple[float, float]:
+        """Return what doubt about the drift adds to intervals and to the predicted error, in the reference unit."""
+        if self._config.mode == "none" or now_s is None:
+            return 0.0, 0.0
+        widening, growth = self._tracker.doubt_at(now_s)
+        return self._error_per_scale * widening, self._error_per_scale * growth
+
+    def _predicted_rmse(self, drift_error: float) -> float:
+        return float(np.hypot(self._calibrated_rmse, drift_error))
+
+    def _alarm(self, predicted_rmse: float) -> str:
+        if self._silent_batches >= SILENT_BATCHES:
+            return "the sensor gives no usable samples; check sensor and cable"
+        if self._tracker.alarm:
+            return self._tracker.alarm
+        if self._tracker.is_unsettled:
+            return self._current.alarm
+        if predicted_rmse > self._config.alarm_ratio * self._calibrated_rmse:
+            return "the predicted error has grown past the limit; calibrate against a reference"
+        return ""
+
+    def _start(self) -> MapUpdate:
+        start = self._tracker.start()
+        predicted_rmse = self._predicted_rmse(0.0)
+        reason = "" if self._use.lesson.activity else self._use.lesson.reason
+        drift = (start.shift, start.log_gain, start.shift_sd, start.log_gain_sd)
+        return MapUpdate(0, None, 1.0, 0.0, *drift, predicted_rmse, "start", reason, "")
+
+    def reconnect(self, row: int = 0) -> None:
+        """Go on after an interruption of unknown length: windows and cycles start anew, the map stays.
+
+        Args:
+            row: count rows from here at least.
+        """
+        self._row = max(self._row, row)
+        self._row += -self._row % BATCH
+        self._evidence = []
+        self._intake = Intake(self._sample_rate_Hz, self._use.mean)
+        self._cutter.restart()
+        self._tracker.reconnect()
+
+    def state(self) -> dict[str, object]:
+        """Return all that a restart needs besides network, calibration and recording, as JSON values."""
+        return {
+            "format": STATE_FORMAT,
+            "row": self._row,
+            "doubt": self._doubt,
+            "silent_batches": self._silent_batches,
+            "evidence": [None if pair is None else list(pair) for pair in self._evidence],
+            "current": asdict(self._current),
+            "intake": self._intake.state(),
+            "cutter": self._cutter.state(),
+            "tracker": self._tracker.state(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a `state()` taken earlier, of the same unit and calibration.
+
+        Raises:
+            InputError: the state was taken by a version that keeps other things in it.
+        """
+        # The first states named no format.
+        if (found := state.get("format", 1)) != STATE_FORMAT:
+            raise InputError(f"its state has format {found}, this version goes on from format {STATE_FORMAT} alone")
+        self._row, self._doubt = int(state["row"]), float(state["doubt"])
+        self._silent_batches = int(state["silent_batches"])
+        self._evidence = [None if pair is None else (pair[0], pair[1]) for pair in state["evidence"]]
+        self._current = MapUpdate(**state["current"])
+        self._updates.clear()
+        self._intake.restore(state["intake"])
+        self._cutter.restore(state["cutter"])
+        self._tracker.restore(state["tracker"])
+
+
+def _stretches(evidence: list[tuple[float, float] | None]) -> list[Array | None]:
+    """Return unbroken stretches as (n, 2) arrays of time and output, with None between them where the use broke off."""
+    stretches: list[Array | None] = []
+    pending: list[tuple[float, float]] = []
+    for pair in [*evidence, None]:
+        if pair is not None:
+            pending.append(pair)
+            continue
+        if pending:
+            stretches.append(np.array(pending))
+            pending = []
+        stretches.append(None)
+    return stretches[:-1]
+
+
+def _learn(network: Network, calibration: Calibration, recording: OutputRecording) -> tuple[CalibratedUse, float]:
+    """Return the calibrated use, and by how much an estimate moves (RMS) when the output moves by one scale of it."""
+    windows = recording.windows[:: max(1, len(recording) // 4000)]
+
+    def estimates(moved: Array) -> Array:
+        return network.evaluate(calibration.unit_map.apply(moved))
+
+    is_rising = np.cov(windows[:, -1], estimates(windows))[0, 1] >= 0
+    use = learn_use(recording, bool(is_rising), _zero_load_output(recording, estimates))
+    step = 0.05 * use.scale
+    rise = (estimates(windows + step) - estimates(windows - step)) / 0.1
+    return use, float(np.sqrt(np.mean(rise**2)))
+
+
+def _zero_load_output(recording: OutputRecording, estimates: Callable[[Array], Array]) -> float | None:
+    """Return the constant output that is estimated as zero, up to a swing beyond the recording; None without one."""
+    low, high = np.quantile(recording.output, (0.02, 0.98))
+    levels = np.linspace(2 * low - high, 2 * high - low, 300)
+    values = estimates(resting(levels))
+    crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)
+    if not len(crossings):
+        return None
+    unloaded = low if values[-1] > values[0] else high
+    return float(levels[crossings[np.argmin(np.abs(levels[crossings] - unloaded))]])
+
+
+def _calibrated_rmse(calibration: Calibration) -> float:
+    if calibration.predicted_rmse is not None:
+        return calibration.predicted_rmse
+    return float(np.sqrt(np.mean(calibration.interval.half_width**2))) / NORMAL_90
