@@ -48,8 +48,9 @@ def rebuilt(default: Config, kept: Mapping[str, Any]) -> Config:
     values = {}
     for one in declared:
         own = getattr(default, one.name)
-        value = kept.get(one.name, own)
-        values[one.name] = rebuilt(own, value) if is_dataclass(own) else _tupled(value)
+        values[one.name] = (
+            rebuilt(own, kept.get(one.name, {})) if is_dataclass(own) else _tupled(kept.get(one.name, own))
+        )
     return type(default)(**values)
 
 

@@ -24,6 +24,7 @@ class UnitEntry:
             this lot; None while there is none.
         made_at: when the newest result was made, UTC.
         is_conflict: two registries calibrated this serial under one revision; `history` shows both.
+        is_stale: its calibration was made with another method than this version's; a batch makes it anew.
     """
 
     lot_id: str
@@ -40,6 +41,7 @@ class UnitEntry:
     own_rmse: float | None = None
     made_at: datetime | None = None
     is_conflict: bool = False
+    is_stale: bool = False
 
 
 @dataclass(frozen=True)

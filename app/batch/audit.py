@@ -7,12 +7,12 @@ from dataclasses import asdict, dataclass
 from softcal.core.errors import InputError
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
 from softcal.core.reason import plain
-from softcal.core.unit.verdict import Limit
+from softcal.core.unit.verdict import Limit, Verdict
 from softcal.db.entries import UnitEntry
 from softcal.db.registry import Registry
 
 PLAN, STATEMENT = "audit_plan", "audit_result"
-ACCEPTED = ("pass", "conditional")
+ACCEPTED = (Verdict.PASS, Verdict.CONDITIONAL)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from softcal.app.batch.audit import LotAudit, audit_json, audit_line
 from softcal.app.batch.train import TrainedOrFound
 from softcal.core.reason import Reason
-from softcal.core.unit.verdict import VERDICTS, Release
+from softcal.core.unit.verdict import VERDICTS, Release, Verdict, worst_of
 from softcal.db.entries import MadeCalibration
 
 TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", "after/own", "fit_s", "map")
@@ -46,6 +46,11 @@ class BatchReport:
         """Units by verdict."""
         words = [unit.verdict for unit in self.units]
         return {str(word): words.count(word) for word in VERDICTS}
+
+    @property
+    def has_passed(self) -> bool:
+        """Whether every unit passed: the exit code 0."""
+        return worst_of(unit.verdict for unit in self.units) is Verdict.PASS
 
     def releases(self, unit: UnitResult) -> bool:
         """Whether files of this unit are written: by its verdict alone."""

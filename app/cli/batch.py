@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.files.anchors import read_anchors
     from softcal.app.files.lot_folder import open_lot_folder
     from softcal.core.reason import joined
-    from softcal.core.unit.verdict import Release, Verdict, worst_of
+    from softcal.core.unit.verdict import Release, Verdict
 
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:
@@ -86,14 +86,14 @@ def run(options: argparse.Namespace) -> int:
             say(f"{options.plots}: figures of {len(mapped)} units")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     for unit in report.units:
-        if unit.verdict != "pass":
+        if unit.verdict != Verdict.PASS:
             print(f"{unit.serial} {unit.verdict}: {joined(unit.reasons)}")
     for line in audit_lines(report):
         print(line)
     print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
     if options.json:
         write_json(options.json, report_json(report))
-    return 0 if worst_of(unit.verdict for unit in report.units) is Verdict.PASS else 1
+    return 0 if report.has_passed else 1
 
 
 def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None:

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_json, add_registry, registry_of, say_caution
 from softcal.app.cli.output import Progress, print_table, say, write_json
+from softcal.app.export.names import FORMATS
 
 if TYPE_CHECKING:
     from softcal.app.export.calibrated_unit import ExportOptions
-
-FORMATS = ("json", "c", "blob", "hex", "onnx", "pdf", "dcc")
 
 EXAMPLES = """examples:
   softcal export --serial A1 --format blob --adc-bits 10 --adc-full-scale 5 --out files --check

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
-from softcal.app.batch.source import source_recording, source_sha256, unlabelled
+from softcal.app.source import source_recording, source_sha256, unlabelled
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.estimate import estimate
 from softcal.core.export.blob import NetworkFile

@@ -7,12 +7,11 @@ from pathlib import Path
 from softcal.app.export.calibrated_unit import CalibratedUnit, ExportOptions, UnitLoader
 from softcal.app.export.formats import WRITERS, Writer, device_summary
 from softcal.app.export.manifest import FileEntry, Manifest, read_manifest, write_manifest
+from softcal.app.export.names import DEVICE_FORMATS
 from softcal.app.files.atomic import write_bytes
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import serial_field
 from softcal.db.registry import Registry
-
-DEVICE_FORMATS = ("blob", "c", "hex")
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from softcal.app.batch.calibrating import Refusal, calibrated
-from softcal.app.batch.source import source_model
+from softcal.app.source import source_model
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import check_golden, quarantine
 from softcal.core.errors import InputError

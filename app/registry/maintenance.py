@@ -105,8 +105,9 @@ def synchronise_with(registry: Registry, other_url: str) -> SyncReport:
 
 def unit_row(unit: UnitEntry) -> list[object]:
     """Return one row of the table under `UNIT_HEADER`."""
-    remark = "calibrated by two registries under one revision; see history" if unit.is_conflict else ""
-    reason = "; ".join(filter(None, (remark, *map(str, unit.reasons))))[:100]
+    conflict = "calibrated by two registries under one revision; see history" if unit.is_conflict else ""
+    stale = "stale: made with another method than this version's; run the batch again" if unit.is_stale else ""
+    reason = "; ".join(filter(None, (conflict, stale, *map(str, unit.reasons))))[:100]
     errors = [unit.predicted_rmse, unit.before_rmse, unit.after_rmse, unit.own_rmse]
     made = unit.made_at and f"{unit.made_at:%Y-%m-%d %H:%M}"
     return [unit.lot_id, unit.serial, unit.role, unit.verdict, unit.revision, unit.family, *errors, made, reason]

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from softcal.app.batch.source import source_recording, unlabelled
+from softcal.app.source import source_recording, unlabelled
 from softcal.app.charts.adaptation import adaptation_figure
 from softcal.app.files.atomic import write_text
 from softcal.app.files.stream_file import estimate_writer, read_stream

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.app.batch.source import source_model, unlabelled
+from softcal.app.source import source_model, unlabelled
 from softcal.core.estimate import Estimate, estimate
 from softcal.core.lot import Lot
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
