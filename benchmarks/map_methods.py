@@ -15,8 +15,9 @@ from softcal.core.maps.choose import choose_map
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 
 DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[2] / "shared" / "data"))

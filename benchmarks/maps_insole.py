@@ -18,7 +18,8 @@ from map_methods import METHODS, insole, own_error, print_table, summary, taxel,
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.training import fit_network
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.verdict import VERDICTS

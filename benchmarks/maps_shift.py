@@ -12,7 +12,8 @@ from softcal.core.errors import UnitRefused
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.training import fit_network
 from softcal.core.simulated_lot import SHIFTS, LotDesign, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.source_model import SourceModel, make_source_model

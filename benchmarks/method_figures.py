@@ -14,7 +14,8 @@ from screens_common import chromium
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.interface import FitProblem, UnitMap
 from softcal.core.maps.phase import paired_by_stage
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.simulated_lot import LotDesign, SimulatedUnit, simulate_lot
 from softcal.core.windows import resting

@@ -29,7 +29,8 @@ from screenshots_desk import NAME, PIN, QUALITY, QUALITY_PIN, sign_in
 from softcal.app.views.lot import lot_view
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.training import fit_network
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem, calibrate

@@ -9,8 +9,9 @@ from softcal.core.errors import InputError, UnitRefused
 from softcal.core.estimate import Estimate, estimate
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.simulated_lot import FAULTS, SHIFTS, LotDesign, SimulatedUnit, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem, calibrate

@@ -11,8 +11,9 @@ import numpy as np
 
 from softcal.app.line.rig import PressedLot, PressTimes, press_simulated_lot
 from softcal.core.errors import UnitRefused
+from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.unit.calibrate import UnitProblem, calibrate

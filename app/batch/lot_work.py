@@ -35,7 +35,7 @@ from softcal.app.logs import note
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors
-from softcal.core.network.training import EpochReport, NetworkConfig
+from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.reason import Reason, plain
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Release, Verdict

@@ -9,7 +9,7 @@ from softcal.app.files.recording_file import read_labelled, read_recording
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.maps.interface import Anchors
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.core.reason import reason
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibrate import UnitProblem

@@ -10,7 +10,7 @@ from softcal.app.cli.output import Progress, say
 if TYPE_CHECKING:
     from softcal.app.batch.lot_work import Watch
     from softcal.app.batch.report import UnitResult
-    from softcal.core.network.training import EpochReport, NetworkConfig
+    from softcal.core.network.config import EpochReport, NetworkConfig
     from softcal.db.registry import Registry
 
 REGISTRY_HELP = (
@@ -57,7 +57,7 @@ def _widths(text: str) -> tuple[int, ...]:
 
 def network_config(options: argparse.Namespace) -> "NetworkConfig":
     """Return the training configuration that the options give."""
-    from softcal.core.network.training import NetworkConfig
+    from softcal.core.network.config import NetworkConfig
 
     return NetworkConfig(hidden=options.hidden, seed=options.seed, members=options.members)
 

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from softcal.app.batch.calibrating import Refusal, calibrated
-from softcal.app.source import source_model
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import check_golden, quarantine
+from softcal.app.source import source_model
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
-from softcal.core.network.training import EpochReport, NetworkConfig
+from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.reason import Reason, packed
 from softcal.core.recording import OutputRecording

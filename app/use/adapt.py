@@ -8,15 +8,15 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from softcal.app.source import source_recording, unlabelled
 from softcal.app.charts.adaptation import adaptation_figure
 from softcal.app.files.atomic import write_text
 from softcal.app.files.stream_file import estimate_writer, read_stream
+from softcal.app.source import source_recording, unlabelled
 from softcal.app.use.trace import Trace
 from softcal.core.errors import InputError
 from softcal.core.estimate import Estimate
 from softcal.core.lot import Lot
-from softcal.core.maps.affine import AffineMap
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
 from softcal.core.reason import plain
 from softcal.core.recording import Array, LabelledRecording, OutputRecording

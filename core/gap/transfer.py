@@ -8,7 +8,8 @@ import numpy as np
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.estimate import estimate
 from softcal.core.metrics import rmse
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign
 from softcal.core.twin.simulate import Twin, simulate

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.identity import Settings
-from softcal.core.maps.affine import AffineMap
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import Array

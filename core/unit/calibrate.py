@@ -18,7 +18,7 @@ from softcal.core.maps.paired import fit_pairs
 from softcal.core.maps.phase import Phase
 from softcal.core.maps.synchronous import Synchronous
 from softcal.core.maps.synchrony import paired_rows
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.findings import map_findings, opening_findings

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.interface import UnitMap
 from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.method import DecisionConfig
 

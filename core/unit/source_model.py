@@ -4,8 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import NetworkConfig, validation_blocks
+from softcal.core.network.training import validation_blocks
 from softcal.core.recording import Array, Indices, LabelledRecording
 from softcal.core.unit.method import Method
 from softcal.core.unit.stage_check import StageDifference, source_difference

@@ -11,7 +11,7 @@ import pandas as pd
 from softcal.app.cli.main import main
 from softcal.app.files.recording_file import write_columns
 from softcal.app.line.pressed_run import RunKeeper
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind
 from softcal.db.connection import open_registry
 from softcal.db.sync import synchronise

@@ -16,7 +16,8 @@ from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.maps.synchrony import find_synchrony
 from softcal.core.metrics import rmse
-from softcal.core.network.training import NetworkConfig, TrainedNetwork, fit_network
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.training import TrainedNetwork, fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 
 GAIN, OFFSET = 1.3, 0.04

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import wasserstein_distance
 
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.maps.affine import AffineMap
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.catalogue import FAMILIES, family, map_from_arrays
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.crossing import level_path, turning_points

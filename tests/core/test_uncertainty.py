@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softcal.core.maps.affine import AffineMap
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.unit.forecast import forecast_error, gather_evidence, variance_table
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.knowledge import known_by

@@ -16,7 +16,7 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.maps.config import DEFAULT
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.db.job_board import Job
 from softcal.db.people import may
 
