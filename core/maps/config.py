@@ -7,8 +7,8 @@ from softcal.core.settings import setting
 DEFAULT = "auto"
 """Let the evidence of each unit choose (`choose.py`)."""
 
-PAIRS_CHOSEN = "benchmarks/maps_pairs.py: paired fits on blocks 0 and 2 of 8 of the insole's calibration file"
-"""Origin of what was chosen on measured pairs; results are reported on the last quarter, which is blocks 6 and 7."""
+PAIRS_CHOSEN = "benchmarks/maps_pairs.py: insole's calibration file, stretches 0, 1 and 3 of every four"
+"""Origin of what was chosen on measured pairs; docs/results.md tests stretch 2 of every four, behind other sources."""
 
 
 @dataclass(frozen=True)
