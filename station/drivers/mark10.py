@@ -1,11 +1,30 @@
 """Driver of a Mark-10 force gauge, asked reading by reading (Mark-10 GCL2 manual)."""
 
+from dataclasses import dataclass
+
 from softcal.core.errors import CommandRefused, NoReply
+from softcal.station.config import ForceConfig
+from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.frames import gcl2
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link
+from softcal.station.link import Link, link_for_driver
 
 ANSWER_S = 1.0
+
+
+@dataclass(frozen=True)
+class Mark10Config(ForceConfig):
+    """Mark-10 gauges, GCL2.
+
+    Args:
+        baud_rate: of its port.
+        sign: 1 where compression reads positive, −1 otherwise.
+    """
+
+    kind: str = "mark10"
+    baud_rate: int = 115200
+    rate_Hz: float = 50.0
+    sign: float = 1.0
 
 
 class Mark10Gauge:
@@ -73,3 +92,17 @@ class Mark10Gauge:
             raise NoReply(f"load cell: the gauge stays in {settings.mode} and {settings.unit}; switch it to CUR and N")
         if not settings.has_units or not settings.has_sign:
             raise CommandRefused("load cell: readings lack unit or sign; switch both on in the gauge's menu")
+
+
+def _open(config: Mark10Config, opening: Opening) -> Mark10Gauge:
+    with link_for_driver(config.port, opening.clock, config.baud_rate, Mark10Gauge.name) as link:
+        return Mark10Gauge(link, config.capacity_N, config.sign, config.rate_Hz)
+
+
+def _simulate(around: Surroundings) -> Simulated[Mark10Config]:
+    from softcal.station.simulated.force_gauge import SimulatedMark10
+
+    return Simulated(Mark10Config(around.wire.port), SimulatedMark10(around.wire, around.force_N))
+
+
+DRIVERS = (Driver("mark10", "Mark-10 gauges, GCL2", Mark10Config, _open, _simulate),)
