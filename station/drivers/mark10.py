@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import CommandRefused, NoReply
+from softcal.station.asked import AskedReader
 from softcal.station.config import ForceConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.frames import gcl2
@@ -49,14 +50,12 @@ class Mark10Gauge:
 
     def __init__(self, link: Link, capacity_N: float, sign: float = 1.0, rate_Hz: float = 50.0) -> None:
         self._link, self.capacity_N, self._sign, self.rate_Hz = link, capacity_N, sign, rate_Hz
-        self._asked_s: float | None = None
-        self._next_s = 0.0
+        self._reader = AskedReader(self.name, self.unit, rate_Hz, link, gcl2.CURRENT, self._parse)
         self._set("CUR", "N")
 
     def start(self) -> None:
         """Throw away what lies in the buffers and begin to ask."""
-        self._link.discard()
-        self._asked_s, self._next_s = None, 0.0
+        self._reader.start()
 
     def poll(self) -> list[Sample]:
         """Return the readings that arrived, in N, and ask for the next one when it is time.
@@ -65,22 +64,14 @@ class Mark10Gauge:
             NoReply: the port is gone.
             BadReply: the gauge answers with an error code, or without its unit.
         """
-        samples = []
-        for line in self._link.read_lines():
-            if self._asked_s is None:
-                continue
-            force_N = self._sign * gcl2.parse_reading_N(line.text)
-            samples.append(Sample((self._asked_s + line.host_s) / 2, None, (force_N,)))
-            self._asked_s = None
-        now_s = self._link.clock.now_s()
-        if self._asked_s is None and now_s >= self._next_s:
-            self._link.write(gcl2.CURRENT)
-            self._asked_s, self._next_s = now_s, now_s + 1.0 / self.rate_Hz
-        return samples
+        return self._reader.poll()
 
     def close(self) -> None:
         """Give the port back."""
         self._link.close()
+
+    def _parse(self, line: bytes) -> tuple[float, ...]:
+        return (self._sign * gcl2.parse_reading_N(line),)
 
     def _set(self, *commands: str) -> None:
         self._link.discard()
