@@ -1,5 +1,6 @@
 """Readings of a device that is asked one by one and has no clock of its own."""
 
+import math
 from collections.abc import Callable
 
 from softcal.core.errors import NoReply
@@ -23,6 +24,8 @@ class AskedReader:
         link: its port.
         question: bytes that ask for one reading.
         parse: one line, its end taken off -> one number per channel; raises `BadReply`.
+        channels: numbers per reading.
+        limits: of a readout: lowest and highest reading; one that stays there is saturated.
     """
 
     def __init__(
@@ -33,8 +36,11 @@ class AskedReader:
         link: Link,
         question: bytes,
         parse: Callable[[bytes], tuple[float, ...]],
+        channels: int = 1,
+        limits: tuple[float, float] = (-math.inf, math.inf),
     ) -> None:
         self.name, self.unit, self.rate_Hz = name, unit, rate_Hz
+        self.channels, self.range = channels, limits
         self._link, self._question, self._parse = link, question, parse
         self._asked_s: float | None = None
         self._next_s = 0.0

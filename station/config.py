@@ -226,7 +226,7 @@ def _section(name: str, table: object) -> Any:
     if not isinstance(table, dict):
         raise InputError(f"{name} must be a section: write [{name}] and its keys below")
     if name not in _DEVICES:
-        return _filled(name, _SECTIONS[name], table)
+        return filled(name, _SECTIONS[name], table)
     return device_section(name, table)
 
 
@@ -245,7 +245,7 @@ def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
     common = _DEVICES[name]
     kind = table.get("kind", common.kind)
     driver = driver_of(common.role, str(kind))
-    config: DeviceConfig = _filled(name, driver.config, {**table, "kind": kind})
+    config: DeviceConfig = filled(name, driver.config, {**table, "kind": kind})
     if "library" not in driver.wires and wire_of(config.port) not in driver.wires:
         raise InputError(
             f"[{name}] port {config.port!r} is a {wire_of(config.port)} port; kind {kind!r} speaks over "
@@ -254,7 +254,17 @@ def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
     return config
 
 
-def _filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
+def filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
+    """Return the values of one section.
+
+    Args:
+        name: of the section.
+        kind: the dataclass that declares its keys.
+        table: the keys as TOML gives them.
+
+    Raises:
+        InputError: an unknown key, which lists the known ones; a missing one; a value of the wrong type.
+    """
     known = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
     types = get_type_hints(kind)
     values = {}

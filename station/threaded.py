@@ -1,5 +1,6 @@
 """Readings through a library that blocks: a thread of its own calls it, and nobody waits for it."""
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -36,6 +37,8 @@ class ThreadedReader:
         read: one reading; blocks as long as it must. Any error it raises ends the readings.
         close_library: gives the device back; called once, from the thread that closes.
         stale_s: no new reading for so long is an error.
+        channels: numbers per reading.
+        limits: of a readout: lowest and highest reading; one that stays there is saturated.
     """
 
     def __init__(
@@ -47,8 +50,11 @@ class ThreadedReader:
         read: Callable[[], Reading],
         close_library: Callable[[], None],
         stale_s: float = 0.5,
+        channels: int = 1,
+        limits: tuple[float, float] = (-math.inf, math.inf),
     ) -> None:
         self.name, self.unit, self.rate_Hz = name, unit, rate_Hz
+        self.channels, self.range = channels, limits
         self._clock, self._read, self._close_library, self._stale_s = clock, read, close_library, stale_s
         self._lock = threading.Lock()
         self._samples: deque[Sample] = deque()

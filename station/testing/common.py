@@ -7,7 +7,7 @@ from dataclasses import fields
 
 from softcal.core.errors import DeviceError, InputError
 from softcal.station.catalogue import SECTIONS
-from softcal.station.config import device_section, meanings
+from softcal.station.config import filled, meanings
 from softcal.station.testing.rig import Rig, require
 
 OPENING_S = 60.0
@@ -21,7 +21,7 @@ def _declares_its_keys(rig: Rig) -> None:
     silent = [f.name for f in fields(config) if f.name not in explained]
     require(not silent, f"the docstring of {config.__name__} must explain {', '.join(silent)} under Args:")
     try:
-        device_section(SECTIONS[rig.driver.role], {"port": rig.config.port, "kind": rig.driver.kind, "no_such_key": 1})
+        filled(SECTIONS[rig.driver.role], config, {"port": rig.config.port, "no_such_key": 1})
     except InputError as error:
         missing = [f.name for f in fields(config) if f.name not in str(error)]
         require(not missing, f"an unknown key must list the known ones; {error} lacks {', '.join(missing)}")

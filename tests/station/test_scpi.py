@@ -226,9 +226,7 @@ def test_an_instrument_switched_off_while_pressing_aborts_the_run():
     profile = moves("short", [0.0, 2.0, 0.0], [2.0, 2.0, 2.0], [0.5, 0.5, 0.5])
     with open_simulated_bench(seed=3, readout_kind="scpi_lcr") as (bench, station):
         tell = {"pressing": station.readout_wire.unplug}
-        with pytest.raises(
-            NoReply, match=r"sensor readout .*gone"
-        ):
+        with pytest.raises(NoReply, match=r"sensor readout .*gone"):
             record(bench, "A1", profile, True, lambda progress: tell.pop(progress.phase, lambda: None)())
         assert not station.axis.is_moving
 
