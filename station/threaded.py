@@ -4,6 +4,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 from softcal.core.errors import DeviceError, NoReply
@@ -105,7 +106,8 @@ class ThreadedReader:
         self._is_closed = True
         self._ends.set()
         self._thread.join(self._stale_s + 1.0)
-        self._close_library()
+        with suppress(Exception):  # Libraries complain about a device that is gone already.
+            self._close_library()
         self._thread.join(self._stale_s)  # Closing ends the call of most libraries.
 
     def _call(self) -> None:

@@ -14,7 +14,15 @@ ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "softcal-example-driver"
 PAGE = (ROOT / "docs" / "station-drivers.md").read_text()
 BLOCKS = re.findall(r"<!-- (file|run|module)(?:: (\S+))? -->\n```\w+\n(.*?)```", PAGE, re.DOTALL)
-SHORT = ("opens, closes twice", "port that is not there", "every level", "in time", "silent device it", "gone is said")
+SHORT = (
+    "opens, closes twice",
+    "closes although",
+    "port that is not there",
+    "every level",
+    "in time",
+    "silent device it",
+    "gone is said",
+)
 """What is looked at of the driver behind a thread, which takes real time."""
 
 

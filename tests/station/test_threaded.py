@@ -165,6 +165,16 @@ def test_close_ends_the_thread_and_the_library_once(library, clock):
     until(lambda: not thread.is_alive())
 
 
+def test_a_library_that_cannot_close_a_device_that_is_gone_does_not_end_the_program(library, clock):
+    def close():
+        library.close()
+        raise OSError("Transport endpoint is not connected")
+
+    reader = ThreadedReader("meter", "V", 1000.0, clock, library.read, close, stale_s=0.05)
+    reader.close()
+    assert library.closed == 1
+
+
 def test_a_call_that_hangs_for_ever_does_not_hang_close(clock):
     hangs = threading.Event()
     reader = ThreadedReader("meter", "V", 10.0, clock, lambda: hangs.wait() and Reading(()), lambda: None, stale_s=0.05)
