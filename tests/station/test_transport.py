@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import NoReply
+from softcal.core.profiles import moves
+from softcal.station.acquisition import record
+from softcal.station.bench import open_simulated_bench
 from softcal.station.clock import HostClock
 from softcal.station.link import Link, link_for_driver
 from softcal.station.simulated.medium import SocketEnd
@@ -259,3 +262,17 @@ def test_draws_of_the_wire_do_not_depend_on_its_medium():
     assert wires[0].next_arrival_s() == wires[1].next_arrival_s()
     for wire in wires:
         wire.close()
+
+
+def test_a_run_over_sockets_is_the_run_over_serial_lines(monkeypatch):
+    # What a machine without pseudo terminals does: the same bytes at the same simulated times.
+    profile = moves("short", [0.0, 1.5, 0.0], [2.0, 2.0, 2.0], [0.2, 0.2, 0.2])
+    recordings = []
+    for _ in range(2):
+        with open_simulated_bench(seed=5) as (bench, station):
+            ports = [wire.port for wire in (station.stage_wire, station.force_wire, station.readout_wire)]
+            recordings.append(record(bench, "A1", profile, with_reference=True))
+        monkeypatch.setattr("softcal.station.simulated.wire.serial_line", SocketEnd)
+    assert all(port.startswith("tcp://") for port in ports)
+    for name in ("t_s", "output", "stage_mm", "force_N"):
+        np.testing.assert_array_equal(getattr(recordings[0], name), getattr(recordings[1], name))
