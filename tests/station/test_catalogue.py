@@ -76,11 +76,15 @@ def test_a_driver_of_an_installed_package_is_used_like_a_shipped_one(installed):
     installed("lab_ours", "[softcal.readouts]\nours = lab_ours:DRIVER\n", GOOD)
     (offer,) = [offer for offer in offers() if offer.kind == "ours"]
     assert (offer.package, offer.version, offer.fault) == ("lab_ours", "1.2", "")
-    config = station_from_table({"stage": {"port": "a"}, "readout": {"port": "b", "kind": "ours", "gain": 3}})
+    config = station_from_table(
+        {"stage": {"port": "a"}, "force": {"port": "f"}, "readout": {"port": "b", "kind": "ours", "gain": 3}}
+    )
     assert config.readout.gain == 3.0
     assert "# gain: of its amplifier." in station_toml(config)
     with pytest.raises(InputError, match="known are port, kind, rate_Hz, channels, .*gain; did you mean gain"):
-        station_from_table({"stage": {"port": "a"}, "readout": {"port": "b", "kind": "ours", "gian": 3}})
+        station_from_table(
+            {"stage": {"port": "a"}, "force": {"port": "f"}, "readout": {"port": "b", "kind": "ours", "gian": 3}}
+        )
 
 
 @pytest.mark.parametrize(
@@ -118,7 +122,7 @@ def test_an_unknown_kind_lists_the_known_ones_of_packages_too(installed):
 def test_the_section_of_every_driver_survives_its_own_file_and_explains_every_key(offer):
     import tomllib
 
-    other = {"stage": {"port": "/dev/a"}, "readout": {"port": "/dev/b"}}
+    other = {"stage": {"port": "/dev/a"}, "force": {"port": "/dev/f"}, "readout": {"port": "/dev/b"}}
     section = SECTIONS[offer.role]
     port = "tcp://127.0.0.1:5025" if "tcp" in offer.driver.wires else "/dev/c"
     if offer.driver.config.shares_port and offer.role == "cell":
@@ -147,7 +151,7 @@ def test_the_section_of_every_driver_survives_its_own_file_and_explains_every_ke
 )
 def test_what_a_driver_does_not_understand_is_refused_with_what_it_does(table, message):
     with pytest.raises(InputError, match=message):
-        station_from_table({"stage": table, "readout": {"port": "/dev/b"}})
+        station_from_table({"stage": table, "force": {"port": "/dev/f"}, "readout": {"port": "/dev/b"}})
 
 
 def test_only_common_keys_are_enough():
