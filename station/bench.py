@@ -9,25 +9,20 @@ import numpy as np
 
 from softcal.core.errors import DeviceError, NoReply
 from softcal.core.twin.simulate import Twin
+from softcal.station.catalogue import driver_of
 from softcal.station.clock import HostClock
 from softcal.station.config import (
+    DeviceConfig,
     FixtureConfig,
     ForceConfig,
     ReadoutConfig,
     SafetyConfig,
     StageConfig,
     StationConfig,
+    with_own_keys,
 )
-from softcal.station.drivers.arduino import ArduinoReadout
-from softcal.station.drivers.esm import EsmStage
-from softcal.station.drivers.grbl import GrblStage
-from softcal.station.drivers.hx711 import Hx711Cell
-from softcal.station.drivers.indicator import IndicatorCell
-from softcal.station.drivers.loadstar import LoadstarCell
-from softcal.station.drivers.mark10 import Mark10Gauge
-from softcal.station.drivers.zaber import ZaberStage
+from softcal.station.driver import Opening
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
-from softcal.station.link import Link
 from softcal.station.simulated.station import SimulatedStation
 
 
@@ -69,16 +64,12 @@ def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Be
             stack.callback(device.close)
             return device
 
-        readout = opened(lambda: _open_readout(config.readout, clock))
-        force_config = config.force
-        stage: Stage | None = None
+        stage: Stage | None = opened(lambda: _open(config.stage, Opening(clock)))
+        opening, force_config = Opening(clock, stage), config.force
+        readout: Readout | None = opened(lambda: _open(config.readout, opening))
         force: ForceReader | None = None
-        if config.stage.kind == "esm":
-            stage, force = _open_stand(config, clock, opened)
-        else:
-            stage = opened(lambda: _open_stage(config.stage, clock))
-        if force_config is not None and force_config.kind != "esm":
-            force = opened(lambda: _open_force(force_config, clock))
+        if force_config is not None:
+            force = opened(lambda: _open(force_config, opening))
         if missing or stage is None or readout is None:
             raise NoReply("; ".join(missing))
         yield Bench(config, clock, stage, readout, force)
@@ -89,51 +80,46 @@ def open_simulated_bench(
     unit: Twin | None = None,
     seed: int = 0,
     time_factor: float | None = None,
-    stage_kind: str = "grbl",
-    force_kind: str = "hx711",
+    stage_kind: str = StageConfig.kind,
+    force_kind: str = ForceConfig.kind,
     beside: Sequence[Twin] = (),
+    readout_kind: str = ReadoutConfig.kind,
 ) -> Iterator[tuple[Bench, SimulatedStation]]:
     """Open the same drivers on simulated far ends, each behind its own serial line.
 
     Args:
         unit: the unit under the stage; None for a nominal one. `SimulatedStation.mount` changes it.
         seed: of noise, delays and mounting.
-        time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
-        stage_kind, force_kind: dialects, as in a station file.
+        time_factor: simulated seconds per real second at most; None runs as fast as the computer can. A driver that
+            reads in a thread of its own makes simulated time real time.
+        stage_kind, force_kind, readout_kind: which drivers, as in a station file.
         beside: more units under the same stage, each on a channel of its own.
 
     Returns:
         The bench, and the simulated station with its fault switches.
     """
-    station = SimulatedStation(unit or Twin(), np.random.default_rng(seed), time_factor, stage_kind, force_kind, beside)
-    try:
-        with open_bench(simulated_config(station), station.world) as bench:
-            yield bench, station
-    finally:
-        station.close()
+    twin = unit or Twin()
+    rng = np.random.default_rng(seed)
+    station = SimulatedStation(twin, rng, time_factor, stage_kind, force_kind, beside, readout_kind)
+    with ExitStack() as stack:
+        stack.callback(station.close)
+        if station.is_threaded:
+            stack.enter_context(station.world.in_background())
+        clock = HostClock() if station.is_threaded else station.world
+        yield stack.enter_context(open_bench(simulated_config(station), clock)), station
 
 
 def simulated_config(station: SimulatedStation) -> StationConfig:
     """Return the station file that belongs to a simulated station."""
-    electronics = station.metadata
+    fixture = FixtureConfig()
     return StationConfig(
-        StageConfig(station.stage_wire.port, station.stage_kind),
-        ReadoutConfig(
-            station.readout_wire.port,
-            vref_V=electronics.vref_V,
-            adc_bits=electronics.adc_bits,
-            r_series_ohm=electronics.r_series_ohm,
-            rate_Hz=electronics.sample_rate_Hz,
-            channels=station.channels,
-        ),
-        ForceConfig(
-            station.stage_wire.port if station.force_kind == "esm" else station.force_wire.port,
-            station.force_kind,
-            counts_per_N=station.counts_per_N,
-            zero_counts=station.zero_counts,
-        ),
+        station.stage_config,
+        station.readout_config,
+        station.force_config,
         SafetyConfig(),
-        replace(FixtureConfig(), approach_mm=station.free_mm),
+        replace(
+            fixture, approach_mm=station.free_mm, contact_output=fixture.contact_output * abs(station.reading_per_V)
+        ),
         name="simulated",
     )
 
@@ -145,57 +131,22 @@ def open_force(config: ForceConfig, clock: Clock) -> Iterator[ForceReader]:
     Raises:
         DeviceError: it is missing.
     """
-    reader = _open_force(config, clock)
+    reader: ForceReader = _open(config, Opening(clock))
     try:
         yield reader
     finally:
         reader.close()
 
 
-def _open_stage(config: StageConfig, clock: Clock) -> Stage:
-    with _link(config, clock, "stage") as link:
-        if config.kind == "zaber":
-            return ZaberStage(link, config.microstep_mm)
-        return GrblStage(link, config.axis, config.is_reversed)
+def open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
+    """Open the sensor's readout alone; whoever opened it closes it.
+
+    Raises:
+        DeviceError: it is missing.
+    """
+    readout: Readout = _open(config, Opening(clock))
+    return readout
 
 
-def _open_stand(
-    config: StationConfig, clock: Clock, opened: Callable[[Callable[[], Any]], Any]
-) -> tuple[Stage | None, ForceReader | None]:
-    """Open a stand, and the gauge behind its port where the station has one there."""
-
-    def open_stage() -> EsmStage:
-        with _link(config.stage, clock, "stage") as link:
-            return EsmStage(link, config.stage.travel_mm, config.stage.acceleration_mm_s2)
-
-    stand, force = opened(open_stage), config.force
-    if stand is None or force is None or force.kind != "esm":
-        return stand, None
-    return stand, opened(lambda: stand.gauge(force.capacity_N, force.sign, force.rate_Hz))
-
-
-def _open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
-    with _link(config, clock, "sensor readout") as link:
-        return ArduinoReadout(link, config.vref_V, config.adc_bits, config.rate_Hz, config.channels)
-
-
-def _open_force(config: ForceConfig, clock: Clock) -> ForceReader:
-    with _link(config, clock, "load cell") as link:
-        if config.kind == "mark10":
-            return Mark10Gauge(link, config.capacity_N, config.sign, config.rate_Hz)
-        if config.kind == "indicator":
-            return IndicatorCell(link, config.capacity_N, config.sign, config.rate_Hz)
-        if config.kind == "loadstar":
-            return LoadstarCell(link, config.capacity_N, config.sign, config.rate_Hz)
-        return Hx711Cell(link, config.counts_per_N, config.zero_counts, config.capacity_N, config.rate_Hz)
-
-
-@contextmanager
-def _link(config: StageConfig | ReadoutConfig | ForceConfig, clock: Clock, name: str) -> Iterator[Link]:
-    """Open a port for a driver; give it back when the device behind it is not what was expected."""
-    link = Link(config.port, clock, config.baud_rate, name)
-    try:
-        yield link
-    except DeviceError:
-        link.close()
-        raise
+def _open(config: DeviceConfig, opening: Opening) -> Any:
+    return driver_of(config.role, config.kind).open(with_own_keys(config), opening)

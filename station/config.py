@@ -3,70 +3,77 @@
 import inspect
 import math
 import tomllib
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from difflib import get_close_matches
+from itertools import combinations
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_type_hints
 
 from softcal.core.errors import InputError
+from softcal.station.transport import wire_of
 
-STAGE_KINDS = ("grbl", "zaber", "esm")
-FORCE_KINDS = ("hx711", "mark10", "indicator", "loadstar", "esm")
-READOUT_KINDS = ("arduino",)
+Role: TypeAlias = Literal["stage", "cell", "readout"]
 
 
 @dataclass(frozen=True)
-class StageConfig:
-    """The stage.
+class DeviceConfig:
+    """What every device's section of the station file holds; a driver adds its own keys in a class derived from this.
 
     Args:
-        axis, is_reversed: GRBL: letter of the axis, and whether pressing is the negative machine direction.
-        microstep_mm: Zaber: travel per microstep, from the data sheet.
-        travel_mm, acceleration_mm_s2: ESM: what may be used below the upper limit switch, and how it accelerates.
+        port: a serial port, tcp://host:port or a VISA resource.
+        kind: which driver speaks to it (`softcal station drivers` lists them).
     """
 
     port: str
-    kind: str = "grbl"
-    baud_rate: int = 115200
-    axis: str = "Z"
-    is_reversed: bool = True
-    microstep_mm: float = 0.0001905
-    travel_mm: float = 100.0
-    acceleration_mm_s2: float = 200.0
+    kind: str = ""
+
+    role: ClassVar[Role]
+    shares_port: ClassVar[bool] = False
+    """Whether another device of the same kind may stand behind the same port."""
 
 
 @dataclass(frozen=True)
-class ForceConfig:
+class StageConfig(DeviceConfig):
+    """The stage."""
+
+    kind: str = "grbl"
+
+    role = "stage"
+
+
+@dataclass(frozen=True)
+class ForceConfig(DeviceConfig):
     """The load cell.
 
     Args:
         serial: of the cell, as on its certificate.
-        counts_per_N, zero_counts: HX711: from `softcal station calibrate-cell`.
-        sign: Mark-10, indicators, Loadstar: 1 where compression reads positive, −1 otherwise.
+        capacity_N: rated load.
+        rate_Hz: readings per second.
     """
 
-    port: str
     kind: str = "hx711"
-    baud_rate: int = 115200
-    counts_per_N: float = 10000.0
-    zero_counts: float = 0.0
-    sign: float = 1.0
     serial: str = ""
     capacity_N: float = 20.0
     rate_Hz: float = 80.0
 
+    role = "cell"
+
 
 @dataclass(frozen=True)
-class ReadoutConfig:
-    """The sensor's electronics: full scale and resolution of the converter, series resistor of the divider."""
+class ReadoutConfig(DeviceConfig):
+    """The sensor's electronics.
 
-    port: str
+    Args:
+        rate_Hz: readings per second.
+        channels: sensors read at once.
+    """
+
     kind: str = "arduino"
-    baud_rate: int = 115200
-    vref_V: float = 5.0
-    adc_bits: int = 10
-    r_series_ohm: float = 10.0
     rate_Hz: float = 50.0
     channels: int = 1
+
+    role = "readout"
 
 
 @dataclass(frozen=True)
@@ -116,7 +123,7 @@ class StationConfig:
     """One station as its TOML file describes it.
 
     Raises:
-        InputError: an unknown dialect, or a number outside its physical range.
+        InputError: two devices that cannot share a port, or a number outside its physical range.
     """
 
     stage: StageConfig
@@ -127,29 +134,27 @@ class StationConfig:
     name: str = "station"
 
     def __post_init__(self) -> None:
-        _known("stage.kind", self.stage.kind, STAGE_KINDS)
-        _known("stage.axis", self.stage.axis, ("X", "Y", "Z"))
-        _known("readout.kind", self.readout.kind, READOUT_KINDS)
+        self._check_ports()
         if self.force is not None:
-            _known("force.kind", self.force.kind, FORCE_KINDS)
-            if self.force.kind == "esm" and (self.stage.kind != "esm" or self.force.port != self.stage.port):
-                raise InputError("station file: force.kind esm is the gauge on an ESM stand: the same port as [stage]")
-            if self.force.counts_per_N == 0:
-                raise InputError("station file: force.counts_per_N is 0; run `softcal station calibrate-cell`")
             _within("safety.force_N", self.safety.force_N, 0.0, self.force.capacity_N)
         _within("safety.silence_s", self.safety.silence_s, 0.15, 1.0)
         _within("fixture.approach_mm", self.fixture.approach_mm, 0.0, self.safety.deepest_mm)
         _within("fixture.search_mm_s", self.fixture.search_mm_s, 0.01, self.safety.speed_mm_s)
 
+    def _check_ports(self) -> None:
+        devices = {"stage": self.stage, "readout": self.readout} | ({"force": self.force} if self.force else {})
+        for (name, device), (other, beside) in combinations(devices.items(), 2):
+            may_share = device.shares_port and beside.shares_port and device.kind == beside.kind
+            if device.port and device.port == beside.port and not may_share:
+                raise InputError(
+                    f"[{name}] and [{other}] have the same port {device.port!r}; kinds {device.kind!r} and "
+                    f"{beside.kind!r} cannot share it"
+                )
+
 
 _T = TypeVar("_T")
-_SECTIONS: dict[str, type[Any]] = {
-    "stage": StageConfig,
-    "force": ForceConfig,
-    "readout": ReadoutConfig,
-    "safety": SafetyConfig,
-    "fixture": FixtureConfig,
-}
+_DEVICES: dict[str, type[DeviceConfig]] = {"stage": StageConfig, "force": ForceConfig, "readout": ReadoutConfig}
+_SECTIONS: dict[str, type[Any]] = {**_DEVICES, "safety": SafetyConfig, "fixture": FixtureConfig}
 
 
 def read_station_file(path: Path) -> StationConfig:
@@ -178,39 +183,104 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
     for needed in ("stage", "readout"):
         if needed not in content:
             raise InputError(f"section [{needed}] is missing")
-    sections = {name: _section(name, _SECTIONS[name], content[name]) for name in _SECTIONS if name in content}
+    sections = {name: _section(name, content[name]) for name in _SECTIONS if name in content}
     return StationConfig(name=str(content.get("name", "station")), **sections)
 
 
 def station_toml(config: StationConfig) -> str:
     """Return the station file of a configuration, every key in it and what it means, to be read and edited."""
     lines = [f"name = {_toml(config.name)}"]
-    for name, kind in _SECTIONS.items():
+    for name in _SECTIONS:
         section = getattr(config, name)
+        if isinstance(section, DeviceConfig):
+            section = with_own_keys(section)
         if section is not None:
-            lines += ["", f"[{name}]", *(f"# {line.strip()}" for line in _meanings(kind))]
+            lines += ["", f"[{name}]", *(f"# {line.strip()}" for line in meanings(type(section)))]
             lines += [f"{f.name} = {_toml(getattr(section, f.name))}" for f in fields(section)]
     return "\n".join(lines) + "\n"
 
 
-def _meanings(kind: type[Any]) -> list[str]:
-    """What the keys of a section mean, from where they are documented."""
-    first, _, rest = (inspect.getdoc(kind) or "").partition("Args:")
-    return [line for line in (rest or first).splitlines() if line.strip()]
+def meanings(kind: type[Any]) -> list[str]:
+    """Return what the keys of a section mean, from where they are documented: first the common ones, then its own."""
+    lines = []
+    for each in reversed(kind.__mro__):
+        text = inspect.cleandoc(each.__doc__ or "") if is_dataclass(each) else ""
+        _, _, keys = text.partition("Args:")
+        lines += [line for line in keys.partition("Raises:")[0].splitlines() if line.strip()]
+    return lines
 
 
-def _section(name: str, kind: type[_T], table: object) -> _T:
+def with_own_keys(config: DeviceConfig) -> DeviceConfig:
+    """Return the section of a device with its driver's own keys, at their defaults where only common ones are given.
+
+    Raises:
+        InputError: there is no such driver.
+    """
+    from softcal.station.catalogue import driver_of  # The catalogue needs this module.
+
+    kind: type[DeviceConfig] = driver_of(config.role, config.kind).config
+    return config if isinstance(config, kind) else kind(**vars(config))
+
+
+def _section(name: str, table: object) -> Any:
     if not isinstance(table, dict):
         raise InputError(f"{name} must be a section: write [{name}] and its keys below")
+    if name not in _DEVICES:
+        return filled(name, _SECTIONS[name], table)
+    return device_section(name, table)
+
+
+def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
+    """Return the section of one device as its driver understands it.
+
+    Args:
+        name: of the section: stage, force, readout.
+        table: its keys; a kind that is not given is that of the section.
+
+    Raises:
+        InputError: an unknown kind or key, a value of the wrong type, or a port its driver cannot open.
+    """
+    from softcal.station.catalogue import driver_of  # The catalogue needs this module.
+
+    common = _DEVICES[name]
+    kind = table.get("kind", common.kind)
+    driver = driver_of(common.role, str(kind))
+    config: DeviceConfig = filled(name, driver.config, {**table, "kind": kind})
+    if "library" not in driver.wires and wire_of(config.port) not in driver.wires:
+        raise InputError(
+            f"[{name}] port {config.port!r} is a {wire_of(config.port)} port; kind {kind!r} speaks over "
+            f"{', '.join(driver.wires)}"
+        )
+    return config
+
+
+def filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
+    """Return the values of one section.
+
+    Args:
+        name: of the section.
+        kind: the dataclass that declares its keys.
+        table: the keys as TOML gives them.
+
+    Raises:
+        InputError: an unknown key, which lists the known ones; a missing one; a value of the wrong type.
+    """
     known = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
+    types = get_type_hints(kind)
     values = {}
     for key, value in table.items():
         if key not in known:
-            raise InputError(f"[{name}] unknown key {key!r}; known are {', '.join(known)}")
-        values[key] = _typed(f"{name}.{key}", value, known[key].type)
-    if "port" in known and "port" not in values:
-        raise InputError(f"[{name}] port is missing")
+            raise InputError(f"[{name}] unknown key {key!r}; known are {', '.join(known)}{_similar(key, known)}")
+        values[key] = _typed(f"{name}.{key}", value, types[key])
+    for key, each in known.items():
+        if key not in values and each.default is MISSING and each.default_factory is MISSING:
+            raise InputError(f"[{name}] {key} is missing")
     return kind(**values)
+
+
+def _similar(key: str, known: Iterable[str]) -> str:
+    close = get_close_matches(key, known, 1)
+    return f"; did you mean {close[0]}?" if close else ""
 
 
 def _typed(name: str, value: object, kind: object) -> object:
@@ -220,11 +290,6 @@ def _typed(name: str, value: object, kind: object) -> object:
         return value
     expected = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}.get(kind, str(kind))  # type: ignore[call-overload]
     raise InputError(f"{name} is {value!r}; {expected} was expected")
-
-
-def _known(name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise InputError(f"{name} is {value!r}; known are {', '.join(known)}")
 
 
 def _within(name: str, value: float, low: float, high: float) -> None:

@@ -1,15 +1,17 @@
-"""A serial line: open it exclusively, write, read whole lines and when they came. The only `import serial`."""
+"""A line to a device: write, read whole lines and when they came, whatever wire is below."""
 
 import os
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import serial
 from serial.tools import list_ports
 
 from softcal.core.errors import NoReply
 from softcal.station.interfaces import Clock
+from softcal.station.transport import open_transport, wire_of
 
 POLL_S = 0.002
 """How long one wait for bytes lasts; bounds how late an answer is seen."""
@@ -27,12 +29,12 @@ class Line:
 
 
 class Link:
-    """One open serial port.
+    """One open port.
 
     Args:
-        port: device name, for example /dev/ttyACM0 or COM5.
+        port: a serial port (/dev/ttyACM0, COM5), a socket (tcp://192.168.0.7:5025) or a VISA resource.
         clock: the clock that stamps lines and lets time pass while waiting.
-        baud_rate: symbols per second, 8N1.
+        baud_rate: of a serial port, symbols per second, 8N1.
         name: how messages call the device.
 
     Raises:
@@ -45,8 +47,8 @@ class Link:
         self._rest = b""
         self._lines: deque[Line] = deque()
         try:
-            self._serial = serial.Serial(port, baud_rate, timeout=0, write_timeout=1.0, exclusive=True)
-        except (serial.SerialException, OSError, ValueError) as error:
+            self._transport = open_transport(port, baud_rate)
+        except (OSError, ValueError) as error:
             raise NoReply(f"{self._label}: {_why_closed(port, error)}") from error
 
     def write(self, content: bytes) -> None:
@@ -56,8 +58,8 @@ class Link:
             NoReply: the port is gone.
         """
         try:
-            self._serial.write(content)
-        except (serial.SerialException, OSError) as error:
+            self._transport.write(content)
+        except OSError as error:
             raise self._gone() from error
 
     def read_lines(self) -> list[Line]:
@@ -94,18 +96,12 @@ class Link:
 
     def close(self) -> None:
         """Give the port back; closing twice, or after the device is gone, is fine."""
-        try:
-            self._serial.close()
-        except (serial.SerialException, OSError):
-            pass
+        self._transport.close()
 
     def _receive(self) -> None:
-        content = b""
         try:
-            # One read may give less than has arrived (a tty hands over what its line discipline has taken so far).
-            while piece := self._serial.read(65536):
-                content += piece
-        except (serial.SerialException, OSError) as error:
+            content = self._transport.read()
+        except OSError as error:
             raise self._gone() from error
         if not content:
             return
@@ -125,12 +121,32 @@ class Link:
         )
 
 
+@contextmanager
+def link_for_driver(port: str, clock: Clock, baud_rate: int, name: str) -> Iterator[Link]:
+    """Open a port for a driver that is being made; give it back when the device there is not what was expected.
+
+    Args:
+        port, clock, baud_rate, name: as of `Link`.
+    """
+    link = Link(port, clock, baud_rate, name)
+    try:
+        yield link
+    except BaseException:
+        link.close()
+        raise
+
+
 def available_ports() -> list[str]:
     """Return the serial ports of this machine that belong to a USB device, in the system's order."""
     return [port.device for port in list_ports.comports() if port.vid is not None]
 
 
 def _why_closed(port: str, error: Exception) -> str:
+    match wire_of(port):
+        case "tcp":
+            return f"cannot be reached: {error}; check address, power and network cable"
+        case "visa":
+            return f"cannot be opened: {error}; `pyvisa-shell` lists the resources there are"
     if not Path(port).exists() and os.name == "posix":
         return "no such port; check the cable, then run `softcal station check` to see the ports there are"
     owner = _owner(port)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from softcal.app.line.recover import Recovered
     from softcal.core.twin.simulate import Twin
     from softcal.station.acquisition import OnProgress
+    from softcal.station.catalogue import Offer
     from softcal.station.self_test import Finding
 
 EXAMPLES = """examples:
@@ -31,6 +32,7 @@ EXAMPLES = """examples:
   softcal station serve --station station.toml --name line-1  own the ports for screens and programs
   softcal station order --name line-1 unit --serial A1 --lot L1  press a unit on it, and wait for the verdict
   softcal station status                                      every station, its gate, its run, its quarantine
+  softcal station drivers                                     every device softcal can use, and its keys
   softcal station recover --out recovered                     after a power cut in mid-run
 
 Exit code 3: a device is missing or failed; the stage was stopped and no file was written.
@@ -55,6 +57,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     _add_profiles(actions)
     _add_calibrate_cell(actions)
     _add_recover(actions)
+    _add_drivers(actions)
     add_service_actions(actions)
 
 
@@ -141,6 +144,20 @@ def _add_recover(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     recover.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the files")
     add_json(recover)
     recover.set_defaults(run=run_recover)
+
+
+def _add_drivers(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    drivers = actions.add_parser(
+        "drivers",
+        help="the devices softcal can use, their keys in the station file, and the package each comes from",
+        description="List every driver: those of softcal and those of installed packages. Exit code 3 when a package's "
+        "driver cannot be loaded.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    drivers.add_argument("--kind", metavar="KIND", help="this kind only, with what its keys mean")
+    add_json(drivers)
+    drivers.set_defaults(run=run_drivers)
 
 
 def _add_station(parser: argparse.ArgumentParser) -> None:
@@ -254,6 +271,43 @@ def run_calibrate_cell(options: argparse.Namespace) -> int:
         values = {"per_N": found.per_N, "zero": found.zero, "largest_error_N": found.largest_error_N}
         write_json(options.json, {"schema": "softcal.station-cell/1", **values})
     return 0
+
+
+def run_drivers(options: argparse.Namespace) -> int:
+    """List the drivers there are."""
+    from softcal.station.catalogue import SECTIONS, offers
+    from softcal.station.config import meanings
+
+    found = [offer for offer in offers() if options.kind in (None, offer.kind)]
+    if not found:
+        raise InputError(f"no driver of kind {options.kind!r}; `softcal station drivers` lists them all")
+    if options.json:
+        write_json(options.json, {"schema": "softcal.station-drivers/1", "drivers": [_driver_json(o) for o in found]})
+    print_table(("section", "kind", "for", "port", "from"), [_driver_row(offer) for offer in found])
+    for offer in found:
+        if offer.driver is None:
+            say(f"{offer.kind} of {offer.package}: {offer.fault}")
+        elif options.kind:
+            say(f"[{SECTIONS[offer.role]}] kind = {offer.kind!r}, its keys:")
+            say("\n".join(f"  {line.strip()}" for line in meanings(offer.driver.config)))
+    return 3 if any(offer.driver is None for offer in found) else 0
+
+
+def _driver_row(offer: "Offer") -> tuple[str, str, str, str, str]:
+    from softcal.station.catalogue import SECTIONS
+
+    what, wires = (
+        ("cannot be loaded", "") if offer.driver is None else (offer.driver.what, "/".join(offer.driver.wires))
+    )
+    return f"[{SECTIONS[offer.role]}]", offer.kind, what, wires, f"{offer.package} {offer.version}"
+
+
+def _driver_json(offer: "Offer") -> dict[str, object]:
+    facts: dict[str, object] = {"role": offer.role, "kind": offer.kind, "package": offer.package}
+    facts |= {"version": offer.version, "fault": offer.fault}
+    if offer.driver is not None:
+        facts |= {"for": offer.driver.what, "wires": list(offer.driver.wires), "keys": offer.driver.keys}
+    return facts
 
 
 def run_recover(options: argparse.Namespace) -> int:

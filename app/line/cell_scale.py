@@ -7,7 +7,8 @@ from softcal.core.errors import InputError
 from softcal.station.bench import open_force
 from softcal.station.cell_calibration import CellCalibration, fit_cell, read_steady
 from softcal.station.clock import HostClock
-from softcal.station.config import StationConfig
+from softcal.station.config import StationConfig, with_own_keys
+from softcal.station.drivers.hx711 import Hx711Config
 
 
 def calibrate_cell(
@@ -24,13 +25,14 @@ def calibrate_cell(
         InputError: the station has no raw load cell, or too few weights.
         DeviceError: the cell does not answer, or does not follow the weights.
     """
-    if config.force is None or config.force.kind != "hx711":
+    cell = None if config.force is None else with_own_keys(config.force)
+    if not isinstance(cell, Hx711Config):
         raise InputError("the station has no HX711 load cell; other gauges carry their own scale")
-    raw = replace(config.force, counts_per_N=1.0, zero_counts=0.0)
+    raw = replace(cell, counts_per_N=1.0, zero_counts=0.0)
     readings, clock = [], HostClock()
     with open_force(raw, clock) as reader:
         for mass_kg in masses_kg:
             wait_for(mass_kg)
             readings.append(read_steady(reader, clock))
     found = fit_cell(masses_kg, [mean for mean, _ in readings], [noise for _, noise in readings])
-    return found, replace(config, force=replace(config.force, counts_per_N=found.per_N, zero_counts=found.zero))
+    return found, replace(config, force=replace(cell, counts_per_N=found.per_N, zero_counts=found.zero))

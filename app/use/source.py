@@ -13,12 +13,10 @@ import numpy as np
 
 from softcal.app.cli.output import say
 from softcal.core.errors import BadReply, InputError, NoReply
-from softcal.station.bench import open_simulated_bench
+from softcal.station.bench import open_readout, open_simulated_bench
 from softcal.station.clock import HostClock
 from softcal.station.config import ReadoutConfig, read_station_file
-from softcal.station.drivers.arduino import ArduinoReadout
 from softcal.station.interfaces import Clock, Move, Readout, Stage
-from softcal.station.link import Link
 
 Sample: TypeAlias = tuple[float, float]
 """Time in s and output; NaN where a line could not be read."""
@@ -48,16 +46,16 @@ def open_source(source: str, station_file: Path | None, output_unit: str) -> Ite
     if source == "-":
         yield lines_of(sys.stdin)
         return
-    if output_unit != "V":
-        raise InputError(f"the unit was calibrated in {output_unit}; a sensor readout gives V")
     if source.startswith("serial:"):
         config = _readout_config(source.removeprefix("serial:"), station_file)
         clock = HostClock()
-        with closing(replugged(lambda: _open_readout(config, clock), clock)) as samples:
+        with closing(replugged(lambda: _open_readout(config, clock, output_unit), clock)) as samples:
             # The first step opens the port: one that is not there is refused before anything is written.
             next(samples)
             yield on_one_clock(samples, clock)
         return
+    if output_unit != "V":
+        raise InputError(f"the unit was calibrated in {output_unit}; the simulated sensor readout gives V")
     with open_simulated_bench(time_factor=_factor(source)) as (bench, _):
         yield _pressed(bench.stage, bench.readout, bench.clock, bench.config.fixture.approach_mm)
 
@@ -67,9 +65,12 @@ def _readout_config(port: str, station_file: Path | None) -> ReadoutConfig:
     return replace(config, port=port or config.port)
 
 
-def _open_readout(config: ReadoutConfig, clock: Clock) -> Readout:
-    link = Link(config.port, clock, config.baud_rate)
-    return ArduinoReadout(link, config.vref_V, config.adc_bits, config.rate_Hz, config.channels)
+def _open_readout(config: ReadoutConfig, clock: Clock, output_unit: str) -> Readout:
+    readout = open_readout(config, clock)
+    if readout.unit != output_unit:
+        readout.close()
+        raise InputError(f"the unit was calibrated in {output_unit}; this sensor readout gives {readout.unit}")
+    return readout
 
 
 def replugged(open_readout: Callable[[], Readout], clock: Clock) -> Generator[list[Sample], None, None]:

@@ -1,10 +1,39 @@
 """The sensor's readout: an Arduino that prints raw converter counts, one or several channels a line."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+from softcal.core.errors import InputError
+from softcal.station.config import ReadoutConfig
+from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import TextStream
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link
+from softcal.station.link import Link, link_for_driver
+
+
+@dataclass(frozen=True)
+class ArduinoConfig(ReadoutConfig):
+    """A converter behind a divider.
+
+    Args:
+        baud_rate: of its port.
+        vref_V, adc_bits: full scale and resolution of the converter.
+        r_series_ohm: series resistor of the divider.
+
+    Raises:
+        InputError: a converter that cannot be.
+    """
+
+    kind: str = "arduino"
+    baud_rate: int = 115200
+    vref_V: float = 5.0
+    adc_bits: int = 10
+    r_series_ohm: float = 10.0
+
+    def __post_init__(self) -> None:
+        if not self.vref_V > 0:
+            raise InputError(f"readout.vref_V is {self.vref_V:g}; a number above 0 was expected")
+        if not 1 <= self.adc_bits <= 32:
+            raise InputError(f"readout.adc_bits is {self.adc_bits}; a number in [1, 32] was expected")
 
 
 class ArduinoReadout:
@@ -40,3 +69,36 @@ class ArduinoReadout:
     def close(self) -> None:
         """Give the port back."""
         self.stream.close()
+
+
+def open_arduino(config: ArduinoConfig, opening: Opening) -> ArduinoReadout:
+    """Open the readout a station file describes.
+
+    Raises:
+        NoReply: its port cannot be opened.
+    """
+    with link_for_driver(config.port, opening.clock, config.baud_rate, ArduinoReadout.name) as link:
+        return ArduinoReadout(link, config.vref_V, config.adc_bits, config.rate_Hz, config.channels)
+
+
+def _simulate(around: Surroundings) -> Simulated[ArduinoConfig]:
+    from softcal.station.simulated.text_stream import SimulatedTextStream
+
+    electronics = around.electronics
+
+    def counts(now_s: float) -> tuple[int, ...]:
+        return tuple(round(output_V / electronics.step_V) for output_V in around.outputs_V(now_s))
+
+    drift = float(around.rng.normal(0, 1e-3))
+    config = ArduinoConfig(
+        around.wire.port,
+        rate_Hz=electronics.sample_rate_Hz,
+        channels=len(around.outputs_V(0.0)),
+        vref_V=electronics.vref_V,
+        adc_bits=electronics.adc_bits,
+        r_series_ohm=electronics.r_series_ohm,
+    )
+    return Simulated(config, SimulatedTextStream(around.wire, counts, electronics.sample_rate_Hz, drift))
+
+
+DRIVERS = (Driver("arduino", "text lines `ms,adc[,adc ...]`", ArduinoConfig, open_arduino, _simulate),)

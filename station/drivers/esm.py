@@ -2,12 +2,15 @@
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
+from softcal.station.config import ForceConfig, StageConfig
+from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit
 from softcal.station.frames import esm, gcl2
 from softcal.station.interfaces import Move, OnWait, Sample, StagePosition, ignore_wait
-from softcal.station.link import POLL_S, Line, Link
+from softcal.station.link import POLL_S, Line, Link, link_for_driver
 
 STOPS_WITHIN_S = 1.0
 SILENCE_S = 0.25
@@ -18,6 +21,39 @@ AT_MM = 0.02
 """The stand's limits are set in steps of 0.01 mm."""
 
 STARTS_WITHIN_S = 0.2
+
+
+@dataclass(frozen=True)
+class EsmConfig(StageConfig):
+    """A Mark-10 stand.
+
+    Args:
+        baud_rate: of its port.
+        travel_mm: what may be used below the upper limit switch.
+        acceleration_mm_s2: how the crosshead accelerates.
+    """
+
+    kind: str = "esm"
+    baud_rate: int = 115200
+    travel_mm: float = 100.0
+    acceleration_mm_s2: float = 200.0
+
+    shares_port = True
+
+
+@dataclass(frozen=True)
+class EsmGaugeConfig(ForceConfig):
+    """The gauge on a Mark-10 stand: the same port as [stage].
+
+    Args:
+        sign: 1 where compression reads positive, −1 otherwise.
+    """
+
+    kind: str = "esm"
+    rate_Hz: float = 50.0
+    sign: float = 1.0
+
+    shares_port = True
 
 
 class SharedPort:
@@ -262,7 +298,8 @@ class EsmGauge:
         self._port.read()
         now_s = self._port.link.clock.now_s()
         if now_s >= self._next_s:
-            self._next_s = now_s + 1.0 / self.rate_Hz
+            # On a grid: counted from each question, every delay would lower the rate.
+            self._next_s = max(self._next_s, now_s - 1.0 / self.rate_Hz) + 1.0 / self.rate_Hz
             self._port.ask(esm.GAUGE_READING, self._take)
         samples, self._samples = self._samples, []
         return samples
@@ -273,3 +310,35 @@ class EsmGauge:
     def _take(self, line: Line, asked_s: float) -> None:
         force_N = self._sign * gcl2.parse_reading_N(line.text)
         self._samples.append(Sample((asked_s + line.host_s) / 2, None, (force_N,)))
+
+
+def _open(config: EsmConfig, opening: Opening) -> EsmStage:
+    with link_for_driver(config.port, opening.clock, config.baud_rate, "stage") as link:
+        return EsmStage(link, config.travel_mm, config.acceleration_mm_s2)
+
+
+def _open_gauge(config: EsmGaugeConfig, opening: Opening) -> EsmGauge:
+    if not isinstance(opening.stage, EsmStage) or opening.stage.port.link.port != config.port:
+        raise NoReply(
+            f"load cell ({config.port}): kind esm is the gauge on an ESM stand; none is open on the same port, check "
+            "[stage] in the station file"
+        )
+    return opening.stage.gauge(config.capacity_N, config.sign, config.rate_Hz)
+
+
+def _simulate(around: Surroundings) -> Simulated[EsmConfig]:
+    from softcal.station.simulated.esm import SimulatedEsm
+    from softcal.station.simulated.force_gauge import SimulatedMark10
+
+    gauge = SimulatedMark10(around.wire, around.force_N)
+    return Simulated(EsmConfig(around.wire.port), SimulatedEsm(around.wire, around.axis, gauge))
+
+
+def _simulate_gauge(around: Surroundings) -> Simulated[EsmGaugeConfig]:
+    return Simulated(EsmGaugeConfig(around.stage_port), None)
+
+
+DRIVERS = (
+    Driver("esm", "Mark-10 ESM301 and ESM303 stands under PC control", EsmConfig, _open, _simulate),
+    Driver("esm", "the gauge on a Mark-10 stand", EsmGaugeConfig, _open_gauge, _simulate_gauge),
+)

@@ -1,14 +1,17 @@
 """Driver of a GRBL 1.1 or grblHAL stage with one axis (gnea/grbl wiki, "Grbl v1.1 Interface")."""
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
+from softcal.station.config import StageConfig
+from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit
 from softcal.station.frames import grbl
 from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
-from softcal.station.link import POLL_S, Line, Link
+from softcal.station.link import POLL_S, Line, Link, link_for_driver
 from softcal.station.trajectory import Trapezoid
 
 STATUS_S = 0.1
@@ -22,6 +25,29 @@ PIECE_S, AHEAD_S = 0.1, 0.3
 
 ANSWER_S = 2.0
 HOMING_S = 60.0
+
+
+@dataclass(frozen=True)
+class GrblConfig(StageConfig):
+    """A GRBL or grblHAL controller.
+
+    Args:
+        baud_rate: of its port.
+        axis: letter of the axis that presses.
+        is_reversed: whether pressing is the negative machine direction.
+
+    Raises:
+        InputError: there is no such axis.
+    """
+
+    kind: str = "grbl"
+    baud_rate: int = 115200
+    axis: str = "Z"
+    is_reversed: bool = True
+
+    def __post_init__(self) -> None:
+        if self.axis not in ("X", "Y", "Z"):
+            raise InputError(f"stage.axis is {self.axis!r}; known are X, Y, Z")
 
 
 class GrblStage:
@@ -308,3 +334,17 @@ class GrblStage:
             self._is_homing = False
             why = reply if isinstance(reply, grbl.Alarm) else "the controller started again"
             raise DeviceError(f"stage: homing failed: {why}; check the homing switch and its cable")
+
+
+def _open(config: GrblConfig, opening: Opening) -> GrblStage:
+    with link_for_driver(config.port, opening.clock, config.baud_rate, "stage") as link:
+        return GrblStage(link, config.axis, config.is_reversed)
+
+
+def _simulate(around: Surroundings) -> Simulated[GrblConfig]:
+    from softcal.station.simulated.grbl import SimulatedGrbl
+
+    return Simulated(GrblConfig(around.wire.port), SimulatedGrbl(around.wire, around.axis))
+
+
+DRIVERS = (Driver("grbl", "GRBL 1.1 and grblHAL controllers", GrblConfig, _open, _simulate),)

@@ -1,12 +1,38 @@
 """A load cell behind an HX711 whose Arduino prints raw 24-bit counts (Avia Semiconductor, HX711 data sheet)."""
 
-from softcal.core.errors import BadReply
+from dataclasses import dataclass
+
+from softcal.core.errors import BadReply, InputError
+from softcal.station.config import ForceConfig
+from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import TextStream
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link
+from softcal.station.link import Link, link_for_driver
 
 RAILS = (-(2**23), 2**23 - 1)
 """Counts of a saturated converter: overload, or a bridge that is not connected."""
+
+
+@dataclass(frozen=True)
+class Hx711Config(ForceConfig):
+    """A bare load cell behind an HX711.
+
+    Args:
+        baud_rate: of its port.
+        counts_per_N, zero_counts: from `softcal station calibrate-cell`.
+
+    Raises:
+        InputError: a scale of 0.
+    """
+
+    kind: str = "hx711"
+    baud_rate: int = 115200
+    counts_per_N: float = 10000.0
+    zero_counts: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.counts_per_N == 0:
+            raise InputError("force.counts_per_N is 0; run `softcal station calibrate-cell`")
 
 
 class Hx711Cell:
@@ -54,3 +80,25 @@ class Hx711Cell:
                 "connected, check cable and load, then zero it"
             )
         return Sample(sample.host_s, sample.device_s, ((count - self.zero_counts) / self.counts_per_N,))
+
+
+def _open(config: Hx711Config, opening: Opening) -> Hx711Cell:
+    with link_for_driver(config.port, opening.clock, config.baud_rate, Hx711Cell.name) as link:
+        return Hx711Cell(link, config.counts_per_N, config.zero_counts, config.capacity_N, config.rate_Hz)
+
+
+def _simulate(around: Surroundings) -> Simulated[Hx711Config]:
+    from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
+
+    config = Hx711Config(around.wire.port, counts_per_N=CELL_COUNTS_PER_N, zero_counts=CELL_ZERO_COUNTS)
+
+    def counts(now_s: float) -> tuple[int, ...]:
+        count = round(config.zero_counts + config.counts_per_N * around.force_N(now_s))
+        return (min(max(count, RAILS[0]), RAILS[1]),)
+
+    drift = float(around.rng.normal(0, 1e-3))
+    banner = b"softcal load cell 1\r\n"
+    return Simulated(config, SimulatedTextStream(around.wire, counts, config.rate_Hz, drift, banner=banner))
+
+
+DRIVERS = (Driver("hx711", "text lines `ms,counts` of an HX711", Hx711Config, _open, _simulate),)

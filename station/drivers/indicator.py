@@ -1,10 +1,29 @@
 """Driver of a weighing indicator that prints its reading by itself."""
 
+from dataclasses import dataclass
+
 from softcal.core.errors import BadReply
+from softcal.station.config import ForceConfig
+from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import BAD_IN_A_ROW
 from softcal.station.frames.indicator import parse_N
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link
+from softcal.station.link import Link, link_for_driver
+
+
+@dataclass(frozen=True)
+class IndicatorConfig(ForceConfig):
+    """Weighing indicators that print `ST,GS,+  4.876kg`.
+
+    Args:
+        baud_rate: of its port.
+        sign: 1 where compression reads positive, −1 otherwise.
+    """
+
+    kind: str = "indicator"
+    baud_rate: int = 115200
+    rate_Hz: float = 50.0
+    sign: float = 1.0
 
 
 class IndicatorCell:
@@ -56,3 +75,17 @@ class IndicatorCell:
     def close(self) -> None:
         """Give the port back."""
         self._link.close()
+
+
+def _open(config: IndicatorConfig, opening: Opening) -> IndicatorCell:
+    with link_for_driver(config.port, opening.clock, config.baud_rate, IndicatorCell.name) as link:
+        return IndicatorCell(link, config.capacity_N, config.sign, config.rate_Hz)
+
+
+def _simulate(around: Surroundings) -> Simulated[IndicatorConfig]:
+    from softcal.station.simulated.force_gauge import SimulatedIndicator
+
+    return Simulated(IndicatorConfig(around.wire.port), SimulatedIndicator(around.wire, around.force_N))
+
+
+DRIVERS = (Driver("indicator", "weighing indicators that print `ST,GS,+  4.876kg`", IndicatorConfig, _open, _simulate),)

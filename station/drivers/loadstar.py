@@ -1,12 +1,31 @@
 """Driver of a Loadstar DI-100 or DI-1000 interface that streams its readings (frames/loadstar.py has the source)."""
 
+from dataclasses import dataclass
+
 from softcal.core.errors import BadReply, NoReply
+from softcal.station.config import ForceConfig
+from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import BAD_IN_A_ROW
 from softcal.station.frames import loadstar
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link
+from softcal.station.link import Link, link_for_driver
 
 ANSWER_S = 1.0
+
+
+@dataclass(frozen=True)
+class LoadstarConfig(ForceConfig):
+    """Loadstar DI-100 and DI-1000.
+
+    Args:
+        baud_rate: of its port.
+        sign: 1 where compression reads positive, −1 otherwise.
+    """
+
+    kind: str = "loadstar"
+    baud_rate: int = 115200
+    rate_Hz: float = 80.0
+    sign: float = 1.0
 
 
 class LoadstarCell:
@@ -92,3 +111,17 @@ class LoadstarCell:
     def _ask(self, question: bytes) -> str:
         self._link.write(question)
         return self._link.next_line(ANSWER_S).text.decode("ascii", "replace").strip()
+
+
+def _open(config: LoadstarConfig, opening: Opening) -> LoadstarCell:
+    with link_for_driver(config.port, opening.clock, config.baud_rate, LoadstarCell.name) as link:
+        return LoadstarCell(link, config.capacity_N, config.sign, config.rate_Hz)
+
+
+def _simulate(around: Surroundings) -> Simulated[LoadstarConfig]:
+    from softcal.station.simulated.force_gauge import SimulatedLoadstar
+
+    return Simulated(LoadstarConfig(around.wire.port), SimulatedLoadstar(around.wire, around.force_N))
+
+
+DRIVERS = (Driver("loadstar", "Loadstar DI-100 and DI-1000", LoadstarConfig, _open, _simulate),)

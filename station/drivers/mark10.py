@@ -1,11 +1,31 @@
 """Driver of a Mark-10 force gauge, asked reading by reading (Mark-10 GCL2 manual)."""
 
+from dataclasses import dataclass
+
 from softcal.core.errors import CommandRefused, NoReply
+from softcal.station.asked import AskedReader
+from softcal.station.config import ForceConfig
+from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.frames import gcl2
 from softcal.station.interfaces import Sample
-from softcal.station.link import Link
+from softcal.station.link import Link, link_for_driver
 
 ANSWER_S = 1.0
+
+
+@dataclass(frozen=True)
+class Mark10Config(ForceConfig):
+    """Mark-10 gauges, GCL2.
+
+    Args:
+        baud_rate: of its port.
+        sign: 1 where compression reads positive, −1 otherwise.
+    """
+
+    kind: str = "mark10"
+    baud_rate: int = 115200
+    rate_Hz: float = 50.0
+    sign: float = 1.0
 
 
 class Mark10Gauge:
@@ -30,14 +50,12 @@ class Mark10Gauge:
 
     def __init__(self, link: Link, capacity_N: float, sign: float = 1.0, rate_Hz: float = 50.0) -> None:
         self._link, self.capacity_N, self._sign, self.rate_Hz = link, capacity_N, sign, rate_Hz
-        self._asked_s: float | None = None
-        self._next_s = 0.0
+        self._reader = AskedReader(self.name, self.unit, rate_Hz, link, gcl2.CURRENT, self._parse)
         self._set("CUR", "N")
 
     def start(self) -> None:
         """Throw away what lies in the buffers and begin to ask."""
-        self._link.discard()
-        self._asked_s, self._next_s = None, 0.0
+        self._reader.start()
 
     def poll(self) -> list[Sample]:
         """Return the readings that arrived, in N, and ask for the next one when it is time.
@@ -46,22 +64,14 @@ class Mark10Gauge:
             NoReply: the port is gone.
             BadReply: the gauge answers with an error code, or without its unit.
         """
-        samples = []
-        for line in self._link.read_lines():
-            if self._asked_s is None:
-                continue
-            force_N = self._sign * gcl2.parse_reading_N(line.text)
-            samples.append(Sample((self._asked_s + line.host_s) / 2, None, (force_N,)))
-            self._asked_s = None
-        now_s = self._link.clock.now_s()
-        if self._asked_s is None and now_s >= self._next_s:
-            self._link.write(gcl2.CURRENT)
-            self._asked_s, self._next_s = now_s, now_s + 1.0 / self.rate_Hz
-        return samples
+        return self._reader.poll()
 
     def close(self) -> None:
         """Give the port back."""
         self._link.close()
+
+    def _parse(self, line: bytes) -> tuple[float, ...]:
+        return (self._sign * gcl2.parse_reading_N(line),)
 
     def _set(self, *commands: str) -> None:
         self._link.discard()
@@ -73,3 +83,17 @@ class Mark10Gauge:
             raise NoReply(f"load cell: the gauge stays in {settings.mode} and {settings.unit}; switch it to CUR and N")
         if not settings.has_units or not settings.has_sign:
             raise CommandRefused("load cell: readings lack unit or sign; switch both on in the gauge's menu")
+
+
+def _open(config: Mark10Config, opening: Opening) -> Mark10Gauge:
+    with link_for_driver(config.port, opening.clock, config.baud_rate, Mark10Gauge.name) as link:
+        return Mark10Gauge(link, config.capacity_N, config.sign, config.rate_Hz)
+
+
+def _simulate(around: Surroundings) -> Simulated[Mark10Config]:
+    from softcal.station.simulated.force_gauge import SimulatedMark10
+
+    return Simulated(Mark10Config(around.wire.port), SimulatedMark10(around.wire, around.force_N))
+
+
+DRIVERS = (Driver("mark10", "Mark-10 gauges, GCL2", Mark10Config, _open, _simulate),)

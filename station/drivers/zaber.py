@@ -1,11 +1,15 @@
 """Driver of a Zaber stage over the ASCII protocol, firmware 6 and 7 (Zaber ASCII manual)."""
 
-from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
+from dataclasses import dataclass
+
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
 from softcal.station.command import Control, Measurement
+from softcal.station.config import StageConfig
+from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit
 from softcal.station.frames import zaber
 from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
-from softcal.station.link import POLL_S, Link
+from softcal.station.link import POLL_S, Link, link_for_driver
 
 ANSWER_S = 0.5
 SILENCE_S = 0.25
@@ -16,6 +20,30 @@ SPEED_UNIT = 1.6384
 """A speed setting is microsteps per second times this; an acceleration setting is that per 10 000 s of second."""
 
 ACCELERATION_UNIT = 1.6384 / 10_000
+
+
+@dataclass(frozen=True)
+class ZaberConfig(StageConfig):
+    """A Zaber device.
+
+    Args:
+        baud_rate: of its port.
+        microstep_mm: travel per microstep, from the data sheet.
+        device, axis: its address in the chain, and which of its axes presses.
+
+    Raises:
+        InputError: a travel per microstep that is none.
+    """
+
+    kind: str = "zaber"
+    baud_rate: int = 115200
+    microstep_mm: float = 0.0001905
+    device: int = 1
+    axis: int = 1
+
+    def __post_init__(self) -> None:
+        if not self.microstep_mm > 0:
+            raise InputError(f"stage.microstep_mm is {self.microstep_mm:g}; a number above 0 was expected")
 
 
 class ZaberStage:
@@ -172,3 +200,17 @@ def _number(reply: zaber.Reply) -> float:
         return float(reply.data)
     except ValueError as error:
         raise BadReply(f"stage: its position reads {reply.data[:40]!r}; a number was expected") from error
+
+
+def _open(config: ZaberConfig, opening: Opening) -> ZaberStage:
+    with link_for_driver(config.port, opening.clock, config.baud_rate, "stage") as link:
+        return ZaberStage(link, config.microstep_mm, config.device, config.axis)
+
+
+def _simulate(around: Surroundings) -> Simulated[ZaberConfig]:
+    from softcal.station.simulated.zaber import SimulatedZaber
+
+    return Simulated(ZaberConfig(around.wire.port), SimulatedZaber(around.wire, around.axis))
+
+
+DRIVERS = (Driver("zaber", "Zaber stages, ASCII protocol, firmware 6 and 7", ZaberConfig, _open, _simulate),)

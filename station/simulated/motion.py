@@ -61,6 +61,7 @@ class Axis:
         speed = self.velocity_mm_s
         stop_mm = self.position_mm + math.copysign(speed**2 / (2 * self.acceleration_mm_s2), speed)
         self.queue.clear()
+        self._phases.clear()
         if speed:
             self.add(Block(stop_mm, abs(speed)))
 

@@ -1,24 +1,28 @@
-"""A whole simulated station: one rig, three devices on three serial lines, one world in which time passes."""
+"""A whole simulated station: one rig, three devices on three lines, one world in which time passes."""
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin, TwinStream
-from softcal.station.simulated.esm import SimulatedEsm
-from softcal.station.simulated.force_gauge import SimulatedIndicator, SimulatedLoadstar, SimulatedMark10
+from softcal.station.catalogue import driver_of
+from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig
+from softcal.station.driver import AnyDriver, Simulated, Surroundings
 from softcal.station.simulated.grbl import SimulatedGrbl
+from softcal.station.simulated.medium import SocketEnd
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.rig import Rig
-from softcal.station.simulated.text_stream import SimulatedTextStream
+from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import FarEnd, World
-from softcal.station.simulated.zaber import SimulatedZaber
 
 ACCELERATION_MM_S2 = 200.0
 FREE_MM = 4.0
 """Stage position above any unit."""
+
+_E = TypeVar("_E")
 
 
 class SimulatedStation:
@@ -28,22 +32,21 @@ class SimulatedStation:
         unit: the unit under the stage.
         rng: draws noise, delays, clock errors and how units come to lie.
         time_factor: simulated seconds per real second at most; None runs as fast as the computer can.
-        stage_kind, force_kind: dialects, as in a station file. The fault switches of `stage` and `force` are those of
-            GRBL and HX711.
+        stage_kind, force_kind, readout_kind: which drivers, as in a station file.
         beside: more units under the same stage, each on a channel of its own.
     """
 
-    counts_per_N = 9870.0
-    zero_counts = 84_210.0
+    counts_per_N, zero_counts = CELL_COUNTS_PER_N, CELL_ZERO_COUNTS
 
     def __init__(
         self,
         unit: Twin,
         rng: np.random.Generator,
         time_factor: float | None = None,
-        stage_kind: str = "grbl",
-        force_kind: str = "hx711",
+        stage_kind: str = StageConfig.kind,
+        force_kind: str = ForceConfig.kind,
         beside: Sequence[Twin] = (),
+        readout_kind: str = ReadoutConfig.kind,
     ) -> None:
         self.world = World(time_factor)
         self.metadata = unit.metadata
@@ -53,38 +56,47 @@ class SimulatedStation:
         self.axis.position_mm = 2.3  # Where somebody left it: nothing is known before homing.
         self.rig = Rig(self.axis)
         self.mount(unit)
-        self.stage_wire, self.force_wire, self.readout_wire = (Wire(child) for child in rng.spawn(3))
-        self.stage_kind, self.force_kind = stage_kind, force_kind
-        nowhere = Wire(rng)
-        nowhere.unplug()
-        self.stage = SimulatedGrbl(self.stage_wire if stage_kind == "grbl" else nowhere, self.axis)
-        self.force = SimulatedTextStream(
-            self.force_wire if force_kind == "hx711" else nowhere,
-            self._force_counts,
-            80.0,
-            float(rng.normal(0, 1e-3)),
-            banner=b"softcal load cell 1\r\n",
+        self.stage_kind, self.force_kind, self.readout_kind = stage_kind, force_kind, readout_kind
+        drivers = driver_of("stage", stage_kind), driver_of("cell", force_kind), driver_of("readout", readout_kind)
+        self.is_threaded = any(driver.is_threaded for driver in drivers)
+        self.stage_wire, self.force_wire, self.readout_wire = (
+            wire_for(driver, child) for driver, child in zip(drivers, rng.spawn(3), strict=True)
         )
-        self.readout = SimulatedTextStream(
-            self.readout_wire, self._output_counts, unit.metadata.sample_rate_Hz, float(rng.normal(0, 1e-3))
+        stage: Simulated[StageConfig] = drivers[0].simulate(self._around(self.stage_wire))
+        cell: Simulated[ForceConfig] = drivers[1].simulate(self._around(self.force_wire))
+        readout: Simulated[ReadoutConfig] = drivers[2].simulate(self._around(self.readout_wire))
+        self.stage_config, self.force_config, self.readout_config = stage.config, cell.config, readout.config
+        self.reading_per_V = readout.reading_per_V
+        self._far_ends = (stage.far_end, cell.far_end, readout.far_end)
+        for far_end in self._far_ends:
+            if far_end is not None:
+                self.world.add(far_end)
+
+    def _around(self, wire: Wire) -> Surroundings:
+        return Surroundings(
+            wire,
+            self.axis,
+            lambda now_s: self.rig.read(now_s)[0],
+            lambda now_s: self.rig.read(now_s)[1],
+            self.metadata,
+            self._rng,
+            self.stage_wire.port,
         )
-        for far_end in (self._stage_end(), self._force_end(), self.readout):
-            self.world.add(far_end)
 
-    def _stage_end(self) -> FarEnd:
-        if self.stage_kind == "esm":
-            gauge = SimulatedMark10(self.force_wire, lambda now_s: self.rig.read(now_s)[0])
-            return SimulatedEsm(self.stage_wire, self.axis, gauge)
-        return SimulatedZaber(self.stage_wire, self.axis) if self.stage_kind == "zaber" else self.stage
+    @property
+    def stage(self) -> SimulatedGrbl:
+        """The far end of a GRBL stage, with its fault switches."""
+        return _switches_of(SimulatedGrbl, self._far_ends[0])
 
-    def _force_end(self) -> FarEnd:
-        if self.force_kind == "mark10":
-            return SimulatedMark10(self.force_wire, lambda now_s: self.rig.read(now_s)[0])
-        if self.force_kind == "indicator":
-            return SimulatedIndicator(self.force_wire, lambda now_s: self.rig.read(now_s)[0])
-        if self.force_kind == "loadstar":
-            return SimulatedLoadstar(self.force_wire, lambda now_s: self.rig.read(now_s)[0])
-        return self.force
+    @property
+    def force(self) -> SimulatedTextStream:
+        """The far end of an HX711 load cell, with its fault switches."""
+        return _switches_of(SimulatedTextStream, self._far_ends[1])
+
+    @property
+    def readout(self) -> SimulatedTextStream:
+        """The far end of an Arduino readout, with its fault switches."""
+        return _switches_of(SimulatedTextStream, self._far_ends[2])
 
     def mount(self, unit: Twin) -> None:
         """Put a unit under the stage, a little higher or lower than the one before."""
@@ -101,10 +113,13 @@ class SimulatedStation:
         for wire in (self.stage_wire, self.force_wire, self.readout_wire):
             wire.close()
 
-    def _force_counts(self, now_s: float) -> tuple[int, ...]:
-        force_N = self.rig.read(now_s)[0]
-        counts = self.zero_counts + self.counts_per_N * force_N
-        return (int(np.clip(round(counts), -(2**23), 2**23 - 1)),)
 
-    def _output_counts(self, now_s: float) -> tuple[int, ...]:
-        return tuple(round(output_V / self.metadata.step_V) for output_V in self.rig.read(now_s)[1])
+def wire_for(driver: AnyDriver, rng: np.random.Generator) -> Wire:
+    """Return a line of the kind a driver speaks over: a serial line, or a socket for all others."""
+    return Wire(rng) if driver.wires[0] == "serial" else Wire(rng, medium=SocketEnd())
+
+
+def _switches_of(kind: type[_E], far_end: FarEnd | None) -> _E:
+    if not isinstance(far_end, kind):
+        raise ValueError(f"these fault switches are those of {kind.__name__}; the station has {type(far_end).__name__}")
+    return far_end

@@ -5,6 +5,9 @@ from collections.abc import Callable
 from softcal.station.frames.text_stream import StreamLine, format_line
 from softcal.station.simulated.wire import Wire
 
+CELL_COUNTS_PER_N, CELL_ZERO_COUNTS = 9870.0, 84_210.0
+"""Of the simulated load cell behind its HX711."""
+
 
 class SimulatedTextStream:
     """A device that samples by its own crystal and prints every sample.

@@ -192,3 +192,17 @@ def test_serve_performs_an_order_and_gives_the_ports_back(tmp_path):
         assert queue.progress("o1").state is RunState.DONE
         assert queue.heartbeat("s1").state is StationState.OFF
         assert [entry.serial for entry in registry.recordings("L1", kind="unit")] == ["A1"]
+
+
+def test_drivers_are_listed_with_their_keys_and_their_origin(softcal, tmp_path, capsys):
+    import json
+
+    assert softcal("drivers", "--json", tmp_path / "drivers.json") == 0
+    listed = json.loads((tmp_path / "drivers.json").read_text())["drivers"]
+    (grbl,) = [driver for driver in listed if (driver["role"], driver["kind"]) == ("stage", "grbl")]
+    assert grbl["package"] == "softcal" and grbl["keys"]["axis"] == "Z" and grbl["keys"]["port"] is None
+    capsys.readouterr()
+    assert softcal("drivers", "--kind", "zaber") == 0
+    assert "microstep_mm: travel per microstep" in "".join(capsys.readouterr())
+    with pytest.raises(InputError, match="no driver of kind 'nothing'"):
+        softcal("drivers", "--kind", "nothing")

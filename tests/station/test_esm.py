@@ -3,8 +3,9 @@
 import pytest
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
-from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
-from softcal.station.drivers.esm import EsmStage
+from softcal.station.bench import open_bench
+from softcal.station.config import ReadoutConfig, StageConfig, StationConfig
+from softcal.station.drivers.esm import EsmConfig, EsmGaugeConfig, EsmStage
 from softcal.station.frames import esm
 from softcal.station.interfaces import Move
 from softcal.station.link import Link
@@ -150,6 +151,10 @@ def test_the_gauge_answers_through_the_stand_while_it_moves(stage, stand):
     assert samples[-1].values[0] == pytest.approx(4.0, abs=0.03)
 
 
-def test_a_gauge_on_a_stand_needs_the_stand():
+def test_a_gauge_on_a_stand_needs_the_stand(stand):
     with pytest.raises(InputError, match="same port"):
-        StationConfig(StageConfig("/dev/a"), ReadoutConfig("/dev/b"), ForceConfig("/dev/a", "esm"))
+        StationConfig(StageConfig("/dev/a"), ReadoutConfig("/dev/b"), EsmGaugeConfig("/dev/a"))
+    world, far_end = stand
+    config = StationConfig(EsmConfig(far_end.wire.port), ReadoutConfig("/dev/b"), EsmGaugeConfig("/dev/a"))
+    with pytest.raises(NoReply, match="gauge on an ESM stand"), open_bench(config, world):
+        pass

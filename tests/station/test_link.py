@@ -20,7 +20,7 @@ def test_everything_that_has_arrived_is_read_at_once(wire):
     # A tty hands over 4095 bytes a read at most, and less when its line discipline is behind.
     link = Link(wire.port, HostClock())
     for k in range(2000):
-        wire._write(b"%06d\r\n" % k)
+        wire._medium.write(b"%06d\r\n" % k)
     assert [int(line.text) for line in link.read_lines()] == list(range(2000))
     link.close()
 

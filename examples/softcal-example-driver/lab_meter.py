@@ -1,0 +1,57 @@
+"""A capacitance meter of our laboratory: it answers `C?` with `+12.345 pF`."""
+
+from dataclasses import dataclass
+
+from softcal.core.errors import BadReply, CommandRefused, InputError
+from softcal.station.asked import AskedReader
+from softcal.station.config import ReadoutConfig
+from softcal.station.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.link import link_for_driver
+from softcal.station.simulated.answering import SimulatedAnswers
+
+
+@dataclass(frozen=True)
+class MeterConfig(ReadoutConfig):
+    """Its section of the station file.
+
+    Args:
+        baud_rate: of its port.
+        averages: readings it averages, 1 to 16.
+    """
+
+    kind: str = "lab_meter"
+    baud_rate: int = 9600
+    averages: int = 4
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.averages <= 16:
+            raise InputError(f"readout.averages is {self.averages}; a number in [1, 16] was expected")
+
+
+def parse_pF(line: bytes) -> tuple[float, ...]:
+    number, _, unit = line.partition(b" ")
+    if unit != b"pF" or not number.lstrip(b"+-").replace(b".", b"", 1).isdigit():
+        raise BadReply(f"lab meter: it sent {line[:40]!r}; a reading as b'+12.345 pF' was expected")
+    return (float(number),)
+
+
+def open_meter(config: MeterConfig, opening: Opening) -> AskedReader:
+    with link_for_driver(config.port, opening.clock, config.baud_rate, "lab meter") as link:
+        link.write(f"AVG {config.averages}\nAVG?\n".encode())
+        if link.next_line(1.0).text != str(config.averages).encode():
+            raise CommandRefused(f"lab meter ({config.port}): it does not take AVG; is it the meter?")
+        return AskedReader("lab meter", "pF", config.rate_Hz, link, b"C?\n", parse_pF, limits=(-10.0, 2000.0))
+
+
+def simulate(around: Surroundings) -> Simulated[MeterConfig]:
+    averages = ["1"]
+
+    def answer(words: str, now_s: float) -> str:
+        if words.startswith("AVG "):
+            averages[0] = words.removeprefix("AVG ")
+        return {"C?": f"{100 * around.outputs_V(now_s)[0]:+.3f} pF", "AVG?": averages[0]}.get(words, "")
+
+    return Simulated(MeterConfig(around.wire.port), SimulatedAnswers(around.wire, answer), reading_per_V=100.0)
+
+
+DRIVER = Driver("lab_meter", "the capacitance meter of our laboratory", MeterConfig, open_meter, simulate)

@@ -1,0 +1,285 @@
+"""Bench instruments as the sensor's readout: multimeters and LCR meters that speak SCPI, over LAN, USB or RS-232.
+
+Commands: Keysight Truevolt Series Operating and Service Guide (34460A ... 34470A); Keysight E4980A/AL User's Guide,
+remote control. Both measure on demand, so that every answer is a fresh reading.
+"""
+
+from dataclasses import dataclass
+
+from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
+from softcal.station.asked import AskedReader
+from softcal.station.config import ReadoutConfig
+from softcal.station.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.interfaces import Sample
+from softcal.station.link import Link, link_for_driver
+from softcal.station.transport import WireKind
+
+NAME = "sensor readout"
+ANSWER_S = 3.0
+OVERLOAD = 9.9e37
+"""What SCPI instruments send for a value beyond the range."""
+
+MAINS_HZ = 50.0
+"""Integration is counted in cycles of the mains; at 60 Hz it is shorter."""
+
+DMM_MODELS = ("34410A", "34411A", "34460A", "34461A", "34465A", "34470A")
+LCR_MODELS = ("E4980A", "E4980AL")
+
+DMM_QUANTITIES = {"voltage": ("VOLT:DC", "V"), "resistance": ("RES", "ohm"), "resistance_4w": ("FRES", "ohm")}
+LCR_QUANTITIES = {"capacitance": ("CPD", "pF", 1e12), "resistance": ("RX", "ohm", 1.0)}
+LCR_STATUS = {1: "overload", 3: "its signal source is overloaded", 4: "it cannot keep the level", -1: "no data"}
+
+
+@dataclass(frozen=True)
+class DmmConfig(ReadoutConfig):
+    """A multimeter.
+
+    Args:
+        baud_rate: of a serial port.
+        quantity: voltage, resistance or resistance_4w.
+        full_scale: of the fixed range, V or ohm; the instrument takes the range that holds it.
+        cycles: mains cycles each reading is integrated over: 0.02, 0.2, 1, 10 or 100.
+
+    Raises:
+        InputError: an unknown quantity, or a rate the integration leaves no time for.
+    """
+
+    kind: str = "scpi_dmm"
+    baud_rate: int = 115200
+    quantity: str = "resistance"
+    full_scale: float = 10_000.0
+    cycles: float = 0.2
+
+    def __post_init__(self) -> None:
+        _known("readout.quantity", self.quantity, DMM_QUANTITIES)
+        _one_channel(self)
+        if self.cycles not in (0.02, 0.2, 1.0, 10.0, 100.0):
+            raise InputError(f"readout.cycles is {self.cycles:g}; known are 0.02, 0.2, 1, 10, 100")
+        if self.rate_Hz * self.cycles / MAINS_HZ > 0.8:
+            raise InputError(
+                f"readout.rate_Hz is {self.rate_Hz:g}; with cycles = {self.cycles:g} at most "
+                f"{0.8 * MAINS_HZ / self.cycles:g} readings a second are possible"
+            )
+        if not self.full_scale > 0:
+            raise InputError(f"readout.full_scale is {self.full_scale:g}; a number above 0 was expected")
+
+
+@dataclass(frozen=True)
+class LcrConfig(ReadoutConfig):
+    """An LCR meter; a capacitance is recorded in pF.
+
+    Args:
+        baud_rate: of a serial port.
+        quantity: capacitance (parallel) or resistance (series).
+        full_scale: largest value, pF or ohm; beyond it the recording is refused.
+        frequency_Hz, level_V: of the measuring signal.
+        impedance_ohm: fixed measuring range of the instrument, ohm; 0 lets it choose, which costs time.
+
+    Raises:
+        InputError: an unknown quantity, or a signal the instrument cannot give.
+    """
+
+    kind: str = "scpi_lcr"
+    baud_rate: int = 115200
+    quantity: str = "capacitance"
+    full_scale: float = 1000.0
+    frequency_Hz: float = 100_000.0
+    level_V: float = 1.0
+    impedance_ohm: float = 0.0
+
+    def __post_init__(self) -> None:
+        _known("readout.quantity", self.quantity, LCR_QUANTITIES)
+        _one_channel(self)
+        if not 20.0 <= self.frequency_Hz <= 2e6:
+            raise InputError(f"readout.frequency_Hz is {self.frequency_Hz:g}; a value in [20, 2e+06] was expected")
+        if not 0.0 < self.level_V <= 20.0:
+            raise InputError(f"readout.level_V is {self.level_V:g}; a value in (0, 20] was expected")
+        if not self.full_scale > 0:
+            raise InputError(f"readout.full_scale is {self.full_scale:g}; a number above 0 was expected")
+
+
+class ScpiReadout:
+    """One quantity of a bench instrument, asked at a steady rate.
+
+    Args:
+        link: its port.
+        models: what its `*IDN?` may name.
+        setup: commands that make it measure the quantity on demand.
+        question: asks for one fresh reading.
+        unit: of the reading; `per_unit` turns the instrument's own into it.
+        full_scale: largest reading.
+        rate_Hz: readings per second.
+
+    Raises:
+        NoReply: no such instrument answers.
+        CommandRefused: it does not take its settings.
+    """
+
+    name = NAME
+    channels = 1
+
+    def __init__(
+        self,
+        link: Link,
+        models: tuple[str, ...],
+        setup: tuple[str, ...],
+        question: str,
+        unit: str,
+        per_unit: float,
+        full_scale: float,
+        rate_Hz: float,
+    ) -> None:
+        self._link, self.unit, self.rate_Hz, self._per_unit = link, unit, rate_Hz, per_unit
+        self.range = (-full_scale, full_scale)
+        self.identity = self._identified(models)
+        self._set(setup)
+        self._reader = AskedReader(NAME, unit, rate_Hz, link, question.encode() + b"\n", self._parse)
+
+    def start(self) -> None:
+        """Throw away what lies in the buffers and begin to ask."""
+        self._reader.start()
+
+    def poll(self) -> list[Sample]:
+        """Return the readings that arrived since the last call.
+
+        Raises:
+            NoReply: the port is gone.
+            BadReply: overload, or no number.
+        """
+        return self._reader.poll()
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._reader.close()
+
+    def _identified(self, models: tuple[str, ...]) -> str:
+        self._link.discard()
+        self._link.write(b"*IDN?\n")
+        identity = self._link.next_line(ANSWER_S).text.decode("ascii", "replace").strip()
+        fields = [field.strip() for field in identity.split(",")]
+        if len(fields) < 2 or fields[1] not in models:
+            raise NoReply(f"{NAME}: {identity[:60]!r} is none of {', '.join(models)}; check port and kind")
+        return identity
+
+    def _set(self, setup: tuple[str, ...]) -> None:
+        # One command a line: over USB-TMC each line is a message of its own.
+        for command in ("*RST", "*CLS", *setup):
+            self._link.write(command.encode() + b"\n")
+        self._link.write(b"SYST:ERR?\n")
+        error = self._link.next_line(ANSWER_S).text.decode("ascii", "replace")
+        if int_of(error.split(",")[0]) != 0:
+            raise CommandRefused(f"{NAME}: does not take its settings: {error[:80]}; check them in the station file")
+
+    def _parse(self, line: bytes) -> tuple[float, ...]:
+        return (self._per_unit * parse_reading(line),)
+
+
+def parse_reading(line: bytes) -> float:
+    """Return the first number of an answer; a third one is the status of an LCR meter.
+
+    Raises:
+        BadReply: no number, overload, or a status that says the number is none.
+    """
+    fields = line.split(b",")
+    try:
+        value = float(fields[0])
+    except ValueError as error:
+        raise BadReply(f"{NAME}: a reading reads {line[:40]!r}; a number was expected") from error
+    status = int_of(fields[2].decode("ascii", "replace")) if len(fields) > 2 else 0
+    if status:
+        raise BadReply(
+            f"{NAME}: {LCR_STATUS.get(status, f'status {status}')}; check the unit's connector and the range"
+        )
+    if not abs(value) < OVERLOAD:
+        raise BadReply(f"{NAME}: overload; check the unit's connector, then choose a larger full_scale")
+    return value
+
+
+def int_of(text: str) -> int:
+    """Return a whole number as SCPI writes it.
+
+    Raises:
+        BadReply: it is none.
+    """
+    try:
+        return int(float(text))
+    except (ValueError, OverflowError) as error:
+        raise BadReply(f"{NAME}: {text[:40]!r} was read where a whole number was expected") from error
+
+
+def dmm_setup(config: DmmConfig) -> tuple[str, ...]:
+    """Return the commands for one reading a question, at a fixed range."""
+    function, _ = DMM_QUANTITIES[config.quantity]
+    # Four wires have no autozero to switch off.
+    zero = () if function == "FRES" else (f"{function}:ZERO:AUTO OFF",)
+    commands = (f"CONF:{function} {config.full_scale:g}", f"{function}:NPLC {config.cycles:g}", *zero)
+    return (*commands, "TRIG:SOUR IMM", "TRIG:DEL 0", "SAMP:COUN 1")
+
+
+def lcr_setup(config: LcrConfig) -> tuple[str, ...]:
+    """Return the commands for one measurement a trigger."""
+    function, _, _ = LCR_QUANTITIES[config.quantity]
+    auto = config.impedance_ohm == 0
+    ranges = "FUNC:IMP:RANG:AUTO ON" if auto else f"FUNC:IMP:RANG {config.impedance_ohm:g}"
+    signal = (f"FREQ {config.frequency_Hz:g}", f"VOLT {config.level_V:g}")
+    return ("FORM ASC", f"FUNC:IMP {function}", ranges, *signal, "APER SHOR,1", "TRIG:SOUR BUS", "INIT:CONT ON")
+
+
+def _open_dmm(config: DmmConfig, opening: Opening) -> ScpiReadout:
+    unit = DMM_QUANTITIES[config.quantity][1]
+    with link_for_driver(config.port, opening.clock, config.baud_rate, NAME) as link:
+        return ScpiReadout(
+            link, DMM_MODELS, dmm_setup(config), "READ?", unit, 1.0, 1.2 * config.full_scale, config.rate_Hz
+        )
+
+
+def _open_lcr(config: LcrConfig, opening: Opening) -> ScpiReadout:
+    _, unit, per_unit = LCR_QUANTITIES[config.quantity]
+    with link_for_driver(config.port, opening.clock, config.baud_rate, NAME) as link:
+        return ScpiReadout(
+            link,
+            LCR_MODELS,
+            lcr_setup(config),
+            "TRIG:IMM;:FETC?",
+            unit,
+            per_unit,
+            config.full_scale,
+            config.rate_Hz,
+        )
+
+
+def _simulate_dmm(around: Surroundings) -> Simulated[DmmConfig]:
+    from softcal.station.simulated.scpi import SimulatedDmm
+
+    def ohm(now_s: float) -> float:
+        return 1000.0 * around.outputs_V(now_s)[0]
+
+    config = DmmConfig(around.wire.port, rate_Hz=around.electronics.sample_rate_Hz)
+    return Simulated(config, SimulatedDmm(around.wire, ohm), reading_per_V=1000.0)
+
+
+def _simulate_lcr(around: Surroundings) -> Simulated[LcrConfig]:
+    from softcal.station.simulated.scpi import SimulatedLcr
+
+    def farad(now_s: float) -> float:
+        return 100e-12 * around.outputs_V(now_s)[0]
+
+    config = LcrConfig(around.wire.port, rate_Hz=around.electronics.sample_rate_Hz)
+    return Simulated(config, SimulatedLcr(around.wire, farad), reading_per_V=100.0)
+
+
+def _known(name: str, value: str, known: dict[str, tuple[str, str]] | dict[str, tuple[str, str, float]]) -> None:
+    if value not in known:
+        raise InputError(f"{name} is {value!r}; known are {', '.join(known)}")
+
+
+def _one_channel(config: ReadoutConfig) -> None:
+    if config.channels != 1:
+        raise InputError(f"readout.channels is {config.channels}; kind {config.kind} reads one channel")
+
+
+_WIRES: tuple[WireKind, ...] = ("tcp", "visa", "serial")
+DRIVERS = (
+    Driver("scpi_dmm", "SCPI multimeters: Keysight 34461A and its family", DmmConfig, _open_dmm, _simulate_dmm, _WIRES),
+    Driver("scpi_lcr", "SCPI LCR meters: Keysight E4980A, E4980AL", LcrConfig, _open_lcr, _simulate_lcr, _WIRES),
+)

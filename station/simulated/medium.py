@@ -1,0 +1,123 @@
+"""What a simulated line runs over: a pseudo terminal or a TCP socket; the host opens either as it would a device."""
+
+import os
+import socket
+from typing import Protocol
+
+
+class Medium(Protocol):
+    """The device's end of a byte stream that the host opens by its `port`."""
+
+    port: str
+
+    def read(self) -> bytes:
+        """Return everything the host has written."""
+        ...
+
+    def write(self, content: bytes) -> None:
+        """Hand bytes to the host; a host that does not read loses some, as on a real port."""
+        ...
+
+    def hang_up(self) -> None:
+        """End it for good: the host's port is dead."""
+        ...
+
+
+class PtyEnd:
+    """A serial line: a pseudo terminal (Linux and macOS)."""
+
+    def __init__(self) -> None:
+        import pty  # Not on Windows.
+        import tty
+
+        self._master, slave = pty.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        self.port = os.ttyname(slave)
+        # Kept open until the host opens it: a pty without a slave reports an error to its master.
+        self._slave = slave
+
+    def read(self) -> bytes:
+        """Return everything the host has written."""
+        content = b""
+        try:
+            # One read may give less than was written; what comes a step later would be another simulation.
+            while True:
+                content += os.read(self._master, 65536)
+        except BlockingIOError:
+            return content
+
+    def write(self, content: bytes) -> None:
+        """Hand bytes to the host."""
+        try:
+            os.write(self._master, content)
+        except BlockingIOError:
+            pass  # A host that does not read loses bytes, as on a real port.
+
+    def hang_up(self) -> None:
+        """Pull the cable."""
+        os.close(self._slave)
+        os.close(self._master)
+
+
+class SocketEnd:
+    """An instrument on the network: a TCP server on this machine that talks to one host at a time."""
+
+    def __init__(self) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._server.setblocking(False)
+        self._host: socket.socket | None = None
+        self.port = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
+
+    def read(self) -> bytes:
+        """Return everything the host has written."""
+        content, host = b"", self._connected()
+        if host is None:
+            return content
+        try:
+            while piece := host.recv(65536):
+                content += piece
+        except BlockingIOError:
+            return content
+        except OSError:
+            pass
+        self._forget()
+        return content
+
+    def write(self, content: bytes) -> None:
+        """Hand bytes to the host, where one is connected."""
+        host = self._connected()
+        if host is None:
+            return
+        try:
+            host.send(content)
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._forget()
+
+    def hang_up(self) -> None:
+        """Switch it off."""
+        self._forget()
+        self._server.close()
+
+    def _connected(self) -> socket.socket | None:
+        try:
+            newest, _ = self._server.accept()
+        except BlockingIOError:
+            return self._host
+        self._forget()
+        newest.setblocking(False)
+        newest.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._host = newest
+        return newest
+
+    def _forget(self) -> None:
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+
+def serial_line() -> Medium:
+    """Return what stands for a serial line on this machine: a socket where there are no pseudo terminals."""
+    return PtyEnd() if os.name == "posix" else SocketEnd()

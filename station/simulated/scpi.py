@@ -1,0 +1,149 @@
+"""Bench instruments that speak SCPI at the far end of a socket: a multimeter and an LCR meter."""
+
+import re
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable
+
+from softcal.station.simulated.wire import Wire
+
+OVERLOAD = "+9.90000000E+37"
+
+
+class SimulatedScpi(ABC):
+    """An instrument that measures for a while before it answers.
+
+    Faults are switches: `is_overloaded`, `refuses` (a command it calls undefined), and all the wire can do.
+
+    Args:
+        wire: the line.
+        identity: answer to `*IDN?`.
+        settings: header -> value after a reset; other headers are undefined.
+        measure: (simulated time) -> answer to one reading.
+        measure_s: how long a reading takes.
+    """
+
+    def __init__(
+        self,
+        wire: Wire,
+        identity: str,
+        settings: dict[str, str],
+        measure: Callable[[float], str],
+        measure_s: float,
+    ) -> None:
+        self.wire, self.identity, self._defaults, self._measure = wire, identity, settings, measure
+        self.measure_s, self.settings = measure_s, dict(settings)
+        self.is_overloaded, self.refuses = False, ""
+        self._errors: deque[str] = deque()
+        self._triggered: deque[float] = deque()
+        self._received = b""
+
+    def receive(self, now_s: float) -> None:
+        """Take what the host has written, line by line."""
+        *lines, self._received = (self._received + self.wire.receive()).split(b"\n")
+        for line in lines:
+            for words in line.decode("ascii", "replace").strip().split(";"):
+                self._do(words.strip().lstrip(":"), now_s)
+
+    def next_event_s(self) -> float:
+        """Return when the next reading is done, or the next bytes reach the host."""
+        return min(self._triggered[0] if self._triggered else float("inf"), self.wire.next_arrival_s())
+
+    def advance(self, now_s: float) -> None:
+        """Answer the readings that are done and let bytes reach the host."""
+        while self._triggered and self._triggered[0] <= now_s:
+            done_s = self._triggered.popleft()
+            self.wire.send(self._measure(done_s - self.measure_s / 2).encode() + b"\n", done_s)
+        self.wire.deliver(now_s)
+
+    def trigger(self, now_s: float) -> None:
+        """Begin a reading; it is answered when it is done."""
+        busy_until_s = self._triggered[-1] if self._triggered else now_s
+        self._triggered.append(max(busy_until_s, now_s) + self.measure_s)
+
+    def _do(self, words: str, now_s: float) -> None:
+        header, _, value = words.partition(" ")
+        if header == self.refuses and header:
+            self._errors.append('-113,"Undefined header"')
+        elif header == "*IDN?":
+            self._answer(self.identity, now_s)
+        elif header == "SYST:ERR?":
+            self._answer(self._errors.popleft() if self._errors else '+0,"No error"', now_s)
+        elif header == "*RST":
+            self.settings = dict(self._defaults)
+        elif header == "*CLS":
+            self._errors.clear()
+        elif not self.measured(header, now_s):
+            self._set(header, value)
+
+    @abstractmethod
+    def measured(self, header: str, now_s: float) -> bool:
+        """Whether a header asks for a reading; then it is begun."""
+
+    def _set(self, header: str, value: str) -> None:
+        header = re.sub(r"^CONF:(\w+(:DC)?)$", r"CONF", header)
+        if header in self.settings:
+            self.settings[header] = value
+        elif header:
+            self._errors.append('-113,"Undefined header"')
+
+    def _answer(self, text: str, now_s: float) -> None:
+        self.wire.send(text.encode() + b"\n", now_s)
+
+
+class SimulatedDmm(SimulatedScpi):
+    """A 34461A: `READ?` triggers and answers.
+
+    Args:
+        wire: the line.
+        value: (simulated time) -> what it measures, in its own unit.
+    """
+
+    def __init__(self, wire: Wire, value: Callable[[float], float]) -> None:
+        functions = ("RES", "FRES", "VOLT:DC")
+        settings = {"CONF": "", "TRIG:SOUR": "IMM", "TRIG:DEL": "", "SAMP:COUN": "1"}
+        settings |= {f"{function}:NPLC": "10" for function in functions}
+        settings |= {"RES:ZERO:AUTO": "ON", "VOLT:DC:ZERO:AUTO": "ON"}
+        identity = "Keysight Technologies,34461A,MY53200001,A.02.17-02.40-02.17-00.52-04-02"
+
+        def measure(now_s: float) -> str:
+            return OVERLOAD if self.is_overloaded else f"{value(now_s):+.8E}"
+
+        super().__init__(wire, identity, settings, measure, 0.2 / 50.0 + 0.002)
+
+    def measured(self, header: str, now_s: float) -> bool:
+        """Whether it is `READ?`."""
+        if header == "READ?":
+            self.trigger(now_s)
+        return header == "READ?"
+
+
+class SimulatedLcr(SimulatedScpi):
+    """An E4980A: a trigger measures, `FETC?` answers once the measurement is done.
+
+    Args:
+        wire: the line.
+        value: (simulated time) -> primary parameter in its own unit, F or ohm.
+    """
+
+    def __init__(self, wire: Wire, value: Callable[[float], float]) -> None:
+        settings = {"FORM": "ASC", "FUNC:IMP": "CPD", "FUNC:IMP:RANG:AUTO": "ON", "FUNC:IMP:RANG": "100"}
+        settings |= {"FREQ": "1000", "VOLT": "1", "APER": "MED,1", "TRIG:SOUR": "INT", "INIT:CONT": "OFF"}
+        self._is_triggered = False
+
+        def measure(now_s: float) -> str:
+            return "+9.90000E+37,+9.90000E+37,+1" if self.is_overloaded else f"{value(now_s):+.5E},+1.00342E-02,+0"
+
+        super().__init__(wire, "Keysight Technologies,E4980A,MY54300001,B.07.03", settings, measure, 0.0056)
+
+    def measured(self, header: str, now_s: float) -> bool:
+        """Whether it is a trigger it waits for, or the question for its result."""
+        if header == "TRIG:IMM" and self.settings["TRIG:SOUR"] == "BUS" and self.settings["INIT:CONT"] == "ON":
+            self._is_triggered = True
+        elif header == "FETC?":
+            if self._is_triggered:
+                self.trigger(now_s)
+            else:
+                self.wire.send(b"+9.90000E+37,+9.90000E+37,-1\n", now_s)
+            self._is_triggered = False
+        return header in ("TRIG:IMM", "FETC?")

@@ -1,0 +1,52 @@
+"""A test kit that every driver passes, shipped or not, over its own simulated far end on a real wire.
+
+    import pytest
+    from softcal.station.testing import checks
+    from lab_meter import DRIVER
+
+    @pytest.mark.parametrize("check", checks(DRIVER), ids=str)
+    def test_driver(check):
+        check()
+
+Needs no pytest: a check is called and raises `Nonconformity`, an `AssertionError`, that says what was expected.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from softcal.station.driver import AnyDriver
+from softcal.station.testing.common import COMMON
+from softcal.station.testing.reader import READER
+from softcal.station.testing.rig import Nonconformity, Rig
+from softcal.station.testing.stage import STAGE
+
+__all__ = ["Check", "Nonconformity", "Rig", "checks"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing a driver must do; call it to see whether it does.
+
+    Args:
+        driver: that is looked at.
+        sentence: what it must do.
+        examine: looks at it on a rig of its own.
+    """
+
+    driver: AnyDriver
+    sentence: str
+    examine: Callable[[Rig], None]
+
+    def __call__(self) -> None:
+        """Raise `Nonconformity` when the driver does something else."""
+        with Rig(self.driver) as rig:
+            self.examine(rig)
+
+    def __str__(self) -> str:
+        return f"{self.driver.role} {self.driver.kind}: {self.sentence}"
+
+
+def checks(driver: AnyDriver) -> list[Check]:
+    """Return everything a driver of this role must pass."""
+    of_role = STAGE if driver.role == "stage" else READER
+    return [Check(driver, sentence, examine) for sentence, examine in {**COMMON, **of_role}.items()]

@@ -1,0 +1,102 @@
+"""What every driver must do, whatever it drives: declare itself, open, refuse, close."""
+
+import socket
+import threading
+from collections.abc import Callable
+from dataclasses import fields
+
+from softcal.core.errors import DeviceError, InputError
+from softcal.station.catalogue import SECTIONS
+from softcal.station.config import filled, meanings
+from softcal.station.testing.rig import Rig, require
+
+OPENING_S = 60.0
+"""Opening may reset a controller and wait for it, but not for ever."""
+
+
+def _declares_its_keys(rig: Rig) -> None:
+    config = rig.driver.config
+    require(config.kind == rig.driver.kind, f"{config.__name__}.kind must default to {rig.driver.kind!r}")
+    explained = " ".join(meanings(config)).replace(",", " ").replace(":", " ").split()
+    silent = [f.name for f in fields(config) if f.name not in explained]
+    require(not silent, f"the docstring of {config.__name__} must explain {', '.join(silent)} under Args:")
+    try:
+        filled(SECTIONS[rig.driver.role], config, {"port": rig.config.port, "no_such_key": 1})
+    except InputError as error:
+        missing = [f.name for f in fields(config) if f.name not in str(error)]
+        require(not missing, f"an unknown key must list the known ones; {error} lacks {', '.join(missing)}")
+        return
+    require(False, "an unknown key in the station file was taken")
+
+
+def _opens_again(rig: Rig) -> None:
+    before = set(threading.enumerate())
+    for _ in range(2):
+        device = rig.open()
+        device.close()
+        device.close()
+    left = [thread.name for thread in threading.enumerate() if thread not in before]
+    require(not left, f"closed, it leaves threads running: {', '.join(left)}")
+
+
+def _names_a_missing_port(rig: Rig) -> None:
+    wires = rig.driver.wires
+    if "serial" not in wires and "tcp" not in wires:
+        return  # What a vendor's library calls a port is its own affair.
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        free = server.getsockname()[1]
+    port = "/dev/softcal-no-such-port" if "serial" in wires else f"tcp://127.0.0.1:{free}"
+    try:
+        rig.open(port=port)
+    except DeviceError as error:
+        require(port in str(error), f"the message must name the port {port}: {error}")
+        return
+    require(False, f"it opened {port}, which is not there")
+
+
+def _opens_or_refuses(rig: Rig, what: str) -> None:
+    began_s = rig.clock.now_s()
+    try:
+        device = rig.open()
+    except DeviceError as error:
+        require(str(error), f"{what}: its error says nothing")
+        require(rig.clock.now_s() - began_s < OPENING_S, f"{what}: opening took {rig.clock.now_s() - began_s:.0f} s")
+        return
+    require(rig.driver.role != "stage", f"{what}: a stage was opened that never answered")
+    device.start()
+    samples: list[object] = []
+
+    def read() -> list[object]:
+        samples.extend(found := device.poll())
+        return list(found)
+
+    rig.fault_within(2.0, read)
+    require(not samples, f"{what}: it delivered {len(samples)} samples, the first {samples[:1]}")
+
+
+def _says_nothing_of_a_silent_device(rig: Rig) -> None:
+    rig.wire.is_silent = True
+    _opens_or_refuses(rig, "a device that says nothing")
+
+
+def _says_nothing_of_noise(rig: Rig) -> None:
+    rig.wire.garbage = 1.0
+    _opens_or_refuses(rig, "a device that sends noise")
+
+
+def _survives_a_dead_port(rig: Rig) -> None:
+    device = rig.open()
+    rig.wire.unplug()
+    device.close()
+    device.close()
+
+
+COMMON: dict[str, Callable[[Rig], None]] = {
+    "its keys have one kind, an explanation each, and an unknown one lists them": _declares_its_keys,
+    "it opens, closes twice, opens again, and leaves no thread": _opens_again,
+    "a port that is not there is named": _names_a_missing_port,
+    "a silent device is refused, or delivers nothing": _says_nothing_of_a_silent_device,
+    "noise is refused, or delivers nothing": _says_nothing_of_noise,
+    "it closes although its device is gone": _survives_a_dead_port,
+}
+"""Sentence -> what looks at it."""

@@ -1,0 +1,162 @@
+"""One device, its simulated far end on a real wire, and the truth it should tell."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from softcal.core.errors import DeviceError
+from softcal.core.twin.parameters import ReadoutMetadata
+from softcal.station.catalogue import driver_of
+from softcal.station.clock import HostClock
+from softcal.station.config import DeviceConfig
+from softcal.station.driver import AnyDriver, Opening, Simulated, Surroundings
+from softcal.station.interfaces import Clock, Reader, Sample, Stage, StagePosition
+from softcal.station.simulated.motion import Axis
+from softcal.station.simulated.station import wire_for
+from softcal.station.simulated.wire import Wire
+from softcal.station.simulated.world import World
+
+TICK_S = 0.005
+"""How often the acquisition reads its devices."""
+
+
+class Nonconformity(AssertionError):
+    """A driver does something else than a station needs."""
+
+
+def require(condition: object, message: str) -> None:
+    """Raise `Nonconformity` unless the condition holds."""
+    if not condition:
+        raise Nonconformity(message)
+
+
+class Rig:
+    """The device of one driver; a context manager that closes everything.
+
+    `level` is the truth of a reader: N on a load cell, V at the input of a readout. A function of the simulated time
+    may stand in its place. `wire` has the fault switches of the line, `axis` the true motion of a stage.
+
+    Args:
+        driver: that is looked at.
+        seed: of noise and delays.
+    """
+
+    def __init__(self, driver: AnyDriver, seed: int = 1) -> None:
+        self.driver = driver
+        self.level: float | Callable[[float], float] = 0.5
+        self.world = World()
+        self._rng = np.random.default_rng(seed)
+        self.axis = Axis(200.0)
+        self.axis.position_mm = 2.3  # Where somebody left it.
+        self.truth: list[tuple[float, float]] = []
+        self._stack = ExitStack()
+        self.beside: AnyDriver | None = None
+        self._stage: Stage | None = None
+        if driver.config.shares_port and driver.role != "stage":
+            self.beside = driver_of("stage", driver.kind)
+        self.wire: Wire = wire_for(self.beside or driver, self._rng)
+        self._stack.callback(self.wire.close)
+        if self.beside is not None:
+            self._beside_config: DeviceConfig = self._live(self.beside, self.wire).config
+        self.simulated = self._live(driver, self.wire)
+        self.clock: Clock = HostClock() if driver.is_threaded else self.world
+
+    def __enter__(self) -> "Rig":
+        if self.driver.is_threaded:
+            self._stack.enter_context(self.world.in_background())
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    @property
+    def config(self) -> Any:
+        """The section with which the driver opens its simulated device."""
+        return self.simulated.config
+
+    def open(self, **changed: object) -> Any:
+        """Open the device; it is closed with the rig."""
+        if self.beside is not None and self._stage is None:
+            self._stage = self.beside.open(self._beside_config, Opening(self.clock))
+            self._stack.callback(self._stage.close)
+        device = self.driver.open(replace(self.config, **changed), Opening(self.clock, self._stage))
+        self._stack.callback(device.close)
+        return device
+
+    @contextmanager
+    def reader(self) -> Iterator[Reader]:
+        """Open a load cell or readout and let it run in."""
+        reader: Reader = self.open()
+        reader.start()
+        self.collect(reader, 0.5)
+        yield reader
+
+    @contextmanager
+    def homed(self) -> Iterator[Stage]:
+        """Open a stage and home it."""
+        stage: Stage = self.open()
+        stage.home()
+        yield stage
+
+    def collect(self, reader: Reader, seconds: float) -> list[Sample]:
+        """Return what a reader delivers over a while, read as the acquisition reads."""
+        samples: list[Sample] = []
+        end_s = self.clock.now_s() + seconds
+        while self.clock.now_s() < end_s:
+            self.clock.sleep_s(TICK_S)
+            samples += reader.poll()
+        return samples
+
+    def watch(self, stage: Stage, seconds: float, is_over: Callable[[], bool] = lambda: False) -> list[StagePosition]:
+        """Return what a stage says over a while, and note where it truly is."""
+        polls: list[StagePosition] = []
+        end_s = self.clock.now_s() + seconds
+        while self.clock.now_s() < end_s and not is_over():
+            self.clock.sleep_s(TICK_S)
+            polls += stage.poll()
+            self.truth.append((self.clock.now_s(), self.position_mm()))
+        return polls
+
+    def fault_within(self, seconds: float, read: Callable[[], Sequence[object]]) -> DeviceError | None:
+        """Read until that raises a `DeviceError`; None when it raises none."""
+        end_s = self.clock.now_s() + seconds
+        while self.clock.now_s() < end_s:
+            self.clock.sleep_s(TICK_S)
+            try:
+                read()
+            except DeviceError as error:
+                return error
+        return None
+
+    def position_mm(self) -> float:
+        """Return where the stage truly is."""
+        self.axis.advance(self.world.now_s())
+        return self.axis.position_mm
+
+    def stands(self, within_s: float) -> bool:
+        """Whether the stage comes to rest by itself within a while, and stays."""
+        self.clock.sleep_s(within_s)
+        before_mm = self.position_mm()
+        self.clock.sleep_s(1.0)
+        return abs(self.position_mm() - before_mm) < 1e-6
+
+    def _live(self, driver: AnyDriver, wire: Wire) -> Simulated[Any]:
+        around = Surroundings(
+            wire, self.axis, self._force_N, self._outputs_V, ReadoutMetadata(), self._rng, self.wire.port
+        )
+        simulated: Simulated[Any] = driver.simulate(around)
+        if simulated.far_end is not None:
+            self.world.add(simulated.far_end)
+        return simulated
+
+    def _value(self, now_s: float) -> float:
+        return self.level(now_s) if callable(self.level) else self.level
+
+    def _force_N(self, now_s: float) -> float:
+        return self._value(now_s)
+
+    def _outputs_V(self, now_s: float) -> tuple[float, ...]:
+        return (self._value(now_s),)

@@ -1,0 +1,137 @@
+"""Readings through a library that blocks: a thread of its own calls it, and nobody waits for it."""
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from softcal.core.errors import DeviceError, NoReply
+from softcal.station.interfaces import Clock, Sample
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What one call of a library gives.
+
+    Args:
+        values: one number per channel, in the unit the reader declares.
+        device_s: when the device took it, by the device's own clock; None where it has none. The same time again is
+            the same reading again: libraries that keep the newest value hand it out until there is another.
+    """
+
+    values: tuple[float, ...]
+    device_s: float | None = None
+
+
+class ThreadedReader:
+    """Calls a blocking function at a steady rate; `poll` hands out what it gave and never blocks.
+
+    A call that does not return, and a library that goes on giving the same reading, are stale data: `poll` raises.
+
+    Args:
+        name: how messages call the device.
+        unit: of the readings.
+        rate_Hz: calls per second at most.
+        clock: of the station.
+        read: one reading; blocks as long as it must. Any error it raises ends the readings.
+        close_library: gives the device back; called once, from the thread that closes.
+        stale_s: no new reading for so long is an error.
+        channels: numbers per reading.
+        limits: of a readout: lowest and highest reading; one that stays there is saturated.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        unit: str,
+        rate_Hz: float,
+        clock: Clock,
+        read: Callable[[], Reading],
+        close_library: Callable[[], None],
+        stale_s: float = 0.5,
+        channels: int = 1,
+        limits: tuple[float, float] = (-math.inf, math.inf),
+    ) -> None:
+        self.name, self.unit, self.rate_Hz = name, unit, rate_Hz
+        self.channels, self.range = channels, limits
+        self._clock, self._read, self._close_library, self._stale_s = clock, read, close_library, stale_s
+        self._lock = threading.Lock()
+        self._samples: deque[Sample] = deque()
+        self._fault: Exception | None = None
+        self._discard_before_s = self._newest_s = clock.now_s()
+        self._device_s: float | None = None
+        self._ends = threading.Event()
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._call, name=name, daemon=True)
+        self._thread.start()
+
+    def start(self) -> None:
+        """Throw away what was read; only what is asked for from now on counts."""
+        with self._lock:
+            self._samples.clear()
+            self._discard_before_s = self._newest_s = self._clock.now_s()
+
+    def poll(self) -> list[Sample]:
+        """Return the readings since the last call, oldest first; each from the middle of its call.
+
+        Raises:
+            NoReply: nothing new for `stale_s`, or the library's own error.
+            DeviceError: whatever `read` raised of this kind.
+        """
+        with self._lock:
+            samples = list(self._samples)
+            self._samples.clear()
+            fault, newest_s = self._fault, self._newest_s
+        if samples:
+            return samples
+        if isinstance(fault, DeviceError):
+            raise fault
+        if fault is not None:
+            what = f"{type(fault).__name__}: {fault}" if str(fault) else type(fault).__name__
+            raise NoReply(f"{self.name}: its library ended with {what}; check its cable, then start again") from fault
+        silent_s = self._clock.now_s() - newest_s
+        if silent_s > self._stale_s:
+            raise NoReply(
+                f"{self.name}: no new reading for {silent_s:.2f} s; its library hangs or repeats the last one, check "
+                "its cable and supply, then start again"
+            )
+        return []
+
+    def close(self) -> None:
+        """End the thread and give the device back; a call that hangs is left behind and cannot stop the program."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._ends.set()
+        self._thread.join(self._stale_s + 1.0)
+        with suppress(Exception):  # Libraries complain about a device that is gone already.
+            self._close_library()
+        self._thread.join(self._stale_s)  # Closing ends the call of most libraries.
+
+    def _call(self) -> None:
+        next_s = self._clock.now_s()
+        while not self._ends.is_set():
+            asked_s = self._clock.now_s()
+            try:
+                reading = self._read()
+            except Exception as error:  # What a library raises is its own choice; poll says it.
+                self._end_with(error)
+                return
+            now_s = self._clock.now_s()
+            self._take(reading, asked_s, now_s)
+            next_s = max(next_s, asked_s - 1.0 / self.rate_Hz) + 1.0 / self.rate_Hz
+            self._ends.wait(max(0.0, next_s - now_s))
+
+    def _take(self, reading: Reading, asked_s: float, now_s: float) -> None:
+        is_new = reading.device_s is None or self._device_s is None or reading.device_s > self._device_s
+        with self._lock:
+            if not is_new or asked_s < self._discard_before_s:
+                return
+            self._device_s, self._newest_s = reading.device_s, now_s
+            self._samples.append(Sample((asked_s + now_s) / 2, reading.device_s, reading.values))
+
+    def _end_with(self, error: Exception) -> None:
+        with self._lock:
+            self._fault = error
