@@ -18,7 +18,8 @@ from map_methods import egain
 from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, build_network_file, build_unit_file
-from softcal.core.export.loader import DeviceStream, open_sensor
+from softcal.core.export.loader import open_sensor
+from softcal.core.export.stream import DeviceStream
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
 from softcal.core.network.training import NetworkConfig, fit_network
@@ -49,9 +50,9 @@ def run_on_board(network_file, unit: DeviceUnit, codes: np.ndarray, optimise: st
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "network.h").write_text(network_header(network_file))
         (Path(folder) / "unit.h").write_text(unit_header(unit.file))
-        (Path(folder) / "codes.h").write_text(f"static const uint16_t codes[] = {{{','.join(map(str, codes))}}};\n")
+        (Path(folder) / "codes.h").write_text(f"static const uint16_t SS_TABLE codes[] = {{{','.join(map(str, codes))}}};\n")
         command = ["make", "-s", f"HEADERS={folder}", f"OUT={folder}/f.elf", f"OPTIMISE={optimise}", "run"]
-        where = ROOT / "firmware" / "examples" / "cortex_m0"
+        where = ROOT / "firmware" / "examples" / "emulated"
         text = subprocess.run(command, cwd=where, capture_output=True, text=True, check=True).stdout
     lines = [line.split() for line in text.splitlines()]
     told = {row[0]: int(row[1]) for row in lines if row[0] != "e"}
