@@ -50,7 +50,9 @@ def run_on_board(network_file, unit: DeviceUnit, codes: np.ndarray, optimise: st
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "network.h").write_text(network_header(network_file))
         (Path(folder) / "unit.h").write_text(unit_header(unit.file))
-        (Path(folder) / "codes.h").write_text(f"static const uint16_t SS_TABLE codes[] = {{{','.join(map(str, codes))}}};\n")
+        (Path(folder) / "codes.h").write_text(
+            f"static const uint16_t SS_TABLE codes[] = {{{','.join(map(str, codes))}}};\n"
+        )
         command = ["make", "-s", f"HEADERS={folder}", f"OUT={folder}/f.elf", f"OPTIMISE={optimise}", "run"]
         where = ROOT / "firmware" / "examples" / "emulated"
         text = subprocess.run(command, cwd=where, capture_output=True, text=True, check=True).stdout

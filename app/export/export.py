@@ -7,6 +7,7 @@ from pathlib import Path
 from softcal.app.export.calibrated_unit import REFUSED_VERDICTS, CalibratedUnit, ExportOptions, UnitLoader
 from softcal.app.export.formats import WRITERS, Writer, device_summary
 from softcal.app.export.manifest import FileEntry, Manifest, read_manifest, write_manifest
+from softcal.app.export.signature import open_signing_key
 from softcal.app.files.atomic import write_bytes
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import serial_field
@@ -65,6 +66,7 @@ def export_units(
     """
     writers = _writers(formats)
     _check_serials(registry, serials)
+    key = open_signing_key(options.signing_key) if options.signing_key else None
     manifest, loader = read_manifest(out), UnitLoader(registry, options)
     exported = []
     for serial in serials:
@@ -75,7 +77,7 @@ def export_units(
         manifest = manifest.with_unit(serial, _manifest_facts(unit, done))
         exported.append(done)
         on_unit(done)
-    write_manifest(out, manifest, options.signing_key)
+    write_manifest(out, manifest, key)
     return exported
 
 

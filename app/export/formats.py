@@ -152,6 +152,7 @@ def device_summary(unit: CalibratedUnit) -> dict[str, object]:
         "rms_error": device.rms_error,
         "max_error": device.max_error,
         "limit": device.limit,
+        "goal": device.goal,
         "ram_bytes": cost.ram_bytes,
         "cortex_m0_instructions": cost.instructions,
         "cortex_m0_ms": cost.estimate_ms,

@@ -27,7 +27,7 @@
 #define SS_TAPS 15
 #define SS_MAGIC 0x46435353u /* S S C F */
 #define SS_MAJOR 1
-#define SS_MINOR 1  /* files up to this one end where they say; later ones may append something */
+#define SS_MINOR 2  /* files up to this one end where they say; later ones may append something */
 #define SS_SHAPES 6 /* a mix has at most this many */
 #define SS_HEADER 48
 #define SS_AROUND 52 /* header and CRC */
@@ -194,18 +194,16 @@ static inline uint32_t ss_map_at(const uint8_t *unit) {
   return 28 + SS_PADDED(6u * ss_u8(unit + 2) + 6u * ss_u8(unit + 3));
 }
 
-/* The map of a unit is a curve on every sample (bit 0), and on every window a linear layer (bit 1, format 1.0) or a mix
- * of shapes (bit 2). */
+/* The map of a unit is a curve on every sample (bit 0), and on every window a linear layer (bit 1), a mix of shapes
+ * (bit 2) or a wide mix (bit 3). */
 SS_SHARED ss_status ss_check_unit(const uint8_t *p, uint32_t left) {
   uint32_t form = ss_u8(p), knots = ss_u8(p + 1), used, shapes;
   if (left < 28) return SS_BAD_LAYOUT;
   used = ss_map_at(p) + 4 * knots;
-  if (form - 1 > 4 || (form & 1) > knots || !ss_u8(p + 2) || !ss_u8(p + 3) || used > left) return SS_BAD_LAYOUT;
+  if (form - 1 > 8 || (form & 6) == 6 || (form & 1) > knots || !ss_u8(p + 2) || !ss_u8(p + 3) || used > left) return SS_BAD_LAYOUT;
   left -= used;
-  if (form & 4) {
-    shapes = ss_u8(p + used + 1); /* at the end of the file these are bytes of the CRC */
-    left -= shapes - 1 < SS_SHAPES ? SS_PADDED(1 + 18 * shapes) : SS_TOO_MUCH;
-  }
+  shapes = ss_u8(p + used + 1); /* at the end of the file these are bytes of the CRC */
+  if (form & 12) left -= shapes - 1 >= SS_SHAPES ? SS_TOO_MUCH : form & 8 ? 4 + 36 * shapes : SS_PADDED(1 + 18 * shapes);
   if (form & 2) left -= ss_layer_bytes(SS_TAPS, SS_TAPS);
   return !left || ((int32_t)left > 0 && SS_IS_LATER(p)) ? SS_OK : SS_BAD_LAYOUT;
 }
@@ -329,16 +327,24 @@ SS_SHARED int32_t ss_map_code(const ss_sensor *s, uint32_t code) {
 }
 
 /* A mix of shapes: x = keep x + sum of U_k(tap) w_k, with w_k = row_k . x + bias_k, in 1/64 count. U_k are the Chebyshev
- * polynomials of the second kind at (tap - 7) / 8, summed by Clenshaw's recurrence. Unsigned as above. */
-SS_SHARED void ss_mix(const uint8_t *m, int16_t *x) {
+ * polynomials of the second kind at (tap - 7) / 8, summed by Clenshaw's recurrence. A wide mix has weights of two bytes
+ * and finer biases before them. Unsigned as above. */
+SS_SHARED void ss_mix(const uint8_t *m, int16_t *x, uint32_t is_wide) {
   uint32_t w[SS_SHAPES], *end = w, shapes = ss_u8(m + 1);
   const uint8_t *row = m + 2;
   int32_t i, keep = ss_u8(m);
+  if (is_wide) row += 2;
   do {
-    int32_t sum = 0;
-    for (i = 0; i < SS_TAPS; i++) sum += (int32_t)(int8_t)ss_u8(row++) * x[i];
-    *end++ = (uint32_t)(sum >> (ss_u8(row) & 31)) + 64u * (uint32_t)ss_i16(row + 1);
-    row += 3;
+    uint32_t sum = 0, bias = 0;
+    if (is_wide) bias = ss_u32(row), row += 4;
+    for (i = 0; i < SS_TAPS; i++) {
+      int32_t weight = is_wide ? ss_i16(row) : (int8_t)ss_u8(row);
+      row += 1 + is_wide;
+      sum += (uint32_t)(weight * x[i]);
+    }
+    if (!is_wide) bias = 64u * (uint32_t)ss_i16(row + 1);
+    *end++ = (uint32_t)((int32_t)sum >> (ss_u8(row) & 31)) + bias;
+    row += 3 - is_wide;
   } while (end != w + shapes);
   for (i = -7; i < 8; i++, x++) {
     uint32_t total = 0, before = 0, next, *p = end;
@@ -355,7 +361,7 @@ SS_SHARED int32_t ss_window(ss_sensor *s) {
   const uint8_t *sizes = s->network + 4, *p = s->network + 84, *map = s->map + 4u * ss_u8(s->unit + 1);
   int16_t *in = s->even, *out = s->odd, *done;
   uint32_t left = ss_u8(s->network), form = ss_u8(s->unit);
-  if (form & 4) ss_mix(map, in);
+  if (form & 12) ss_mix(map, in, form >> 3);
   if (form & 2) {
     ss_layer(map, SS_TAPS, SS_TAPS, in, out, 0);
     done = out, out = in, in = done;

@@ -11,6 +11,7 @@ import onnx
 import onnxruntime
 import pytest
 from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from softcal.app.cli.main import main
@@ -139,7 +140,7 @@ def test_a_lot_shares_one_network_and_one_manifest(run: Run, tmp_path: Path) -> 
     ("damage", "said"),
     [
         (lambda path: path.write_bytes(path.read_bytes()[:-1] + b"\0"), "SHA-256 differs"),
-        (lambda path: path.unlink(), "No such file"),
+        (lambda path: path.unlink(), "is missing"),
     ],
 )
 def test_check_names_a_file_that_is_not_what_was_exported(
@@ -151,19 +152,118 @@ def test_check_names_a_file_that_is_not_what_was_exported(
     assert f"unit-A1.ssc: {said}" in capsys.readouterr().err.replace("is not what was exported (", "")
 
 
-def test_a_signature_holds_for_this_manifest_alone(run: Run, tmp_path: Path) -> None:
+def _keys(folder: Path, passphrase: bytes | None = None) -> tuple[str, str]:
+    """A fresh Ed25519 key: its private file, encrypted where there is a passphrase, and its public one."""
     key = Ed25519PrivateKey.generate()
-    encoding, raw = serialization.Encoding.PEM, serialization.NoEncryption()
-    (tmp_path / "key.pem").write_bytes(key.private_bytes(encoding, serialization.PrivateFormat.PKCS8, raw))
+    encoding = serialization.Encoding.PEM
+    lock = serialization.BestAvailableEncryption(passphrase) if passphrase else serialization.NoEncryption()
+    (folder / "key.pem").write_bytes(key.private_bytes(encoding, serialization.PrivateFormat.PKCS8, lock))
     public = key.public_key().public_bytes(encoding, serialization.PublicFormat.SubjectPublicKeyInfo)
-    (tmp_path / "key.pub").write_bytes(public)
-    assert run("--serial", "A1", "--format", "blob", "--sign", str(tmp_path / "key.pem")) == 0
-    assert run("--check", "--public-key", str(tmp_path / "key.pub")) == 0
+    (folder / "key.pub").write_bytes(public)
+    return str(folder / "key.pem"), str(folder / "key.pub")
+
+
+def _answers(told: str) -> dict[str, str]:
+    rows = [line.split(maxsplit=1) for line in told.splitlines()]
+    return {row[0]: row[1] for row in rows if len(row) == 2 and row[0] in ("complete", "unchanged", "signed")}
+
+
+def test_a_signature_holds_for_this_manifest_alone(run: Run, tmp_path: Path) -> None:
+    private, public = _keys(tmp_path)
+    assert run("--serial", "A1", "--format", "blob", "--sign", private) == 0
+    assert run("--check", "--public-key", public) == 0
     manifest = tmp_path / "out" / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"pass"', '"fail"').replace("conditional", "pass"))
-    assert run("--check", "--public-key", str(tmp_path / "key.pub")) == 2
+    assert run("--check", "--public-key", public) == 2
     assert run("--serial", "A2", "--format", "blob") == 0
     assert not (tmp_path / "out" / "manifest.sig").exists()
+
+
+def test_check_answers_three_questions_apart(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, (private, public) = tmp_path / "out", _keys(tmp_path)
+    run("--serial", "A1", "--format", "blob", "--sign", private)
+
+    def check(*arguments: str) -> tuple[int, dict[str, str]]:
+        capsys.readouterr()
+        code = run("--check", *arguments)
+        return code, _answers(capsys.readouterr().out)
+
+    code, answers = check("--public-key", public)
+    assert code == 0
+    assert [answer.split()[0].strip(":,") for answer in answers.values()] == ["yes", "yes", "yes"]
+    code, answers = check()
+    assert code == 0 and answers["signed"].startswith("not checked")
+    (out / "unit-A1.ssc").rename(tmp_path / "kept")
+    shutil.copy(tmp_path / "kept", out / "unit-A9.ssc")
+    code, answers = check("--public-key", public)
+    assert code == 2 and answers["complete"].startswith("NO: 2") and answers["unchanged"].startswith("yes")
+    (out / "unit-A9.ssc").unlink()
+    (out / "unit-A1.ssc").write_bytes((tmp_path / "kept").read_bytes()[:-4] + b"abcd")
+    code, answers = check("--public-key", public)
+    assert code == 2 and answers["complete"].startswith("yes") and answers["unchanged"].startswith("NO")
+    (out / "unit-A1.ssc").write_bytes((tmp_path / "kept").read_bytes())
+    other = tmp_path / "other"
+    other.mkdir()
+    code, answers = check("--public-key", _keys(other)[1])
+    assert code == 2 and answers["unchanged"].startswith("yes") and answers["signed"].startswith("NO")
+    (out / "manifest.sig").unlink()
+    assert check()[1]["signed"] == "no"
+    assert check("--public-key", public)[0] == 2
+
+
+OUTSIDE = ["../victim.txt", "/etc/hostname", "..", "deep/er.ssc", "..\\victim.txt", "manifest.json", ""]
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_a_manifest_reaches_nothing_outside_its_folder(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    victim = tmp_path / "victim.txt"
+    victim.write_text("mine")
+    run("--serial", "A1", "--format", "blob", "--format", "json")
+    path = tmp_path / "out" / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["files"].append({"name": name, "sha256": "0" * 64, "size": 4, "serial": "A1"})
+    path.write_text(json.dumps(manifest))
+    assert run("--check") == 2
+    assert "no name of a file in this folder" in capsys.readouterr().err
+    assert run("--serial", "A1", "--format", "blob") == 2
+    assert victim.read_text() == "mine"
+
+
+def test_a_file_that_is_a_link_or_listed_twice_is_refused(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("--serial", "A1", "--format", "blob")
+    unit, path = tmp_path / "out" / "unit-A1.ssc", tmp_path / "out" / "manifest.json"
+    unit.rename(tmp_path / "elsewhere.ssc")
+    unit.symlink_to(tmp_path / "elsewhere.ssc")
+    assert run("--check") == 2
+    assert "a link" in capsys.readouterr().err
+    manifest = json.loads(path.read_text())
+    manifest["files"].append(manifest["files"][0])
+    path.write_text(json.dumps(manifest))
+    assert run("--check") == 2
+    assert "twice" in capsys.readouterr().err
+
+
+def test_a_key_that_cannot_sign_is_refused_before_anything_is_written(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SOFTCAL_SIGNING_PASSPHRASE", raising=False)
+    encoding, form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
+    rsa_key = rsa.generate_private_key(65_537, 2048)
+    (tmp_path / "rsa.pem").write_bytes(rsa_key.private_bytes(encoding, form, serialization.NoEncryption()))
+    private, public = _keys(tmp_path, b"open sesame")
+    for key, said in ((str(tmp_path / "rsa.pem"), "Ed25519"), (private, "SOFTCAL_SIGNING_PASSPHRASE")):
+        assert run("--serial", "A1", "--format", "blob", "--sign", key) == 2
+        assert said in capsys.readouterr().err
+        assert not (tmp_path / "out").exists()
+    monkeypatch.setenv("SOFTCAL_SIGNING_PASSPHRASE", "wrong")
+    assert run("--serial", "A1", "--format", "blob", "--sign", private) == 2
+    assert not (tmp_path / "out").exists()
+    monkeypatch.setenv("SOFTCAL_SIGNING_PASSPHRASE", "open sesame")
+    assert run("--serial", "A1", "--format", "blob", "--sign", private, "--check", "--public-key", public) == 0
 
 
 def _with_verdict(calibrated: str, folder: Path, verdict: str) -> str:
