@@ -129,8 +129,8 @@ class NetworkFile:
 
     @property
     def gap_ms(self) -> int:
-        """Longest time between two samples of one window: 1.5 periods, rounded up to the next ms."""
-        return -(-3 * self.period_us // 2000)
+        """Longest time between two samples of one window in ms."""
+        return longest_step_ms(self.period_us)
 
     @cached_property
     def _body(self) -> bytes:
@@ -192,6 +192,11 @@ class UnitFile:
         return _sealed(
             Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body, self.minor
         )
+
+
+def longest_step_ms(period_us: int) -> int:
+    """Return the longest time between two samples of one window: 1.5 periods, rounded up to the next ms."""
+    return -(-3 * period_us // 2000)
 
 
 def serial_field(serial: str) -> bytes:

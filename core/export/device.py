@@ -35,6 +35,7 @@ from softcal.core.export.integer_network import (
     IntegerNetwork,
     Integers,
 )
+from softcal.core.export.limits import BANDS, Limits, limits_of
 from softcal.core.export.loader import join, run_self_test
 from softcal.core.export.quantise import code_range, evaluate_float64, quantise_map, quantise_network
 from softcal.core.maps.interface import UnitMap
@@ -42,7 +43,6 @@ from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS
 
-BANDS = 4
 BESIDE_MIX = slice(2, 4)
 """Self-tests of a file with a narrow mix, which has no room for four: rising and falling ones reach every weight."""
 
@@ -139,10 +139,22 @@ def build_network_file(network: Network, source: LabelledRecording) -> NetworkFi
         held,
         network.id,
         source.serial,
-        round(1e6 / source.unlabelled.sample_rate_Hz),
+        sample_period_us(source),
         network.output_unit,
         network.reference_unit,
     )
+
+
+def sample_period_us(source: LabelledRecording) -> int:
+    """Return the time between two samples of the source's recording in µs."""
+    return round(1e6 / source.unlabelled.sample_rate_Hz)
+
+
+def limits_of_unit(facts: UnitFacts, network: Network, options: DeviceOptions) -> Limits:
+    """Return interval, range and clamp of a unit for machines with floating point; the range is that of its codes."""
+    exact = network.evaluate(facts.unit_map.apply(facts.recording.windows))
+    scale = _as_float32(options.scale or InputScale.covering(network, facts.recording.output))
+    return limits_of(exact, facts.lower, facts.upper, facts.recording.output, scale)
 
 
 def build_unit_file(

@@ -1,7 +1,9 @@
 """`softcal export` and `inspect` on a small calibrated lot: every format, the manifest, and all that is refused."""
 
 import json
+import re
 import shutil
+import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +20,8 @@ from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.export import export_units
 from softcal.core.errors import InputError
-from softcal.core.export.loader import open_sensor
+from softcal.core.export.json_text import network_from_values, unit_from_values
+from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE, open_sensor
 from softcal.db.connection import open_registry
 
 FORMATS = ("json", "c", "blob", "hex", "onnx", "pdf", "dcc")
@@ -107,12 +110,70 @@ def test_onnx_agrees_with_the_float_model_and_carries_its_facts(run: Run, calibr
         unit = UnitLoader(registry, ExportOptions()).load("A2")
     windows = unit.recording.windows
     mapped = unit.calibration.unit_map.apply(windows)
-    estimate, source_window = session.run(None, {"window": windows.astype(np.float32)})
+    estimate, source_window = session.run(["estimate", "source_window"], {"window": windows.astype(np.float32)})
     assert np.abs(estimate - unit.network.evaluate(mapped)).max() < 1e-4
     assert np.abs(source_window - mapped).max() < 1e-5
     facts = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
     assert (facts["serial"], facts["network_id"]) == ("A2", unit.network.id)
     assert facts["map_sha256"] == unit.stored.record.map_sha256
+    assert "oldest first, newest last" in facts["window"]
+    assert (facts["window_period_ms"], facts["window_longest_step_ms"]) == ("20.0", "30")
+
+
+def _by_c(folder: Path, names: tuple[Path, Path], codes: np.ndarray) -> np.ndarray:
+    """Value, lower, upper and flags of every window, by the C runtime behind examples/pc; a gap before each window."""
+    program, root = folder / "pc", Path(__file__).parents[2] / "firmware"
+    sources = [f"-I{root / 'softsensor'}", str(root / "examples" / "pc" / "softsensor_pc.c"), "-o", str(program)]
+    subprocess.run(["gcc", "-std=c99", "-O2", *sources], check=True)
+    lines = [f"{1000 * (k + 1) + 20 * i} {c}\n" for k, row in enumerate(codes) for i, c in enumerate(row)]
+    done = subprocess.run([program, *names], input="".join(lines), capture_output=True, text=True, check=True)
+    return np.array([line.split() for line in done.stdout.splitlines()], dtype=int)[14::15]
+
+
+def _words(text: str) -> bytes:
+    return b"".join(int(word, 16).to_bytes(4, "little") for word in re.findall(r"0x([0-9a-f]{8})u", text))
+
+
+def _memory(text: str) -> bytes:
+    """The data of an Intel HEX file at consecutive addresses."""
+    raw = [bytes.fromhex(line.removeprefix(":")) for line in text.splitlines()]
+    return b"".join(line[4:-1] for line in raw if line[3] == 0)
+
+
+def test_all_forms_of_a_unit_agree_on_the_same_windows(run: Run, tmp_path: Path, rng: np.random.Generator) -> None:
+    """ONNX, C, hex, blob, JSON and NumPy; windows of the unit's own range and far outside it."""
+    run("--serial", "A2", *[word for name in ("blob", "c", "hex", "json", "onnx") for word in ("--format", name)])
+    out = tmp_path / "out"
+    (network_path,) = out.glob("network-*.ssc")
+    network, unit = network_path.read_bytes(), (out / "unit-A2.ssc").read_bytes()
+    stem = network_path.stem
+    assert _words((out / "unit-A2.h").read_text()) == _memory((out / "unit-A2.hex").read_text()) == unit
+    assert _words((out / f"{stem}.h").read_text()) == _memory((out / f"{stem}.hex").read_text()) == network
+    assert unit_from_values(json.loads((out / "unit-A2.json").read_text())["device"]).to_bytes() == unit
+    assert network_from_values(json.loads((out / f"{stem}.json").read_text())).to_bytes() == network
+
+    sensor = open_sensor(network, unit)
+    file, scale = sensor.unit_file, sensor.unit_file.scale
+    span = file.code_max - file.code_min
+    start = rng.uniform(file.code_min - 0.2 * span, file.code_max + 0.2 * span, (600, 1))
+    codes = np.clip(np.rint(start + np.cumsum(rng.normal(0, 0.01 * span, (600, 15)), axis=1)), 0, 65_535).astype(int)
+    numpy = sensor.estimate(codes)
+    by_numpy = np.stack([numpy.value, numpy.lower, numpy.upper, numpy.flags], axis=1)
+    assert np.array_equal(_by_c(tmp_path, (network_path, out / "unit-A2.ssc"), codes), by_numpy)
+    assert {0, OUT_OF_RANGE} <= set(numpy.flags.tolist())
+
+    session = onnxruntime.InferenceSession(out / "unit-A2.onnx")
+    onnx_input = {"window": scale.outputs(codes).astype(np.float32)}
+    names = ["estimate", "lower", "upper", "flag"]
+    estimate, lower, upper, flag = session.run(names, onnx_input)
+    inside = (flag == 0) & (numpy.flags == 0)
+    assert inside.sum() > 200
+    full_scale = sensor.count * (file.out_max - file.out_min)
+    assert np.abs(estimate - sensor.count * numpy.value)[inside].max() < 0.005 * full_scale
+    reach = sensor.count * np.stack([numpy.value - numpy.lower, numpy.upper - numpy.value], axis=1)
+    assert np.abs(np.stack([estimate - lower, upper - estimate], axis=1) - reach)[inside].max() < 0.02 * full_scale
+    assert np.array_equal(flag & OUT_OF_RANGE, numpy.flags & OUT_OF_RANGE)
+    assert np.mean((flag & CLAMPED) == (numpy.flags & CLAMPED)) > 0.95
 
 
 def test_the_json_holds_the_calibration_without_loss(run: Run, calibrated: str, tmp_path: Path) -> None:
