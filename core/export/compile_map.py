@@ -167,7 +167,9 @@ def wide_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Arra
     """Give the forms that fit into 512 bytes: curves, then curves with a wide mix."""
     yield from _curves(unit_map, windows, mapped)
     curve = _drawn(unit_map, windows, mapped, MAX_KNOTS)
-    for shapes in () if curve is None else WIDE_SHAPES:
+    if curve is None:
+        return
+    for shapes in WIDE_SHAPES:
         mix = fit_mix(shapes, curve.apply(windows), mapped, network, is_wide=True)
         if mix is not None:
             yield MapForm(curve, mix)
