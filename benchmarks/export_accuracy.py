@@ -1,11 +1,13 @@
 """What smaller networks and integers cost in accuracy on real lots.
 
     python benchmarks/export_accuracy.py [--quick] [--write docs/export_accuracy.md]
+    python benchmarks/export_accuracy.py --sizes [--demo softcal-demo/registry.db]
 
 Source and targets of egain_pair and insole_lot: f trained on the source's first three quarters, maps fitted to each
 target's first three quarters without labels, errors on the last quarter by time, in mN or mbar. `device` is the unit
 file's integers, compared with the float model on rows the device does not flag; `ONNX` is the largest difference of
-onnxruntime from the float model on the same windows.
+onnxruntime from the float model on the same windows. `--sizes` prints instead what a unit file of 256, 512 or 1024
+bytes changes on every unit, and on those of a `softcal demo`.
 """
 
 import argparse
@@ -18,10 +20,18 @@ import onnxruntime
 import pandas as pd
 from map_methods import egain, insole, taxels
 
+from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.files.onnx_file import onnx_bytes
 from softcal.core.errors import UnitRefused
+from softcal.core.export.blob import UNIT_BYTES, NetworkFile
 from softcal.core.export.compile_map import compile_map, fine_forms
-from softcal.core.export.device import UnitFacts, build_network_file, build_unit_file
+from softcal.core.export.device import (
+    DeviceOptions,
+    UnitFacts,
+    build_network_file,
+    build_unit_file,
+    limits_of_unit,
+)
 from softcal.core.export.graph import compose
 from softcal.core.export.loader import open_sensor
 from softcal.core.maps.choose import choose_map
@@ -31,6 +41,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.db.connection import open_registry
 
 HIDDEN = ((120, 70, 35), (48, 24), (32, 16), (16, 8), (8, 8))
 TEST_SHARE = 0.25
@@ -94,9 +105,10 @@ def measure(network: Network, source: LabelledRecording, target: LabelledRecordi
     estimate, _, _, flags = open_sensor(network_file.to_bytes(), unit.to_bytes()).estimate_output(test.windows)
     truth = network.evaluate(chosen.apply(test.windows))
     compiled = compile_map(chosen, network, train.unlabelled, np.inf, fine_forms)
-    session = onnxruntime.InferenceSession(onnx_bytes(compose(compiled.form, network), {}))
+    limits = limits_of_unit(facts, network, DeviceOptions())
+    session = onnxruntime.InferenceSession(onnx_bytes(compose(compiled.form, network, limits), {}))
     onnx_estimate = session.run(["estimate"], {"window": test.windows.astype(np.float32)})[0]
-    same_form = network.evaluate(compiled.form.apply(test.windows))
+    same_form = np.clip(network.evaluate(compiled.form.apply(test.windows)), limits.estimate_low, limits.estimate_high)
     return UnitRow(
         1000 * rmse(truth, test.window_reference),
         1000 * rmse(estimate, test.window_reference),
@@ -136,14 +148,68 @@ HEADER = (
 )  # fmt: skip
 
 
+SIZES_HEADER = ("lot", "unit", "span", *(f"{size} B" for size in UNIT_BYTES), "taken")
+
+
+def by_size(lot: str, facts: UnitFacts, network: Network, network_file: NetworkFile, unit: str) -> list[str]:
+    """Largest and rms change of the estimate by files of each size, and the size an export takes by itself."""
+    cells, taken = [], None
+    for size in UNIT_BYTES:
+        try:
+            device = build_unit_file(facts, network, network_file, DeviceOptions(unit_bytes=size))
+        except UnitRefused:
+            cells.append("refused")
+            continue
+        cells.append(f"{1000 * device.max_error:.1f} ({1000 * device.rms_error:.1f})")
+        if taken is None and device.max_error <= device.goal:
+            taken = f"{len(device.file.to_bytes())} B"
+    span = float(np.ptp(network.evaluate(facts.unit_map.apply(facts.recording.windows))))
+    return [lot, facts.serial, f"{1000 * span:.0f} {unit}", *cells, taken or "the nearest"]
+
+
+def lot_sizes(lot: LotData, epochs: int) -> Iterator[list[str]]:
+    """Every target of a lot behind one small network."""
+    train, test = _split(lot.source)
+    network = fit_network(train, NetworkConfig(hidden=(32, 16), max_epochs=epochs)).network
+    own, network_file = rmse(network.evaluate(test.windows), test.window_reference), build_network_file(network, train)
+    for target in lot.targets:
+        part = _split(target)[0]
+        chosen = choose_map(FitProblem(train, network, part.unlabelled)).unit_map
+        exact = network.evaluate(chosen.apply(part.windows))
+        facts = UnitFacts(target.serial, 1, "pass", 0, chosen, part.unlabelled, exact - 0.1, exact + 0.1, own)
+        yield by_size(lot.name, facts, network, network_file, lot.unit)
+
+
+def demo_sizes(path: Path) -> Iterator[list[str]]:
+    """Every calibrated unit of a registry, with its own network."""
+    with open_registry(f"sqlite:///{path.resolve()}") as registry:
+        loader = UnitLoader(registry, ExportOptions(failed_too=True))
+        for entry in registry.units():
+            if entry.revision is not None:
+                unit = loader.load(entry.serial)
+                yield by_size("demo", unit.facts, unit.network, unit.shared.file, "mN")
+
+
+def sizes(options: argparse.Namespace) -> list[str]:
+    """The table by size."""
+    lines = ["| " + " | ".join(SIZES_HEADER) + " |", "|" + "---|" * len(SIZES_HEADER)]
+    rows = [row for lot in lots(options.quick) for row in lot_sizes(lot, 15 if options.quick else 200)]
+    rows += list(demo_sizes(options.demo)) if options.demo else []
+    return lines + ["| " + " | ".join(row) + " |" for row in rows]
+
+
 def main() -> None:
     """Print the table: medians over targets."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--write", type=Path)
+    parser.add_argument("--sizes", action="store_true")
+    parser.add_argument("--demo", type=Path)
     options = parser.parse_args()
     lines = ["| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER)]
-    for lot in lots(options.quick):
+    if options.sizes:
+        lines = sizes(options)
+    for lot in () if options.sizes else lots(options.quick):
         for hidden in HIDDEN[:: 3 if options.quick else 1]:
             lines.append("| " + " | ".join(row(lot, hidden, 15 if options.quick else 200)) + " |")
     text = "\n".join(lines) + "\n"

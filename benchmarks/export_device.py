@@ -1,9 +1,10 @@
-"""What a unit costs on an end device: bytes, memory, instructions of a Cortex-M0 in QEMU, and error of the integers.
+"""What a unit costs on end devices: bytes, memory, instructions (QEMU) or cycles (simavr), and error of the integers.
 
     python benchmarks/export_device.py [--quick] [--write docs/export_device.md]
 
 Trains the paper's network and smaller ones on the paper's own first sensor (egain_pair), maps the second one to it and
-runs its recording through the firmware. Needs gcc-arm-none-eabi and qemu-system-arm.
+runs its recording through the firmware on a Cortex-M0, a Cortex-M4, an RV32, an Uno and a Mega. Needs
+gcc-arm-none-eabi, qemu-system-arm, gcc-riscv64-unknown-elf, qemu-system-misc, gcc-avr, avr-libc and simavr.
 """
 
 import argparse
@@ -18,7 +19,8 @@ from map_methods import egain
 from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, build_network_file, build_unit_file
-from softcal.core.export.loader import DeviceStream, open_sensor
+from softcal.core.export.loader import open_sensor
+from softcal.core.export.stream import DeviceStream
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
 from softcal.core.network.config import NetworkConfig
@@ -26,40 +28,53 @@ from softcal.core.network.training import fit_network
 
 ROOT = Path(__file__).parents[1]
 HIDDEN = ((120, 70, 35), (48, 24), (32, 16), (16, 8))
-INSTRUCTIONS_PER_TICK = 62.5
-CLOCK_MHz = 48.0
 CYCLES_PER_INSTRUCTION = 1.36
 """Of a Cortex-M0+ with one flash wait state on a loop of this kind, from a cycle model; a board may differ by 10 %."""
 
-SAMPLES = 200
+BOARDS = {
+    "Cortex-M0": ("m0", 48.0, CYCLES_PER_INSTRUCTION, ("-Os", "-O2", "-O3")),
+    "Cortex-M4": ("m4", 64.0, None, ("-O2",)),
+    "RV32IMC": ("rv32", 160.0, None, ("-O2",)),
+    "Uno": ("uno", 16.0, 1.0, ("-Os",)),
+    "Mega": ("mega", 16.0, 1.0, ("-Os",)),
+}
+"""Name in the Makefile, clock in MHz, cycles per count (None: not modelled), optimisations."""
+
+UNO_FLASH = 32_256
+SAMPLES = 60
 
 
 @dataclass(frozen=True)
 class Board:
-    """What one run in QEMU gave."""
+    """What one emulated run gave; counts are instructions, on an AVR cycles."""
 
-    instructions: float
-    open_instructions: float
+    count: float
+    open_count: float
     ram_bytes: int
     stack_bytes: int
     is_identical: bool
 
 
-def run_on_board(network_file, unit: DeviceUnit, codes: np.ndarray, optimise: str) -> Board:  # type: ignore[no-untyped-def]
+def run_on_board(  # type: ignore[no-untyped-def]
+    network_file, unit: DeviceUnit, codes: np.ndarray, board: str, optimise: str
+) -> Board:
     """Build the example firmware and run it."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "network.h").write_text(network_header(network_file))
         (Path(folder) / "unit.h").write_text(unit_header(unit.file))
-        (Path(folder) / "codes.h").write_text(f"static const uint16_t codes[] = {{{','.join(map(str, codes))}}};\n")
-        command = ["make", "-s", f"HEADERS={folder}", f"OUT={folder}/f.elf", f"OPTIMISE={optimise}", "run"]
-        where = ROOT / "firmware" / "examples" / "cortex_m0"
+        listed = ",".join(map(str, codes))
+        (Path(folder) / "codes.h").write_text(f"static const uint16_t SS_TABLE codes[] = {{{listed}}};\n")
+        settings = [f"BOARD={board}", f"HEADERS={folder}", f"OUT={folder}/f.elf", f"OPTIMISE={optimise}"]
+        where = ROOT / "firmware" / "examples" / "emulated"
+        command = ["make", "-s", *settings, "run"]
         text = subprocess.run(command, cwd=where, capture_output=True, text=True, check=True).stdout
-    lines = [line.split() for line in text.splitlines()]
-    told = {row[0]: int(row[1]) for row in lines if row[0] != "e"}
+    lines = [line.split() for line in text.splitlines() if line]
+    told = {row[0]: int(row[1]) for row in lines if len(row) == 2 and row[0] != "e"}
     found = np.array([row[1:] for row in lines if row[0] == "e"], dtype=int)
+    per_tick = told["per_1000_ticks"] / 1000
     return Board(
-        told["estimate_ticks"] * INSTRUCTIONS_PER_TICK,
-        told["open_ticks"] * INSTRUCTIONS_PER_TICK,
+        told["estimate_ticks"] * per_tick,
+        told["open_ticks"] * per_tick,
         told["ram_bytes"],
         told["stack_bytes"],
         bool(np.array_equal(found, reference(network_file, unit, codes))),
@@ -88,21 +103,25 @@ def rows(quick: bool) -> list[list[str]]:
         facts = UnitFacts("S2", 1, "pass", 0, chosen, target.unlabelled, estimate - 0.4, estimate + 0.4, None)
         unit = build_unit_file(facts, network, network_file, DeviceOptions(InputScale.of_converter(10, 5.0)))
         codes = unit.file.scale.codes(target.unlabelled.output)[:SAMPLES]
-        for optimise in ("-Os", "-O2", "-O3")[: 1 if quick else 3]:
-            board = run_on_board(network_file, unit, codes, optimise)
-            ms = board.instructions * CYCLES_PER_INSTRUCTION / CLOCK_MHz / 1000
-            table.append([
-                "-".join(map(str, network.sizes)), optimise, f"{len(network_file.to_bytes())}",
-                f"{len(unit.file.to_bytes())}", f"{board.instructions:.0f}", f"{ms:.2f}", f"{1000 / ms:.0f}",
-                f"{ms * 5:.1f}", f"{board.open_instructions:.0f}", f"{board.ram_bytes} + {board.stack_bytes}",
-                f"{1000 * unit.max_error:.2f}", f"{1000 * unit.rms_error:.2f}", "yes" if board.is_identical else "NO",
-            ])  # fmt: skip
+        for name, (board, clock_MHz, cycles, options) in BOARDS.items():
+            if board == "uno" and len(network_file.to_bytes()) > UNO_FLASH / 2:
+                continue
+            for optimise in options[: 1 if quick else None]:
+                run = run_on_board(network_file, unit, codes, board, optimise)
+                ms = None if cycles is None else run.count * cycles / clock_MHz / 1000
+                time = ("–", "–") if ms is None else (f"{ms:.2f} at {clock_MHz:.0f}", f"{1000 / ms:.0f}")
+                table.append([
+                    "-".join(map(str, network.sizes)), f"{name} {optimise}", f"{len(network_file.to_bytes())}",
+                    f"{len(unit.file.to_bytes())}", f"{run.count:.0f}", *time, f"{run.open_count:.0f}",
+                    f"{run.ram_bytes} + {run.stack_bytes}", f"{1000 * unit.max_error:.2f}",
+                    f"{1000 * unit.rms_error:.2f}", "yes" if run.is_identical else "NO",
+                ])  # fmt: skip
     return table
 
 
 HEADER = (
-    "network", "gcc", "network file, B", "unit file, B", "instructions per estimate", "about ms at 48 MHz", "about Hz",
-    "CPU at 50 Hz, %", "instructions to open", "RAM + stack, B", "error max, mN", "error rms, mN", "bits as NumPy",
+    "network", "core, gcc", "network file, B", "unit file, B", "instructions (AVR: cycles) per estimate", "ms at MHz",
+    "at most, Hz", "to open", "RAM + stack, B", "error max, mN", "error rms, mN", "bits as NumPy",
 )  # fmt: skip
 
 

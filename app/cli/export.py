@@ -26,7 +26,11 @@ formats:
 
 A unit that did not pass gets pdf and dcc, which say so, but no device file: a conditional one only with
 --release conditional, a failed one only with --failed-too, for the laboratory.
-Every folder has a manifest.json with the SHA-256 of every file. The table shows what the device form changes: `map` by
+Every folder has a manifest.json with the SHA-256 of every file. --check answers three questions: is the folder complete
+(nothing more, nothing less), is every file unchanged and opened by its self-tests, and whose is the signature; without
+--public-key the last is not checked, and the answer says so. The passphrase of an encrypted --sign key is read from
+SOFTCAL_SIGNING_PASSPHRASE. A unit file takes the least of 256, 512 and 1024 bytes that keeps the device within 0.1 % of
+the unit's span; --unit-bytes holds all units to one size. The table shows what the device form changes: `map` by
 its small curve, `error` in all, both as changes of the estimate on the unit's own recording.
 """
 
@@ -53,7 +57,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     units.add_argument("--failed-too", action="store_true", help="device files of every unit, for the laboratory")
     parser.add_argument("--format", action="append", default=[], choices=FORMATS, help="may be repeated")
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder to write into or to check")
-    parser.add_argument("--check", action="store_true", help="read everything back: hashes, CRCs, self-tests, twins")
+    parser.add_argument("--check", action="store_true", help="read back: complete, unchanged, signed by whom?")
     _add_device_options(parser)
     _add_certificate_options(parser)
     add_registry(parser)
@@ -69,6 +73,9 @@ def _add_device_options(parser: argparse.ArgumentParser) -> None:
         "--max-deviation", type=float, default=0.25, metavar="SHARE", help="of the predicted error, default 0.25"
     )
     device.add_argument(
+        "--unit-bytes", type=int, choices=(256, 512, 1024), help="most a unit file may take; default: as little as does"
+    )
+    device.add_argument(
         "--adapt-offset", type=float, default=0.1, metavar="SHARE", help="of the span, that firmware may follow (0.1)"
     )
     device.add_argument(
@@ -81,7 +88,7 @@ def _add_device_options(parser: argparse.ArgumentParser) -> None:
 def _add_certificate_options(parser: argparse.ArgumentParser) -> None:
     paper = parser.add_argument_group("certificates and signatures")
     paper.add_argument("--laboratory", type=Path, metavar="TOML", help="laboratory, person, customer and load cell")
-    paper.add_argument("--sign", type=Path, metavar="PEM", help="Ed25519 private key for manifest.sig")
+    paper.add_argument("--sign", type=Path, metavar="PEM", help="Ed25519 key, encrypted or not, for manifest.sig")
     paper.add_argument("--public-key", type=Path, metavar="PEM", help="with --check: verify manifest.sig")
 
 
@@ -147,7 +154,7 @@ def _say_cost(devices: Sequence[Mapping[str, object]]) -> None:
     dearest = max(devices, key=lambda facts: float(str(facts["cortex_m0_ms"])))
     ms = float(str(dearest["cortex_m0_ms"]))
     say(
-        f"on a Cortex-M0+ at 48 MHz: network {dearest['network_bytes']} B, code 1.5 KB, RAM {dearest['ram_bytes']} B, "
+        f"on a Cortex-M0+ at 48 MHz: network {dearest['network_bytes']} B, code 1.9 KB, RAM {dearest['ram_bytes']} B, "
         f"about {ms:.2f} ms per estimate (at most {1000 / ms:.0f} Hz)"
     )
 
@@ -164,7 +171,7 @@ def _options(options: argparse.Namespace) -> "ExportOptions":
     return ExportOptions(
         adc_bits=options.adc_bits,
         adc_full_scale=options.adc_full_scale,
-        device=DeviceOptions(None, options.max_deviation, options.adapt_gain, options.adapt_offset),
+        device=DeviceOptions(None, options.max_deviation, options.adapt_gain, options.adapt_offset, options.unit_bytes),
         unit_address=options.unit_address,
         network_address=options.network_address,
         release=Release(options.release),
@@ -181,5 +188,5 @@ def _check(options: argparse.Namespace) -> tuple[dict[str, object], tuple[str, .
     found = check_folder(options.out, options.public_key)
     for problem in found.problems:
         say(f"problem: {problem}")
-    say(f"{options.out}: {found.files} files, {found.opened} units opened, {len(found.problems)} problems")
-    return vars(found), found.problems
+    print_table(("question", "answer"), found.answers)
+    return {**vars(found), "problems": found.problems, "answers": dict(found.answers)}, found.problems

@@ -1,55 +1,119 @@
-"""Read an export folder back: hashes, CRCs, self-tests and twins must agree before anything is shipped."""
+"""Read an export folder back before anything is shipped: is it complete, is it unchanged, and who signed it?"""
 
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from softcal.app.export.manifest import FileEntry, Manifest, check_signature, read_manifest
+from softcal.app.export.manifest import NAME, SIGNATURE, FileEntry, Manifest, read_manifest
+from softcal.app.export.signature import check_signature
 from softcal.core.errors import InputError
 from softcal.core.export.blob import NetworkFile, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.json_text import network_from_values, unit_from_values
 from softcal.core.export.loader import join
 
+NOT_SIGNED, NOT_CHECKED, WRONG = "not signed", "not checked", "wrong"
+
 
 @dataclass(frozen=True)
 class FolderCheck:
-    """What was read back.
+    """What was read back: three questions, each with its own answer.
 
     Args:
-        files: files whose hash was checked.
+        files: files the manifest lists.
         opened: units whose device files were opened with all self-tests.
-        problems: one line each; empty for a folder that may be shipped.
+        incomplete: one line for each file that is missing, or that nobody exported; empty: nothing more, nothing less.
+        changed: one line for each file that is not what was exported, or that a device would refuse.
+        signed_by: fingerprint of the key, or NOT_SIGNED, NOT_CHECKED (no key was given) or WRONG.
+        signature_problem: why a signature does not hold.
     """
 
     files: int
     opened: int
-    problems: tuple[str, ...]
+    incomplete: tuple[str, ...]
+    changed: tuple[str, ...]
+    signed_by: str
+    signature_problem: str | None = None
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """One line each; empty for a folder that may be shipped."""
+        return (*self.incomplete, *self.changed, *([self.signature_problem] if self.signature_problem else []))
+
+    @property
+    def answers(self) -> tuple[tuple[str, str], ...]:
+        """The three questions and their answers, in words."""
+        signed = {
+            NOT_SIGNED: "no",
+            NOT_CHECKED: "not checked: there is a signature; give --public-key to check whose it is",
+            WRONG: "NO: the signature does not hold",
+        }
+        return (
+            ("complete", _yes(self.incomplete, f"{self.files} files, nothing more, nothing less")),
+            ("unchanged", _yes(self.changed, f"hashes hold, {self.opened} units opened with all self-tests")),
+            ("signed", signed.get(self.signed_by, f"yes, by key {self.signed_by}")),
+        )
+
+
+def _yes(problems: tuple[str, ...], how: str) -> str:
+    return f"NO: {len(problems)} problems" if problems else f"yes: {how}"
 
 
 def check_folder(folder: Path, public_key: Path | None = None) -> FolderCheck:
-    """Check every file of a folder against its manifest, and every device file by opening it.
+    """Check a folder against its manifest, every device file by opening it, and the signature where a key is given.
 
     Raises:
-        InputError: there is no manifest, or its signature does not verify.
+        InputError: there is no manifest, it lists a file twice or outside the folder, or the key is none.
     """
     manifest = read_manifest(folder)
     if not manifest.files:
         raise InputError(f"{folder}: no manifest.json; export into it first")
-    if public_key is not None:
-        check_signature(folder, public_key)
-    problems = [text for entry in manifest.files.values() for text in _file_problems(folder, entry)]
+    signed_by, problem = _signer(folder, public_key)
+    incomplete = tuple(_incomplete(folder, manifest))
+    present = [entry for entry in manifest.files.values() if (folder / entry.name).exists()]
+    changed = [text for entry in present for text in _file_problems(folder, entry)]
     opened = 0
-    if not problems:
-        found, opened = _device_problems(folder, manifest)
-        problems += found
-    return FolderCheck(len(manifest.files), opened, (*problems, *_duplicates(manifest)))
+    if not changed:
+        found, opened = _device_problems(folder, [entry.name for entry in present])
+        changed += found
+    changed += _duplicates(manifest)
+    return FolderCheck(len(manifest.files), opened, incomplete, tuple(changed), signed_by, problem)
+
+
+def _signer(folder: Path, public_key: Path | None) -> tuple[str, str | None]:
+    path = folder / SIGNATURE
+    if not path.exists():
+        missing = f"{SIGNATURE}: is missing; the folder is not signed" if public_key else None
+        return NOT_SIGNED, missing
+    if public_key is None:
+        return NOT_CHECKED, None
+    try:
+        return check_signature((folder / NAME).read_bytes(), path.read_bytes(), public_key), None
+    except InputError as error:
+        return WRONG, f"{SIGNATURE}: {error}"
+
+
+def _incomplete(folder: Path, manifest: Manifest) -> Iterator[str]:
+    here = {path.name for path in folder.iterdir()}
+    for name in sorted(set(manifest.files) - here):
+        yield f"{name}: is missing; export it again"
+    for name in sorted(here - set(manifest.files) - {NAME, SIGNATURE}):
+        yield f"{name}: is not in the manifest; nobody exported it into this folder"
+    owners = {entry.serial for entry in manifest.files.values()}
+    for serial in sorted(set(manifest.units) - owners):
+        yield f"unit {serial}: is in the manifest without a file"
+    for serial in sorted(str(owner) for owner in owners - set(manifest.units) - {None}):
+        yield f"unit {serial}: has files, but the manifest does not say what it is"
 
 
 def _file_problems(folder: Path, entry: FileEntry) -> Iterator[str]:
+    path = folder / entry.name
+    if path.is_symlink() or not path.is_file():
+        yield f"{entry.name}: is no file of this folder but a link or a folder; export it again"
+        return
     try:
-        content = (folder / entry.name).read_bytes()
+        content = path.read_bytes()
     except OSError as error:
         yield f"{entry.name}: {error.strerror}; export it again"
         return
@@ -57,11 +121,11 @@ def _file_problems(folder: Path, entry: FileEntry) -> Iterator[str]:
         yield f"{entry.name}: is not what was exported (SHA-256 differs); export it again"
 
 
-def _device_problems(folder: Path, manifest: Manifest) -> tuple[list[str], int]:
+def _device_problems(folder: Path, names: list[str]) -> tuple[list[str], int]:
     networks: dict[bytes, NetworkFile] = {}
     units: list[UnitFile] = []
     problems: list[str] = []
-    for name in sorted(manifest.files):
+    for name in sorted(names):
         try:
             file = _device_file(folder / name)
         except InputError as error:

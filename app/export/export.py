@@ -8,6 +8,7 @@ from softcal.app.export.calibrated_unit import CalibratedUnit, ExportOptions, Un
 from softcal.app.export.formats import WRITERS, Writer, device_summary
 from softcal.app.export.manifest import FileEntry, Manifest, read_manifest, write_manifest
 from softcal.app.export.names import DEVICE_FORMATS
+from softcal.app.export.signature import open_signing_key
 from softcal.app.files.atomic import write_bytes
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import serial_field
@@ -64,6 +65,7 @@ def export_units(
     """
     writers = _writers(formats)
     _check_serials(registry, serials)
+    key = open_signing_key(options.signing_key) if options.signing_key else None
     manifest, loader = read_manifest(out), UnitLoader(registry, options)
     exported = []
     for serial in serials:
@@ -74,7 +76,7 @@ def export_units(
         manifest = manifest.with_unit(serial, _manifest_facts(unit, done))
         exported.append(done)
         on_unit(done)
-    write_manifest(out, manifest, options.signing_key)
+    write_manifest(out, manifest, key)
     return exported
 
 

@@ -11,13 +11,16 @@ import numpy as np
 from softcal.app.export.calibrated_unit import CalibratedUnit
 from softcal.app.export.names import FORMATS
 from softcal.core.errors import InputError, UnitRefused
+from softcal.core.export.blob import longest_step_ms
 from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.compile_map import compile_map, fine_forms
 from softcal.core.export.cost import device_cost
-from softcal.core.export.device import device_limit
+from softcal.core.export.device import device_limit, limits_of_unit, sample_period_us
 from softcal.core.export.graph import compose
 from softcal.core.export.intel_hex import intel_hex
 from softcal.core.export.json_text import json_text, network_values, unit_values
+from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
+from softcal.core.windows import TAPS
 
 Writer = Callable[[CalibratedUnit], dict[str, bytes]]
 
@@ -108,6 +111,7 @@ def _onnx_files(unit: CalibratedUnit) -> dict[str, bytes]:
     unit.check_usable()
     record = unit.stored.record
     limit = device_limit(unit.facts, unit.network, unit.options.device)
+    period_us = sample_period_us(unit.shared.source)
     compiled = compile_map(unit.calibration.unit_map, unit.network, unit.recording, limit, fine_forms)
     metadata = {
         "serial": unit.serial,
@@ -119,10 +123,16 @@ def _onnx_files(unit: CalibratedUnit) -> dict[str, bytes]:
         "output_unit": unit.network.output_unit,
         "reference_unit": unit.network.reference_unit,
         "sample_rate_Hz": repr(unit.lot.sample_rate_Hz),
+        "window": f"{TAPS} samples in the output unit, oldest first, newest last",
+        "window_period_ms": repr(period_us / 1000),
+        "window_longest_step_ms": str(longest_step_ms(period_us)),
+        "interval": "lower ... upper holds 90 %",
+        "flag": f"sum of {OUT_OF_RANGE} (a sample outside the calibrated range) and {CLAMPED} (the estimate clamped)",
         "map_rms_deviation": repr(compiled.rms_deviation),
         "softcal": version("softcal"),
     }
-    return {f"unit-{unit.serial}.onnx": onnx_bytes(compose(compiled.form, unit.network), metadata)}
+    graph = compose(compiled.form, unit.network, limits_of_unit(unit.facts, unit.network, unit.options.scaled_device))
+    return {f"unit-{unit.serial}.onnx": onnx_bytes(graph, metadata)}
 
 
 def _pdf_files(unit: CalibratedUnit) -> dict[str, bytes]:
@@ -153,6 +163,7 @@ def device_summary(unit: CalibratedUnit) -> dict[str, object]:
         "rms_error": device.rms_error,
         "max_error": device.max_error,
         "limit": device.limit,
+        "goal": device.goal,
         "ram_bytes": cost.ram_bytes,
         "cortex_m0_instructions": cost.instructions,
         "cortex_m0_ms": cost.estimate_ms,

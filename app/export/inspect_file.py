@@ -94,7 +94,8 @@ def _unit_rows(file: UnitFile) -> list[tuple[str, str]]:
     made = datetime.fromtimestamp(file.time_s, UTC).isoformat() if file.time_s else "unknown"
     parts = [] if form.curve is None else [f"curve of {len(form.curve.codes)} knots on every sample"]
     parts += [] if form.layer is None else ["linear layer on every window"]
-    parts += [] if form.mix is None else [f"mix of {len(form.mix.bias)} shapes on every window"]
+    if form.mix is not None:
+        parts.append(f"{'wide ' if form.mix.is_wide else ''}mix of {len(form.mix.bias)} shapes on every window")
     bands = ", ".join(f"up to {b.level}: -{b.minus} +{b.plus}" for b in file.bands)
     return [
         ("kind", f"unit, format {MAJOR}.{file.minor}"),

@@ -2,18 +2,22 @@
 
 import hashlib
 import json
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from softcal.app.export.signature import SigningKey
 from softcal.app.files.atomic import write_bytes
 from softcal.core.errors import InputError
 from softcal.core.export.json_text import json_text
 
 SCHEMA = "softcal.export/1"
 NAME, SIGNATURE = "manifest.json", "manifest.sig"
+PLAIN_NAME = re.compile(r"[^/\\:\x00-\x1f]*[^/\\:\x00-\x1f.][^/\\:\x00-\x1f]*")
+"""A name without a folder or drive in it, and not made of dots alone."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ def read_manifest(folder: Path) -> Manifest:
     """Read a folder's manifest; an empty one where there is none yet.
 
     Raises:
-        InputError: what stands there is no manifest of softcal.
+        InputError: what stands there is no manifest of softcal, lists a file twice, or names one that is elsewhere.
     """
     path = folder / NAME
     if not path.exists():
@@ -75,52 +79,30 @@ def read_manifest(folder: Path) -> Manifest:
         values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if values["schema"] != SCHEMA:
             raise InputError(f"{path}: schema {values['schema']!r}, {SCHEMA!r} was expected; export to another folder")
-        return Manifest({row["name"]: FileEntry(**row) for row in values["files"]}, values["units"])
+        entries = [_entry(row) for row in values["files"]]
+        units = dict(values["units"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: no manifest of softcal ({error}); export to another folder") from error
+    names = [entry.name for entry in entries]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(f"{path}: lists {', '.join(twice[:5])} twice; nothing was read or written; export it again")
+    return Manifest({entry.name: entry for entry in entries}, units)
 
 
-def write_manifest(folder: Path, manifest: Manifest, signing_key: Path | None) -> None:
+def _entry(row: Mapping[str, Any]) -> FileEntry:
+    """Read one row; a manifest comes from elsewhere, so a name must be that of a file in the folder itself."""
+    entry = FileEntry(**row)
+    if not isinstance(entry.name, str) or not PLAIN_NAME.fullmatch(entry.name) or entry.name in (NAME, SIGNATURE):
+        raise ValueError(f"{entry.name!r} is no name of a file in this folder")
+    return entry
+
+
+def write_manifest(folder: Path, manifest: Manifest, key: SigningKey | None) -> None:
     """Write the manifest, and its Ed25519 signature where a key is given; an old signature never stays beside it."""
     content = manifest.text().encode()
-    signature = _sign(content, signing_key) if signing_key else None
+    signature = key.sign(content) if key else None
     (folder / SIGNATURE).unlink(missing_ok=True)
     write_bytes(folder / NAME, content)
     if signature is not None:
         write_bytes(folder / SIGNATURE, signature)
-
-
-def _sign(content: bytes, key_file: Path) -> bytes:
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-    from cryptography.hazmat.primitives.serialization import load_pem_private_key
-
-    try:
-        key = load_pem_private_key(key_file.read_bytes(), password=None)
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"{key_file}: no unencrypted private key in PEM ({error}); nothing was signed") from error
-    if not isinstance(key, Ed25519PrivateKey):
-        raise InputError(f"{key_file}: an Ed25519 key was expected; make one: openssl genpkey -algorithm ed25519")
-    return key.sign(content)
-
-
-def check_signature(folder: Path, public_key: Path) -> None:
-    """Verify the manifest's signature with an Ed25519 public key (PEM).
-
-    Raises:
-        InputError: no signature, no key, or a signature that does not belong to this manifest.
-    """
-    from cryptography.exceptions import InvalidSignature
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-    from cryptography.hazmat.primitives.serialization import load_pem_public_key
-
-    try:
-        key = load_pem_public_key(public_key.read_bytes())
-        content, signature = (folder / NAME).read_bytes(), (folder / SIGNATURE).read_bytes()
-    except (OSError, ValueError) as error:
-        raise InputError(f"the signature of {folder} cannot be checked: {error}") from error
-    if not isinstance(key, Ed25519PublicKey):
-        raise InputError(f"{public_key}: an Ed25519 public key was expected")
-    try:
-        key.verify(signature, content)
-    except InvalidSignature as error:
-        raise InputError(f"{folder / SIGNATURE}: does not belong to this manifest and key; do not use it") from error

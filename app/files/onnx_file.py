@@ -12,20 +12,24 @@ OPSET, IR_VERSION = 13, 8
 
 
 def onnx_bytes(graph: Graph, metadata: Mapping[str, str]) -> bytes:
-    """Return the model: `window` (n, 15) in; `estimate` (n,) and `source_window` (n, 15) out.
+    """Return the model: `window` (n, 15), oldest sample first, in; `estimate`, `lower`, `upper`, `flag` (n,) out, and
+    `source_window` (n, 15).
 
     Args:
         graph: f∘γ.
         metadata: custom properties such as serial, units and hashes.
     """
-    nodes = [helper.make_node(n.operator, list(n.inputs), [n.output], name=n.output) for n in graph.nodes]
+    nodes = [
+        helper.make_node(n.operator, list(n.inputs), [n.output], name=n.output, **n.attributes) for n in graph.nodes
+    ]
     floats = TensorProto.FLOAT
     body = helper.make_graph(
         nodes,
         "softcal",
         [helper.make_tensor_value_info("window", floats, ["n", TAPS])],
         [
-            helper.make_tensor_value_info("estimate", floats, ["n"]),
+            *[helper.make_tensor_value_info(name, floats, ["n"]) for name in ("estimate", "lower", "upper")],
+            helper.make_tensor_value_info("flag", TensorProto.INT64, ["n"]),
             helper.make_tensor_value_info("source_window", floats, ["n", TAPS]),
         ],
         [numpy_helper.from_array(array, name) for name, array in graph.constants.items()],

@@ -1,4 +1,4 @@
-"""The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.1: values ⇄ bytes. No file I/O here.
+"""The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.2: values ⇄ bytes. No file I/O here.
 
 The layout, byte by byte, and what a reader has to check are written down in docs/format.md.
 """
@@ -25,7 +25,7 @@ from softcal.core.windows import TAPS
 MAGIC = 0x4643_5353
 """The bytes S S C F."""
 
-MAJOR, MINOR = 1, 1
+MAJOR, MINOR = 1, 2
 WEIGHTS_INT16 = 1
 SERIAL_BYTES = 20
 HEADER = struct.Struct("<IBBBBI8sII20s")
@@ -33,8 +33,10 @@ NETWORK_FIXED = struct.Struct("<BBBb8HHHIff8s8s32s")
 UNIT_FIXED = struct.Struct("<BBBBHHhhffhhHH")
 BAND, SELF_TEST, KNOT, ROW = struct.Struct("<hHH"), struct.Struct("<Hhh"), struct.Struct("<Hh"), struct.Struct("<iHBB")
 MIX_FIXED, MIX_ROW = struct.Struct("<BB"), struct.Struct("<15bBh")
+WIDE_FIXED, WIDE_ROW = struct.Struct("<BBH"), struct.Struct("<i15hH")
 CONDITIONAL, FAILED = 1, 2
-HAS_CURVE, HAS_LAYER, HAS_MIX = 1, 2, 4
+HAS_CURVE, HAS_LAYER, HAS_MIX, HAS_WIDE_MIX = 1, 2, 4, 8
+FORMS = (1, 2, 3, 4, 5, 8, 9)
 MAX_LAYERS, MAX_WIDTH, MAX_BANDS, MAX_SELF_TESTS = 7, 1024, 4, 4
 
 
@@ -127,8 +129,8 @@ class NetworkFile:
 
     @property
     def gap_ms(self) -> int:
-        """Longest time between two samples of one window: 1.5 periods, rounded up to the next ms."""
-        return -(-3 * self.period_us // 2000)
+        """Longest time between two samples of one window in ms."""
+        return longest_step_ms(self.period_us)
 
     @cached_property
     def _body(self) -> bytes:
@@ -180,15 +182,21 @@ class UnitFile:
 
     @property
     def minor(self) -> int:
-        """Minor version: 0 where nothing of format 1.1 is needed, so that readers in the field go on reading it."""
-        return 0 if self.device_map.mix is None else 1
+        """Minor version: the least that says what is in the file, so that readers in the field go on reading it."""
+        mix = self.device_map.mix
+        return 0 if mix is None else 2 if mix.is_wide else 1
 
     def to_bytes(self) -> bytes:
-        """Return the file: at most 256 bytes for every map softcal makes today."""
+        """Return the file: at most 256, 512 or 1024 bytes, as the export was asked."""
         body = _unit_body(self)
         return _sealed(
             Kind.UNIT, self.flags, self.network_id, self.revision, self.time_s, self.serial, body, self.minor
         )
+
+
+def longest_step_ms(period_us: int) -> int:
+    """Return the longest time between two samples of one window: 1.5 periods, rounded up to the next ms."""
+    return -(-3 * period_us // 2000)
 
 
 def serial_field(serial: str) -> bytes:
@@ -242,7 +250,8 @@ def _layer_bytes(layer: IntegerLayer) -> bytes:
 def _unit_body(file: UnitFile) -> bytes:
     form, adapt = file.device_map, file.adapt
     knots = 0 if form.curve is None else len(form.curve.codes)
-    parts = (HAS_CURVE, form.curve), (HAS_LAYER, form.layer), (HAS_MIX, form.mix)
+    mix_bit = HAS_WIDE_MIX if form.mix is not None and form.mix.is_wide else HAS_MIX
+    parts = (HAS_CURVE, form.curve), (HAS_LAYER, form.layer), (mix_bit, form.mix)
     fixed = UNIT_FIXED.pack(
         sum(bit for bit, part in parts if part is not None), knots, len(file.bands), len(file.self_tests),
         file.code_min, file.code_max, file.out_min, file.out_max,
@@ -266,9 +275,12 @@ def _map_bytes(form: DeviceMap) -> bytes:
 
 def _mix_bytes(mix: IntegerMix) -> bytes:
     rows = zip(mix.weights.tolist(), mix.shift.tolist(), mix.bias.tolist(), strict=True)
+    if mix.is_wide:
+        wide = b"".join(WIDE_ROW.pack(bias, *weights, shift) for weights, shift, bias in rows)
+        return WIDE_FIXED.pack(mix.keep, len(mix.bias), 0) + wide
     content = b"".join(MIX_ROW.pack(*weights, shift, bias) for weights, shift, bias in rows)
     return _padded(MIX_FIXED.pack(mix.keep, len(mix.bias)) + content)
 
 
-MAX_UNIT_BYTES = 256
-"""One flash row of a SAMD21: what a unit file may take."""
+UNIT_BYTES = (256, 512, 1024)
+"""What a unit file may take: one flash row of a SAMD21, two, or four."""

@@ -10,9 +10,11 @@ import numpy as np
 
 from softcal.core.export.blob import (
     BAND,
+    FORMS,
     HAS_CURVE,
     HAS_LAYER,
     HAS_MIX,
+    HAS_WIDE_MIX,
     HEADER,
     KNOT,
     MAGIC,
@@ -29,6 +31,8 @@ from softcal.core.export.blob import (
     SELF_TEST,
     UNIT_FIXED,
     WEIGHTS_INT16,
+    WIDE_FIXED,
+    WIDE_ROW,
     AdaptLimits,
     Band,
     Cause,
@@ -155,7 +159,7 @@ def _parse_unit(opened: _Opened) -> tuple[UnitFile, int]:
     body = opened.body
     form, knots, bands, tests, code_min, code_max, out_min, out_max, *rest = UNIT_FIXED.unpack_from(body)
     zero, lsb, low, high, gain, offset = rest
-    if not 1 <= form <= 5 or (knots > 0) != bool(form & HAS_CURVE):
+    if form not in FORMS or (knots > 0) != bool(form & HAS_CURVE):
         raise ValueError(f"form {form} with {knots} knots")
     if not 1 <= bands <= MAX_BANDS or not 1 <= tests <= MAX_SELF_TESTS:
         raise ValueError(f"{bands} bands, {tests} self-tests")
@@ -175,6 +179,8 @@ def _parse_unit(opened: _Opened) -> tuple[UnitFile, int]:
         layer, at = _parse_layer(body, at, TAPS, TAPS)
     if form & HAS_MIX:
         mix, at = _parse_mix(body, at)
+    if form & HAS_WIDE_MIX:
+        mix, at = _parse_wide_mix(body, at)
     device_map = DeviceMap(curve, layer, mix)
     _check_tables(band_rows, test_rows)
     return UnitFile(
@@ -191,6 +197,15 @@ def _parse_mix(body: bytes, at: int) -> tuple[IntegerMix, int]:
     end = start + count * MIX_ROW.size
     table = rows.reshape(-1, TAPS + 2)
     return IntegerMix(keep, table[:, :TAPS], table[:, TAPS], table[:, TAPS + 1]), end + -end % 4
+
+
+def _parse_wide_mix(body: bytes, at: int) -> tuple[IntegerMix, int]:
+    keep, count, _ = WIDE_FIXED.unpack_from(body, at)
+    start = at + WIDE_FIXED.size
+    rows = np.array([WIDE_ROW.unpack_from(body, start + k * WIDE_ROW.size) for k in range(count)], dtype=np.int64)
+    table = rows.reshape(-1, TAPS + 2)
+    mix = IntegerMix(keep, table[:, 1 : TAPS + 1], table[:, TAPS + 1], table[:, 0], is_wide=True)
+    return mix, start + count * WIDE_ROW.size
 
 
 def _check_tables(bands: Sequence[Band], tests: Sequence[SelfTest]) -> None:

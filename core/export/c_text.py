@@ -6,6 +6,15 @@ import struct
 from softcal.core.export.blob import NetworkFile, UnitFile, serial_field
 
 WORDS_PER_LINE = 8
+TABLE = """#ifndef SS_TABLE
+#if defined(__AVR__) && !defined(SS_IN_RAM)
+#include <avr/pgmspace.h>
+#define SS_TABLE PROGMEM /* in flash, where softsensor.h reads it on an AVR */
+#else
+#define SS_TABLE
+#endif
+#endif
+"""
 
 
 def network_header(file: NetworkFile) -> str:
@@ -38,7 +47,7 @@ def unit_header(file: UnitFile) -> str:
         about,
         file.to_bytes(),
         f"""
-static const char {name}_serial[20] = "{key}";
+static const char {name}_serial[] = "{key}";
 #ifndef SS_UNIT
 #define SS_UNIT {name}
 #define SS_UNIT_BYTES sizeof({name})
@@ -55,5 +64,6 @@ def _header(name: str, about: str, content: bytes, rest: str) -> str:
     guard = f"{name.upper()}_H"
     return (
         f"/* {about} Written by softcal export: do not edit. */\n#ifndef {guard}\n#define {guard}\n\n"
-        f"#include <stdint.h>\n\nstatic const uint32_t {name}[{len(words)}] = {{\n  {body}}};\n{rest}\n#endif\n"
+        f"#include <stdint.h>\n\n{TABLE}\n"
+        f"static const uint32_t SS_TABLE {name}[{len(words)}] = {{\n  {body}}};\n{rest}\n#endif\n"
     )

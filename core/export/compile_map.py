@@ -31,6 +31,9 @@ CLEAR = 0.05
 MIXES = ((3, 21), (5, 12), (6, 7))
 """Shapes of a mix, and the knots that beside it, four bands and two self-tests make 256 bytes."""
 
+WIDE_SHAPES = (5, 6)
+"""Shapes of a wide mix; with 32 knots beside it a file takes at most 512 bytes."""
+
 RIDGE = 1e-6
 """Keeps the affine fit near γ's mean gain where the recording never moved a tap alone."""
 
@@ -145,15 +148,39 @@ Forms = Callable[[UnitMap, Network, Array, Array], Iterator[MapForm]]
 """Forms of a map from the smallest to the largest, given the unit's windows and what the map makes of them."""
 
 
-def device_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
-    """Give the forms that fit into 256 bytes: curves, then curves with a mix of few shapes and of more."""
+def _curves(unit_map: UnitMap, windows: Array, mapped: Array) -> Iterator[MapForm]:
     yield MapForm(_from_constant_windows(unit_map, windows, MAX_KNOTS))
     yield MapForm(_from_regression(windows, mapped, MAX_KNOTS))
+
+
+def device_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
+    """Give the forms that fit into 256 bytes: curves, then curves with a mix of few shapes and of more."""
+    yield from _curves(unit_map, windows, mapped)
     for shapes, knots in MIXES:
         for curve in (_drawn(unit_map, windows, mapped, knots), _from_regression(windows, mapped, knots)):
             mix = None if curve is None else fit_mix(shapes, curve.apply(windows), mapped, network)
             if mix is not None:
                 yield MapForm(curve, mix)
+
+
+def wide_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
+    """Give the forms that fit into 512 bytes: curves, then curves with a wide mix."""
+    yield from _curves(unit_map, windows, mapped)
+    curve = _drawn(unit_map, windows, mapped, MAX_KNOTS)
+    if curve is None:
+        return
+    for shapes in WIDE_SHAPES:
+        mix = fit_mix(shapes, curve.apply(windows), mapped, network, is_wide=True)
+        if mix is not None:
+            yield MapForm(curve, mix)
+
+
+def matrix_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
+    """Give the forms that fit into 1024 bytes: curves, then a curve with a whole matrix."""
+    yield from _curves(unit_map, windows, mapped)
+    for curve in (_drawn(unit_map, windows, mapped, MAX_KNOTS), _from_regression(windows, mapped, MAX_KNOTS)):
+        if curve is not None:
+            yield MapForm(curve, _linear(curve.apply(windows), mapped))
 
 
 def fine_forms(unit_map: UnitMap, network: Network, windows: Array, mapped: Array) -> Iterator[MapForm]:
@@ -177,7 +204,12 @@ def _drawn(unit_map: UnitMap, windows: Array, mapped: Array, knots: int) -> Curv
 
 
 def compile_map(
-    unit_map: UnitMap, network: Network, recording: OutputRecording, limit: float, forms: Forms = device_forms
+    unit_map: UnitMap,
+    network: Network,
+    recording: OutputRecording,
+    limit: float,
+    forms: Forms = device_forms,
+    clear: float = math.inf,
 ) -> CompiledMap:
     """Compile γ: the first of the forms that is as good as exact, else the nearest one within the limit.
 
@@ -187,6 +219,7 @@ def compile_map(
         recording: the unit's own recording; the deviation is measured on its windows.
         limit: largest rms deviation of the estimate, in the network's reference unit.
         forms: the forms to try.
+        clear: largest deviation, in the same unit, of a form that is taken without trying those after it.
 
     Raises:
         UnitRefused: no form stays within the limit; the message states the best one's deviation.
@@ -197,7 +230,7 @@ def compile_map(
     best: CompiledMap | None = None
     for form in forms(unit_map, network, windows, mapped):
         compiled = _judged(form, network, windows, exact)
-        if compiled.rms_deviation <= CLEAR * limit:
+        if compiled.rms_deviation <= CLEAR * limit and compiled.max_deviation <= clear:
             return compiled
         if best is None or compiled.rms_deviation < best.rms_deviation:
             best = compiled
@@ -218,7 +251,14 @@ def _judged(form: MapForm, network: Network, windows: Array, exact: Array) -> Co
 
 def _from_constant_windows(unit_map: UnitMap, windows: Array, knots: int) -> Curve:
     """Read γ off constant windows: exact for every family that works sample by sample."""
+    own = np.asarray(unit_map.arrays().get("knots", ()), dtype=np.float64)
     grid = _grid(windows)
+    bends = np.unique(own[(own > grid[0]) & (own < grid[-1])])
+    if 0 < len(bends) <= knots - 2:
+        ends = np.concatenate([grid[:1], bends, grid[-1:]])
+        values = unit_map.apply(resting(ends))[:, -1]
+        if np.array_equal(_monotone(values, np.ones(len(ends))), values):
+            return Curve(ends, values)
     values = unit_map.apply(resting(grid))[:, -1]
     return _with_few_knots(grid, _monotone(values, np.ones(len(grid))), windows, knots)
 

@@ -1,5 +1,6 @@
 """A calibrated unit and its shared network as device files, with what the device form costs in accuracy."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,8 +10,8 @@ from softcal.core.export.blob import (
     CONDITIONAL,
     FAILED,
     MAX_LAYERS,
-    MAX_UNIT_BYTES,
     MAX_WIDTH,
+    UNIT_BYTES,
     AdaptLimits,
     Band,
     NetworkFile,
@@ -18,7 +19,15 @@ from softcal.core.export.blob import (
     UnitFile,
 )
 from softcal.core.export.blob_reader import read_unit
-from softcal.core.export.compile_map import CompiledMap, InputScale, compile_map
+from softcal.core.export.compile_map import (
+    CompiledMap,
+    Forms,
+    InputScale,
+    compile_map,
+    device_forms,
+    matrix_forms,
+    wide_forms,
+)
 from softcal.core.export.integer_network import (
     ACTIVATION_MAX,
     CODE_MAX,
@@ -26,6 +35,7 @@ from softcal.core.export.integer_network import (
     IntegerNetwork,
     Integers,
 )
+from softcal.core.export.limits import BANDS, Limits, limits_of
 from softcal.core.export.loader import join, run_self_test
 from softcal.core.export.quantise import code_range, evaluate_float64, quantise_map, quantise_network
 from softcal.core.maps.interface import UnitMap
@@ -33,9 +43,14 @@ from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.windows import TAPS
 
-BANDS = 4
 BESIDE_MIX = slice(2, 4)
-"""Self-tests of a file with a mix, which has no room for all four: those that rise and fall reach every weight."""
+"""Self-tests of a file with a narrow mix, which has no room for four: rising and falling ones reach every weight."""
+
+FORMS_OF: Mapping[int, Forms] = dict(zip(UNIT_BYTES, (device_forms, wide_forms, matrix_forms), strict=True))
+"""Forms of a map by the largest size of its file."""
+
+GOAL = 1e-3
+"""A device's estimate should stay this close to f∘γ, as a share of the span of the unit's own estimates."""
 
 VERDICT_FLAGS = {"pass": 0, "conditional": CONDITIONAL, "fail": FAILED, "retest": FAILED}
 ANCHOR_LEVELS = (1 / 32, 31 / 32)
@@ -53,12 +68,14 @@ class DeviceOptions:
         scale: meaning of the device's codes; None covers the unit's output with a round full scale.
         compile_limit: largest rms change of the estimate by the device form, as a share of the predicted error.
         adapt_gain, adapt_offset: what the firmware may change by itself, as shares of 1 and of the output span.
+        unit_bytes: 256, 512 or 1024, the most a unit file may take; None takes the least that holds `GOAL`.
     """
 
     scale: InputScale | None = None
     compile_limit: float = 0.25
     adapt_gain: float = 0.0
     adapt_offset: float = 0.1
+    unit_bytes: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +111,7 @@ class DeviceUnit:
         compiled: the form of γ in floating point and its deviation.
         rms_error, max_error: of the integers on the device against f∘γ in float64.
         limit: what `rms_error` was allowed to be.
+        goal: what `max_error` should stay below.
     """
 
     file: UnitFile
@@ -101,6 +119,7 @@ class DeviceUnit:
     rms_error: float
     max_error: float
     limit: float
+    goal: float
 
 
 def build_network_file(network: Network, source: LabelledRecording) -> NetworkFile:
@@ -120,10 +139,22 @@ def build_network_file(network: Network, source: LabelledRecording) -> NetworkFi
         held,
         network.id,
         source.serial,
-        round(1e6 / source.unlabelled.sample_rate_Hz),
+        sample_period_us(source),
         network.output_unit,
         network.reference_unit,
     )
+
+
+def sample_period_us(source: LabelledRecording) -> int:
+    """Return the time between two samples of the source's recording in µs."""
+    return round(1e6 / source.unlabelled.sample_rate_Hz)
+
+
+def limits_of_unit(facts: UnitFacts, network: Network, options: DeviceOptions) -> Limits:
+    """Return interval, range and clamp of a unit for machines with floating point; the range is that of its codes."""
+    exact = network.evaluate(facts.unit_map.apply(facts.recording.windows))
+    scale = _as_float32(options.scale or InputScale.covering(network, facts.recording.output))
+    return limits_of(exact, facts.lower, facts.upper, facts.recording.output, scale)
 
 
 def build_unit_file(
@@ -134,15 +165,38 @@ def build_unit_file(
 ) -> DeviceUnit:
     """Compile γ, cut it into integers, measure both on the unit's own recording, and read the result back.
 
+    Without a size the smallest file is taken whose estimates stay within `GOAL`; where none does, the nearest one.
+
     Raises:
         UnitRefused: γ has no device form within the limit, or its integers are further off than allowed.
     """
+    sizes = UNIT_BYTES if options.unit_bytes is None else (options.unit_bytes,)
+    best, refusal = None, None
+    for size in sizes:
+        try:
+            unit = _build(facts, network, network_file, options, size)
+        except UnitRefused as error:
+            refusal = error
+            continue
+        if best is None or unit.max_error < best.max_error:
+            best = unit
+        if best.max_error <= best.goal:
+            break
+    if best is None:
+        raise refusal or UnitRefused(f"unit {facts.serial} has no device form")
+    return best
+
+
+def _build(
+    facts: UnitFacts, network: Network, network_file: NetworkFile, options: DeviceOptions, size: int
+) -> DeviceUnit:
+    """Build a file of at most `size` bytes."""
     windows = facts.recording.windows
     exact = evaluate_float64(network, facts.unit_map.apply(windows))
-    limit = device_limit(facts, network, options)
+    limit, goal = device_limit(facts, network, options), GOAL * float(np.ptp(exact))
     scale = _as_float32(options.scale or InputScale.covering(network, facts.recording.output))
     _check_scale(scale, facts)
-    compiled = compile_map(facts.unit_map, network, facts.recording, limit)
+    compiled = compile_map(facts.unit_map, network, facts.recording, limit, FORMS_OF[size], goal / 2)
     integers = network_file.network
     device_map = quantise_map(compiled.form, scale, integers)
     codes = scale.codes(windows)
@@ -172,15 +226,15 @@ def build_unit_file(
         self_tests=_self_tests(integers, device_map, code_min, code_max),
         adapt=_adapt_limits(device_map, codes, options),
     )
-    _check_bytes(file)
+    _check_bytes(file, size)
     join(network_file, read_unit(file.to_bytes()), facts.serial)
-    return DeviceUnit(file, compiled, rms_error, max_error, limit)
+    return DeviceUnit(file, compiled, rms_error, max_error, limit, goal)
 
 
-def _check_bytes(file: UnitFile) -> None:
+def _check_bytes(file: UnitFile, most: int) -> None:
     size = len(file.to_bytes())
-    if size > MAX_UNIT_BYTES:
-        raise UnitRefused(f"unit {file.serial}: its file would take {size} bytes, {MAX_UNIT_BYTES} is one flash row")
+    if size > most:
+        raise UnitRefused(f"unit {file.serial}: its file would take {size} bytes, {most} is allowed")
 
 
 def device_limit(facts: UnitFacts, network: Network, options: DeviceOptions) -> float:
@@ -241,7 +295,7 @@ def _self_tests(network: IntegerNetwork, device_map: DeviceMap, code_min: int, c
     """At rest, at the top, rising and falling through the unit's whole range."""
     step = (code_max - code_min) // (TAPS - 1)
     windows = [(code_min, 0), (code_max, 0), (code_min, step), (code_min + step * (TAPS - 1), -step)]
-    windows = windows if device_map.mix is None else windows[BESIDE_MIX]
+    windows = windows if device_map.mix is None or device_map.mix.is_wide else windows[BESIDE_MIX]
     return tuple(
         SelfTest(start, rise, run_self_test(network, device_map, SelfTest(start, rise, 0))) for start, rise in windows
     )

@@ -1,12 +1,15 @@
 """g = f∘γ as plain nodes and arrays: what a graph format such as ONNX needs, without any of its libraries."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.export.compile_map import Curve, Linear, MapForm
+from softcal.core.export.limits import Limits
+from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
 from softcal.core.export.quantise import folded_layers
 from softcal.core.export.shape_mix import Mix
 from softcal.core.network.network import Network
@@ -17,28 +20,36 @@ Constant = NDArray[np.float32] | NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Node:
-    """One operation of the ONNX operator set: operator, names of its inputs, name of its output."""
+    """One operation of the ONNX operator set: operator, names of its inputs, name of its output, its attributes."""
 
     operator: str
     inputs: tuple[str, ...]
     output: str
+    attributes: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """Nodes in order, from `window` (n, TAPS) to `estimate` (n,), with `source_window` (n, TAPS) on the way."""
+    """Nodes in order, from `window` (n, TAPS) to `estimate`, `lower`, `upper` and `flag`, each (n,), with
+    `source_window` (n, TAPS) on the way.
+    """
 
     nodes: tuple[Node, ...]
     constants: Mapping[str, Constant]
 
 
-def compose(form: MapForm, network: Network) -> Graph:
-    """Join a compiled map and f in float32: the curve is a sum of rectified ramps between its knots."""
+def compose(form: MapForm, network: Network, limits: Limits) -> Graph:
+    """Join a compiled map, f and the unit's limits in float32: the curve is a sum of rectified ramps between its knots.
+
+    The estimate is clamped, the interval that of its band, the flag a sum of OUT_OF_RANGE and CLAMPED: all as on the
+    device.
+    """
     curve_nodes, curve_constants = _curve(form.curve, "source_window" if form.linear is None else "curved")
     linear_nodes, linear_constants = _linear(form.linear, "window" if form.curve is None else "curved")
     net_nodes, net_constants = _network(network)
-    nodes = (*curve_nodes, *linear_nodes, *net_nodes)
-    return Graph(nodes, {**curve_constants, **linear_constants, **net_constants})
+    limit_nodes, limit_constants = _limits(limits)
+    nodes = (*curve_nodes, *linear_nodes, *net_nodes, *limit_nodes)
+    return Graph(nodes, {**curve_constants, **linear_constants, **net_constants, **limit_constants})
 
 
 def _curve(curve: Curve | None, result: str) -> tuple[list[Node], dict[str, Constant]]:
@@ -88,5 +99,57 @@ def _network(network: Network) -> tuple[list[Node], dict[str, Constant]]:
         ]
         if i < len(layers) - 1:
             nodes.append(Node("Relu", (f"sum_{i}",), f"hidden_{i + 1}"))
-    nodes.append(Node("Squeeze", (f"sum_{len(layers) - 1}", "estimate_axis"), "estimate"))
+    nodes.append(Node("Squeeze", (f"sum_{len(layers) - 1}", "estimate_axis"), "raw_estimate"))
     return nodes, constants
+
+
+def _limits(limits: Limits) -> tuple[list[Node], dict[str, Constant]]:
+    nodes = [
+        Node("Clip", ("raw_estimate", "estimate_low", "estimate_high"), "estimate"),
+        Node("Unsqueeze", ("estimate", "estimate_axis"), "estimate_column"),
+        Node("Greater", ("estimate_column", "levels"), "is_above"),
+        Node("Where", ("is_above", "one", "nought"), "above"),
+        *_band("minus"),
+        Node("Sub", ("estimate", "minus"), "lower"),
+        *_band("plus"),
+        Node("Add", ("estimate", "plus"), "upper"),
+        *_outside("window", "output_low", "output_high", "sample"),
+        Node("Where", ("sample_outside", "one", "nought"), "samples_outside"),
+        Node("ReduceMax", ("samples_outside",), "most_outside", {"axes": [1], "keepdims": 0}),
+        Node("Greater", ("most_outside", "nought"), "window_outside"),
+        Node("Where", ("window_outside", "out_of_range", "no_flag"), "range_flag"),
+        *_outside("raw_estimate", "estimate_low", "estimate_high", "estimate"),
+        Node("Where", ("estimate_outside", "clamped", "no_flag"), "clamp_flag"),
+        Node("Add", ("range_flag", "clamp_flag"), "flag"),
+    ]
+    floats = {
+        name: np.array(getattr(limits, name), dtype=np.float32)
+        for name in ("output_low", "output_high", "estimate_low", "estimate_high", "levels")
+    }
+    for side, reach in (("minus", limits.minus), ("plus", limits.plus)):
+        floats |= {f"{side}_changes": np.diff(reach)[:, None].astype(np.float32)}
+        floats |= {f"{side}_first": np.array(reach[0], dtype=np.float32)}
+    flags = {"out_of_range": OUT_OF_RANGE, "clamped": CLAMPED, "no_flag": 0}
+    return nodes, {
+        "one": np.array(1, dtype=np.float32),
+        "nought": np.array(0, dtype=np.float32),
+        **floats,
+        **{name: np.array(value, dtype=np.int64) for name, value in flags.items()},
+    }
+
+
+def _band(side: str) -> list[Node]:
+    """The reach of the interval on one side: that of the first band, changed at every level the estimate is above."""
+    return [
+        Node("MatMul", ("above", f"{side}_changes"), f"{side}_column"),
+        Node("Squeeze", (f"{side}_column", "estimate_axis"), f"{side}_change"),
+        Node("Add", (f"{side}_change", f"{side}_first"), side),
+    ]
+
+
+def _outside(value: str, low: str, high: str, name: str) -> list[Node]:
+    return [
+        Node("Less", (value, low), f"{name}_below"),
+        Node("Greater", (value, high), f"{name}_above"),
+        Node("Or", (f"{name}_below", f"{name}_above"), f"{name}_outside"),
+    ]

@@ -134,7 +134,8 @@ def _map_values(device_map: DeviceMap) -> dict[str, object]:
 
 
 def _mix_values(mix: IntegerMix) -> dict[str, object]:
-    return {"keep": mix.keep, **{name: getattr(mix, name).tolist() for name in MIX_FIELDS}}
+    wide = {"wide": True} if mix.is_wide else {}
+    return {"keep": mix.keep, **wide, **{name: getattr(mix, name).tolist() for name in MIX_FIELDS}}
 
 
 def _map_from(values: Mapping[str, Any]) -> DeviceMap:
@@ -147,7 +148,8 @@ def _map_from(values: Mapping[str, Any]) -> DeviceMap:
 
 
 def _mix_from(values: Mapping[str, Any]) -> IntegerMix:
-    return IntegerMix(int(values["keep"]), *(np.array(values[name], dtype=np.int64) for name in MIX_FIELDS))
+    fields = {name: np.array(values[name], dtype=np.int64) for name in MIX_FIELDS}
+    return IntegerMix(int(values["keep"]), **fields, is_wide=bool(values.get("wide", False)))
 
 
 def json_text(value: object) -> str:

@@ -1,6 +1,6 @@
 """A calibrated unit from its two files alone, in pure NumPy: what a PC without torch runs, integer for integer.
 
-`DeviceSensor.estimate` works on whole recordings; `DeviceStream` takes one sample at a time as the firmware does.
+`DeviceSensor.estimate` works on whole recordings; stream.py takes one sample at a time as the firmware does.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from softcal.core.export.integer_network import (
 from softcal.core.recording import Array
 from softcal.core.windows import TAPS
 
-WARM_UP, CLOSED, STALE, OUT_OF_RANGE, CLAMPED = 1, 2, 4, 8, 16
+WARM_UP, CLOSED, STALE, OUT_OF_RANGE, CLAMPED, WRONG_RATE, STUCK = 1, 2, 4, 8, 16, 32, 64
 """Flags of an estimate, as in softsensor.h."""
 
 
@@ -130,31 +130,3 @@ def join(network_file: NetworkFile, unit_file: UnitFile, serial: str | None = No
                 f"self-test {number} of unit {unit_file.serial} gives {found}, {test.expected} was expected",
             )
     return DeviceSensor(network_file, unit_file)
-
-
-class DeviceStream:
-    """The firmware's ring buffer in Python: one sample in, the estimate out, gaps and staleness flagged alike."""
-
-    def __init__(self, sensor: DeviceSensor) -> None:
-        self._sensor = sensor
-        self._ring = np.zeros(TAPS, dtype=np.int64)
-        self._outside = np.zeros(TAPS, dtype=np.bool_)
-        self._filled, self._last_ms = 0, 0
-
-    def push(self, code: int, t_ms: int) -> None:
-        """Take one 16-bit code; a step over 1.5 periods empties the window."""
-        unit = self._sensor.unit_file
-        if (t_ms - self._last_ms) % 2**32 > self._sensor.network_file.gap_ms:
-            self._filled = 0
-        self._last_ms = t_ms
-        self._ring = np.append(self._ring[1:], unit.device_map.on_samples(np.array([code]))[0])
-        self._outside = np.append(self._outside[1:], not unit.code_min <= code <= unit.code_max)
-        self._filled = min(self._filled + 1, TAPS)
-
-    def read(self, now_ms: int) -> tuple[int, int, int, int]:
-        """Return value, lower, upper in counts, and flags; all values 0 where there is no number yet."""
-        if self._filled < TAPS:
-            return 0, 0, 0, WARM_UP
-        found = self._sensor.estimate_mapped(self._ring[None, :], self._outside[None, :])
-        stale = STALE if (now_ms - self._last_ms) % 2**32 > self._sensor.network_file.gap_ms else 0
-        return int(found.value[0]), int(found.lower[0]), int(found.upper[0]), int(found.flags[0]) | stale

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.export.compile_map import Curve, InputScale, MapForm
+from softcal.core.export.compile_map import Curve, InputScale, Linear, MapForm
 from softcal.core.export.integer_network import (
     ACCUMULATOR_MAX,
     ACTIVATION_MAX,
@@ -19,10 +19,9 @@ from softcal.core.export.integer_network import (
     IntegerNetwork,
     PiecewiseMap,
 )
-from softcal.core.export.shape_mix import Mix
 from softcal.core.network.network import Network
 from softcal.core.recording import Array
-from softcal.core.windows import resting
+from softcal.core.windows import TAPS, resting
 
 HEADROOM = 1.5
 """Activation ranges seen on the source's windows are widened by this before they are cut into counts."""
@@ -171,14 +170,22 @@ def quantise_map(form: MapForm, scale: InputScale, network: IntegerNetwork) -> D
     Raises:
         UnitRefused: knots that fall together, or a map that needs more than 16 bits.
     """
-    if form.curve is None or not isinstance(form.linear, Mix | None):
-        raise UnitRefused("a device takes a curve, alone or with a mix of shapes")
+    if form.curve is None:
+        raise UnitRefused("a device takes a curve, alone or with a linear part")
     try:
         curve = _quantise_curve(form.curve, scale, network)
+        if isinstance(form.linear, Linear):
+            return DeviceMap(curve, _quantise_matrix(form.linear, network))
         mix = None if form.linear is None else form.linear.in_counts(network.input_zero, network.input_lsb)
         return DeviceMap(curve, None, mix)
     except ValueError as error:
         raise UnitRefused(f"the map has no integer form: {error}") from error
+
+
+def _quantise_matrix(linear: Linear, network: IntegerNetwork) -> IntegerLayer:
+    """A window of counts in, a window of counts out: count = (output - zero) / lsb on both sides."""
+    zero, one = network.input_zero, np.full(TAPS, network.input_lsb)
+    return quantise_layer(linear.matrix, zero * linear.matrix.sum(axis=1) + linear.offset - zero, one, one)
 
 
 def _quantise_curve(curve: Curve, scale: InputScale, network: IntegerNetwork) -> PiecewiseMap:

@@ -14,6 +14,7 @@ from softcal.core.export.integer_network import (
     SHAPE_CENTRE,
     SHAPE_HALF,
     WEIGHT_MAX,
+    WIDE_WEIGHT_MAX,
     IntegerMix,
     Integers,
 )
@@ -28,6 +29,8 @@ WINDOW_WEIGHT = 1e-3
 
 RIDGE = 1e-7
 MOST_SHIFT = 24
+MOST_ROW_SUM = 65_000
+"""Of the sizes of a wide mix's weights: times 32767 they stay within 32 bits, with room for rounding."""
 MOST_STEPS = 3000
 
 
@@ -46,15 +49,17 @@ class Mix:
 
     Args:
         keep: share of the window that stays, in 1/64.
-        weights: (k, TAPS) in ± 127.
+        weights: (k, TAPS) in ± 127, in a wide mix ± 32767.
         shift: (k,) row k of the weights counts in 2^-shift / 64.
         bias: (k,) in the output unit.
+        is_wide: weights of two bytes and biases in 1/64 counts.
     """
 
     keep: int
     weights: Integers
     shift: Integers
     bias: Array
+    is_wide: bool = False
 
     @property
     def rows(self) -> Array:
@@ -83,10 +88,11 @@ class Mix:
         """
         bias = (self.bias + zero * self.rows.sum(axis=1)) / lsb
         bias[0] += (self.keep / KEEP_ONE - 1) * zero / lsb
-        return IntegerMix(self.keep, self.weights, self.shift, np.rint(bias).astype(np.int64))
+        integers = np.rint(KEEP_ONE * bias if self.is_wide else bias).astype(np.int64)
+        return IntegerMix(self.keep, self.weights, self.shift, integers, self.is_wide)
 
 
-def fit_mix(count: int, windows: Array, mapped: Array, network: Network) -> Mix | None:
+def fit_mix(count: int, windows: Array, mapped: Array, network: Network, is_wide: bool = False) -> Mix | None:
     """Fit a mix of `count` shapes so that f answers to the result as to `mapped`.
 
     Minimises Σ (f(y) - f(mapped))² + a small share of |y - mapped|² by Gauss-Newton steps, each of which ends on the
@@ -97,16 +103,17 @@ def fit_mix(count: int, windows: Array, mapped: Array, network: Network) -> Mix 
         windows: (n, TAPS) windows entering.
         mapped: (n, TAPS) windows wanted.
         network: f.
+        is_wide: weights of two bytes instead of one.
 
     Returns:
-        None where the weights are too large for a byte.
+        None where the weights are too large for their bytes.
     """
     rows = np.linspace(0, len(windows) - 1, min(MOST_WINDOWS, len(windows))).astype(np.int64)
     windows, mapped = windows[rows], mapped[rows]
     exact = network.evaluate(mapped)
     best, least, found = None, np.inf, mapped
     for _ in range(STEPS):
-        mix = _Normal(count, windows, mapped, network, found).solved()
+        mix = _Normal(count, windows, mapped, network, found).solved(is_wide)
         if mix is None:
             break
         found = mix.apply(windows)
@@ -143,18 +150,19 @@ class _Normal:
         self._matrix += RIDGE * float(np.trace(self._matrix)) / len(right) * np.eye(len(right))
         self._right = seen.T @ target + WINDOW_WEIGHT * right
 
-    def solved(self) -> Mix | None:
+    def solved(self, is_wide: bool) -> Mix | None:
         """Return the best mix on the device's integers; None where a weight is too large for them."""
+        most, most_sum = (WIDE_WEIGHT_MAX, MOST_ROW_SUM) if is_wide else (WEIGHT_MAX, TAPS * WEIGHT_MAX)
         keep = int(np.clip(round(KEEP_ONE * float(np.linalg.solve(self._matrix, self._right)[-1])), 0, 255))
         weights = self.weights(keep / KEEP_ONE)
-        largest = np.abs(weights).max(axis=1)
-        if not np.all(np.isfinite(largest)) or largest.max() > WEIGHT_MAX / KEEP_ONE:
+        filled = np.maximum(np.abs(weights).max(axis=1) / most, np.abs(weights).sum(axis=1) / most_sum)
+        if not np.all(np.isfinite(filled)) or filled.max() > 1 / KEEP_ONE:
             return None
-        room = np.log2(WEIGHT_MAX / KEEP_ONE / np.maximum(largest, 2.0**-MOST_SHIFT))
+        room = np.log2(1 / KEEP_ONE / np.maximum(filled, 2.0**-MOST_SHIFT / most))
         shift = np.clip(np.floor(room), 0, MOST_SHIFT).astype(np.int64)
         step = 1 / (KEEP_ONE * 2.0**shift)
-        integers = self.to_integers(weights, step)
-        return Mix(keep, integers, shift, self.bias(keep / KEEP_ONE, integers * step[:, None]))
+        integers = np.rint(weights / step[:, None]).astype(np.int64) if is_wide else self.to_integers(weights, step)
+        return Mix(keep, integers, shift, self.bias(keep / KEEP_ONE, integers * step[:, None]), is_wide)
 
     def weights(self, keep: float) -> Array:
         """Return the best weights (k, TAPS) for a share that is kept."""

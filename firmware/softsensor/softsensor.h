@@ -2,13 +2,17 @@
  *
  * Reads `network-<id>.ssc` and `unit-<serial>.ssc` in place (docs/format.md): no allocation, no libc, integers only.
  * The same integers come out on every machine; the files carry test windows that prove it each time they are opened.
- * Little-endian machines with arithmetic right shift, as all that gcc, clang, armcc and IAR are used for today.
+ * Little-endian machines with arithmetic right shift, as all that gcc, clang, armcc and IAR are used for today. `int` may
+ * have 16 bits. On an AVR the files lie in program memory (PROGMEM), with SS_IN_RAM defined in RAM.
  *
  *   static ss_sensor sensor;
  *   if (ss_open(&sensor, network, network_bytes, unit, unit_bytes, "A1") != SS_OK) ...   no number without a good file
  *   every sample:  ss_push(&sensor, code, millis());
  *                  ss_estimate e = ss_read(&sensor, millis());
  *                  if (!(e.flags & SS_NO_NUMBER)) use(e.value);
+ *
+ * Every function takes a sensor that is closed, or none at all: then there is no number. A sensor that is not static
+ * must be filled with zeros before ss_open.
  */
 #ifndef SOFTSENSOR_H
 #define SOFTSENSOR_H
@@ -23,11 +27,16 @@
 #define SS_TAPS 15
 #define SS_MAGIC 0x46435353u /* S S C F */
 #define SS_MAJOR 1
-#define SS_MINOR 1  /* files up to this one end where they say; later ones may append something */
+#define SS_MINOR 2  /* files up to this one end where they say; later ones may append something */
 #define SS_SHAPES 6 /* a mix has at most this many */
 #define SS_HEADER 48
 #define SS_AROUND 52 /* header and CRC */
 #define SS_TOO_MUCH 0x40000000u
+#define SS_SERIAL 20 /* characters of a serial in a file */
+
+#ifndef SS_STUCK_MS
+#define SS_STUCK_MS 60000u /* a code that stays the same for so long is flagged */
+#endif
 
 typedef enum {
   SS_OK = 0,
@@ -40,7 +49,8 @@ typedef enum {
   SS_BAD_NETWORK = 7,   /* the unit was calibrated with another network */
   SS_BAD_SERIAL = 8,    /* the file of another unit */
   SS_BAD_LAYOUT = 9,    /* contradicts itself, or needs a larger SS_WIDTH */
-  SS_BAD_SELF_TEST = 10 /* this machine does not compute what the factory computed */
+  SS_BAD_SELF_TEST = 10, /* this machine does not compute what the factory computed */
+  SS_NO_SENSOR = 11      /* the sensor to open is a null pointer */
 } ss_status;
 
 enum {
@@ -49,6 +59,8 @@ enum {
   SS_STALE = 4,        /* the newest sample is older than 1.5 periods */
   SS_OUT_OF_RANGE = 8, /* a code in the window lies outside what the unit was calibrated with */
   SS_CLAMPED = 16,     /* the estimate was clamped to the range of the calibration */
+  SS_WRONG_RATE = 32,  /* the window's samples came too fast, too slowly or unevenly: the network sees another sensor */
+  SS_STUCK = 64,       /* the code has been the same for SS_STUCK_MS: nothing is felt, or a wire is broken */
   SS_NO_NUMBER = SS_WARM_UP | SS_CLOSED
 };
 
@@ -61,11 +73,15 @@ typedef struct {
 typedef struct {
   const uint8_t *network, *unit; /* bodies of the two files; no unit while closed */
   const uint8_t *map;            /* knots, then the linear part, in the unit file */
-  uint32_t last_ms;
-  uint16_t gap_ms, range_bits; /* bit k: the k-th newest sample was out of range */
-  uint8_t filled;
-  int16_t gain, offset;  /* what ss_adapt has changed: gain in 2^-15, offset in source counts */
-  int16_t ring[SS_TAPS]; /* samples as the curve mapped them, or centred codes */
+  uint32_t last_ms, moved_ms;    /* when the newest sample was taken; when the code last changed */
+  uint32_t least_ms, most_ms;    /* from the oldest sample of a window to its newest */
+  uint16_t gap_ms, step_ms;      /* longest and shortest time between two samples */
+  uint16_t last_code, range_bits; /* bit k: the k-th newest sample was out of range */
+  uint8_t filled, is_stuck;
+  int16_t gain, offset;           /* what ss_adapt has changed: gain in 2^-15, offset in source counts */
+  int16_t trim_gain, trim_offset; /* what two known loads have shown (ss_trim_finish), in the same units */
+  int16_t ring[SS_TAPS];          /* samples as the curve mapped them, or centred codes */
+  uint16_t steps[SS_TAPS];        /* ms from the sample before */
   int16_t even[SS_WIDTH], odd[SS_WIDTH];
 } ss_sensor;
 
@@ -84,15 +100,31 @@ typedef uint32_t ss_full_word;
 #if defined(__GNUC__)
 #define SS_SHARED __attribute__((noinline, unused)) static
 #else
-#define SS_SHARED static
+#define SS_SHARED static inline
 #endif
 
+#if defined(__AVR__) && !defined(SS_IN_RAM)
+#include <avr/pgmspace.h>
+static inline uint8_t ss_u8(const void *p) { return pgm_read_byte(p); }
+static inline uint32_t ss_u16(const void *p) { return pgm_read_word(p); }
+static inline int32_t ss_i16(const void *p) { return (int16_t)pgm_read_word(p); }
+static inline uint32_t ss_u32(const void *p) { return pgm_read_dword(p); }
+#else
+static inline uint8_t ss_u8(const void *p) { return *(const uint8_t *)p; }
 static inline uint32_t ss_u16(const void *p) { return *(const ss_half_word *)p; }
 static inline int32_t ss_i16(const void *p) { return (int16_t) * (const ss_half_word *)p; }
 static inline uint32_t ss_u32(const void *p) { return *(const ss_full_word *)p; }
+#endif
+
+/* A machine that loads bytes alone asks for no alignment. */
+#if defined(__AVR__)
+#define SS_IS_ODD(p) 0
+#else
+#define SS_IS_ODD(p) ((uintptr_t)(p) & 3)
+#endif
 
 /* Word by word and bit by bit: a table would be three times as fast and take 64 bytes; a file is checked once. */
-static uint32_t ss_crc32(const uint8_t *p, const uint8_t *end) {
+static inline uint32_t ss_crc32(const uint8_t *p, const uint8_t *end) {
   uint32_t crc = 0xffffffffu, k;
   for (; p != end; p += 4) {
     crc ^= ss_u32(p);
@@ -105,30 +137,42 @@ static uint32_t ss_crc32(const uint8_t *p, const uint8_t *end) {
   return ~crc;
 }
 
-static int ss_differ(const uint8_t *a, const uint8_t *b, uint32_t n) {
-  while (n--)
-    if (*a++ != *b++) return 1;
+/* Whether two files have the same network id. */
+static inline int ss_same_network(const uint8_t *a, const uint8_t *b) {
+  return ss_u32(a + 12) == ss_u32(b + 12) && ss_u32(a + 16) == ss_u32(b + 16);
+}
+
+/* Whether a unit file is that of another unit than `serial`, a C string of which at most 20 characters are read. */
+static inline int ss_is_other(const uint8_t *file, const char *serial) {
+  uint8_t i, c = 1;
+  for (i = 0; i < SS_SERIAL && c; i++) {
+    c = (uint8_t)serial[i];
+    if (ss_u8(file + 28 + i) != c) return 1;
+  }
   return 0;
 }
 
 /* Header and CRC of one file. */
-static ss_status ss_check(const void *file, uint32_t bytes, uint8_t kind) {
+SS_SHARED ss_status ss_check(const void *file, uint32_t bytes, uint8_t kind) {
   const uint8_t *p = (const uint8_t *)file;
-  if (!p || (uintptr_t)p & 3) return SS_BAD_ALIGNMENT;
+  if (!p || SS_IS_ODD(p)) return SS_BAD_ALIGNMENT;
   if (bytes < SS_AROUND) return SS_BAD_LENGTH;
   if (ss_u32(p) != SS_MAGIC) return SS_BAD_MAGIC;
-  if (p[5] != SS_MAJOR) return SS_BAD_VERSION;
+  if (ss_u8(p + 5) != SS_MAJOR) return SS_BAD_VERSION;
   if (ss_u32(p + 8) != bytes || bytes & 3) return SS_BAD_LENGTH;
   if (ss_crc32(p, p + bytes - 4) != ss_u32(p + bytes - 4)) return SS_BAD_CRC;
-  return p[4] == kind ? SS_OK : SS_BAD_KIND;
+  return ss_u8(p + 4) == kind ? SS_OK : SS_BAD_KIND;
 }
 
 /* The functions below get a body: a file without its header. `left` is what of it is not yet accounted for. */
-#define SS_IS_LATER(body) (*((body) - SS_HEADER + 6) > SS_MINOR)
+#define SS_IS_LATER(body) (ss_u8((body) - SS_HEADER + 6) > SS_MINOR)
+
+/* Rows stand in blocks of four. */
+#define SS_PADDED(rows) (((uint32_t)(rows) + 3u) & 0xfffffffcu)
 
 /* The bytes of one layer in a file; more than any file has where it is too wide. */
-static uint32_t ss_layer_bytes(uint32_t rows, uint32_t columns) {
-  return rows - 1 < SS_WIDTH && columns - 1 < SS_WIDTH ? ((rows + 3) & ~3u) * (8 + 2 * columns) : SS_TOO_MUCH;
+static inline uint32_t ss_layer_bytes(uint32_t rows, uint32_t columns) {
+  return rows - 1 < SS_WIDTH && columns - 1 < SS_WIDTH ? SS_PADDED(rows) * (8 + 2 * columns) : SS_TOO_MUCH;
 }
 
 SS_SHARED ss_status ss_check_network(const uint8_t *p, uint32_t left) {
@@ -136,8 +180,8 @@ SS_SHARED ss_status ss_check_network(const uint8_t *p, uint32_t left) {
   uint32_t count;
   if (left < 84) return SS_BAD_LAYOUT;
   left -= 84;
-  if (p[1] != 1 || ss_u16(sizes) != SS_TAPS) return SS_BAD_LAYOUT;
-  for (count = p[0]; count; count--, sizes += 2) { /* a layer takes 40 bytes or more: `left` ends a forged count */
+  if (ss_u8(p + 1) != 1 || ss_u16(sizes) != SS_TAPS) return SS_BAD_LAYOUT;
+  for (count = ss_u8(p); count; count--, sizes += 2) { /* a layer takes 40 bytes or more: `left` ends a forged count */
     uint32_t used = ss_layer_bytes(ss_u16(sizes + 2), ss_u16(sizes));
     if (used > left) return SS_BAD_LAYOUT;
     left -= used;
@@ -145,16 +189,21 @@ SS_SHARED ss_status ss_check_network(const uint8_t *p, uint32_t left) {
   return ss_u16(sizes) == 1 && (!left || SS_IS_LATER(p)) ? SS_OK : SS_BAD_LAYOUT;
 }
 
-static const uint8_t *ss_tests(const uint8_t *unit) { return unit + 28 + 6u * unit[2]; }
-static uint32_t ss_map_at(const uint8_t *unit) { return 28u + ((6u * unit[2] + 6u * unit[3] + 3u) & ~3u); }
+static inline const uint8_t *ss_tests(const uint8_t *unit) { return unit + 28 + 6u * ss_u8(unit + 2); }
+static inline uint32_t ss_map_at(const uint8_t *unit) {
+  return 28 + SS_PADDED(6u * ss_u8(unit + 2) + 6u * ss_u8(unit + 3));
+}
 
-/* The map of a unit is a curve on every sample (bit 0), and on every window a linear layer (bit 1, format 1.0) or a mix
- * of shapes (bit 2). */
+/* The map of a unit is a curve on every sample (bit 0), and on every window a linear layer (bit 1), a mix of shapes
+ * (bit 2) or a wide mix (bit 3). */
 SS_SHARED ss_status ss_check_unit(const uint8_t *p, uint32_t left) {
-  uint32_t form = p[0], knots = p[1], used = ss_map_at(p) + 4 * knots, shapes;
-  if (form - 1 > 4 || (form & 1) > knots || !p[2] || !p[3] || used > left) return SS_BAD_LAYOUT;
-  left -= used, shapes = p[used + 1];
-  if (form & 4) left -= shapes - 1 < SS_SHAPES ? (4 + 18 * shapes) & ~3u : SS_TOO_MUCH;
+  uint32_t form = ss_u8(p), knots = ss_u8(p + 1), used, shapes;
+  if (left < 28) return SS_BAD_LAYOUT;
+  used = ss_map_at(p) + 4 * knots;
+  if (form - 1 > 8 || (form & 6) == 6 || (form & 1) > knots || !ss_u8(p + 2) || !ss_u8(p + 3) || used > left) return SS_BAD_LAYOUT;
+  left -= used;
+  shapes = ss_u8(p + used + 1); /* at the end of the file these are bytes of the CRC */
+  if (form & 12) left -= shapes - 1 >= SS_SHAPES ? SS_TOO_MUCH : form & 8 ? 4 + 36 * shapes : SS_PADDED(1 + 18 * shapes);
   if (form & 2) left -= ss_layer_bytes(SS_TAPS, SS_TAPS);
   return !left || ((int32_t)left > 0 && SS_IS_LATER(p)) ? SS_OK : SS_BAD_LAYOUT;
 }
@@ -167,8 +216,8 @@ SS_SHARED int32_t ss_clip(int32_t x) { return x > 32767 ? 32767 : x < -32767 ? -
  * activation. Returns the weights that follow. */
 #if defined(__GNUC__) && defined(__ARM_ARCH_6M__) && !defined(SS_PORTABLE)
 /* The Cortex-M0 has eight easy registers, too few for a compiler to keep this loop out of memory, most of all at -Os. */
-__attribute__((naked, noinline, unused)) static const ss_full_word *ss_dot(
-    const ss_full_word *w __attribute__((unused)), const int16_t *end __attribute__((unused)),
+__attribute__((naked, noinline, unused)) static const uint8_t *ss_dot(
+    const uint8_t *w __attribute__((unused)), const int16_t *end __attribute__((unused)),
     uint32_t columns __attribute__((unused)), uint32_t *acc __attribute__((unused))) {
   __asm__ volatile(
       ".syntax unified\n\t"
@@ -207,8 +256,25 @@ __attribute__((naked, noinline, unused)) static const ss_full_word *ss_dot(
       "mov r8, r1\n\t"
       "pop {r4, r5, r6, r7, pc}");
 }
+#elif defined(__AVR__)
+/* Row by row: an eight-bit machine has no registers for four sums, and 32 by 32 bits take it four times 16 by 16. */
+SS_SHARED const uint8_t *ss_dot(const uint8_t *w, const int16_t *end, uint32_t columns, uint32_t *acc) {
+  uint8_t row;
+  for (row = 0; row < 4; row++) {
+    const int16_t *x = end - (uint16_t)columns;
+    const uint8_t *weight = w + 2 * row;
+    int32_t sum = 0;
+    do {
+      sum = (int32_t)((uint32_t)sum + (uint32_t)((int32_t)*x++ * (int16_t)ss_i16(weight)));
+      weight += 8;
+    } while (x != end);
+    acc[row] = (uint32_t)sum;
+  }
+  return w + 8 * (uint16_t)columns;
+}
 #else
-static const ss_full_word *ss_dot(const ss_full_word *w, const int16_t *end, uint32_t columns, uint32_t *acc) {
+SS_SHARED const uint8_t *ss_dot(const uint8_t *weights, const int16_t *end, uint32_t columns, uint32_t *acc) {
+  const ss_full_word *w = (const ss_full_word *)(const void *)weights;
   const int16_t *x = end - columns;
   uint32_t a = 0, b = 0, c = 0, d = 0;
   do {
@@ -220,7 +286,7 @@ static const ss_full_word *ss_dot(const ss_full_word *w, const int16_t *end, uin
     d += (uint32_t)(v * ((int32_t)cd >> 16));
   } while (x != end);
   acc[0] = a, acc[1] = b, acc[2] = c, acc[3] = d;
-  return w;
+  return (const uint8_t *)w;
 }
 #endif
 
@@ -228,31 +294,29 @@ static const ss_full_word *ss_dot(const ss_full_word *w, const int16_t *end, uin
  * so that even a forged file meets no undefined behaviour; its self-tests then fail. */
 SS_SHARED const uint8_t *ss_layer(const uint8_t *record, uint32_t rows, uint32_t columns, const int16_t *in, int16_t *out,
                                   uint32_t is_rectified) {
-  const ss_full_word *w;
-  const uint8_t *end = record + ((rows + 3) & ~3u) * 8;
+  const uint8_t *end = record + SS_PADDED(rows) * 8, *w = end;
   uint32_t acc[4];
-  w = (const ss_full_word *)(const void *)end;
   while (record != end) {
     const uint32_t *sum = acc;
     w = ss_dot(w, in + columns, columns, acc);
     do {
       int32_t y = (int32_t)(*sum++ + ss_u32(record));
-      uint32_t product;
+      uint32_t product, scale = ss_u32(record + 4), shift = scale >> 24 & 31;
       if (y < 0 && is_rectified) y = 0;
-      product = (uint32_t)(y >> (record[6] & 31)) * ss_u16(record + 4) + (1u << ((record[7] - 1) & 31));
-      *out++ = (int16_t)ss_clip((int32_t)product >> (record[7] & 31));
+      product = (uint32_t)(y >> (scale >> 16 & 31)) * (scale & 0xffffu) + ((uint32_t)1 << ((shift - 1) & 31));
+      *out++ = (int16_t)ss_clip((int32_t)product >> shift);
       record += 8;
     } while (sum != acc + 4);
   }
-  return (const uint8_t *)w;
+  return w;
 }
 
 /* One code on its way into the ring: through the curve, or centred where there is none. */
-static int32_t ss_map_code(const ss_sensor *s, uint32_t code) {
-  const uint8_t *knot = s->map, *last = knot + 4u * (s->unit[1] - 1u);
+SS_SHARED int32_t ss_map_code(const ss_sensor *s, uint32_t code) {
+  const uint8_t *knot = s->map, *last = knot + 4u * ss_u8(s->unit + 1) - 4;
   uint32_t x0, span, rise;
   int32_t y0, y1;
-  if (!(s->unit[0] & 1)) return ss_clip((int32_t)code - 32768);
+  if (!(ss_u8(s->unit) & 1)) return ss_clip((int32_t)code - 32768);
   if (code <= ss_u16(knot)) return ss_i16(knot + 2);
   if (code >= ss_u16(last)) return ss_i16(last + 2);
   while (ss_u16(knot + 4) <= code) knot += 4;
@@ -263,34 +327,42 @@ static int32_t ss_map_code(const ss_sensor *s, uint32_t code) {
 }
 
 /* A mix of shapes: x = keep x + sum of U_k(tap) w_k, with w_k = row_k . x + bias_k, in 1/64 count. U_k are the Chebyshev
- * polynomials of the second kind at (tap - 7) / 8, summed by Clenshaw's recurrence. Unsigned as above. */
-SS_SHARED void ss_mix(const uint8_t *m, int16_t *x) {
-  uint32_t w[SS_SHAPES], *end = w;
+ * polynomials of the second kind at (tap - 7) / 8, summed by Clenshaw's recurrence. A wide mix has weights of two bytes
+ * and finer biases before them. Unsigned as above. */
+SS_SHARED void ss_mix(const uint8_t *m, int16_t *x, uint32_t is_wide) {
+  uint32_t w[SS_SHAPES], *end = w, shapes = ss_u8(m + 1);
   const uint8_t *row = m + 2;
-  int32_t i;
+  int32_t i, keep = ss_u8(m);
+  if (is_wide) row += 2;
   do {
-    int32_t sum = 0;
-    for (i = 0; i < SS_TAPS; i++) sum += (int8_t)*row++ * x[i];
-    *end++ = (uint32_t)(sum >> (*row & 31)) + 64u * (uint32_t)ss_i16(row + 1);
-    row += 3;
-  } while (end != w + m[1]);
+    uint32_t sum = 0, bias = 0;
+    if (is_wide) bias = ss_u32(row), row += 4;
+    for (i = 0; i < SS_TAPS; i++) {
+      int32_t weight = is_wide ? ss_i16(row) : (int8_t)ss_u8(row);
+      row += 1 + is_wide;
+      sum += (uint32_t)(weight * x[i]);
+    }
+    if (!is_wide) bias = 64u * (uint32_t)ss_i16(row + 1);
+    *end++ = (uint32_t)((int32_t)sum >> (ss_u8(row) & 31)) + bias;
+    row += 3 - is_wide;
+  } while (end != w + shapes);
   for (i = -7; i < 8; i++, x++) {
     uint32_t total = 0, before = 0, next, *p = end;
     do {
       next = *--p + (uint32_t)((int32_t)((uint32_t)i * total) >> 2) - before;
       before = total, total = next;
     } while (p != w);
-    *x = (int16_t)ss_clip((int32_t)(total + (uint32_t)(m[0] * *x) + 32u) >> 6);
+    *x = (int16_t)ss_clip((int32_t)(total + (uint32_t)(keep * *x) + 32u) >> 6);
   }
 }
 
 /* The estimate of the window in s->even. */
 SS_SHARED int32_t ss_window(ss_sensor *s) {
-  const uint8_t *sizes = s->network + 4, *p = s->network + 84, *map = s->map + 4u * s->unit[1];
+  const uint8_t *sizes = s->network + 4, *p = s->network + 84, *map = s->map + 4u * ss_u8(s->unit + 1);
   int16_t *in = s->even, *out = s->odd, *done;
-  uint32_t left = s->network[0];
-  if (s->unit[0] & 4) ss_mix(map, in);
-  if (s->unit[0] & 2) {
+  uint32_t left = ss_u8(s->network), form = ss_u8(s->unit);
+  if (form & 12) ss_mix(map, in, form >> 3);
+  if (form & 2) {
     ss_layer(map, SS_TAPS, SS_TAPS, in, out, 0);
     done = out, out = in, in = done;
   }
@@ -303,25 +375,27 @@ SS_SHARED int32_t ss_window(ss_sensor *s) {
 
 /* ---- use ------------------------------------------------------------------------------------------------------ */
 
-/* Open both files in place; they must stay where they are. `serial` (20 bytes, filled up with zeros, as in the file)
- * may be 0 where the firmware does not know its own. Anything but SS_OK leaves the sensor closed. */
-static ss_status ss_open(ss_sensor *s, const void *network, uint32_t network_bytes, const void *unit,
-                         uint32_t unit_bytes, const char *serial) {
+/* Open both files in place; they must stay where they are. `serial`, a C string, may be 0 where the firmware does not
+ * know its own; at most 20 characters are read, so a longer one is given as it stands in the file (SS_UNIT_SERIAL).
+ * Anything but SS_OK leaves the sensor closed. */
+SS_SHARED ss_status ss_open(ss_sensor *s, const void *network, uint32_t network_bytes, const void *unit,
+                            uint32_t unit_bytes, const char *serial) {
   const uint8_t *net = (const uint8_t *)network, *own = (const uint8_t *)unit, *test;
   ss_status status;
-  uint32_t i, left;
+  uint32_t i, left, period_us;
+  if (!s) return SS_NO_SENSOR;
   s->unit = 0;
   if ((status = ss_check(net, network_bytes, 1)) != SS_OK) return status;
   if ((status = ss_check(own, unit_bytes, 2)) != SS_OK) return status;
-  if (ss_differ(net + 12, own + 12, 8)) return SS_BAD_NETWORK;
-  if (serial && ss_differ(own + 28, (const uint8_t *)serial, 20)) return SS_BAD_SERIAL;
+  if (!ss_same_network(net, own)) return SS_BAD_NETWORK;
+  if (serial && ss_is_other(own, serial)) return SS_BAD_SERIAL;
   net += SS_HEADER, own += SS_HEADER;
   if ((status = ss_check_network(net, network_bytes - SS_AROUND)) != SS_OK) return status;
   if ((status = ss_check_unit(own, unit_bytes - SS_AROUND)) != SS_OK) return status;
   s->network = net, s->unit = own, s->map = own + ss_map_at(own);
-  s->gain = s->offset = 0;
+  s->gain = s->offset = s->trim_gain = s->trim_offset = 0;
   test = ss_tests(own);
-  for (left = own[3]; left; left--, test += 6) {
+  for (left = ss_u8(own + 3); left; left--, test += 6) {
     uint32_t code = ss_u16(test);
     for (i = 0; i < SS_TAPS; i++, code += (uint32_t)ss_i16(test + 2)) s->even[i] = (int16_t)ss_map_code(s, code);
     if (ss_window(s) != ss_i16(test + 4)) {
@@ -329,74 +403,186 @@ static ss_status ss_open(ss_sensor *s, const void *network, uint32_t network_byt
       return SS_BAD_SELF_TEST;
     }
   }
+  period_us = ss_u32(net + 24);
   s->gap_ms = (uint16_t)ss_u16(net + 20);
-  s->range_bits = 0, s->filled = 0, s->last_ms = 0;
+  s->step_ms = (uint16_t)((period_us - 1) / 2000); /* half a period, less the ms that whole ms may hide */
+  s->least_ms = 63 * period_us / 5000;             /* 14 periods less 10 % */
+  s->most_ms = 77 * period_us / 5000;
+  s->range_bits = 0, s->filled = 0, s->is_stuck = 0, s->last_ms = 0;
   return SS_OK;
 }
 
+/* A mapped sample moved by a gain about the unit's low level, and by an offset; within 32 bits for |gain| <= 2^14. */
+static inline int32_t ss_moved(const ss_sensor *s, int32_t y, int32_t gain, int32_t offset) {
+  return ss_clip(y + offset + (gain * (y - ss_i16(s->unit + 20)) >> 15));
+}
+
+/* One code through the curve and the trim. */
+static inline int32_t ss_trimmed(const ss_sensor *s, uint32_t code) {
+  return ss_moved(s, ss_map_code(s, code), s->trim_gain, s->trim_offset);
+}
+
 /* Take one sample: a 16-bit code, and when it was taken. A step over 1.5 periods empties the window. */
-static void ss_push(ss_sensor *s, uint16_t code, uint32_t t_ms) {
-  const uint8_t *u = s->unit;
-  int32_t y, i;
-  if (!u) return;
-  if (t_ms - s->last_ms > s->gap_ms) s->filled = 0;
-  s->last_ms = t_ms;
-  y = ss_map_code(s, code);
-  y += s->offset + (s->gain * (y - ss_i16(u + 20)) >> 15);
-  for (i = 0; i < SS_TAPS - 1; i++) s->ring[i] = s->ring[i + 1];
-  s->ring[i] = (int16_t)ss_clip(y);
+SS_SHARED void ss_push(ss_sensor *s, uint16_t code, uint32_t t_ms) {
+  uint32_t step_ms;
+  uint8_t i;
+  if (!s || !s->unit) return;
+  step_ms = t_ms - s->last_ms;
+  if (step_ms > s->gap_ms) s->filled = 0;
+  if (!s->filled || code != s->last_code) s->is_stuck = 0, s->moved_ms = t_ms;
+  if (t_ms - s->moved_ms >= SS_STUCK_MS) s->is_stuck = 1;
+  for (i = 0; i < SS_TAPS - 1; i++) s->ring[i] = s->ring[i + 1], s->steps[i] = s->steps[i + 1];
+  s->ring[i] = (int16_t)ss_moved(s, ss_trimmed(s, code), s->gain, s->offset);
+  s->steps[i] = (uint16_t)step_ms;
+  s->last_ms = t_ms, s->last_code = code;
   if (s->filled < SS_TAPS) s->filled++;
-  s->range_bits = (uint16_t)(s->range_bits << 1 | (code < ss_u16(u + 4) || code > ss_u16(u + 6)));
+  i = code < ss_u16(s->unit + 4) || code > ss_u16(s->unit + 6);
+  s->range_bits = (uint16_t)((uint32_t)s->range_bits << 1 | i);
+}
+
+/* Forget the samples taken so far: for a program that has fallen behind and begins a new row of samples. */
+static inline void ss_restart(ss_sensor *s) {
+  if (s) s->filled = 0;
 }
 
 /* The estimate at the newest sample. Where flags & SS_NO_NUMBER there is none: value, lower and upper are 0. */
-static ss_estimate ss_read(ss_sensor *s, uint32_t now_ms) {
+SS_SHARED ss_estimate ss_read(ss_sensor *s, uint32_t now_ms) {
   ss_estimate e = {0, 0, 0, 0};
-  const uint8_t *u = s->unit, *band;
+  const uint8_t *u, *band;
   int32_t value, low, high;
-  uint32_t i;
-  if (!u) e.flags = SS_CLOSED;
+  uint32_t span_ms = 0, i, flags = 0;
+  if (!s || !s->unit) e.flags = SS_CLOSED;
   else if (s->filled < SS_TAPS) e.flags = SS_WARM_UP;
   if (e.flags) return e;
-  if (now_ms - s->last_ms > s->gap_ms) e.flags |= SS_STALE;
-  if (s->range_bits & 0x7fffu) e.flags |= SS_OUT_OF_RANGE;
-  for (i = 0; i < SS_TAPS; i++) s->even[i] = s->ring[i];
+  u = s->unit;
+  if (now_ms - s->last_ms > s->gap_ms) flags |= SS_STALE;
+  if (s->range_bits & 0x7fffu) flags |= SS_OUT_OF_RANGE;
+  if (s->is_stuck) flags |= SS_STUCK;
+  for (i = 0; i < SS_TAPS; i++) {
+    s->even[i] = s->ring[i];
+    if (!i) continue; /* the step to the oldest sample lies before the window */
+    span_ms += s->steps[i];
+    if (s->steps[i] < s->step_ms) flags |= SS_WRONG_RATE;
+  }
+  if (span_ms + 1 < s->least_ms || span_ms > s->most_ms + 1) flags |= SS_WRONG_RATE;
   value = ss_window(s), low = ss_i16(u + 8), high = ss_i16(u + 10);
-  if (value < low || value > high) e.flags |= SS_CLAMPED, value = value < low ? low : high;
-  for (band = u + 28, i = u[2]; i > 1 && value > ss_i16(band); i--) band += 6;
+  if (value < low || value > high) flags |= SS_CLAMPED, value = value < low ? low : high;
+  for (band = u + 28, i = ss_u8(u + 2); i > 1 && value > ss_i16(band); i--) band += 6;
   e.value = (int16_t)value;
-  low = value - (int32_t)ss_u16(band + 2), high = value + (int32_t)ss_u16(band + 4);
-  e.lower = (int16_t)ss_clip(low);
-  e.upper = (int16_t)ss_clip(high);
+  e.lower = (int16_t)ss_clip(value - (int32_t)ss_u16(band + 2));
+  e.upper = (int16_t)ss_clip(value + (int32_t)ss_u16(band + 4));
+  e.flags = (uint8_t)flags;
   return e;
 }
 
 /* Power of ten of one count in reference units, for example -3: an estimate of 1234 means 1.234 N. */
-static inline int ss_exponent(const ss_sensor *s) { return s->unit ? (int8_t)s->network[3] : 0; }
+static inline int ss_exponent(const ss_sensor *s) { return s && s->unit ? (int8_t)ss_u8(s->network + 3) : 0; }
 
 /* ---- slots: two that updates may write, and one the factory wrote ---------------------------------------------- */
 
-/* Which of the slots 0, 1 (updates) and 2 (factory) to open, or -1: the highest revision among the good updates, else
- * the factory's. `serial` as in ss_open. Give each slot's room in `bytes`; a file says itself how long it is. */
-static inline int ss_choose_slot(const void *const slots[3], uint32_t bytes, const void *network, const char *serial) {
-  int chosen = -1, i;
-  for (i = 2; i >= 0; i--) {
-    const uint8_t *p = (const uint8_t *)slots[i];
-    uint32_t length;
-    if (!p || (uintptr_t)p & 3 || bytes < SS_AROUND || (length = ss_u32(p + 8)) > bytes) continue;
-    if (ss_check(p, length, 2) != SS_OK || ss_check_unit(p + SS_HEADER, length - SS_AROUND) != SS_OK) continue;
-    if (ss_differ((const uint8_t *)network + 12, p + 12, 8)) continue;
-    if (serial && ss_differ(p + 28, (const uint8_t *)serial, 20)) continue;
-    if (chosen == 0 || chosen == 1)
-      if (ss_u32(p + 20) < ss_u32((const uint8_t *)slots[chosen] + 20)) continue;
-    chosen = i;
+/* Open the best of the slots 0, 1 (updates) and 2 (factory): the update with the highest revision that opens, self-tests
+ * and all, else the factory's; of equal revisions slot 0. Returns the slot in use, or -1 with the sensor closed. Give
+ * each slot's room in bytes; a file says itself how long it is. Other arguments as in ss_open. */
+static inline int ss_open_best(ss_sensor *s, const void *const slots[3], uint32_t room, const void *network,
+                               uint32_t network_bytes, const char *serial) {
+  uint32_t revision[2] = {0, 0}, length;
+  const uint8_t *file;
+  int k, slot;
+  if (s) s->unit = 0;
+  if (!s || !slots || room < SS_AROUND) return -1;
+  for (k = 0; k < 2; k++)
+    if (slots[k] && !SS_IS_ODD(slots[k])) revision[k] = ss_u32((const uint8_t *)slots[k] + 20);
+  for (k = 0; k < 3; k++) { /* what a slot claims says when it is tried; only a file that opens is taken */
+    slot = k < 2 && revision[1] > revision[0] ? 1 - k : k;
+    file = (const uint8_t *)slots[slot];
+    if (!file || SS_IS_ODD(file) || (length = ss_u32(file + 8)) > room) continue;
+    if (ss_open(s, network, network_bytes, file, length, serial) == SS_OK) return slot;
   }
-  return chosen;
+  return -1;
 }
 
-/* The slot an update may erase and write: never the one in use, never the factory's. Write it whole, then check it with
- * ss_choose_slot: an update that is cut off has a wrong CRC, and the calibration that was in use stays in use. */
+/* The slot an update may erase and write, given what ss_open_best returned: never the one in use, never the factory's.
+ * Write it whole, then call ss_open_best again: an update that is cut off or does not pass its self-tests is passed
+ * over, and the calibration that was in use stays in use. */
 static inline int ss_slot_to_write(int in_use) { return in_use == 0 ? 1 : 0; }
+
+/* ---- trim: two known loads bring a unit that has drifted back --------------------------------------------------- */
+
+typedef struct {
+  int32_t sum[2];
+  int16_t least[2], most[2];
+  uint16_t count[2];
+} ss_trim;
+
+typedef enum {
+  SS_TRIMMED = 0,          /* gain and offset are set; the window is empty and fills anew */
+  SS_TRIM_MORE = 1,        /* closed, or fewer than 15 samples under one of the loads */
+  SS_TRIM_MOVING = 2,      /* the output moved under a load, or both loads look alike */
+  SS_TRIM_OUT_OF_REACH = 3, /* the unit never gives such an estimate at rest within its calibrated codes */
+  SS_TRIM_TOO_FAR = 4      /* a gain of more than half, or an offset beyond 16 bits: this is another sensor */
+} ss_trim_result;
+
+static inline void ss_trim_start(ss_trim *t) {
+  uint8_t k;
+  if (!t) return;
+  for (k = 0; k < 2; k++) t->sum[k] = 0, t->count[k] = 0, t->least[k] = 32767, t->most[k] = -32767;
+}
+
+/* Take one sample while load 0 or 1 rests on the sensor; 15 to 4096 of each are used. */
+static inline void ss_trim_sample(ss_trim *t, const ss_sensor *s, int load, uint16_t code) {
+  int32_t y;
+  int k = load != 0;
+  if (!t || !s || !s->unit || t->count[k] >= 4096) return;
+  y = ss_map_code(s, code);
+  t->sum[k] += y, t->count[k]++;
+  if (y < t->least[k]) t->least[k] = (int16_t)y;
+  if (y > t->most[k]) t->most[k] = (int16_t)y;
+}
+
+/* The estimate of a window in which every mapped sample is y. */
+static inline int32_t ss_at_rest(ss_sensor *s, int32_t y) {
+  uint8_t i;
+  for (i = 0; i < SS_TAPS; i++) s->even[i] = (int16_t)y;
+  return ss_window(s);
+}
+
+/* Find the mapped sample that at rest gives `known`, by bisection between the calibrated codes; 0 where there is none. */
+static inline int ss_rest_of(ss_sensor *s, int32_t known, int32_t *found) {
+  int32_t a = ss_map_code(s, ss_u16(s->unit + 4)), b = ss_map_code(s, ss_u16(s->unit + 6)), middle;
+  int32_t at_a = ss_at_rest(s, a), at_b = ss_at_rest(s, b), at;
+  if (at_a > at_b) middle = a, a = b, b = middle, at = at_a, at_a = at_b, at_b = at;
+  if (known < at_a || known > at_b) return 0;
+  while (b - a > 1 || a - b > 1) {
+    middle = a + (b - a) / 2, at = ss_at_rest(s, middle);
+    if (at < known) a = middle, at_a = at;
+    else b = middle, at_b = at;
+  }
+  *found = known - at_a <= at_b - known ? a : b;
+  return 1;
+}
+
+/* Set gain and offset from what was seen under two known loads (in counts, as estimates are) and empty the window. What
+ * ss_adapt has changed is forgotten: call ss_adapt_start. Keep trim_gain and trim_offset of ss_sensor in non-volatile
+ * memory, and write them back after ss_open, if the trim shall outlast a restart. Unless SS_TRIMMED nothing changes. */
+static inline ss_trim_result ss_trim_finish(const ss_trim *t, ss_sensor *s, int16_t load_0, int16_t load_1) {
+  int32_t seen[2], wanted[2] = {0, 0}, apart, missing, gain, offset;
+  int k;
+  if (!t || !s || !s->unit || t->count[0] < SS_TAPS || t->count[1] < SS_TAPS) return SS_TRIM_MORE;
+  for (k = 0; k < 2; k++) seen[k] = t->sum[k] / t->count[k];
+  apart = seen[1] - seen[0];
+  for (k = 0; k < 2; k++)
+    if (((int32_t)t->most[k] - t->least[k]) * 4 > (apart < 0 ? -apart : apart)) return SS_TRIM_MOVING;
+  if (!apart) return SS_TRIM_MOVING;
+  if (!ss_rest_of(s, load_0, &wanted[0]) || !ss_rest_of(s, load_1, &wanted[1])) return SS_TRIM_OUT_OF_REACH;
+  missing = wanted[1] - wanted[0] - apart;
+  if ((missing < 0 ? -missing : missing) > (apart < 0 ? -apart : apart) / 2) return SS_TRIM_TOO_FAR;
+  gain = missing * 32768 / apart;
+  offset = wanted[0] - seen[0] - (gain * (seen[0] - ss_i16(s->unit + 20)) >> 15);
+  if (offset > 32767 || offset < -32767) return SS_TRIM_TOO_FAR;
+  s->trim_gain = (int16_t)gain, s->trim_offset = (int16_t)offset;
+  s->gain = s->offset = 0, s->filled = 0;
+  return SS_TRIMMED;
+}
 
 /* ---- long use: the device follows slow drift of offset and gain within the bounds of its file ------------------- */
 
@@ -414,8 +600,10 @@ typedef enum {
 } ss_adapt_result;
 
 static inline void ss_adapt_start(ss_adaptation *a, const ss_sensor *s) {
+  if (!a) return;
+  a->low = a->high = a->low_sum = a->high_sum = 0, a->seen = 0;
+  if (!s || !s->unit) return;
   a->low = ss_i16(s->unit + 20) * 64, a->high = ss_i16(s->unit + 22) * 64;
-  a->low_sum = a->high_sum = 0, a->seen = 0;
 }
 
 static inline int32_t ss_bounded(int32_t x, int32_t bound, int *is_at_bound) {
@@ -428,13 +616,13 @@ static inline int32_t ss_bounded(int32_t x, int32_t bound, int *is_at_bound) {
  * anew from the mean of the two running quantiles over the period. Only for use that keeps returning to rest (and, where
  * the file allows a gain, to full presses): the device cannot tell drift from a change of use. */
 static inline ss_adapt_result ss_adapt(ss_adaptation *a, ss_sensor *s, uint16_t code, uint16_t period) {
-  const uint8_t *u = s->unit;
+  const uint8_t *u = s ? s->unit : 0;
   int32_t y, low, high, seen_low, seen_high, step, gain = 0, offset;
   int is_at_bound = 0;
-  if (!u || !(u[0] & 1) || !(ss_u16(u + 24) | ss_u16(u + 26))) return SS_NOT_ADAPTABLE;
+  if (!a || !u || !(ss_u8(u) & 1) || !(ss_u16(u + 24) | ss_u16(u + 26))) return SS_NOT_ADAPTABLE;
   if (ss_u16(u + 24) > 16384 || ss_u16(u + 26) > 32767) return SS_NOT_ADAPTABLE; /* keeps ss_push within 32 bits */
   low = ss_i16(u + 20), high = ss_i16(u + 22);
-  y = ss_map_code(s, code) * 64;
+  y = ss_trimmed(s, code) * 64;
   step = (high - low) / 256 + 1; /* in 1/64 counts: 0.2 % of the span per sample towards an extreme, 1/31 of it back */
   a->low += y < a->low ? -31 * step : step;
   a->high += y > a->high ? 31 * step : -step;

@@ -1,7 +1,9 @@
 """`softcal export` and `inspect` on a small calibrated lot: every format, the manifest, and all that is refused."""
 
 import json
+import re
 import shutil
+import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,13 +13,15 @@ import onnx
 import onnxruntime
 import pytest
 from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.export import export_units
 from softcal.core.errors import InputError
-from softcal.core.export.loader import open_sensor
+from softcal.core.export.json_text import network_from_values, unit_from_values
+from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE, open_sensor
 from softcal.db.connection import open_registry
 
 FORMATS = ("json", "c", "blob", "hex", "onnx", "pdf", "dcc")
@@ -106,12 +110,70 @@ def test_onnx_agrees_with_the_float_model_and_carries_its_facts(run: Run, calibr
         unit = UnitLoader(registry, ExportOptions()).load("A2")
     windows = unit.recording.windows
     mapped = unit.calibration.unit_map.apply(windows)
-    estimate, source_window = session.run(None, {"window": windows.astype(np.float32)})
+    estimate, source_window = session.run(["estimate", "source_window"], {"window": windows.astype(np.float32)})
     assert np.abs(estimate - unit.network.evaluate(mapped)).max() < 1e-4
     assert np.abs(source_window - mapped).max() < 1e-5
     facts = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
     assert (facts["serial"], facts["network_id"]) == ("A2", unit.network.id)
     assert facts["map_sha256"] == unit.stored.record.map_sha256
+    assert "oldest first, newest last" in facts["window"]
+    assert (facts["window_period_ms"], facts["window_longest_step_ms"]) == ("20.0", "30")
+
+
+def _by_c(folder: Path, names: tuple[Path, Path], codes: np.ndarray) -> np.ndarray:
+    """Value, lower, upper and flags of every window, by the C runtime behind examples/pc; a gap before each window."""
+    program, root = folder / "pc", Path(__file__).parents[2] / "firmware"
+    sources = [f"-I{root / 'softsensor'}", str(root / "examples" / "pc" / "softsensor_pc.c"), "-o", str(program)]
+    subprocess.run(["gcc", "-std=c99", "-O2", *sources], check=True)
+    lines = [f"{1000 * (k + 1) + 20 * i} {c}\n" for k, row in enumerate(codes) for i, c in enumerate(row)]
+    done = subprocess.run([program, *names], input="".join(lines), capture_output=True, text=True, check=True)
+    return np.array([line.split() for line in done.stdout.splitlines()], dtype=int)[14::15]
+
+
+def _words(text: str) -> bytes:
+    return b"".join(int(word, 16).to_bytes(4, "little") for word in re.findall(r"0x([0-9a-f]{8})u", text))
+
+
+def _memory(text: str) -> bytes:
+    """The data of an Intel HEX file at consecutive addresses."""
+    raw = [bytes.fromhex(line.removeprefix(":")) for line in text.splitlines()]
+    return b"".join(line[4:-1] for line in raw if line[3] == 0)
+
+
+def test_all_forms_of_a_unit_agree_on_the_same_windows(run: Run, tmp_path: Path, rng: np.random.Generator) -> None:
+    """ONNX, C, hex, blob, JSON and NumPy; windows of the unit's own range and far outside it."""
+    run("--serial", "A2", *[word for name in ("blob", "c", "hex", "json", "onnx") for word in ("--format", name)])
+    out = tmp_path / "out"
+    (network_path,) = out.glob("network-*.ssc")
+    network, unit = network_path.read_bytes(), (out / "unit-A2.ssc").read_bytes()
+    stem = network_path.stem
+    assert _words((out / "unit-A2.h").read_text()) == _memory((out / "unit-A2.hex").read_text()) == unit
+    assert _words((out / f"{stem}.h").read_text()) == _memory((out / f"{stem}.hex").read_text()) == network
+    assert unit_from_values(json.loads((out / "unit-A2.json").read_text())["device"]).to_bytes() == unit
+    assert network_from_values(json.loads((out / f"{stem}.json").read_text())).to_bytes() == network
+
+    sensor = open_sensor(network, unit)
+    file, scale = sensor.unit_file, sensor.unit_file.scale
+    span = file.code_max - file.code_min
+    start = rng.uniform(file.code_min - 0.2 * span, file.code_max + 0.2 * span, (600, 1))
+    codes = np.clip(np.rint(start + np.cumsum(rng.normal(0, 0.01 * span, (600, 15)), axis=1)), 0, 65_535).astype(int)
+    numpy = sensor.estimate(codes)
+    by_numpy = np.stack([numpy.value, numpy.lower, numpy.upper, numpy.flags], axis=1)
+    assert np.array_equal(_by_c(tmp_path, (network_path, out / "unit-A2.ssc"), codes), by_numpy)
+    assert {0, OUT_OF_RANGE} <= set(numpy.flags.tolist())
+
+    session = onnxruntime.InferenceSession(out / "unit-A2.onnx")
+    onnx_input = {"window": scale.outputs(codes).astype(np.float32)}
+    names = ["estimate", "lower", "upper", "flag"]
+    estimate, lower, upper, flag = session.run(names, onnx_input)
+    inside = (flag == 0) & (numpy.flags == 0)
+    assert inside.sum() > 200
+    full_scale = sensor.count * (file.out_max - file.out_min)
+    assert np.abs(estimate - sensor.count * numpy.value)[inside].max() < 0.005 * full_scale
+    reach = sensor.count * np.stack([numpy.value - numpy.lower, numpy.upper - numpy.value], axis=1)
+    assert np.abs(np.stack([estimate - lower, upper - estimate], axis=1) - reach)[inside].max() < 0.02 * full_scale
+    assert np.array_equal(flag & OUT_OF_RANGE, numpy.flags & OUT_OF_RANGE)
+    assert np.mean((flag & CLAMPED) == (numpy.flags & CLAMPED)) > 0.95
 
 
 def test_the_json_holds_the_calibration_without_loss(run: Run, calibrated: str, tmp_path: Path) -> None:
@@ -139,7 +201,7 @@ def test_a_lot_shares_one_network_and_one_manifest(run: Run, tmp_path: Path) -> 
     ("damage", "said"),
     [
         (lambda path: path.write_bytes(path.read_bytes()[:-1] + b"\0"), "SHA-256 differs"),
-        (lambda path: path.unlink(), "No such file"),
+        (lambda path: path.unlink(), "is missing"),
     ],
 )
 def test_check_names_a_file_that_is_not_what_was_exported(
@@ -151,19 +213,118 @@ def test_check_names_a_file_that_is_not_what_was_exported(
     assert f"unit-A1.ssc: {said}" in capsys.readouterr().err.replace("is not what was exported (", "")
 
 
-def test_a_signature_holds_for_this_manifest_alone(run: Run, tmp_path: Path) -> None:
+def _keys(folder: Path, passphrase: bytes | None = None) -> tuple[str, str]:
+    """A fresh Ed25519 key: its private file, encrypted where there is a passphrase, and its public one."""
     key = Ed25519PrivateKey.generate()
-    encoding, raw = serialization.Encoding.PEM, serialization.NoEncryption()
-    (tmp_path / "key.pem").write_bytes(key.private_bytes(encoding, serialization.PrivateFormat.PKCS8, raw))
+    encoding = serialization.Encoding.PEM
+    lock = serialization.BestAvailableEncryption(passphrase) if passphrase else serialization.NoEncryption()
+    (folder / "key.pem").write_bytes(key.private_bytes(encoding, serialization.PrivateFormat.PKCS8, lock))
     public = key.public_key().public_bytes(encoding, serialization.PublicFormat.SubjectPublicKeyInfo)
-    (tmp_path / "key.pub").write_bytes(public)
-    assert run("--serial", "A1", "--format", "blob", "--sign", str(tmp_path / "key.pem")) == 0
-    assert run("--check", "--public-key", str(tmp_path / "key.pub")) == 0
+    (folder / "key.pub").write_bytes(public)
+    return str(folder / "key.pem"), str(folder / "key.pub")
+
+
+def _answers(told: str) -> dict[str, str]:
+    rows = [line.split(maxsplit=1) for line in told.splitlines()]
+    return {row[0]: row[1] for row in rows if len(row) == 2 and row[0] in ("complete", "unchanged", "signed")}
+
+
+def test_a_signature_holds_for_this_manifest_alone(run: Run, tmp_path: Path) -> None:
+    private, public = _keys(tmp_path)
+    assert run("--serial", "A1", "--format", "blob", "--sign", private) == 0
+    assert run("--check", "--public-key", public) == 0
     manifest = tmp_path / "out" / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"pass"', '"fail"').replace("conditional", "pass"))
-    assert run("--check", "--public-key", str(tmp_path / "key.pub")) == 2
+    assert run("--check", "--public-key", public) == 2
     assert run("--serial", "A2", "--format", "blob") == 0
     assert not (tmp_path / "out" / "manifest.sig").exists()
+
+
+def test_check_answers_three_questions_apart(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, (private, public) = tmp_path / "out", _keys(tmp_path)
+    run("--serial", "A1", "--format", "blob", "--sign", private)
+
+    def check(*arguments: str) -> tuple[int, dict[str, str]]:
+        capsys.readouterr()
+        code = run("--check", *arguments)
+        return code, _answers(capsys.readouterr().out)
+
+    code, answers = check("--public-key", public)
+    assert code == 0
+    assert [answer.split()[0].strip(":,") for answer in answers.values()] == ["yes", "yes", "yes"]
+    code, answers = check()
+    assert code == 0 and answers["signed"].startswith("not checked")
+    (out / "unit-A1.ssc").rename(tmp_path / "kept")
+    shutil.copy(tmp_path / "kept", out / "unit-A9.ssc")
+    code, answers = check("--public-key", public)
+    assert code == 2 and answers["complete"].startswith("NO: 2") and answers["unchanged"].startswith("yes")
+    (out / "unit-A9.ssc").unlink()
+    (out / "unit-A1.ssc").write_bytes((tmp_path / "kept").read_bytes()[:-4] + b"abcd")
+    code, answers = check("--public-key", public)
+    assert code == 2 and answers["complete"].startswith("yes") and answers["unchanged"].startswith("NO")
+    (out / "unit-A1.ssc").write_bytes((tmp_path / "kept").read_bytes())
+    other = tmp_path / "other"
+    other.mkdir()
+    code, answers = check("--public-key", _keys(other)[1])
+    assert code == 2 and answers["unchanged"].startswith("yes") and answers["signed"].startswith("NO")
+    (out / "manifest.sig").unlink()
+    assert check()[1]["signed"] == "no"
+    assert check("--public-key", public)[0] == 2
+
+
+OUTSIDE = ["../victim.txt", "/etc/hostname", "..", "deep/er.ssc", "..\\victim.txt", "manifest.json", ""]
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_a_manifest_reaches_nothing_outside_its_folder(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    victim = tmp_path / "victim.txt"
+    victim.write_text("mine")
+    run("--serial", "A1", "--format", "blob", "--format", "json")
+    path = tmp_path / "out" / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["files"].append({"name": name, "sha256": "0" * 64, "size": 4, "serial": "A1"})
+    path.write_text(json.dumps(manifest))
+    assert run("--check") == 2
+    assert "no name of a file in this folder" in capsys.readouterr().err
+    assert run("--serial", "A1", "--format", "blob") == 2
+    assert victim.read_text() == "mine"
+
+
+def test_a_file_that_is_a_link_or_listed_twice_is_refused(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("--serial", "A1", "--format", "blob")
+    unit, path = tmp_path / "out" / "unit-A1.ssc", tmp_path / "out" / "manifest.json"
+    unit.rename(tmp_path / "elsewhere.ssc")
+    unit.symlink_to(tmp_path / "elsewhere.ssc")
+    assert run("--check") == 2
+    assert "a link" in capsys.readouterr().err
+    manifest = json.loads(path.read_text())
+    manifest["files"].append(manifest["files"][0])
+    path.write_text(json.dumps(manifest))
+    assert run("--check") == 2
+    assert "twice" in capsys.readouterr().err
+
+
+def test_a_key_that_cannot_sign_is_refused_before_anything_is_written(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SOFTCAL_SIGNING_PASSPHRASE", raising=False)
+    encoding, form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
+    rsa_key = rsa.generate_private_key(65_537, 2048)
+    (tmp_path / "rsa.pem").write_bytes(rsa_key.private_bytes(encoding, form, serialization.NoEncryption()))
+    private, public = _keys(tmp_path, b"open sesame")
+    for key, said in ((str(tmp_path / "rsa.pem"), "Ed25519"), (private, "SOFTCAL_SIGNING_PASSPHRASE")):
+        assert run("--serial", "A1", "--format", "blob", "--sign", key) == 2
+        assert said in capsys.readouterr().err
+        assert not (tmp_path / "out").exists()
+    monkeypatch.setenv("SOFTCAL_SIGNING_PASSPHRASE", "wrong")
+    assert run("--serial", "A1", "--format", "blob", "--sign", private) == 2
+    assert not (tmp_path / "out").exists()
+    monkeypatch.setenv("SOFTCAL_SIGNING_PASSPHRASE", "open sesame")
+    assert run("--serial", "A1", "--format", "blob", "--sign", private, "--check", "--public-key", public) == 0
 
 
 def _with_verdict(calibrated: str, folder: Path, verdict: str) -> str:

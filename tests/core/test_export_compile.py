@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import UnitRefused
-from softcal.core.export.compile_map import InputScale, compile_map, fine_forms
+from softcal.core.export.compile_map import (
+    InputScale,
+    compile_map,
+    device_forms,
+    fine_forms,
+    matrix_forms,
+    wide_forms,
+)
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.maps.interface import FitProblem
 from softcal.core.network.network import Network
@@ -147,3 +154,15 @@ def test_the_default_scale_covers_source_and_unit(linear_network: Network) -> No
     assert (scale.zero, scale.outputs(np.array([65_535]))[0]) == (0.0, pytest.approx(5.0))
     signed = InputScale.covering(linear_network, np.array([-0.2, 0.4]))
     assert signed.zero == -2.0
+
+
+def test_more_bytes_hold_a_bend_and_a_linear_part_more_nearly(linear_network: Network, press: Press) -> None:
+    """The whole matrix is exact for any linear part, a wide mix for one of few smooth shapes; a narrow one is not."""
+    unit, matrix = press(2).unlabelled, _smoothing()
+    both = _Map(lambda x: (0.6 + 0.2 * np.tanh(6 * (x - 0.6))) @ matrix.T)
+    narrow, wide, whole = (
+        compile_map(both, linear_network, unit, LIMIT_N, forms, 0.0)
+        for forms in (device_forms, wide_forms, matrix_forms)
+    )
+    assert wide.max_deviation < 0.5 * narrow.max_deviation
+    assert whole.max_deviation < 0.5 * narrow.max_deviation

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import UnitRefused
-from softcal.core.export.blob import Cause, FileRefused, NetworkFile, UnitFile, serial_field
+from softcal.core.export.blob import MINOR, Cause, FileRefused, NetworkFile, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.compile_map import Curve, InputScale, MapForm
 from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
@@ -178,7 +178,7 @@ def test_a_network_changed_behind_its_id_is_refused(network_file: NetworkFile) -
 
 def test_a_later_minor_version_may_append_what_this_one_skips(unit_file: UnitFile) -> None:
     data = bytearray(unit_file.to_bytes()[:-4] + b"more" + b"crc!")
-    data[6] = 2
+    data[6] = MINOR + 1
     data[8:12] = struct.pack("<I", len(data))
     later = read_unit(_resealed(bytes(data)))
     assert later.to_bytes() == unit_file.to_bytes()

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from softcal.core.export.c_text import network_header, unit_header
-from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE, WARM_UP, DeviceStream, open_sensor
+from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE, STUCK, WARM_UP, WRONG_RATE, open_sensor
 from softcal.core.export.quantise import evaluate_float64
+from softcal.core.export.stream import DeviceStream
 
 Build = Callable[..., Path]
 
@@ -70,7 +71,63 @@ def test_gaps_noise_and_codes_out_of_range_are_flagged_alike(
     assert code == 0
     assert np.array_equal(found, _reference(real_case, samples))
     flags = set(found[:, 3].tolist())
-    assert {WARM_UP, OUT_OF_RANGE} <= flags and any(flag & CLAMPED for flag in flags)
+    assert WARM_UP in flags
+    assert all(any(flag & bit for flag in flags) for bit in (OUT_OF_RANGE, CLAMPED, WRONG_RATE))
+
+
+@pytest.mark.parametrize(
+    ("steps_ms", "is_flagged"),
+    [((20,), False), ((19, 21), False), ((18,), False), ((22,), False), ((12, 28), False), ((0,), True), ((5,), True),
+     ((10,), True), ((17,), True), ((24,), True), ((29,), True), ((2, 29, 29), True)],
+)  # fmt: skip
+def test_samples_at_another_rate_are_flagged(
+    program: Path, real_case: Any, tmp_path: Path, steps_ms: tuple[int, ...], is_flagged: bool
+) -> None:
+    t_ms = 1000 + np.cumsum([steps_ms[k % len(steps_ms)] for k in range(100)])
+    samples = [(int(t), int(code)) for t, code in zip(t_ms, real_case.codes, strict=False)]
+    code, found = _run(program, *real_case.write(tmp_path), samples)
+    assert code == 0
+    assert np.array_equal(found, _reference(real_case, samples))
+    assert set((found[14:, 3] & WRONG_RATE).tolist()) == ({WRONG_RATE} if is_flagged else {0})
+
+
+def test_a_code_that_stays_for_a_minute_is_stuck_until_it_moves(program: Path, real_case: Any, tmp_path: Path) -> None:
+    codes = [20_000] * 3010 + [20_064] + [20_000] * 20
+    samples = [(1000 + 20 * k, code) for k, code in enumerate(codes)]
+    code, found = _run(program, *real_case.write(tmp_path), samples)
+    assert code == 0
+    assert np.array_equal(found, _reference(real_case, samples))
+    stuck = np.flatnonzero(found[:, 3] & STUCK)
+    assert (stuck[0], stuck[-1]) == (3000, 3009)
+
+
+def test_a_serial_is_a_c_string_of_which_no_more_is_read_than_there_is(
+    build_checked: Build, real_case: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "network.h").write_text(network_header(real_case.network_file))
+    (tmp_path / "unit.h").write_text(unit_header(real_case.unit_file))
+    (tmp_path / "main.c").write_text("""
+#include <stdlib.h>
+#include <string.h>
+#include "network.h"
+#include "unit.h"
+#include "softsensor.h"
+static ss_sensor s;
+int main(int count, char **arguments) {
+  size_t bytes = strlen(arguments[1]) + 1, is_bare = count > 2;
+  char *serial = malloc(bytes); /* not one byte more: the sanitizer sees what is read beyond */
+  if (!serial) return 99;
+  memcpy(serial, arguments[1], bytes);
+  if (is_bare) serial = memset(realloc(serial, 20), 'x', 20);
+  int status = (int)ss_open(&s, SS_NETWORK, SS_NETWORK_BYTES, SS_UNIT, SS_UNIT_BYTES, serial);
+  free(serial);
+  return status;
+}
+""")
+    program = str(build_checked(tmp_path / "main.c"))
+    for serial, status in (("S2", 0), ("S", 8), ("S3", 8), ("S22", 8), ("", 8), ("S2 and more than twenty", 8)):
+        assert subprocess.run([program, serial], capture_output=True).returncode == status
+    assert subprocess.run([program, "S2", "bare"], capture_output=True).returncode == 8
 
 
 @pytest.mark.parametrize("name", ["unit-1.0", "linear-1.0", "both-1.0", "mix-1.1"])
@@ -164,33 +221,62 @@ int main(void) {{
 ARDUINO_H = """
 #include <stdint.h>
 static const uint8_t A0 = 14;
+static uint32_t now_ms, stall_at_ms, stall_ms;
+static int newest;
 struct SerialPort {
   void begin(long) {}
   void print(const char *) {}
   void print(int) {}
   void print(char) {}
-  void println(int) {}
+  void println(int flags) { newest = flags; }
 };
 static SerialPort Serial;
-inline int analogRead(uint8_t) { return 512; }
+inline int analogRead(uint8_t) { return 512 + (int)(now_ms / 20 % 3); }
 inline void analogReadResolution(int) {}
-inline uint32_t millis() { static uint32_t now; return now += 7; }
+inline uint32_t millis() {
+  now_ms++;
+  if (stall_at_ms && now_ms >= stall_at_ms) now_ms += stall_ms, stall_at_ms = 0;
+  return now_ms;
+}
 """
 
 
-def test_the_arduino_sketch_compiles_as_cpp_and_runs(
-    runtime: Path, examples: Path, real_case: Any, tmp_path: Path
-) -> None:
-    sketch = (examples / "arduino" / "softsensor_arduino" / "softsensor_arduino.ino").read_text()
+@pytest.fixture
+def sketch(runtime: Path, examples: Path, real_case: Any, tmp_path: Path) -> Path:
+    """The Arduino example as a program: argument 1 a stall in ms, prints the flags of every estimate."""
+    text = (examples / "arduino" / "softsensor_arduino" / "softsensor_arduino.ino").read_text()
     (tmp_path / "network-0123456789abcdef.h").write_text(network_header(real_case.network_file))
     (tmp_path / "unit-A1.h").write_text(unit_header(real_case.unit_file))
     (tmp_path / "Arduino.h").write_text(ARDUINO_H)
     (tmp_path / "main.cpp").write_text(
-        f'#include "Arduino.h"\n{sketch}\n'
-        "int main() {\n  setup();\n  for (int k = 0; k < 500; k++) loop();\n"
-        "  return ss_read(&sensor, millis()).flags & SS_NO_NUMBER;\n}\n"
+        f'#include <cstdio>\n#include <cstdlib>\n#include "Arduino.h"\n{text}\n'
+        "int main(int, char **arguments) {\n  stall_ms = (uint32_t)atoi(arguments[1]), stall_at_ms = 1000;\n"
+        "  for (setup(); now_ms < 4000;) {\n    newest = -1, loop();\n"
+        '    if (newest >= 0) std::printf("%d\\n", newest);\n'
+        "  }\n  return ss_read(&sensor, now_ms).flags & SS_NO_NUMBER;\n}\n"
     )
     program = tmp_path / "sketch"
-    flags = ["-std=c++11", "-Wall", "-Wextra", "-Werror", f"-I{tmp_path}", f"-I{runtime}"]
+    flags = ["-std=c++11", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", f"-I{tmp_path}", f"-I{runtime}"]
     subprocess.run(["g++", *flags, str(tmp_path / "main.cpp"), "-o", str(program)], check=True)
-    assert subprocess.run([str(program)]).returncode == 0
+    return program
+
+
+@pytest.mark.parametrize("stall_ms", [0, 3, 9, 12, 15, 19, 25, 40, 200, 1500])
+def test_the_arduino_sketch_gives_no_wrong_window_after_a_stall(sketch: Path, stall_ms: int) -> None:
+    done = subprocess.run([str(sketch), str(stall_ms)], capture_output=True, text=True)
+    assert done.returncode == 0
+    flags = [int(line) for line in done.stdout.split()]
+    assert len(flags) > 90
+    assert not any(flag & (WRONG_RATE | WARM_UP) for flag in flags)
+
+
+@pytest.mark.parametrize("command", [("gcc", "-std=c99", "only.c"), ("g++", "-std=c++11", "only.cpp")])
+def test_the_header_alone_gives_no_warning(runtime: Path, tmp_path: Path, command: tuple[str, ...]) -> None:
+    compiler, standard, name = command
+    (tmp_path / name).write_text('#include "softsensor.h"\n')
+    warnings = ["-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Wcast-qual", "-Werror"]
+    done = subprocess.run(
+        [compiler, standard, *warnings, f"-I{runtime}", "-c", name, "-o", "only.o"],
+        cwd=tmp_path, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr

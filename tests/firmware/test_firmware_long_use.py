@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softcal.core.export.blob import UnitFile, serial_field
+from softcal.core.export.blob import UnitFile
+from softcal.core.export.loader import open_sensor
+from softcal.core.export.stream import Shift, Trimmed, find_trim
 
 WATCHING, ADAPTED, AT_BOUND, NOT_ADAPTABLE = range(4)
 SLOT_BYTES = 256
@@ -49,27 +51,46 @@ def _slot(file: UnitFile | None) -> Any:
     return _aligned((file.to_bytes() if file else b"").ljust(SLOT_BYTES, b"\xff"))
 
 
-def _choose(bridge: ctypes.CDLL, case: Any, slots: list[Any], serial: str | None = None) -> int:
+def _open_best(bridge: ctypes.CDLL, case: Any, slots: list[Any], serial: str | None = None) -> int:
     network = _aligned(case.network_file.to_bytes())
-    key = serial_field(serial) if serial else None
-    return bridge.bridge_choose(*slots, SLOT_BYTES, network, key)
+    key = serial.encode() if serial else None
+    bridge.kept = network, slots  # the runtime reads them where they lie
+    return bridge.bridge_open_best(*slots, SLOT_BYTES, network, len(case.network_file.to_bytes()), key)
 
 
 def test_the_newest_good_update_wins_and_the_factory_waits(bridge: ctypes.CDLL, real_case: Any) -> None:
     old, new, factory = (replace(real_case.unit_file, revision=r) for r in (4, 5, 9))
-    assert _choose(bridge, real_case, [_slot(old), _slot(new), _slot(factory)]) == 1
-    assert _choose(bridge, real_case, [_slot(new), _slot(old), _slot(factory)]) == 0
-    assert _choose(bridge, real_case, [_slot(None), _slot(old), _slot(factory)]) == 1
-    assert _choose(bridge, real_case, [_slot(None), _slot(None), _slot(factory)]) == 2
-    assert _choose(bridge, real_case, [_slot(None)] * 3) == -1
+    assert _open_best(bridge, real_case, [_slot(old), _slot(new), _slot(factory)]) == 1
+    assert _open_best(bridge, real_case, [_slot(new), _slot(old), _slot(factory)]) == 0
+    assert _open_best(bridge, real_case, [_slot(None), _slot(old), _slot(factory)]) == 1
+    assert _open_best(bridge, real_case, [_slot(None), _slot(None), _slot(factory)]) == 2
+    assert _open_best(bridge, real_case, [_slot(old), _slot(old), _slot(factory)]) == 0
+    assert _open_best(bridge, real_case, [_slot(None)] * 3) == -1
 
 
 def test_a_slot_of_another_unit_or_network_is_no_choice(bridge: ctypes.CDLL, real_case: Any) -> None:
     foreign = _slot(replace(real_case.unit_file, network_id=b"another!", revision=8))
     slots = [foreign, _slot(None), _slot(real_case.unit_file)]
-    assert _choose(bridge, real_case, slots) == 2
-    assert _choose(bridge, real_case, slots, "S2") == 2
-    assert _choose(bridge, real_case, slots, "S3") == -1
+    assert _open_best(bridge, real_case, slots) == 2
+    assert _open_best(bridge, real_case, slots, "S2") == 2
+    assert _open_best(bridge, real_case, slots, "S3") == -1
+
+
+def test_an_update_that_fails_its_self_test_is_passed_over_and_may_be_written_again(
+    bridge: ctypes.CDLL, real_case: Any
+) -> None:
+    good = real_case.unit_file
+    wrong = replace(good.self_tests[0], expected=good.self_tests[0].expected + 1)
+    newer = replace(good, revision=7, self_tests=(wrong, *good.self_tests[1:]))
+    for slots, expected in (
+        ([newer, good, None], 1),
+        ([good, newer, None], 0),
+        ([newer, newer, good], 2),
+        ([newer, newer, newer], -1),
+    ):
+        in_use = _open_best(bridge, real_case, [_slot(file) for file in slots])
+        assert in_use == expected
+        assert bridge.bridge_slot_to_write(in_use) != in_use
 
 
 def test_an_update_cut_off_at_any_byte_leaves_the_old_calibration(bridge: ctypes.CDLL, real_case: Any) -> None:
@@ -77,8 +98,13 @@ def test_an_update_cut_off_at_any_byte_leaves_the_old_calibration(bridge: ctypes
     written = update.to_bytes()
     for length in range(len(written)):
         torn = _aligned(written[:length].ljust(SLOT_BYTES, b"\xff"))
-        assert _choose(bridge, real_case, [_slot(in_use), torn, _slot(None)]) == 0
-    assert _choose(bridge, real_case, [_slot(in_use), _slot(update), _slot(None)]) == 1
+        assert _open_best(bridge, real_case, [_slot(in_use), torn, _slot(None)]) == 0
+    assert _open_best(bridge, real_case, [_slot(in_use), _slot(update), _slot(None)]) == 1
+
+
+def test_no_sensor_and_a_closed_one_give_nothing_anywhere(bridge: ctypes.CDLL, real_case: Any) -> None:
+    network, unit = real_case.network_file.to_bytes(), real_case.unit_file.to_bytes()
+    assert bridge.bridge_nothing(_aligned(network), len(network), _slot(real_case.unit_file), len(unit)) == 0
 
 
 @pytest.mark.parametrize(("in_use", "target"), [(0, 1), (1, 0), (2, 0), (-1, 0)])
@@ -154,3 +180,83 @@ def test_a_file_that_allows_no_change_is_never_adapted(bridge: ctypes.CDLL, real
     device = Device(bridge, real_case.network_file.to_bytes(), fixed.to_bytes())
     assert set(device.push(_drifted(real_case, 1.0, 0.2)[:5000], 1000)) == {NOT_ADAPTABLE}
     assert (bridge.bridge_gain(), bridge.bridge_offset()) == (0, 0)
+
+
+def _rests(
+    case: Any, share: float, gain: float, offset: float, rng: np.random.Generator, count: int = 40, noise: float = 3
+) -> np.ndarray:
+    """Codes of a unit that has drifted, at rest under a load that fills this share of its range."""
+    unit = case.unit_file
+    code = unit.code_min + share * (unit.code_max - unit.code_min)
+    moved = unit.code_min + gain * (code - unit.code_min) + offset * (unit.code_max - unit.code_min)
+    return np.clip(np.rint(moved + rng.normal(0, noise, count)), 0, 65_535).astype(np.int64)
+
+
+def _trimmed(device: Device, codes: tuple[np.ndarray, ...], loads: tuple[int, int]) -> tuple[Trimmed, Shift]:
+    device.bridge.bridge_trim_start()
+    for load, samples in enumerate(codes):
+        for code in samples:
+            device.bridge.bridge_trim_sample(load, int(code))
+    result = Trimmed(device.bridge.bridge_trim_finish(*loads))
+    return result, Shift(device.bridge.bridge_trim_gain(), device.bridge.bridge_trim_offset())
+
+
+def test_a_trim_on_the_device_is_that_of_numpy_bit_for_bit(
+    bridge: ctypes.CDLL, real_case: Any, rng: np.random.Generator
+) -> None:
+    network, unit = real_case.network_file.to_bytes(), real_case.unit_file.to_bytes()
+    sensor = open_sensor(network, unit)
+    seen = set()
+    for k in range(300):
+        shares, drift = rng.uniform(-0.1, 1.1, 2), (rng.uniform(0.4, 2.0), rng.uniform(-0.4, 0.4))
+        codes = tuple(_rests(real_case, share, *drift, rng, int(rng.integers(13, 60))) for share in shares)
+        loads = tuple(int(n) for n in rng.integers(-200, 5000, 2))
+        if k % 2:  # loads that are really on
+            at_rest = np.array([np.full(15, _rests(real_case, share, 1, 0, rng)[0]) for share in shares])
+            loads = tuple(sensor.estimate(at_rest).value.tolist())
+        found = _trimmed(Device(bridge, network, unit), codes, loads)
+        assert found == find_trim(sensor, codes, loads)
+        seen.add(found[0])
+    assert seen == set(Trimmed)
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.12), (1.15, 0.0), (0.85, 0.1), (1.2, -0.1)])
+def test_two_known_loads_bring_a_drifted_unit_back(
+    bridge: ctypes.CDLL, real_case: Any, rng: np.random.Generator, gain: float, offset: float
+) -> None:
+    network, unit = real_case.network_file.to_bytes(), real_case.unit_file.to_bytes()
+    sensor, device = open_sensor(network, unit), Device(bridge, network, unit)
+
+    def settled(share: float, *drift: float) -> int:
+        for k, code in enumerate(_rests(real_case, share, *drift, rng, 15, noise=0)):
+            bridge.bridge_push(int(code), 10_000 + 20 * k)
+        return device.read(10_300)[0]
+
+    loads = tuple(settled(share, 1.0, 0.0) for share in (0.1, 0.9))
+    drifted = tuple(_rests(real_case, share, gain, offset, rng) for share in (0.1, 0.9))
+    before = [abs(settled(share, gain, offset) - settled(share, 1.0, 0.0)) for share in (0.1, 0.5, 0.9)]
+    fresh = [settled(share, 1.0, 0.0) for share in (0.1, 0.5, 0.9)]
+    result, _ = _trimmed(device, drifted, loads)
+    assert result is Trimmed.TRIMMED
+    assert device.read(10_300)[3] == 1  # the window fills anew
+    after = [abs(settled(share, gain, offset) - was) for share, was in zip((0.1, 0.5, 0.9), fresh, strict=True)]
+    assert max(after) < 0.25 * max(before)
+    assert find_trim(sensor, drifted, loads)[0] is Trimmed.TRIMMED
+
+
+def test_following_goes_on_from_the_trim(bridge: ctypes.CDLL, real_case: Any, rng: np.random.Generator) -> None:
+    """After a trim the unit is where its calibration was: the use that followed finds nothing left to follow."""
+    network, unit = real_case.network_file.to_bytes(), real_case.unit_file.to_bytes()
+    device = Device(bridge, network, unit)
+    codes = _drifted(real_case, 1.0, 0.15)
+    span = real_case.unit_file.adapt.high - real_case.unit_file.adapt.low
+    rest, top = (float(q) for q in np.quantile(real_case.codes, [1 / 32, 31 / 32]))
+    loads = []
+    for code in (rest, top):
+        for k in range(15):
+            bridge.bridge_push(int(code), 10_000 + 20 * k)
+        loads.append(device.read(10_300)[0])
+    moved = tuple(np.full(20, round(code + 0.15 * (top - rest))) for code in (rest, top))
+    assert _trimmed(device, moved, (loads[0], loads[1]))[0] is Trimmed.TRIMMED
+    device.push(codes, 3 * len(real_case.codes))
+    assert abs(bridge.bridge_offset()) < 0.05 * span

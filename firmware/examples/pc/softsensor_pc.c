@@ -3,12 +3,11 @@
  *   cc -std=c99 -O2 -DSS_WIDTH=512 -I../../softsensor softsensor_pc.c -o softsensor_pc
  *   ./softsensor_pc network-<id>.ssc unit-<serial>.ssc [serial] < codes.txt
  *
- * codes.txt has one sample per line: time in ms and 16-bit code. One line comes out per sample: value, lower, upper in
+ * codes.txt has one sample per line: the time in ms at which it was taken, not at which it is read, and 16-bit code. One line comes out per sample: value, lower, upper in
  * counts of 10^exponent, and the flags. Ends with the runtime's status when a file is refused.
  */
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #ifndef SS_WIDTH
 #define SS_WIDTH 512 /* a PC has room for any network of softcal's */
@@ -35,7 +34,6 @@ int main(int count, char **arguments) {
   uint32_t network_bytes = 0, unit_bytes = 0;
   void *network, *unit;
   unsigned long t_ms, code;
-  char serial[21] = {0};
   ss_status status;
   if (count < 3) {
     fprintf(stderr, "use: %s network-<id>.ssc unit-<serial>.ssc [serial] < codes.txt\n", arguments[0]);
@@ -48,8 +46,7 @@ int main(int count, char **arguments) {
     free(network), free(unit);
     return 66;
   }
-  if (count > 3) memcpy(serial, arguments[3], strlen(arguments[3]) < 20 ? strlen(arguments[3]) : 20);
-  status = ss_open(&sensor, network, network_bytes, unit, unit_bytes, count > 3 ? serial : 0);
+  status = ss_open(&sensor, network, network_bytes, unit, unit_bytes, count > 3 ? arguments[3] : 0);
   if (status == SS_OK) {
     while (scanf("%lu %lu", &t_ms, &code) == 2) {
       ss_estimate e;
