@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
+from softcal.core.gap.candidates import is_told
 from softcal.core.gap.case import Case
 from softcal.core.gap.explained import explained_twin, in_catalogue_form
 from softcal.core.gap.fit import BASE, Fit, from_fit
@@ -19,20 +20,13 @@ from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
 from softcal.core.gap.strangers import name_of
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import ChainStage, Effect
+from softcal.core.twin.effects import Alias, ChainStage, Effect
 from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.record import twin_record
 from softcal.core.twin.simulate import Twin
 
 Verdict = Literal["no_gap", "explained", "ambiguous", "unknown"]
 SCHEMA = "softcal.gap/1"
-
-ALIAS = "thermal_drift"
-ALIAS_STAGE: ChainStage = "electronics"
-ALIAS_DETAIL = "the divider resistor's temperature coefficient, sign reversed: only R/Rs enters the divider"
-ALIAS_SHARE = 0.4
-"""What is outside the catalogue and looks exactly like one of its effects until a dummy resistor was warmed; its share
-of that effect's place. A channel of liquid metal (1e-3/K) follows the temperature more than a resistor does."""
 
 UNKNOWN_TRUST = 0.3
 """How far probabilities within the catalogue are trusted where the catalogue leaves a gap, for a share of 1."""
@@ -264,11 +258,11 @@ def _shares(search: Search, best: Fit) -> dict[str, float]:
 
 
 def _estimates(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
-    at, spread = len(BASE), np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     for effect in found.hypothesis.effects:
         if effect.id == effect_id:
-            return _named(effect, found.coordinates[at:], 1.645 * spread[at:])
-        at += len(effect.parameters)
+            at = found.hypothesis.slices[effect_id]
+            return _named(effect, found.coordinates[at], 1.645 * spread[at])
     return {}
 
 
@@ -299,7 +293,8 @@ def _places(
         places = []
         for c in named:
             place = Place(c.stage, channel, regime, c.shrink / total, f"{c.effect}; {detail}")
-            places += _held_open(place) if c.effect == ALIAS and _has_alias(search) else [place]
+            alias = _open_aliases(search.best).get(c.effect)
+            places += [place] if alias is None else _held_open(place, alias)
     at = max(places, key=lambda p: p.share).stage
     for r in found[:4]:
         where = f"{r.share:.0%} of the gap's energy in this regime, {r.lift:.1f} times its share of time"
@@ -307,16 +302,16 @@ def _places(
     return tuple(places)
 
 
-def _has_alias(search: Search) -> bool:
-    """Whether a named cause may as well sit in another stage, which no run of this case can tell."""
-    best = search.best
-    return ALIAS in best.hypothesis.ids and not best.problem.case.has_warmed_dummy
+def _open_aliases(best: Fit) -> dict[str, Alias]:
+    """What else, outside the catalogue, a named cause may be, where no run of the case tells; by cause."""
+    aliases = {i: EFFECTS[i].signs.alias for i in best.hypothesis.ids}
+    return {i: alias for i, alias in aliases.items() if alias is not None and not is_told(best.problem.case, alias)}
 
 
-def _held_open(place: Place) -> list[Place]:
+def _held_open(place: Place, alias: Alias) -> list[Place]:
     """Split the place of a cause that has an alias between the stages of both."""
-    own, other = (1.0 - ALIAS_SHARE) * place.share, ALIAS_SHARE * place.share
-    return [replace(place, share=own), replace(place, stage=ALIAS_STAGE, share=other, detail=f"or {ALIAS_DETAIL}")]
+    own, other = (1.0 - alias.share) * place.share, alias.share * place.share
+    return [replace(place, share=own), replace(place, stage=alias.stage, share=other, detail=f"or {alias.detail}")]
 
 
 def _unknown_places(search: Search, maps: tuple[Map, ...], channel: str, regime: str, detail: str) -> list[Place]:
@@ -351,10 +346,6 @@ def _next(case: Case, search: Search, group: tuple[Fit, ...], verdict: Verdict) 
         return NextExperiment(
             "long_hold", "no gap is visible here; slow creep, drift and ageing would show first in a long hold"
         )
-    if _has_alias(search):
-        return NextExperiment(
-            "dummy_resistor",
-            f"{ALIAS} may as well be {ALIAS_DETAIL}; read a dummy resistor for a minute while the electronics warm by "
-            "a few K, with temperature_C logged",
-        )
+    for effect_id, alias in _open_aliases(search.best).items():
+        return NextExperiment(alias.told_by, f"{effect_id} may as well be {alias.detail}; {alias.advice}")
     return NextExperiment("none", "the causes are separated on these runs; apply them to the twin")

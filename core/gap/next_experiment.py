@@ -106,12 +106,8 @@ def propose(case: Case, rivals: Sequence[Fit], depth_mm: float, force_N: float) 
 
 
 def _sensor(rivals: Sequence[Fit]) -> str:
-    ids = {i for f in rivals for i in f.hypothesis.ids}
-    if ids & {"thermal_drift", "ageing_drift", "reference_drift"}:
-        return "log the temperature of the sensor and the reference voltage"
-    if ids & {"backlash", "frame_compliance", "misaligned_contact", "contact_shift"}:
-        return "measure the position of the platen itself"
-    return "a second load cell or a four-wire measurement of the channel would"
+    remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.hypothesis.effects if e.signs.remedy)
+    return "; ".join(remedies) or "a second load cell or a four-wire measurement of the channel would"
 
 
 def _apart(one: Fit, other: Fit, run: Run) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.gap.fit import BASE, DRIVEN_COST, EPISODE_COST, Fit, fit_scale
+from softcal.core.gap.fit import DRIVEN_COST, EPISODE_COST, Fit, fit_scale
 from softcal.core.gap.residual import structure
 from softcal.core.twin.catalogue import EFFECTS
 
@@ -88,14 +88,13 @@ def penalty(found: Fit) -> float:
 
 def _spared(found: Fit) -> float:
     """Return what the sizes pay less than Schwarz's ln n: −2·ln of the posterior's share of the prior (Laplace)."""
-    spared, at = 0.0, len(BASE)
-    most = float(np.log(found.problem.count))
+    spared, most = 0.0, float(np.log(found.problem.count))
     for effect in found.hypothesis.effects:
+        at = found.hypothesis.place_of(effect.id)
         size, variance = effect.parameters[0], float(found.covariance[at, at])
         if variance > 0.0 and not effect.is_episodic:
             width = USUAL_RANGE * fit_scale(size) / np.sqrt(2.0 * np.pi * variance)
             spared += size.weight * max(0.0, most - 2.0 * float(np.log(max(width, 1.0))))
-        at += len(effect.parameters)
     return spared
 
 
