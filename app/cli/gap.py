@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli import gap_challenge, gap_transfer
+from softcal.app.cli import gap_challenge, gap_effects, gap_transfer
 from softcal.app.cli.options import add_json
 from softcal.app.cli.output import print_table, say, write_json
 from softcal.core.errors import InputError
@@ -50,6 +50,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_diagnose(inner)
     _add_apply(inner)
+    gap_effects.add_parser(inner)
     gap_transfer.add_parser(inner)
     gap_challenge.add_parsers(inner)
 

@@ -19,7 +19,7 @@ from softcal.core.gap.search import Search, SearchConfig
 from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
 from softcal.core.gap.strangers import name_of
 from softcal.core.recording import Array
-from softcal.core.twin.catalogue import EFFECTS
+from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
 from softcal.core.twin.effects import Alias, ChainStage, Effect
 from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.record import twin_record
@@ -151,6 +151,7 @@ class Diagnosis:
             "missing_channels": list(self.case.missing_channels),
             "unseen_stages": list(self.case.unseen_stages),
             "explained_share": self.explained_share,
+            "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
             "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
             "twin": twin_record(self.explained),
             "base_twin": twin_record(explained_twin(self.base)),
