@@ -1,6 +1,6 @@
 """The diagnosis of a case: where the twin is wrong, why, how much it gains, how sure that is, what to press next."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -20,7 +20,7 @@ from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
 from softcal.core.gap.strangers import name_of
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
-from softcal.core.twin.effects import Alias, ChainStage, Effect
+from softcal.core.twin.effects import Alias, Effect
 from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.record import twin_record
 from softcal.core.twin.simulate import Twin
@@ -53,7 +53,7 @@ class Cause:
     """
 
     effect: str
-    stage: ChainStage
+    stage: str
     probability: float
     shrink: float
     parameters: dict[str, ParameterEstimate]
@@ -182,7 +182,7 @@ def diagnose(
     verdict = _verdict(search, group)
     # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
     doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0
-    chances = {i: p * doubt for i, p in _chances(logs, group).items()}
+    chances = {i: p * doubt for i, p in chances_of(logs, group).items()}
     named = tuple(in_catalogue_form(found) for found in group)
     causes = _causes(search, named, chances, quantified.shrink.held_out)
     found_regimes = regimes(search.base)
@@ -219,31 +219,33 @@ def _verdict(search: Search, group: tuple[Fit, ...]) -> Verdict:
     return "ambiguous" if len(group) > 1 else "explained"
 
 
-def _chances(logs: Mapping[tuple[str, ...], float], group: tuple[Fit, ...]) -> dict[str, float]:
+def chances_of(
+    logs: Mapping[tuple[str, ...], float], group: tuple[Fit, ...], effects: Iterable[str] = tuple(EFFECTS)
+) -> dict[str, float]:
     """Probability of every effect; of one that is held open beside the best hypothesis the mean of two readings.
 
     Either every equation may be a little wrong, or they hold exactly.
     """
-    chances, best = probabilities(logs), group[0]
+    chances, best = probabilities(logs, effects), group[0]
     larger = [f for f in group if set(f.hypothesis.ids) > set(best.hypothesis.ids)]
-    exact = probabilities({f.hypothesis.ids: exact_log_evidence(f) for f in (best, *larger)})
+    exact = probabilities({f.hypothesis.ids: exact_log_evidence(f) for f in (best, *larger)}, effects)
     added = {i for f in larger for i in f.hypothesis.ids}.difference(best.hypothesis.ids)
     return {i: 0.5 * (p + exact[i]) if i in added else p for i, p in chances.items()}
 
 
 def _causes(search: Search, named: tuple[Fit, ...], chances: dict[str, float], held_out: float) -> tuple[Cause, ...]:
-    shares = _shares(search, search.best)
+    shares = shares_of(search, search.best)
     causes = []
     for effect in EFFECTS.values():
         with_it = [f for f in named if effect.id in f.hypothesis.ids]
         found = with_it[0] if with_it else search.fits.get((effect.id,))
-        parameters = _estimates(found, effect.id) if found is not None else {}
+        parameters = estimates_of(found, effect.id) if found is not None else {}
         share = shares.get(effect.id, 0.0) * held_out
         causes.append(Cause(effect.id, effect.stage, chances[effect.id], share, parameters))
     return tuple(sorted(causes, key=lambda c: (-c.probability, -c.shrink)))
 
 
-def _shares(search: Search, best: Fit) -> dict[str, float]:
+def shares_of(search: Search, best: Fit) -> dict[str, float]:
     """Split the explained χ² among the causes: the mean of adding each one first and adding it last."""
     ids = best.hypothesis.ids
     if len(ids) < 2:
@@ -258,7 +260,7 @@ def _shares(search: Search, best: Fit) -> dict[str, float]:
     return {effect_id: value / total for effect_id, value in worth.items()}
 
 
-def _estimates(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
+def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
     spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     for effect in found.hypothesis.effects:
         if effect.id == effect_id:

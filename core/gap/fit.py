@@ -154,7 +154,7 @@ class Problem:
     def blocks(self) -> tuple[Block, ...]:
         blocks, at = [], 0
         for k, run in enumerate(self.case.runs):
-            for channel in predicted_channels(run):
+            for channel in self.channels_of_runs[k]:
                 blocks.append(Block(k, channel, slice(at, at + len(run))))
                 at += len(run)
         return tuple(blocks)
@@ -162,7 +162,25 @@ class Problem:
     @cached_property
     def measured(self) -> Array:
         """(samples,) all channels of all runs, block by block."""
-        return np.concatenate([getattr(self.case.runs[b.run], b.channel) for b in self.blocks])
+        return np.concatenate([self.recorded(b.run, b.channel) for b in self.blocks])
+
+    @cached_property
+    def channels_of_runs(self) -> list[tuple[str, ...]]:
+        """Per run, the recorded channels that are predicted."""
+        return [predicted_channels(run) for run in self.case.runs]
+
+    def recorded(self, run: int, channel: str) -> Array:
+        """Return a recorded channel of a run, (n,)."""
+        return np.asarray(getattr(self.case.runs[run], channel))
+
+    @property
+    def scored_channels(self) -> list[str]:
+        """Channels whose gap is measured; where the stage stands on a rigid block is none."""
+        return [c for c in ("output_V", "force_N") if any(b.channel == c for b in self.blocks)]
+
+    def of_run(self, run: Run) -> "Problem":
+        """Return the problem of a run that is not recorded yet, under the same noise."""
+        return Problem(Case(self.case.serial, (run,), is_planned=True), self.sigma)
 
     @cached_property
     def noise(self) -> Array:

@@ -115,8 +115,8 @@ def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:
     return {ids: yardstick.log_evidence(found) for ids, found in fits.items()}
 
 
-def probabilities(logs: Mapping[tuple[str, ...], float]) -> dict[str, float]:
-    """Return for every effect of the catalogue the probability that it is present.
+def probabilities(logs: Mapping[tuple[str, ...], float], effects: Iterable[str] = tuple(EFFECTS)) -> dict[str, float]:
+    """Return for every effect, of the catalogue where nothing else is said, the probability that it is present.
 
     Effects that were screened away have no hypothesis of their own and get 0; the numbers need not sum to 1.
 
@@ -126,4 +126,4 @@ def probabilities(logs: Mapping[tuple[str, ...], float]) -> dict[str, float]:
     top = max(logs.values())
     weights = {ids: float(np.exp(value - top)) for ids, value in logs.items()}
     total = sum(weights.values())
-    return {e: sum(w for ids, w in weights.items() if e in ids) / total for e in EFFECTS}
+    return {e: sum(w for ids, w in weights.items() if e in ids) / total for e in effects}

@@ -1,11 +1,11 @@
 """Which hypotheses are fitted: forward from the base, a few of the best at every size, each by full joint fits."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from softcal.core.gap.candidates import extent_of, probes, visible_effects
+from softcal.core.gap.candidates import Probe, extent_of, probes, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.episodes import PLACERS, placed_again
 from softcal.core.gap.fit import Fit, fit, start_coordinates
@@ -15,7 +15,7 @@ from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import hiding, screen
 from softcal.core.gap.start import base_fit, noise_levels, rough_start, with_driving_noise
 from softcal.core.gap.strangers import stranger
-from softcal.core.twin.catalogue import EFFECTS
+from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Form, Placing
 from softcal.core.twin.probes import Extent
 
@@ -61,15 +61,26 @@ class Search:
     """All hypotheses fitted to one case, under one noise level."""
 
     def __init__(self, case: Case, config: SearchConfig | None = None, progress: Progress | None = None) -> None:
-        self._config = config or SearchConfig()
-        self._say = progress or (lambda _: None)
-        self._say("fitting the base twin to all runs")
-        self.base = base_fit(case)
-        self._extent = _extent(self.base)
-        self._probes = probes(case, self._extent)
-        self._to_place = [e for e in visible_effects(case) if e.signs.placing is not None]
-        self.fits: dict[tuple[str, ...], Fit] = {(): self.base}
-        self.best = self.base
+        say = progress or (lambda _: None)
+        say("fitting the base twin to all runs")
+        base = base_fit(case)
+        extent = _extent(base)
+        to_place = [e for e in visible_effects(case) if e.signs.placing is not None]
+        self._begin(base, probes(case, extent), to_place, extent, config or SearchConfig(), say)
+
+    def _begin(
+        self,
+        base: Fit,
+        candidates: Sequence[Probe],
+        to_place: Sequence[Effect],
+        extent: Extent,
+        config: SearchConfig,
+        say: Progress,
+    ) -> None:
+        self._config, self._say = config, say
+        self._extent, self._probes, self._to_place = extent, candidates, to_place
+        self.base = self.best = base
+        self.fits: dict[tuple[str, ...], Fit] = {(): base}
         self.stranger: Fit | None = None
 
     def run(self) -> None:
@@ -101,13 +112,16 @@ class Search:
         likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
         ids = self._leader.hypothesis.ids
         likely += [self.fits[part] for k in range(len(ids)) if (part := ids[:k] + ids[k + 1 :]) in self.fits]
-        first = rough_start(self.base.problem.case)
+        first = self._rough_start()
         for _ in range(2):
             for found in likely:
                 start = np.append(first, found.coordinates[found.hypothesis.of_base.stop :])
                 self.keep(fit(found.problem, found.hypothesis, start, steps=40))
             first = self._leader.coordinates[self._leader.hypothesis.of_base]
         self._settle_noise(self._leader)
+
+    def _rough_start(self) -> Array:
+        return rough_start(self.base.problem.case)
 
     def _place_again(self) -> None:
         """Place episodes of the best hypotheses anew, with all their causes in."""
@@ -118,7 +132,7 @@ class Search:
     def _share_places(self) -> None:
         """Give smaller hypotheses the places of episodes that the closest one has found: places are no cause."""
         donor = min(self.fits.values(), key=lambda f: f.chi2)
-        placed = {i for i in donor.hypothesis.ids if EFFECTS[i].is_episodic}
+        placed = {e.id for e in donor.hypothesis.effects if e.is_episodic}
         if not donor.hypothesis.episode_count:
             return
         for ids, found in list(self.fits.items()):

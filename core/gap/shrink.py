@@ -99,7 +99,7 @@ def _refit(base: Fit, best: Fit, unseen: Mask) -> _Fold:
 
 
 def _channels(problem: Problem) -> list[str]:
-    return [c for c in ("output_V", "force_N") if any(b.channel == c for b in problem.blocks)]
+    return problem.scored_channels
 
 
 def _pooled(folds: list[_Fold], problem: Problem, channel: str, errors: list[Array]) -> float:

@@ -164,7 +164,7 @@ class Effect:
 
     Args:
         id: identifier of the catalogue.
-        stage: stage of the chain it belongs to.
+        stage: stage of the chain it belongs to; the part of the mechanism, for an effect of another simulator.
         hook: signal it changes.
         equation: its equation on top of the base model.
         source: where the equation or its usual size comes from.
@@ -179,7 +179,7 @@ class Effect:
     """
 
     id: str
-    stage: ChainStage
+    stage: str
     hook: Hook
     equation: str
     source: str
