@@ -77,7 +77,7 @@ def _add_diagnose(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
     parser.add_argument(
         "--simulator",
         metavar="MODULE:NAME",
-        help="diagnose this simulator instead of softcal's twin; columns are its inputs and channels (docs/own-simulator.md)",
+        help="diagnose this simulator instead of the twin; columns are its inputs and channels",
     )
     add_json(parser)
     parser.add_argument("--page", type=Path, metavar="FILE", help="write a page of figures (standalone HTML)")

@@ -1,7 +1,7 @@
 """What a diagnosis must reach on a few fresh cases of every line, so that one that says nothing fails.
 
-The floors lie far below what is measured on many cases, and far above what an answer reaches that does not look at the
-recording: with four cases a line the first is met by chance, the second is not.
+The floors lie far below what is measured on many cases, and above what an answer reaches that does not look at the
+recording: with a handful of cases a line, a sound diagnosis passes but once in hundreds of times, and silence never.
 """
 
 from collections.abc import Mapping
@@ -17,14 +17,14 @@ FLOORS: Mapping[str, float] = MappingProxyType(
         "pair": 0.5,
         "form": 0.5,
         "outside": 0.5,
-        "published_form": 0.3,
-        "published_outside": 0.3,
+        "published_form": 0.15,
+        "published_outside": 0.15,
         **({"mistake": 0.7} if MISTAKES else {}),
     }
 )
 """Least share of cases of a line that are right: exactly the true causes, `no_gap`, `unknown` or `data`."""
 
-POOLED = 0.7
+POOLED = 0.6
 """Least share over all these lines together."""
 
 

@@ -261,6 +261,7 @@ def shares_of(search: Search, best: Fit) -> dict[str, float]:
 
 
 def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
+    """Return value and 90 % interval of every parameter of an effect, none where the fit does not have it."""
     spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     for effect in found.hypothesis.effects:
         if effect.id == effect_id:

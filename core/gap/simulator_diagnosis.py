@@ -217,15 +217,16 @@ def _places(search: Search, causes: tuple[Cause, ...], verdict: Verdict) -> tupl
     if verdict == "no_gap":
         return ()
     seen = regimes_of(search.base)
-    channel, regime = (
-        (seen[0].channel, seen[0].name) if seen else (search.base.problem.scored_channels[0], "everywhere")
-    )
-    places = []
-    if verdict != "unknown":
+    channel, regime = (seen[0].channel, seen[0].name) if seen else (_loudest(search.base), "everywhere")
+    if verdict == "unknown":
+        part, ids = float(np.clip(search.share(search.best), 0.0, 1.0)), " and ".join(search.best.hypothesis.ids)
+        nearest = f"{ids} explains {part:.0%} of it" if ids else "no candidate explains any of it"
+        places = [Place("unknown", channel, regime, 1.0, nearest)]
+    else:
         named = [c for c in causes if c.effect in search.best.hypothesis.ids]
         total = sum(c.shrink for c in named) or 1.0
         places = [Place(c.stage, channel, regime, c.shrink / total, c.effect) for c in named]
-    at = places[0].stage if places else "unknown"
+    at = places[0].stage
     lines = [
         Place(
             at, r.channel, r.name, r.share, f"{r.share:.0%} of the gap's energy, {r.lift:.1f} times its share of time"
@@ -233,6 +234,11 @@ def _places(search: Search, causes: tuple[Cause, ...], verdict: Verdict) -> tupl
         for r in seen[:4]
     ]
     return (*places, *lines)
+
+
+def _loudest(found: Fit) -> str:
+    """Return the channel with the most structure left."""
+    return max(found.problem.scored_channels, key=lambda channel: structure(found, channel).z)
 
 
 def regimes_of(found: Fit) -> list[Regime]:

@@ -16,6 +16,9 @@ from softcal.core.challenge.judge import Judged, read_answer
 from softcal.core.challenge.score import ScoreSheet, score_reports
 
 CASES = 4
+PUBLISHED_CASES = 6
+"""The floors of these lines are low: fewer cases might miss them by chance."""
+
 WRONG = ("alarm", "wrong", "no report")
 
 
@@ -37,8 +40,12 @@ def diagnosed_blind(line: str, cases: int, place: Path) -> tuple[Judged, ...]:
 @pytest.fixture(scope="module")
 def every_line(tmp_path_factory: pytest.TempPathFactory) -> ScoreSheet:
     place = tmp_path_factory.mktemp("fresh")
-    judged = [j for line in FLOORS for j in diagnosed_blind(line, CASES, place / line)]
+    judged = [j for line in FLOORS for j in diagnosed_blind(line, _count(line), place / line)]
     return ScoreSheet(tuple(judged), *_without_rows())
+
+
+def _count(line: str) -> int:
+    return PUBLISHED_CASES if line.startswith("published") else CASES
 
 
 def _without_rows() -> tuple[object, ...]:
