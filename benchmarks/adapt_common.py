@@ -9,8 +9,9 @@ import numpy as np
 
 from softcal.app.use.adapt import source_calibration
 from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.use.adapter import AdaptConfig, Adapter, MapUpdate

@@ -11,7 +11,7 @@ from adapt_common import Unit, calibrate, print_markdown
 from simulated_gait import RATE_HZ, Sensor, Walk, walk
 
 from softcal.core.metrics import rmse
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array
 from softcal.core.use.adapter import Adapter
 

@@ -12,7 +12,7 @@ import numpy as np
 from adapt_common import Unit, calibrate, print_markdown
 from simulated_gait import RATE_HZ, Drift, Sensor, pieces, walk
 
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array
 from softcal.core.use.intake import BATCH
 

@@ -10,7 +10,7 @@ import pandas as pd
 from adapt_common import DATA, calibrate, follow, print_markdown
 
 from softcal.core.metrics import rmse
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 
 RATE_HZ = 48.9
 

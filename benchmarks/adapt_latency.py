@@ -15,7 +15,7 @@ from simulated_gait import RATE_HZ, Drift, Sensor, Walk, walk
 
 from softcal.app.use.adapt import AdaptOptions, Follower, UnitInUse
 from softcal.core.lot import Lot
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array
 from softcal.core.use.adapter import AdaptConfig
 from softcal.core.use.intake import BATCH

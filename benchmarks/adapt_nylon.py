@@ -11,8 +11,8 @@ import pandas as pd
 from adapt_common import DATA, Unit, calibrate, follow, part_rmse, print_markdown
 
 from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import NetworkConfig
 from softcal.core.recording import Array
 from softcal.core.windows import TAPS, windows
 

@@ -13,7 +13,7 @@ import pandas as pd
 from adapt_common import DATA, calibrate, follow, part_rmse, print_markdown
 from adapt_nylon import RATE_HZ, own_error
 
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60)

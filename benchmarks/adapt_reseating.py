@@ -7,7 +7,7 @@ import numpy as np
 from adapt_common import calibrate, print_markdown
 from simulated_gait import RATE_HZ, Sensor, walk
 
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array
 from softcal.core.use.adapter import MapUpdate
 from softcal.core.use.tracker import JUMPED, TRIED

@@ -21,7 +21,7 @@ from softcal.app.batch.engine import EngineChoice
 from softcal.app.batch.lot_work import BatchConfig
 from softcal.app.batch.train import train_or_find
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.db.connection import open_registry
 
 NETWORK = NetworkConfig(hidden=(16, 8), max_epochs=30)

@@ -27,8 +27,9 @@ from softcal.core.export.loader import open_sensor
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 
 HIDDEN = ((120, 70, 35), (48, 24), (32, 16), (16, 8), (8, 8))

@@ -21,7 +21,8 @@ from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, bui
 from softcal.core.export.loader import DeviceStream, open_sensor
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.training import fit_network
 
 ROOT = Path(__file__).parents[1]
 HIDDEN = ((120, 70, 35), (48, 24), (32, 16), (16, 8))

@@ -11,7 +11,8 @@ from map_methods import own_error, print_table
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.metrics import rmse
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 

@@ -9,11 +9,12 @@ import numpy as np
 from map_methods import METHODS, egain, own_error, print_table
 from scipy.optimize import minimize
 
-from softcal.core.maps.affine import AffineMap
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording
 
 FIT, TEST = (0, 800), (800, 1200)

@@ -18,7 +18,8 @@ from softcal.core.errors import SoftcalError
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.core.windows import TAPS

@@ -14,7 +14,8 @@ from screens_common import chromium
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.interface import FitProblem, UnitMap
 from softcal.core.maps.phase import paired_by_stage
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.simulated_lot import LotDesign, SimulatedUnit, simulate_lot
 from softcal.core.windows import resting
@@ -81,7 +82,7 @@ def pairs(problem: FitProblem) -> go.Figure:
             ("output of the unit, V", "load, N"),
         ),
     )
-    source_rows, target_rows = paired_by_stage(problem.source.unlabelled, problem.target)
+    source_rows, target_rows = paired_by_stage(problem.source.unlabelled, problem.target, problem.config)
     thin = slice(None, None, max(1, len(target_rows) // 1500))
     of_unit = problem.target.windows[target_rows[thin]].mean(axis=1)
     of_source = problem.source.windows[source_rows[thin]].mean(axis=1)

@@ -28,7 +28,7 @@ from softcal.app.files.lot_folder import LotFolder, open_lot_folder
 from softcal.app.files.recording_file import read_recording
 from softcal.app.line.recover import recover
 from softcal.app.line.rig import chosen_bench, profile_for, record_to_files
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 

@@ -11,15 +11,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from softcal.core.estimate import StreamingEstimator, estimate
-from softcal.core.maps.affine import AffineMap
+from softcal.core.estimate import estimate
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.health import OutputLimits, run_lengths
+from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Verdict
+from softcal.core.unit.verdict import Decision, Judgement, Verdict
+from softcal.core.use.adapter import AdaptConfig, Adapter
 from softcal.core.windows import TAPS, windows
 
 SIZES = (TAPS, 120, 70, 35, 1)
@@ -79,10 +81,10 @@ def products_alone_s(network: Network, count: int) -> float:
 
 
 def print_streaming(network: Network, calibration: Calibration, recording: OutputRecording) -> None:
-    estimator, taken_s = StreamingEstimator(network, calibration, RATE_HZ), []
+    estimator, taken_s = Adapter(network, calibration, recording, AdaptConfig("none")), []
     for t_s, output in zip(recording.t_s, recording.output, strict=True):
         start_s = time.perf_counter()
-        estimator.advance(t_s, output)
+        estimator.step(t_s, output)
         taken_s.append(time.perf_counter() - start_s)
     middle, late = 1e3 * np.quantile(taken_s, (0.5, 0.99))
     print(f"\nstreaming: {middle:.3f} ms per sample, 99th percentile {late:.3f} ms (target 1 ms)")
@@ -111,9 +113,10 @@ def made_up_calibration(network: Network, recording: OutputRecording) -> Calibra
         interval=model.interval,
         output_limits=OutputLimits(-np.inf, np.inf, 200),
         forecast=ErrorForecast(0.1, 0.08, 0.12),
-        verdict=Verdict("pass", "pass", ()),
+        decision=Decision(Judgement(Verdict.PASS, ())),
+        knowledge=known_by({}, model.method.knowledge),
         evidence={},
-        config={},
+        method=model.method,
     )
 
 

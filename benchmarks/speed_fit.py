@@ -15,8 +15,9 @@ from map_methods import print_table
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 
 GAIN, OFFSET_V = 1.2, 0.05

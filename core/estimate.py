@@ -1,6 +1,5 @@
-"""f∘γ over a recording or sample by sample, each estimate with its 90 % interval and a flag; their only composition."""
+"""f∘γ over a recording, each estimate with its 90 % interval and a flag; their only composition."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,18 +7,16 @@ from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.network.network import Network
-from softcal.core.recording import GAP_FACTOR, Array, Indices, OutputRecording
+from softcal.core.recording import Array, Indices, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.health import run_lengths
+from softcal.core.unit.method import Method
 from softcal.core.windows import TAPS
 
 Flags = NDArray[np.str_]
 FLAG_TYPE = "<U12"
 WARM_UP, GAP, INVALID = "warm-up", "gap", "invalid"
 STUCK, SATURATED, OUT_OF_RANGE, UNFAMILIAR = "stuck", "saturated", "out of range", "unfamiliar"
-
-RANGE_MARGIN = 0.05
-"""An estimate further than this share of the source's range beyond it is out of range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,80 +109,8 @@ def judge(
     half = interval.half(value, shape, distance)
     flag = np.full(len(value), "", dtype=FLAG_TYPE)
     flag[distance > interval.familiar_distance] = UNFAMILIAR
-    margin = RANGE_MARGIN * (interval.high - interval.low)
+    margin = (calibration.method or Method()).range_margin * (interval.high - interval.low)
     flag[(value < interval.low - margin) | (value > interval.high + margin)] = OUT_OF_RANGE
     flag[(newest <= limits.rail_low) | (newest >= limits.rail_high)] = SATURATED
     flag[run >= limits.stuck_samples] = STUCK
     return value, value - half, value + half, flag
-
-
-class StreamingEstimator:
-    """The same estimates one sample at a time, with constant memory; a crash resumes from `state()`.
-
-    Args:
-        network: the shared network f.
-        calibration: of this unit; replace it with `use` between two samples.
-        sample_rate_Hz: nominal sample rate; a longer pause than 1.5 periods empties the window.
-
-    Raises:
-        InputError: the calibration belongs to another network.
-    """
-
-    def __init__(self, network: Network, calibration: Calibration, sample_rate_Hz: float) -> None:
-        check_fits(network, calibration, network.output_unit)
-        self._network, self._calibration = network, calibration
-        self._longest_step_s = GAP_FACTOR / sample_rate_Hz
-        self._window = np.zeros(TAPS)
-        self._filled, self._run, self._last_t_s, self._waiting_for = 0, 0, -np.inf, WARM_UP
-
-    def use(self, calibration: Calibration) -> None:
-        """Go on with another calibration of the same unit from the next sample on; the window is kept."""
-        check_fits(self._network, calibration, self._network.output_unit)
-        self._calibration = calibration
-
-    def advance(self, t_s: float, output: float) -> EstimateRow:
-        """Take one sample and return its row; equal to the batch to float32 rounding.
-
-        A value or time that is not finite, or a time that repeats or goes backward, gives a row flagged `invalid` and
-        enters nothing.
-        """
-        if not (np.isfinite(t_s) and np.isfinite(output) and t_s > self._last_t_s):
-            return EstimateRow(t_s, np.nan, np.nan, np.nan, INVALID)
-        if t_s - self._last_t_s > self._longest_step_s and self._last_t_s > -np.inf:
-            self._filled, self._run, self._waiting_for = 0, 0, GAP
-        self._push(t_s, output)
-        if self._filled < TAPS:
-            return EstimateRow(t_s, np.nan, np.nan, np.nan, self._waiting_for)
-        value, lower, upper, flag = judge(
-            self._network,
-            self._calibration,
-            self._calibration.unit_map.apply(self._window[None, :]),
-            self._window[-1:],
-            np.array([self._run]),
-        )
-        return EstimateRow(t_s, float(value[0]), float(lower[0]), float(upper[0]), str(flag[0]))
-
-    def _push(self, t_s: float, output: float) -> None:
-        self._run = self._run + 1 if self._run and output == self._window[-1] else 1
-        self._window[:-1] = self._window[1:]
-        self._window[-1] = output
-        self._filled = min(self._filled + 1, TAPS)
-        self._last_t_s = t_s
-
-    def state(self) -> dict[str, object]:
-        """Return all that a restart needs besides network and calibration, as JSON values."""
-        return {
-            "window": self._window.tolist(),
-            "filled": self._filled,
-            "run": self._run,
-            "last_t_s": None if self._last_t_s == -np.inf else self._last_t_s,
-            "waiting_for": self._waiting_for,
-        }
-
-    def restore(self, state: Mapping[str, object]) -> None:
-        """Go on from a `state()` taken earlier."""
-        self._window = np.array(state["window"], dtype=np.float64)
-        self._filled, self._run = int(str(state["filled"])), int(str(state["run"]))
-        last = state["last_t_s"]
-        self._last_t_s = -np.inf if last is None else float(str(last))
-        self._waiting_for = str(state["waiting_for"])

@@ -8,8 +8,9 @@ from softcal.app.batch.claims import Claims
 from softcal.app.logs import note
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
+from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import EpochReport, NetworkConfig, fit_network
+from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording
 from softcal.db.registry import Registry
 from softcal.db.work_queue import WorkItem, WorkSet

@@ -10,7 +10,7 @@ from softcal.app.cli.output import Progress, say
 if TYPE_CHECKING:
     from softcal.app.batch.lot_work import Watch
     from softcal.app.batch.report import UnitResult
-    from softcal.core.network.training import EpochReport, NetworkConfig
+    from softcal.core.network.config import EpochReport, NetworkConfig
     from softcal.db.registry import Registry
 
 REGISTRY_HELP = (
@@ -57,7 +57,7 @@ def _widths(text: str) -> tuple[int, ...]:
 
 def network_config(options: argparse.Namespace) -> "NetworkConfig":
     """Return the training configuration that the options give."""
-    from softcal.core.network.training import NetworkConfig
+    from softcal.core.network.config import NetworkConfig
 
     return NetworkConfig(hidden=options.hidden, seed=options.seed, members=options.members)
 
@@ -69,6 +69,14 @@ def registry_of(options: argparse.Namespace, *, create: bool = True) -> "Iterato
 
     with open_chosen_registry(options.registry, create=create) as registry:
         yield registry
+
+
+def say_caution(registry: "Registry", serial: str, revision: int | None, action: str) -> None:
+    """Warn in one line, and record in the audit trail, where the unit that is used did not pass."""
+    from softcal.app.registry.caution import caution
+
+    if warning := caution(registry, registry.calibration(serial, revision), action):
+        say(warning)
 
 
 def say_epoch(report: "EpochReport", unit: str) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from softcal.app.logs import log_crash
 from softcal.core.errors import InputError, SoftcalError
-from softcal.core.network.training import EpochReport, NetworkConfig
+from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import RunState
 from softcal.core.recording import LabelledRecording
 from softcal.db.arrays import Arrays

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
-from softcal.app.ui.scan_codes import Scan, read_scan
+from softcal.app.line.scan_codes import Scan, read_scan
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState

@@ -13,7 +13,7 @@ from softcal.app.line.pressed_run import RunKeeper
 from softcal.app.line.rig import profile_for
 from softcal.app.logs import start_logging
 from softcal.core.errors import InputError
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import OrderKind, Progress
 from softcal.core.profiles import Profile
 from softcal.core.simulated_lot import twin_of

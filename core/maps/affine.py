@@ -8,43 +8,9 @@ from numpy.typing import NDArray
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import FitProblem
-from softcal.core.recording import Array
-from softcal.core.windows import windows
-
-EXTREMES = (0.02, 0.99)
-"""Quantiles both units share: rest below, the hardest presses above. Robust to a few outlying samples."""
-
-
-@dataclass(frozen=True)
-class AffineMap:
-    """source sample = offset + gain * target sample, for every tap alike.
-
-    Args:
-        gain: source output unit per target output unit.
-        offset: in the source's output unit.
-        family: name under which the catalogue rebuilds it.
-    """
-
-    gain: float
-    offset: float
-    family: str = "affine"
-
-    def apply(self, windows: Array) -> Array:
-        """Carry (n, taps) target windows into the source's window space."""
-        return self.offset + self.gain * windows
-
-    def apply_signal(self, signal: Array) -> Array:
-        """Carry every full window of a gap-free signal: (n - taps + 1, taps)."""
-        return windows(self.offset + self.gain * signal)
-
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return gain and offset."""
-        return {"gain": np.array(self.gain), "offset": np.array(self.offset)}
-
-    def settings(self) -> Settings:
-        """Nothing beside the arrays."""
-        return {}
+from softcal.core.reason import reason
 
 
 @dataclass(frozen=True)
@@ -59,12 +25,11 @@ class Affine:
         Raises:
             UnitRefused: the target's output does not move between its extremes.
         """
-        low, high = np.quantile(problem.target.output, EXTREMES)
-        source_low, source_high = np.quantile(problem.source.unlabelled.output, EXTREMES)
+        extremes = problem.config.choice.extremes
+        low, high = np.quantile(problem.target.output, extremes)
+        source_low, source_high = np.quantile(problem.source.unlabelled.output, extremes)
         if high <= low:
-            raise UnitRefused(
-                f"output stays at {low:.6g} {problem.target.output_unit}; press the unit and record again"
-            )
+            raise UnitRefused(reason("still", level=float(low), unit=problem.target.output_unit))
         gain = float((source_high - source_low) / (high - low))
         return AffineMap(gain, float(source_low - gain * low))
 

@@ -5,53 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from softcal.core.errors import InputError
+from softcal.core.network.config import EpochReport, Mask, NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.windows import TAPS
 
-Mask = NDArray[np.bool_]
-
 MIN_WINDOWS = 10 * TAPS
 """Fewer windows leave nothing to validate on once the guards between the blocks are taken out."""
-
-
-@dataclass(frozen=True)
-class NetworkConfig:
-    """How f is built and trained; the defaults are the paper's 15-120-70-35-1 (Kim et al. 2020).
-
-    Args:
-        hidden: widths of the hidden layers.
-        seed: drives initial weights and batch order; equal seeds give equal networks on one machine.
-        members: networks trained from consecutive seeds and merged into one whose estimate is their mean.
-        max_epochs: passes over the training windows at most.
-        patience: epochs without a better validation error before training stops.
-        batch: windows per step at least; long recordings take larger ones.
-        learning_rate: first step size of Adam; it is halved on every plateau of `patience / 3` epochs.
-        validation_share: share of the recording kept for early stopping, in blocks spread over it.
-    """
-
-    hidden: tuple[int, ...] = (120, 70, 35)
-    seed: int = 0
-    members: int = 1
-    max_epochs: int = 200
-    patience: int = 15
-    batch: int = 64
-    learning_rate: float = 5e-3
-    validation_share: float = 0.15
-
-
-@dataclass(frozen=True)
-class EpochReport:
-    """Progress of a training; errors in the reference unit."""
-
-    member: int
-    epoch: int
-    max_epochs: int
-    train_rmse: float
-    validation_rmse: float
-    best_validation_rmse: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,19 +143,10 @@ def merge_members(members: list[list[tuple[Array, Array]]]) -> tuple[tuple[Array
     for depth, layers in enumerate(zip(*members, strict=True)):
         last = depth == len(members[0]) - 1
         parts = [w for w, _ in layers]
-        joined = np.hstack(parts) if depth == 0 else np.vstack(parts) / len(parts) if last else _block_diagonal(parts)
+        joined = np.hstack(parts) if depth == 0 else np.vstack(parts) / len(parts) if last else block_diag(*parts)
         weights.append(joined)
         biases.append(np.mean([b for _, b in layers], axis=0) if last else np.concatenate([b for _, b in layers]))
     return tuple(weights), tuple(biases)
-
-
-def _block_diagonal(parts: list[Array]) -> Array:
-    joined = np.zeros((sum(p.shape[0] for p in parts), sum(p.shape[1] for p in parts)))
-    row = column = 0
-    for part in parts:
-        joined[row : row + part.shape[0], column : column + part.shape[1]] = part
-        row, column = row + part.shape[0], column + part.shape[1]
-    return joined
 
 
 def _near(mask: Mask, guard: int) -> Mask:

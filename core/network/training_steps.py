@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from softcal.core.network.training import EpochReport, Mask, NetworkConfig
+from softcal.core.network.config import EpochReport, Mask, NetworkConfig
 from softcal.core.recording import Array
 
 Layers = list[tuple[Array, Array]]

@@ -14,7 +14,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.estimate import FLAG_TYPE, SATURATED, STUCK, Estimate, EstimateRow, Flags, check_fits, judge
-from softcal.core.maps.affine import AffineMap
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration

@@ -18,7 +18,7 @@ from softcal.app.batch.engine import EngineChoice
 from softcal.app.batch.lot_work import BatchConfig
 from softcal.app.cli.main import main
 from softcal.app.files.lot_folder import open_lot_folder
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.db.connection import open_registry
 
 UNITS = 16

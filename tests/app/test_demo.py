@@ -9,7 +9,7 @@ from softcal.app.batch.lot_work import BatchConfig, Watch
 from softcal.app.cli.main import main
 from softcal.app.line.demo import TABLE_HEADER, DemoConfig, press_demo_lot, run_demo, table_row
 from softcal.app.line.rig import PressTimes
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.db.connection import open_registry
 
 SMALL = DemoConfig(

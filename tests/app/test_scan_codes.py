@@ -2,7 +2,7 @@
 
 import pytest
 
-from softcal.app.ui.scan_codes import Scan, read_scan
+from softcal.app.line.scan_codes import Scan, read_scan
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from sqlalchemy import update
 from softcal.app.line.gate_facts import RIG_ONLY, GateRules
 from softcal.app.line.serve import Serving, serve
 from softcal.core.errors import InputError
-from softcal.core.network.training import NetworkConfig
+from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, RunState, StationState
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate

@@ -9,14 +9,16 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.estimate import GAP, INVALID, STUCK, WARM_UP, estimate
-from softcal.core.maps.affine import AffineMap
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.health import output_limits
+from softcal.core.unit.knowledge import known_by
+from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Verdict
+from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.adapter import RECALIBRATE, STATE_FORMAT, UNSETTLED, AdaptConfig, Adapter
 from softcal.core.use.intake import CLOCK_ROWS, WRONG_RATE
 from softcal.core.windows import TAPS
@@ -56,11 +58,11 @@ def make_adapter() -> Callable[..., Adapter]:
         network_id=network.id,
         unit_map=AffineMap(1.0, 0.0, "identity"),
         interval=interval,
-        output_limits=output_limits(recording, recording, True),
+        output_limits=output_limits(recording, recording, True, Method().health),
         forecast=ErrorForecast(0.01, 0.01, 0.01),
-        verdict=Verdict("pass", "pass", ()),
+        decision=Decision(Judgement(Verdict.PASS, ())),
+        knowledge=known_by({}, Method().knowledge),
         evidence={},
-        config={},
     )
 
     def make(mode: str = "improved") -> Adapter:

@@ -1,17 +1,16 @@
 """Estimates: against the sensor's closed form, batch against stream, and every flag by its fault."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.estimate import StreamingEstimator, estimate
-from softcal.core.maps.affine import AffineMap
+from softcal.core.estimate import estimate
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import OutputRecording
-from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.health import OutputLimits
 from softcal.core.windows import TAPS
@@ -21,14 +20,9 @@ from softcal.core.windows import TAPS
 def calibration(source_model, linear_network, press) -> Calibration:
     unit = press(2, gain=1.3, offset_V=0.05).unlabelled
     problem = FitProblem(source_model.source, linear_network, unit)
-    made = calibrate_unit(problem, source_model=source_model)
+    made = calibrate(UnitProblem(source_model, problem.target, anchors=problem.anchors))
     exact = AffineMap(gain=1 / 1.3, offset=-0.05 / 1.3)
     return replace(made, unit_map=exact, output_limits=OutputLimits(-np.inf, np.inf, stuck_samples=100))
-
-
-def stream(network, calibration, recording):
-    estimator = StreamingEstimator(network, calibration, recording.sample_rate_Hz)
-    return [estimator.advance(t, v) for t, v in zip(recording.t_s, recording.output, strict=True)]
 
 
 def with_output(recording: OutputRecording, output) -> OutputRecording:
@@ -59,45 +53,6 @@ def test_no_window_reaches_across_a_gap(linear_network, calibration, press):
     result = estimate(linear_network, calibration, late)
     assert set(result.flag[500 : 500 + TAPS - 1]) == {"gap"}
     assert np.isnan(result.estimate[500 : 500 + TAPS - 1]).all() and np.isfinite(result.estimate[500 + TAPS - 1])
-
-
-def test_stream_equals_batch_row_by_row(linear_network, calibration, press):
-    recording = press(5, gain=1.3, offset_V=0.05, seconds=20.0).unlabelled
-    late = replace(recording, t_s=recording.t_s + np.where(np.arange(len(recording)) >= 500, 3.0, 0.0))
-    batch, rows = estimate(linear_network, calibration, late), stream(linear_network, calibration, late)
-    for name in ("estimate", "lower", "upper"):
-        np.testing.assert_allclose([getattr(row, name) for row in rows], getattr(batch, name), rtol=1e-5, atol=1e-5)
-    assert [row.flag for row in rows] == batch.flag.tolist()
-
-
-def test_stream_resumes_from_its_state_as_if_nothing_had_happened(linear_network, calibration, press):
-    recording = press(5, gain=1.3, offset_V=0.05, seconds=5.0).unlabelled
-    whole = stream(linear_network, calibration, recording)
-    first = StreamingEstimator(linear_network, calibration, 50.0)
-    for k in range(107):
-        first.advance(recording.t_s[k], recording.output[k])
-    second = StreamingEstimator(linear_network, calibration, 50.0)
-    second.restore(first.state())
-    assert second.advance(recording.t_s[107], recording.output[107]) == whole[107]
-
-
-def test_stream_takes_under_a_millisecond_a_sample(linear_network, calibration, press):
-    recording = press(5, seconds=10.0).unlabelled
-    estimator, taken_s = StreamingEstimator(linear_network, calibration, 50.0), []
-    for t, v in zip(recording.t_s, recording.output, strict=True):
-        start_s = time.process_time()
-        estimator.advance(t, v)
-        taken_s.append(time.process_time() - start_s)
-    assert np.median(taken_s) < 1e-3
-
-
-@pytest.mark.parametrize(("t_s", "output"), [(np.nan, 0.5), (1.0, np.nan), (0.5, 0.5), (0.4, 0.5)])
-def test_a_sample_that_cannot_be_used_is_flagged_and_enters_nothing(linear_network, calibration, t_s, output):
-    estimator = StreamingEstimator(linear_network, calibration, 50.0)
-    estimator.advance(0.5, 0.6)
-    before = estimator.state()
-    assert estimator.advance(t_s, output).flag == "invalid"
-    assert estimator.state() == before
 
 
 def test_a_frozen_output_is_flagged_stuck(linear_network, calibration, press):

@@ -30,7 +30,7 @@ from softcal.core.export.json_text import (
 from softcal.core.export.loader import open_sensor, run_self_test
 from softcal.core.export.quantise import quantise_map
 from softcal.core.export.shape_mix import Mix
-from softcal.core.maps.affine import AffineMap
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording
 

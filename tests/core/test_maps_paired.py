@@ -7,8 +7,9 @@ from softcal.core.maps.catalogue import family
 from softcal.core.maps.interface import FitProblem
 from softcal.core.maps.paired import DynamicMap
 from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import NetworkConfig, fit_network
+from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 
 NOISE_V = 0.05

@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from softcal.core.errors import InputError
+from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.network.training import NetworkConfig, fit_network, merge_members, validation_blocks
+from softcal.core.network.training import fit_network, merge_members, validation_blocks
 from softcal.core.recording import LabelledRecording, OutputRecording
 
 QUICK = NetworkConfig(hidden=(16, 8), max_epochs=12)

@@ -12,7 +12,8 @@ import pytest
 from softcal.core.export.blob import NetworkFile, UnitFile
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
-from softcal.core.maps.affine import Affine, AffineMap
+from softcal.core.maps.affine import Affine
+from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import FitProblem
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -47,7 +48,8 @@ class DeviceCase:
 @pytest.fixture(scope="session")
 def real_case(measured_data: Path) -> DeviceCase:
     """The paper's network on its own first sensor, and the second one mapped to it; 10-bit codes as recorded."""
-    from softcal.core.network.training import NetworkConfig, fit_network
+    from softcal.core.network.config import NetworkConfig
+    from softcal.core.network.training import fit_network
 
     source, target = (_recording(measured_data / "egain_pair" / f"{name}.csv", name) for name in ("S1", "S2"))
     network = fit_network(source, NetworkConfig(max_epochs=60)).network
