@@ -8,7 +8,6 @@ import numpy as np
 
 from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
 from softcal.core.challenge.chain import BLOCK_COMPLIANCE_MM_PER_N, Equation, Rack, record
-from softcal.core.challenge.mistakes import written_down
 from softcal.core.challenge.other_forms import OTHER_FORMS
 from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.protocols import PROTOCOLS, weights
@@ -66,7 +65,8 @@ class SealedCase:
         plans: the runs handed over.
         withheld: columns taken out of every run.
         kept_back: a run of a protocol that is not among `plans`.
-        mistake: what went wrong when the runs were written down, a key of `mistakes.MISTAKES`; empty for nothing.
+        mistake: what went wrong when the runs were written down, in a word; empty for nothing. `measure` gives what was
+            measured; whoever writes the files puts the mistake on them.
         turns_between_samples: the stage turns between two samples, so the pad goes up to 50 µm beyond the recorded
             path; otherwise the pad sees the recorded path, as the written model has it.
     """
@@ -97,7 +97,6 @@ class SealedCase:
         temperature = _temperature(np.random.default_rng([plan.seed, 2]), plan.protocol, path.duration_s)
         dummy_ohm = RESISTORS_ohm[plan.seed % len(RESISTORS_ohm)] if kind == DUMMY_RESISTOR else None
         measured = record(self.rig, Rack(self.causes, EQUATIONS), path, temperature, rng, kind, dummy_ohm, known_force)
-        measured = written_down(measured, self.mistake, self.plans.index(plan) if plan in self.plans else -1)
         return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
 
     def _path(self, plan: RunPlan) -> tuple[Path, Callable[[Array], Array] | None]:

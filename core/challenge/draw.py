@@ -6,7 +6,6 @@ import numpy as np
 
 from softcal.core.challenge.cases import RunPlan, SealedCase, full_depth_mm
 from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
-from softcal.core.challenge.mistakes import MISTAKES
 from softcal.core.challenge.other_forms import OTHER_FORMS
 from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE, PUBLISHED_SIZES
@@ -123,11 +122,10 @@ LINES: Mapping[str, Callable[[Rng, Scope], tuple[Cause, ...]]] = {
     "turning": _single(1.0),
     "published_form": _published_form,
     "published_outside": _published_outside,
-    **({"mistake": _single_or_none()} if MISTAKES else {}),
 }
 """The strata: singles at a rig's usual size and at 0.3 and 0.1 of it, the same causes by other equations, pairs,
 triples, none, effects outside the catalogue, poor recordings, singles on a stage that turns between samples, causes and
-effects by published equations nobody wrote the solver for, and recordings with a mistake."""
+effects by published equations nobody wrote the solver for."""
 
 _SHARES = {"usual": 6, "third": 4, "tenth": 4, "form": 4, "pair": 5, "triple": 2, "none": 5, "outside": 5}
 """The mix of a challenge; every poor line counts 1."""
@@ -161,7 +159,6 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
         kept_back=RunPlan("kept_back", drawn_seed(rng)),
         withheld=(*_WITHHELD.get(line, ()), *unlogged),
         turns_between_samples=line == "turning",
-        mistake=str(rng.choice(list(MISTAKES))) if line == "mistake" else "",
     )
 
 

@@ -7,7 +7,6 @@ recording: with a handful of cases a line, a sound diagnosis passes but once in 
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from softcal.core.challenge.mistakes import MISTAKES
 from softcal.core.challenge.score import ScoreSheet
 
 FLOORS: Mapping[str, float] = MappingProxyType(
@@ -19,7 +18,6 @@ FLOORS: Mapping[str, float] = MappingProxyType(
         "outside": 0.5,
         "published_form": 0.15,
         "published_outside": 0.15,
-        **({"mistake": 0.7} if MISTAKES else {}),
     }
 )
 """Least share of cases of a line that are right: exactly the true causes, `no_gap`, `unknown` or `data`."""
