@@ -15,6 +15,8 @@ from softcal.core.challenge.floors import FLOORS, shortfalls
 from softcal.core.challenge.judge import Judged, read_answer
 from softcal.core.challenge.score import ScoreSheet, score_reports
 
+pytestmark = pytest.mark.timeout(1800)
+
 CASES = 4
 PUBLISHED_CASES = 6
 """The floors of these lines are low: fewer cases might miss them by chance."""
