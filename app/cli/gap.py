@@ -4,13 +4,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli import gap_challenge, gap_transfer
+from softcal.app.cli import gap_challenge, gap_effects, gap_transfer
 from softcal.app.cli.options import add_json
 from softcal.app.cli.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Cause, Diagnosis
+    from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis
     from softcal.core.twin.parameters import ReadoutMetadata
 
 _EXAMPLES = """examples:
@@ -24,6 +25,7 @@ _DIAGNOSE_EXAMPLES = """examples:
   softcal gap diagnose rig-7 --json rig-7.gap.json
   softcal gap diagnose rig-7/runs/2 --json - --page run-2.html
   softcal gap diagnose S1.csv --vref-V 5 --adc-bits 10 --rate-Hz 50 --page S1.html
+  softcal gap diagnose swing --simulator mass_spring_damper:SIMULATOR --json -     a simulator of your own
 
 columns of recording.csv: t_s, stage_mm, force_N, output_V, temperature_C (what is missing narrows the diagnosis)
 keys of recording.json:   vref_V, adc_bits, r_series_ohm, sample_rate_Hz, serial, profile, kind, sensor_type, dummy_ohm
@@ -50,6 +52,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_diagnose(inner)
     _add_apply(inner)
+    gap_effects.add_parser(inner)
     gap_transfer.add_parser(inner)
     gap_challenge.add_parsers(inner)
 
@@ -70,6 +73,11 @@ def _add_diagnose(commands: "argparse._SubParsersAction[argparse.ArgumentParser]
     table.add_argument("--rate-Hz", type=float, dest="rate_Hz", metavar="HZ", help="sample rate")
     table.add_argument(
         "--series-ohm", type=float, metavar="OHM", help="series resistor; without it resistances come as shares of it"
+    )
+    parser.add_argument(
+        "--simulator",
+        metavar="MODULE:NAME",
+        help="diagnose this simulator instead of the twin; columns are its inputs and channels",
     )
     add_json(parser)
     parser.add_argument("--page", type=Path, metavar="FILE", help="write a page of figures (standalone HTML)")
@@ -95,10 +103,26 @@ def _add_apply(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 def _diagnose(options: argparse.Namespace) -> int:
     from softcal.app.gap.diagnose import diagnose_case, write_page
 
+    if options.simulator:
+        return _diagnose_simulator(options)
     diagnosis = diagnose_case(options.case, say, _table_readout(options))
     if options.page:
         write_page(options.page, diagnosis)
     _show(diagnosis, options.json)
+    return 0
+
+
+def _diagnose_simulator(options: argparse.Namespace) -> int:
+    from softcal.app.gap.simulator import diagnose_with, load_simulator
+
+    electronics = (options.vref_V, options.adc_bits, options.rate_Hz, options.series_ohm)
+    if options.page or any(value is not None for value in electronics):
+        raise InputError("--simulator knows no electronics and draws no page; leave those options out")
+    diagnosis = diagnose_with(options.case, load_simulator(options.simulator), say)
+    if options.json:
+        write_json(options.json, diagnosis.report())
+    if options.json != "-":
+        _show_result(diagnosis)
     return 0
 
 
@@ -141,6 +165,14 @@ def _show(diagnosis: "Diagnosis", target: str | None) -> None:
         write_json(target, diagnosis.report())
     if target == "-":
         return
+    _show_result(diagnosis)
+    if diagnosis.case.missing_channels:
+        print(f"missing     {', '.join(diagnosis.case.missing_channels)}")
+    if diagnosis.case.unseen_stages:
+        print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
+
+
+def _show_result(diagnosis: "Diagnosis | SimulatorDiagnosis") -> None:
     shrink = diagnosis.shrink
     print(f"verdict     {diagnosis.verdict}")
     for channel, gap in diagnosis.gap.items():
@@ -161,10 +193,6 @@ def _show(diagnosis: "Diagnosis", target: str | None) -> None:
     for pair in diagnosis.ambiguous_with:
         print(f"ambiguous   {' / '.join(pair)}")
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
-    if diagnosis.case.missing_channels:
-        print(f"missing     {', '.join(diagnosis.case.missing_channels)}")
-    if diagnosis.case.unseen_stages:
-        print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
 
 
 def _values(cause: "Cause") -> str:

@@ -20,6 +20,7 @@ _ASK_EXAMPLES = """examples:
 _SCORE_EXAMPLES = """examples:
   softcal gap score sealed --reports reports --seal sealed.seal.json
   softcal gap score sealed --reports reports --seal sealed.seal.json --json score.json
+  softcal gap score sealed --reports reports --seal sealed.seal.json --check        exit code 1 below the floors
 """
 
 
@@ -80,6 +81,9 @@ def _add_score(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--reports", type=Path, required=True, metavar="DIR", help="folder with CASE.json per case")
     parser.add_argument("--seal", type=Path, required=True, metavar="FILE", help="file with the labels")
     parser.add_argument("--json", metavar="FILE", help="write the scores as JSON ('-' for standard output)")
+    parser.add_argument(
+        "--check", action="store_true", help="exit with 1 where a line falls below its floor, or was not drawn at all"
+    )
     parser.set_defaults(run=_score)
 
 
@@ -115,7 +119,17 @@ def _score(options: argparse.Namespace) -> int:
         write_json(options.json, sheet.to_record())
     if options.json != "-":
         _print(sheet)
-    return 0
+    return _below_floors(sheet) if options.check else 0
+
+
+def _below_floors(sheet: "ScoreSheet") -> int:
+    from softcal.app.cli.output import say
+    from softcal.core.challenge.floors import shortfalls
+
+    told = shortfalls(sheet)
+    for sentence in told:
+        say(f"below its floor: {sentence}")
+    return 1 if told else 0
 
 
 def _print(sheet: "ScoreSheet") -> None:
@@ -132,6 +146,14 @@ def _print(sheet: "ScoreSheet") -> None:
             ("expected calibration error, first cause", sure.ece_first),
             ("Brier score", sure.brier),
             ("mean probability on the true single cause", sure.on_truth),
+        ],
+    )
+    print()
+    print_table(
+        ("stated probability", "effects", "mean stated", "at work", "share"),
+        [
+            (f"{b.low:g}–{b.high:g}", b.count, f"{b.stated:.2f}", b.right, f"{100 * b.right / b.count:.0f} %")
+            for b in sure.by_bin
         ],
     )
     wrong = [j for j in sheet.judged if j.outcome not in ("right", "set", "below noise")]

@@ -14,7 +14,7 @@ from softcal.app.files.atomic import whole_folder, write_text
 from softcal.app.files.lot_folder import write_lot_toml
 from softcal.app.files.recording_file import write_columns
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase
-from softcal.core.challenge.draw import LINES, draw_case, draw_challenge
+from softcal.core.challenge.draw import LINES, SEED_BITS, draw_case, draw_challenge, drawn_seed
 from softcal.core.challenge.lot import press_lot
 from softcal.core.challenge.realised import realised_shrink
 from softcal.core.challenge.rig import Measured
@@ -60,7 +60,7 @@ def make_challenge(
         InputError: the folder is not empty, the seal would lie in it or exists, a count below 1, an unknown line.
     """
     _check_places(folder, seal_file, count)
-    seed = secrets.randbits(31) if seed is None else seed
+    seed = secrets.randbits(SEED_BITS) if seed is None else seed
     cases = draw_challenge(seed, count) if line is None else _one_line(seed, count, line)
     contents = {}
     for case in cases:
@@ -89,7 +89,7 @@ def _one_line(seed: int, count: int, line: str) -> list[SealedCase]:
         raise InputError(f"--line {line}: not known; known are {', '.join(LINES)}")
     rng = np.random.default_rng([seed, 20_011])
     width = max(3, len(str(count)))
-    return [draw_case(int(rng.integers(2**31)), f"case-{k:0{width}d}", line) for k in range(1, count + 1)]
+    return [draw_case(drawn_seed(rng), f"case-{k:0{width}d}", line) for k in range(1, count + 1)]
 
 
 def write_case(folder: Path, case: SealedCase) -> str:

@@ -11,6 +11,7 @@ from softcal.core.challenge.chain import BLOCK_COMPLIANCE_MM_PER_N, Equation, Ra
 from softcal.core.challenge.other_forms import OTHER_FORMS
 from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.protocols import PROTOCOLS, weights
+from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE
 from softcal.core.challenge.rig import (
     DEAD_WEIGHTS,
     DUMMY_RESISTOR,
@@ -27,9 +28,13 @@ from softcal.core.recording import Array
 EQUATIONS: Mapping[tuple[str, str], Equation] = {
     **{(effect, CATALOGUE_FORM): equation for effect, equation in CATALOGUE.items()},
     **OTHER_FORMS,
-    **{(effect, OUTSIDE_FORM): equation for effect, equation in OUTSIDE.items()},
+    **PUBLISHED_FORMS,
+    **{(effect, OUTSIDE_FORM): equation for effect, equation in {**OUTSIDE, **PUBLISHED_OUTSIDE}.items()},
 }
 """Every equation a sealed rig may hold, by (effect, form)."""
+
+RESISTORS_ohm = (4.7, 10.0, 15.0)
+"""Dummy resistors of the bench. Metadata print them: one made from the rig's own R0 would tell what is drawn."""
 
 SPECIAL = (RIGID_BLOCK, DUMMY_RESISTOR, DEAD_WEIGHTS)
 TEMPERATURE_STEP = "temperature_step"
@@ -60,6 +65,8 @@ class SealedCase:
         plans: the runs handed over.
         withheld: columns taken out of every run.
         kept_back: a run of a protocol that is not among `plans`.
+        mistake: what went wrong when the runs were written down, in a word; empty for nothing. `measure` gives what was
+            measured; whoever writes the files puts the mistake on them.
         turns_between_samples: the stage turns between two samples, so the pad goes up to 50 µm beyond the recorded
             path; otherwise the pad sees the recorded path, as the written model has it.
     """
@@ -74,6 +81,7 @@ class SealedCase:
     kept_back: RunPlan
     withheld: tuple[str, ...] = ()
     turns_between_samples: bool = False
+    mistake: str = ""
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -87,7 +95,7 @@ class SealedCase:
         path, known_force = self._path(plan)
         path = path if self.turns_between_samples else _as_recorded(path, self.rig.sample_rate_Hz)
         temperature = _temperature(np.random.default_rng([plan.seed, 2]), plan.protocol, path.duration_s)
-        dummy_ohm = self.rig.r0_ohm * (1.0 + plan.seed % 3) if kind == DUMMY_RESISTOR else None
+        dummy_ohm = RESISTORS_ohm[plan.seed % len(RESISTORS_ohm)] if kind == DUMMY_RESISTOR else None
         measured = record(self.rig, Rack(self.causes, EQUATIONS), path, temperature, rng, kind, dummy_ohm, known_force)
         return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
 
@@ -132,6 +140,7 @@ class SealedCase:
             kept_back=RunPlan(**record["kept_back"]),
             withheld=tuple(record["withheld"]),
             turns_between_samples=record["turns_between_samples"],
+            mistake=record["mistake"],
         )
 
 

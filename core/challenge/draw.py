@@ -8,13 +8,20 @@ from softcal.core.challenge.cases import RunPlan, SealedCase, full_depth_mm
 from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
 from softcal.core.challenge.other_forms import OTHER_FORMS
 from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
+from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE, PUBLISHED_SIZES
 from softcal.core.challenge.rig import Cause, Rig
 from softcal.core.challenge.sizes import CATALOGUE_SIZES, OUTSIDE_SIZES, Scope
 
 Rng = np.random.Generator
 
 FOUR_RUNS = ("slow_ramps", "fast_ramps", "steps_with_holds", "random")
-SEED_LIMIT = 2**31
+SEED_BITS = 128
+"""Bits of every seed that is drawn: nobody can try them all against a path, a noise or a printed resistance."""
+
+
+def drawn_seed(rng: Rng) -> int:
+    """Return a seed of `SEED_BITS` bits."""
+    return int.from_bytes(rng.bytes(SEED_BITS // 8), "big")
 
 
 def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
@@ -31,11 +38,16 @@ def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
         noise_V=float(rng.uniform(0.8e-3, 1.8e-3)),
         noise_N=float(rng.uniform(8e-3, 2e-2)),
         vref_V=vref_V,
-        r_series_ohm=float(r0_ohm * rng.uniform(1.2, 3.0)),
+        r_series_ohm=printed_ohm(r0_ohm * rng.uniform(1.2, 3.0)),
         adc_bits=adc_bits or int(rng.choice([12, 14, 16])),
         sample_rate_Hz=float(rng.choice([50.0, 50.0, 50.0, 50.0, 40.0, 80.0])),
     )
     return rig, peak_N
+
+
+def printed_ohm(resistance_ohm: float) -> float:
+    """Return a resistance as a data sheet prints it, two digits: the series resistor stands in the metadata."""
+    return float(f"{resistance_ohm:.1e}")
 
 
 def _scope(rig: Rig, peak_N: float) -> Scope:
@@ -75,6 +87,16 @@ def _outside(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
     return (Cause(effect, OUTSIDE_FORM, OUTSIDE_SIZES[effect](rng, scope, 1.0)),)
 
 
+def _published_form(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
+    effect, form = list(PUBLISHED_FORMS)[rng.integers(len(PUBLISHED_FORMS))]
+    return (Cause(effect, form, CATALOGUE_SIZES[effect](rng, scope, 1.0)),)
+
+
+def _published_outside(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
+    effect = list(PUBLISHED_OUTSIDE)[rng.integers(len(PUBLISHED_OUTSIDE))]
+    return (Cause(effect, OUTSIDE_FORM, PUBLISHED_SIZES[effect](rng, scope, 1.0)),)
+
+
 def _single_or_none(stages: Sequence[str] | None = None) -> Callable[[Rng, Scope], tuple[Cause, ...]]:
     single = _single(1.0, stages)
     return lambda rng, scope: () if rng.random() < 0.2 else single(rng, scope)
@@ -98,9 +120,12 @@ LINES: Mapping[str, Callable[[Rng, Scope], tuple[Cause, ...]]] = {
     "no_stage": _single_or_none(_SEEN_WITHOUT_STAGE),
     "ten_bit": _single_or_none(),
     "turning": _single(1.0),
+    "published_form": _published_form,
+    "published_outside": _published_outside,
 }
 """The strata: singles at a rig's usual size and at 0.3 and 0.1 of it, the same causes by other equations, pairs,
-triples, none, effects outside the catalogue, poor recordings, and singles on a stage that turns between samples."""
+triples, none, effects outside the catalogue, poor recordings, singles on a stage that turns between samples, causes and
+effects by published equations nobody wrote the solver for."""
 
 _SHARES = {"usual": 6, "third": 4, "tenth": 4, "form": 4, "pair": 5, "triple": 2, "none": 5, "outside": 5}
 """The mix of a challenge; every poor line counts 1."""
@@ -120,7 +145,7 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
     rng = np.random.default_rng([seed, list(LINES).index(line)])
     rig, peak_N = draw_rig(rng, adc_bits=10 if line == "ten_bit" else None)
     causes = LINES[line](rng, _scope(rig, peak_N))
-    plans = tuple(RunPlan(name_, int(rng.integers(SEED_LIMIT))) for name_ in _PROTOCOLS.get(line, FOUR_RUNS))
+    plans = tuple(RunPlan(name_, drawn_seed(rng)) for name_ in _PROTOCOLS.get(line, FOUR_RUNS))
     needs_temperature = any("coefficient_per_K" in cause.values for cause in causes)
     unlogged = () if needs_temperature or rng.random() < 0.5 else ("temperature_C",)
     return SealedCase(
@@ -131,7 +156,7 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
         depth_mm=full_depth_mm(rig, peak_N),
         causes=causes,
         plans=plans,
-        kept_back=RunPlan("kept_back", int(rng.integers(SEED_LIMIT))),
+        kept_back=RunPlan("kept_back", drawn_seed(rng)),
         withheld=(*_WITHHELD.get(line, ()), *unlogged),
         turns_between_samples=line == "turning",
     )
@@ -147,6 +172,5 @@ def draw_challenge(seed: int, count: int) -> list[SealedCase]:
     rng.shuffle(lines)
     width = max(3, len(str(count)))
     return [
-        draw_case(int(rng.integers(SEED_LIMIT)), f"case-{number:0{width}d}", str(line))
-        for number, line in enumerate(lines, start=1)
+        draw_case(drawn_seed(rng), f"case-{number:0{width}d}", str(line)) for number, line in enumerate(lines, start=1)
     ]

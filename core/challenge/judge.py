@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from softcal.core.challenge.catalogue_equations import CATALOGUE
-from softcal.core.challenge.outside_equations import ALIASES, OUTSIDE
+from softcal.core.challenge.outside_equations import ALIASES
 from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
 
@@ -108,11 +108,13 @@ class Judged:
         """One word: right, set (an honest ambiguity set), below noise, missed, abstained, alarm or wrong."""
         if self.answer is None:
             return "no report"
+        if self.label.case.mistake:
+            return "right" if self.answer.verdict == "data" else "wrong"
         if self.label.case.causes and self.answer.verdict == "no_gap":
             return "missed" if self.is_visible else "below noise"
         if not self.label.case.causes:
             return "right" if self.answer.verdict == "no_gap" else "alarm"
-        if any(cause.effect in OUTSIDE for cause in self.label.case.causes):
+        if any(cause.effect not in CATALOGUE for cause in self.label.case.causes):
             return self._outside(self.answer)
         return self._known(self.answer)
 

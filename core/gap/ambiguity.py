@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from softcal.core.gap.fit import BASE, Fit, Hypothesis
+from softcal.core.gap.fit import Fit
 from softcal.core.gap.forms import FORMS
 from softcal.core.gap.linear import energy
 from softcal.core.gap.posterior import Fits, exact_log_evidence
@@ -109,15 +109,6 @@ def hidden_fraction(found: Fit, effect_id: str) -> float:
 
 def _signature(found: Fit, effect_id: str) -> Array:
     """(samples,) change of the weighted prediction when an effect of a fit is switched off."""
-    hypothesis = found.hypothesis
-    coordinates, at = found.coordinates, len(BASE)
-    kept, effects = list(range(at)), []
-    for effect in hypothesis.effects:
-        width = len(effect.parameters)
-        if effect.id != effect_id:
-            kept += range(at, at + width)
-            effects.append(effect)
-        at += width
-    smaller = Hypothesis(tuple(effects), hypothesis.episodes)
-    without = found.problem.predict(smaller, coordinates[kept])
+    smaller, left = found.hypothesis.without(effect_id)
+    without = found.problem.predict(smaller, found.coordinates[left])
     return np.asarray((found.predicted - without) * found.problem.weights)

@@ -1,12 +1,13 @@
 """The diagnosis of a case: where the twin is wrong, why, how much it gains, how sure that is, what to press next."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
+from softcal.core.gap.candidates import is_told
 from softcal.core.gap.case import Case
 from softcal.core.gap.explained import explained_twin, in_catalogue_form
 from softcal.core.gap.fit import BASE, Fit, from_fit
@@ -18,21 +19,14 @@ from softcal.core.gap.search import Search, SearchConfig
 from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
 from softcal.core.gap.strangers import name_of
 from softcal.core.recording import Array
-from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import ChainStage, Effect
+from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
+from softcal.core.twin.effects import Alias, Effect
 from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.record import twin_record
 from softcal.core.twin.simulate import Twin
 
 Verdict = Literal["no_gap", "explained", "ambiguous", "unknown"]
 SCHEMA = "softcal.gap/1"
-
-ALIAS = "thermal_drift"
-ALIAS_STAGE: ChainStage = "electronics"
-ALIAS_DETAIL = "the divider resistor's temperature coefficient, sign reversed: only R/Rs enters the divider"
-ALIAS_SHARE = 0.4
-"""What is outside the catalogue and looks exactly like one of its effects until a dummy resistor was warmed; its share
-of that effect's place. A channel of liquid metal (1e-3/K) follows the temperature more than a resistor does."""
 
 UNKNOWN_TRUST = 0.3
 """How far probabilities within the catalogue are trusted where the catalogue leaves a gap, for a share of 1."""
@@ -59,7 +53,7 @@ class Cause:
     """
 
     effect: str
-    stage: ChainStage
+    stage: str
     probability: float
     shrink: float
     parameters: dict[str, ParameterEstimate]
@@ -157,6 +151,7 @@ class Diagnosis:
             "missing_channels": list(self.case.missing_channels),
             "unseen_stages": list(self.case.unseen_stages),
             "explained_share": self.explained_share,
+            "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
             "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
             "twin": twin_record(self.explained),
             "base_twin": twin_record(explained_twin(self.base)),
@@ -187,7 +182,7 @@ def diagnose(
     verdict = _verdict(search, group)
     # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
     doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0
-    chances = {i: p * doubt for i, p in _chances(logs, group).items()}
+    chances = {i: p * doubt for i, p in chances_of(logs, group).items()}
     named = tuple(in_catalogue_form(found) for found in group)
     causes = _causes(search, named, chances, quantified.shrink.held_out)
     found_regimes = regimes(search.base)
@@ -224,31 +219,33 @@ def _verdict(search: Search, group: tuple[Fit, ...]) -> Verdict:
     return "ambiguous" if len(group) > 1 else "explained"
 
 
-def _chances(logs: Mapping[tuple[str, ...], float], group: tuple[Fit, ...]) -> dict[str, float]:
+def chances_of(
+    logs: Mapping[tuple[str, ...], float], group: tuple[Fit, ...], effects: Iterable[str] = tuple(EFFECTS)
+) -> dict[str, float]:
     """Probability of every effect; of one that is held open beside the best hypothesis the mean of two readings.
 
     Either every equation may be a little wrong, or they hold exactly.
     """
-    chances, best = probabilities(logs), group[0]
+    chances, best = probabilities(logs, effects), group[0]
     larger = [f for f in group if set(f.hypothesis.ids) > set(best.hypothesis.ids)]
-    exact = probabilities({f.hypothesis.ids: exact_log_evidence(f) for f in (best, *larger)})
+    exact = probabilities({f.hypothesis.ids: exact_log_evidence(f) for f in (best, *larger)}, effects)
     added = {i for f in larger for i in f.hypothesis.ids}.difference(best.hypothesis.ids)
     return {i: 0.5 * (p + exact[i]) if i in added else p for i, p in chances.items()}
 
 
 def _causes(search: Search, named: tuple[Fit, ...], chances: dict[str, float], held_out: float) -> tuple[Cause, ...]:
-    shares = _shares(search, search.best)
+    shares = shares_of(search, search.best)
     causes = []
     for effect in EFFECTS.values():
         with_it = [f for f in named if effect.id in f.hypothesis.ids]
         found = with_it[0] if with_it else search.fits.get((effect.id,))
-        parameters = _estimates(found, effect.id) if found is not None else {}
+        parameters = estimates_of(found, effect.id) if found is not None else {}
         share = shares.get(effect.id, 0.0) * held_out
         causes.append(Cause(effect.id, effect.stage, chances[effect.id], share, parameters))
     return tuple(sorted(causes, key=lambda c: (-c.probability, -c.shrink)))
 
 
-def _shares(search: Search, best: Fit) -> dict[str, float]:
+def shares_of(search: Search, best: Fit) -> dict[str, float]:
     """Split the explained χ² among the causes: the mean of adding each one first and adding it last."""
     ids = best.hypothesis.ids
     if len(ids) < 2:
@@ -263,12 +260,13 @@ def _shares(search: Search, best: Fit) -> dict[str, float]:
     return {effect_id: value / total for effect_id, value in worth.items()}
 
 
-def _estimates(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
-    at, spread = len(BASE), np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
+    """Return value and 90 % interval of every parameter of an effect, none where the fit does not have it."""
+    spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     for effect in found.hypothesis.effects:
         if effect.id == effect_id:
-            return _named(effect, found.coordinates[at:], 1.645 * spread[at:])
-        at += len(effect.parameters)
+            at = found.hypothesis.slices[effect_id]
+            return _named(effect, found.coordinates[at], 1.645 * spread[at])
     return {}
 
 
@@ -299,7 +297,8 @@ def _places(
         places = []
         for c in named:
             place = Place(c.stage, channel, regime, c.shrink / total, f"{c.effect}; {detail}")
-            places += _held_open(place) if c.effect == ALIAS and _has_alias(search) else [place]
+            alias = _open_aliases(search.best).get(c.effect)
+            places += [place] if alias is None else _held_open(place, alias)
     at = max(places, key=lambda p: p.share).stage
     for r in found[:4]:
         where = f"{r.share:.0%} of the gap's energy in this regime, {r.lift:.1f} times its share of time"
@@ -307,16 +306,16 @@ def _places(
     return tuple(places)
 
 
-def _has_alias(search: Search) -> bool:
-    """Whether a named cause may as well sit in another stage, which no run of this case can tell."""
-    best = search.best
-    return ALIAS in best.hypothesis.ids and not best.problem.case.has_warmed_dummy
+def _open_aliases(best: Fit) -> dict[str, Alias]:
+    """What else, outside the catalogue, a named cause may be, where no run of the case tells; by cause."""
+    aliases = {i: EFFECTS[i].signs.alias for i in best.hypothesis.ids}
+    return {i: alias for i, alias in aliases.items() if alias is not None and not is_told(best.problem.case, alias)}
 
 
-def _held_open(place: Place) -> list[Place]:
+def _held_open(place: Place, alias: Alias) -> list[Place]:
     """Split the place of a cause that has an alias between the stages of both."""
-    own, other = (1.0 - ALIAS_SHARE) * place.share, ALIAS_SHARE * place.share
-    return [replace(place, share=own), replace(place, stage=ALIAS_STAGE, share=other, detail=f"or {ALIAS_DETAIL}")]
+    own, other = (1.0 - alias.share) * place.share, alias.share * place.share
+    return [replace(place, share=own), replace(place, stage=alias.stage, share=other, detail=f"or {alias.detail}")]
 
 
 def _unknown_places(search: Search, maps: tuple[Map, ...], channel: str, regime: str, detail: str) -> list[Place]:
@@ -351,10 +350,6 @@ def _next(case: Case, search: Search, group: tuple[Fit, ...], verdict: Verdict) 
         return NextExperiment(
             "long_hold", "no gap is visible here; slow creep, drift and ageing would show first in a long hold"
         )
-    if _has_alias(search):
-        return NextExperiment(
-            "dummy_resistor",
-            f"{ALIAS} may as well be {ALIAS_DETAIL}; read a dummy resistor for a minute while the electronics warm by "
-            "a few K, with temperature_C logged",
-        )
+    for effect_id, alias in _open_aliases(search.best).items():
+        return NextExperiment(alias.told_by, f"{effect_id} may as well be {alias.detail}; {alias.advice}")
     return NextExperiment("none", "the causes are separated on these runs; apply them to the twin")

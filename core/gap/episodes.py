@@ -1,19 +1,17 @@
 """Effects that a search must first place: lost samples and bad contacts in time, hum in frequency, a clipped output."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 
-from softcal.core.gap.candidates import Extent
 from softcal.core.gap.case import Mask
-from softcal.core.gap.fit import EPISODE_COST, Block, Episodes, Fit, Hypothesis, fit, start_coordinates
+from softcal.core.gap.fit import EPISODE_COST, Block, Episodes, Fit, fit, start_coordinates
 from softcal.core.gap.linear import energy
 from softcal.core.recording import Array
-from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import Effect, Flow, Memory, Parameter
-from softcal.core.twin.electronics import CLIPPED_BELOW
+from softcal.core.twin.effects import Effect, Placing
+from softcal.core.twin.probes import Extent
 from softcal.core.twin.signals import compiled
 
 LONGEST_LEAD = 20
@@ -48,42 +46,43 @@ LINE_SHARE = 0.02
 """Share of the excess of χ² that a line must take away: a gap of other causes has lines everywhere."""
 
 
-HUM_STEP_Hz = 0.05
-"""Scale on which the fit moves the frequency: a few hundredths of a hertz turn the phase once in a run."""
-
-PHASE_WEIGHT = 0.5
-"""What the phase of one run counts as: it is known to a fifth of a period at least, far less than ln n tells apart."""
-
-
 SKEW_STEPS = 8
 """Skews tried on either side before losses are placed, each half a sample more by the end of the longest run."""
 
 Place: TypeAlias = Callable[[Fit, str], tuple[list[Array], float]]
 """Find the rows of an episodic effect in every run, and its size."""
 
-
-def with_lost_samples(found: Fit) -> Fit | None:
-    """Add `dropped_samples` where it explains anything: place the losses, fit, place again."""
-    return _placed(_with_clock_to_place_by(found), "dropped_samples", _lost_samples)
+Placer: TypeAlias = Callable[[Fit, Effect, Extent], Fit | None]
+"""Add an effect to a fit where it explains anything, once what must be found of it was found."""
 
 
-def _with_clock_to_place_by(found: Fit) -> Fit:
+def with_losses(found: Fit, effect: Effect, _: Extent) -> Fit | None:
+    """Add an effect that loses samples: place the losses, fit, place again."""
+    return _placed(_with_clock_to_place_by(found, effect), effect, _lost_samples)
+
+
+def _clocks(found: Fit, kind: str) -> list[str]:
+    """Return the causes of a fit that move the instants of the output in this way."""
+    return [e.id for e in found.hypothesis.effects if e.signs.clock == kind]
+
+
+def _with_clock_to_place_by(found: Fit, effect: Effect) -> Fit:
     """Return the fit with the skew of its clock at which placed losses leave least.
 
     A skew that was fitted through losses is wrong between them, and steps of one sample stand in for the rest of it.
     """
-    if "clock_skew" not in found.hypothesis.ids:
+    rates = _clocks(found, "rate")
+    if not rates:
         return found
-    at, problem = found.hypothesis.place_of("clock_skew"), found.problem
+    at, problem = found.hypothesis.place_of(rates[0]), found.problem
     samples = max(len(run) for run in problem.case.presses)
     best, least = found, np.inf
     for skew in np.arange(-SKEW_STEPS, SKEW_STEPS + 1) * 0.5 / samples:
         coordinates = found.coordinates.copy()
         coordinates[at] = skew
         start = replace(found, coordinates=coordinates, predicted=problem.predict(found.hypothesis, coordinates))
-        rows, _ = _lost_samples(start, "dropped_samples")
-        hypothesis = Hypothesis(found.hypothesis.effects, _merged(found, "dropped_samples", rows))
-        placed = hypothesis.adding(EFFECTS["dropped_samples"])
+        rows, _ = _lost_samples(start, effect.id)
+        placed = found.hypothesis.adding(effect, _merged(found, effect.id, rows))
         predicted = problem.predict(placed, np.append(coordinates, 0.0))
         left = energy((problem.measured - predicted) * problem.weights)
         cost = left + EPISODE_COST * float(np.log(problem.count)) * placed.episode_count
@@ -92,20 +91,19 @@ def _with_clock_to_place_by(found: Fit) -> Fit:
     return best
 
 
-def with_bad_contacts(found: Fit) -> Fit | None:
-    """Add `intermittent_contact` where it explains anything: place the intervals, fit, place again."""
-    return _placed(found, "intermittent_contact", _bad_contacts)
+def with_intervals(found: Fit, effect: Effect, _: Extent) -> Fit | None:
+    """Add an effect that acts in a few intervals: place the intervals, fit, place again."""
+    return _placed(found, effect, _bad_contacts)
 
 
-def _placed(found: Fit, effect_id: str, place: Place) -> Fit | None:
-    effect = EFFECTS[effect_id]
+def _placed(found: Fit, effect: Effect, place: Place) -> Fit | None:
     best: Fit | None = None
     current = found
     for _ in range(PLACEMENTS):
-        rows, size = place(current, effect_id)
+        rows, size = place(current, effect.id)
         if not any(len(r) for r in rows):
             break
-        episodes = _merged(found, effect_id, rows)
+        episodes = _merged(found, effect.id, rows)
         hypothesis = found.hypothesis.adding(effect, episodes)
         kept = current.coordinates[: len(found.coordinates)]
         grown = fit(found.problem, hypothesis, np.concatenate([kept, start_coordinates([effect], [[size]])]))
@@ -121,19 +119,25 @@ def _placed(found: Fit, effect_id: str, place: Place) -> Fit | None:
 def placed_again(found: Fit) -> Fit:
     """Place the episodes of a hypothesis once more: what was added since may have blurred their places."""
     best = found
-    for effect_id, place in (("dropped_samples", _lost_samples), ("intermittent_contact", _bad_contacts)):
-        if effect_id not in best.hypothesis.ids:
-            continue
+    episodic = sorted((e for e in found.hypothesis.effects if e.is_episodic), key=lambda e: list(ROWS).index(_how(e)))
+    for effect in episodic:
         for _ in range(PLACEMENTS):
-            rows, _ = place(best, effect_id)
+            rows, _ = ROWS[_how(effect)](best, effect.id)
             if not any(len(r) for r in rows):
                 break
-            hypothesis = Hypothesis(best.hypothesis.effects, _merged(best, effect_id, rows))
+            hypothesis = replace(best.hypothesis, episodes=_merged(best, effect.id, rows))
             again = fit(best.problem, hypothesis, best.coordinates)
             if again.bic > best.bic - 1.0:
                 break
             best = again
     return best
+
+
+def _how(effect: Effect) -> Placing:
+    how = effect.signs.placing
+    if how is None or how not in ROWS:
+        raise ValueError(f"{effect.id} is episodic, but says not how its episodes are placed")
+    return how
 
 
 def _merged(found: Fit, effect_id: str, rows: list[Array]) -> Episodes:
@@ -153,15 +157,12 @@ def _robust_noise(found: Fit, blocks: list[Block]) -> float:
 def _lost_samples(found: Fit, effect_id: str) -> tuple[list[Array], float]:
     case = found.problem.case
     rows: list[Array] = [np.empty((0, 2)) for _ in case.runs]
-    plain = Hypothesis(
-        found.hypothesis.effects,
-        tuple({**found.hypothesis.episodes_of(k), effect_id: np.empty((0, 2))} for k in range(len(case.runs))),
-    )
+    plain = replace(found.hypothesis, episodes=_merged(found, effect_id, rows))
     closed = found.problem.predict(plain, found.coordinates)
     blocks = [b for b in _output_blocks(found) if case.runs[b.run].kind == "press"]
     level = _robust_noise(found, blocks)
     # A delay that was fitted through the losses lies in their middle: the first samples then stand before it.
-    lead = LONGEST_LEAD if "clock_offset" in found.hypothesis.ids else 0
+    lead = LONGEST_LEAD if _clocks(found, "delay") else 0
     for block in blocks:
         measured = found.problem.measured[block.place]
         noise = found.problem.noise[block.place] * level
@@ -278,8 +279,8 @@ def _intervals(t_s: Array, path: Mask) -> Array:
     return np.column_stack([end_s[edges[0::2]], end_s[edges[1::2]]]).reshape(-1, 2)
 
 
-def with_hum(found: Fit) -> Fit | None:
-    """Add `mains_hum`: the strongest line near an alias of 50 or 60 Hz, its phase free in every run."""
+def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
+    """Add an effect that is a line of the output: the strongest near an alias of the mains, its phase free by run."""
     case, problem = found.problem.case, found.problem
     blocks = _output_blocks(found)
     longest_s = max(float(case.runs[b.run].elapsed_s[-1]) for b in blocks)
@@ -296,7 +297,7 @@ def with_hum(found: Fit) -> Fit | None:
     gain = 2 * power[at] / problem.sigma["output_V"] ** 2
     if gain < max(LINE_GAIN, LINE_SHARE * (found.chi2 - problem.count)):
         return None
-    effect = hum_effect(len(case.runs))
+    effect = effect if effect.of_runs is None else effect.of_runs(len(case.runs))
     values = [float(np.sqrt(2 * power[at] / sum(b.place.stop - b.place.start for b in blocks))), float(grid[at])]
     # Re(S) = A/2·n·sin φ and Im(S) = −A/2·n·cos φ of a run's sum over A·sin(ωt + φ).
     phases = {k: float(np.arctan2(sums[k][at].real, -sums[k][at].imag)) for k in sums}
@@ -311,7 +312,9 @@ def _taken_s(found: Fit, run: int) -> Array:
     """(n,) when the samples of the output were taken: later than their place says by those lost before."""
     recorded = found.problem.case.runs[run]
     taken_s = recorded.elapsed_s.copy()
-    for lost_at_s, count in found.hypothesis.episodes_of(run).get("dropped_samples", ()):
+    episodes = found.hypothesis.episodes_of(run)
+    losses = [e.id for e in found.hypothesis.effects if e.signs.placing == Placing.LOSSES]
+    for lost_at_s, count in (row for effect_id in losses for row in episodes.get(effect_id, ())):
         taken_s += count / recorded.readout.sample_rate_Hz * (recorded.elapsed_s >= lost_at_s)
     return taken_s
 
@@ -326,24 +329,9 @@ def _alias_grid(rate_Hz: float, longest_s: float) -> Array:
     return grid[(grid > max(SLOWEST_HUM_Hz, 0.5 / longest_s)) & (grid < rate_Hz / 2)]
 
 
-def hum_effect(runs: int) -> Effect:
-    """Return `mains_hum` with a phase per run: where in the mains' period a run begins is no property of the rig."""
-    size, frequency, _ = EFFECTS["mains_hum"].parameters
-    frequency = replace(frequency, usual=HUM_STEP_Hz)
-    phases = [Parameter(f"phi{k}", "rad", -20.0, 20.0, 1.0, weight=PHASE_WEIGHT) for k in range(runs)]
-    return replace(EFFECTS["mains_hum"], parameters=(size, frequency, *phases), step=_hum)
-
-
-def _hum(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.output_V = flow.output_V + values[0] * np.sin(2 * np.pi * values[1] * flow.t_s + values[2 + flow.run])
-
-
-def with_clipping(found: Fit, extent: Extent, side: int = 1) -> Fit | None:
-    """Add `adc_saturation`: fit the rest without the flat tops first, then set the level at the tops.
-
-    Args:
-        side: 1 for a ceiling, −1 for a floor.
-    """
+def with_level(found: Fit, effect: Effect, extent: Extent) -> Fit | None:
+    """Add an effect that clips the output: fit the rest without the flat tops first, then set the level there."""
+    side = 1 if effect.signs.placing == Placing.CEILING else -1
     problem = found.problem
     blocks = [b for b in _output_blocks(found) if problem.case.runs[b.run].kind == "press"]
     if not blocks:
@@ -366,6 +354,18 @@ def with_clipping(found: Fit, extent: Extent, side: int = 1) -> Fit | None:
     if np.count_nonzero(excess > 3) < FLAT_SAMPLES:
         return None
     level_V = float(np.median(problem.measured[over]))
-    effect = EFFECTS["adc_saturation"] if side > 0 else CLIPPED_BELOW
     start = np.concatenate([rest.coordinates, start_coordinates([effect], [[level_V]])])
     return fit(problem, found.hypothesis.adding(effect), start)
+
+
+ROWS: Mapping[Placing, Place] = {Placing.LOSSES: _lost_samples, Placing.INTERVALS: _bad_contacts}
+"""How the rows of an episodic effect are found."""
+
+PLACERS: Mapping[Placing, Placer] = {
+    Placing.LOSSES: with_losses,
+    Placing.INTERVALS: with_intervals,
+    Placing.LINE: with_line,
+    Placing.CEILING: with_level,
+    Placing.FLOOR: with_level,
+}
+"""How an effect that must be placed first is added to a fit."""

@@ -6,7 +6,6 @@ from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit, start_coordinates
 from softcal.core.gap.forms import FORMS
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Effect
-from softcal.core.twin.electronics import CLIPPED_BELOW
 from softcal.core.twin.simulate import EffectSetting, Twin
 
 
@@ -55,6 +54,6 @@ def _settings(found: Fit) -> list[EffectSetting]:
             continue
         given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
         # What belongs to a recording alone, as the phase of a hum in each run, is no parameter of the twin.
-        known = {p.name for p in (effect if effect is CLIPPED_BELOW else EFFECTS[effect.id]).parameters}
+        known = {p.name for p in EFFECTS[effect.id].side_with([effect.parameters[0].name]).parameters}
         out.append(EffectSetting(effect.id, {k: v for k, v in given.items() if k in known and np.isfinite(v)}))
     return out

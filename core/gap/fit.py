@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from softcal.core.gap.case import Case, Run
+from softcal.core.gap.case import Case, Mask, Run
 from softcal.core.gap.forward import predict
 from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.gap.rounding import dither_V, mean_code_V
@@ -88,32 +88,41 @@ class Hypothesis:
         """How many episodes were placed."""
         return sum(len(rows) for run in self.episodes for rows in run.values())
 
+    @property
+    def of_base(self) -> slice:
+        """Where the base parameters stand in the vector of parameters."""
+        return slice(0, len(BASE))
+
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """Where the parameters of every effect stand in the vector of parameters, the size first, by identifier."""
+        ends = np.cumsum([self.of_base.stop, *(len(effect.parameters) for effect in self.effects)])
+        return {e.id: slice(int(ends[k]), int(ends[k + 1])) for k, e in enumerate(self.effects)}
+
     def split(self, coordinates: Array) -> tuple[BaseParameters, list[list[float]]]:
         """Return base parameters and the values of every effect at these coordinates of the fit."""
         values = [from_fit(p, float(x)) for p, x in zip(self.parameters, coordinates, strict=True)]
-        rows, at = [], len(BASE)
-        for effect in self.effects:
-            rows.append(values[at : at + len(effect.parameters)])
-            at += len(effect.parameters)
-        return BaseParameters(*values[: len(BASE)]), rows
+        return BaseParameters(*values[self.of_base]), [values[place] for place in self.slices.values()]
 
     def place_of(self, effect_id: str) -> int:
         """Return where the size of an effect stands among the coordinates."""
-        at = len(BASE)
-        for effect in self.effects:
-            if effect.id == effect_id:
-                return at
-            at += len(effect.parameters)
-        raise ValueError(f"{effect_id} is not in this hypothesis")
+        return int(self.slices[effect_id].start)
+
+    def without(self, effect_id: str) -> tuple["Hypothesis", Mask]:
+        """Return this hypothesis without one effect, and which of its coordinates are left: (parameters,) of bool."""
+        left = np.ones(len(self.parameters), dtype=np.bool_)
+        if effect_id in self.slices:
+            left[self.slices[effect_id]] = False
+        return replace(self, effects=tuple(e for e in self.effects if e.id != effect_id)), left
 
     def without_episodes(self) -> "Hypothesis":
         """Return the same effects on a run whose episodes nobody knows."""
-        return Hypothesis(self.effects)
+        return replace(self, episodes=())
 
     def adding(self, effect: Effect, episodes: Episodes | None = None) -> "Hypothesis":
         """Return this hypothesis with one effect more, or with another realisation of one it has."""
         kept = tuple(e for e in self.effects if e.id != effect.id)
-        return Hypothesis((*kept, effect), self.episodes if episodes is None else episodes)
+        return replace(self, effects=(*kept, effect), episodes=self.episodes if episodes is None else episodes)
 
 
 @dataclass(frozen=True)
@@ -145,7 +154,7 @@ class Problem:
     def blocks(self) -> tuple[Block, ...]:
         blocks, at = [], 0
         for k, run in enumerate(self.case.runs):
-            for channel in predicted_channels(run):
+            for channel in self.channels_of_runs[k]:
                 blocks.append(Block(k, channel, slice(at, at + len(run))))
                 at += len(run)
         return tuple(blocks)
@@ -153,7 +162,25 @@ class Problem:
     @cached_property
     def measured(self) -> Array:
         """(samples,) all channels of all runs, block by block."""
-        return np.concatenate([getattr(self.case.runs[b.run], b.channel) for b in self.blocks])
+        return np.concatenate([self.recorded(b.run, b.channel) for b in self.blocks])
+
+    @cached_property
+    def channels_of_runs(self) -> list[tuple[str, ...]]:
+        """Per run, the recorded channels that are predicted."""
+        return [predicted_channels(run) for run in self.case.runs]
+
+    def recorded(self, run: int, channel: str) -> Array:
+        """Return a recorded channel of a run, (n,)."""
+        return np.asarray(getattr(self.case.runs[run], channel))
+
+    @property
+    def scored_channels(self) -> list[str]:
+        """Channels whose gap is measured; where the stage stands on a rigid block is none."""
+        return [c for c in ("output_V", "force_N") if any(b.channel == c for b in self.blocks)]
+
+    def of_run(self, run: Run) -> "Problem":
+        """Return the problem of a run that is not recorded yet, under the same noise."""
+        return Problem(Case(self.case.serial, (run,), is_planned=True), self.sigma)
 
     @cached_property
     def noise(self) -> Array:
@@ -339,7 +366,9 @@ class _Space:
             if p.scale == "inverse_square":
                 self.low[k] = 0.0
         self.scale = np.array([fit_scale(p) for p in hypothesis.parameters])
-        self.is_free = np.concatenate([problem.is_free, np.ones(len(self.low) - len(BASE), dtype=np.bool_)])
+        self.is_free = np.concatenate(
+            [problem.is_free, np.ones(len(self.low) - hypothesis.of_base.stop, dtype=np.bool_)]
+        )
 
     def jacobian(self, x: Array, predicted: Array) -> Array:
         """(parameters, samples) derivative of the weighted prediction, one-sided, away from a bound."""

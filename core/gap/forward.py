@@ -83,7 +83,7 @@ def _from_force(run: Run, flow: Flow, base: BaseParameters, chain: Chain, values
 
 
 def _rigid_block(run: Run, flow: Flow, chain: Chain, values: Values) -> Prediction:
-    """A rigid block gives way only where the frame does: u − backlash = const + c_f·F while it is touched."""
+    """A rigid block gives way only where the frame does: u − play = const + c_f·F while it is touched."""
     force_N = np.asarray(run.force_N)
     flow.pad_mm = flow.stage_mm
     memories = chain.fresh_memories()

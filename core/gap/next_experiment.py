@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal.core import profiles
 from softcal.core.gap.case import Case, Run
-from softcal.core.gap.fit import Fit, Problem, fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.profiles import Profile
 
@@ -90,9 +90,14 @@ def propose(case: Case, rivals: Sequence[Fit], depth_mm: float, force_N: float) 
     """
     if len(rivals) < 2:
         return None
+    return most_telling(menu(case, depth_mm, force_N), rivals)
+
+
+def most_telling(entries: Sequence[Experiment], rivals: Sequence[Fit]) -> NextExperiment:
+    """Return the entry that tells most rivals from the first, and does so best per minute."""
     first, others = rivals[0], rivals[1:]
     found: list[tuple[int, float, float, Experiment]] = []
-    for experiment in menu(case, depth_mm, force_N):
+    for experiment in entries:
         parted = [d for d in (_apart(first, other, experiment.run) for other in others) if d >= ENOUGH_SIGMA]
         least = min(parted, default=0.0)
         found.append((len(parted), min(least, 10 * ENOUGH_SIGMA) / experiment.minutes, least, experiment))
@@ -106,12 +111,8 @@ def propose(case: Case, rivals: Sequence[Fit], depth_mm: float, force_N: float) 
 
 
 def _sensor(rivals: Sequence[Fit]) -> str:
-    ids = {i for f in rivals for i in f.hypothesis.ids}
-    if ids & {"thermal_drift", "ageing_drift", "reference_drift"}:
-        return "log the temperature of the sensor and the reference voltage"
-    if ids & {"backlash", "frame_compliance", "misaligned_contact", "contact_shift"}:
-        return "measure the position of the platen itself"
-    return "a second load cell or a four-wire measurement of the channel would"
+    remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.hypothesis.effects if e.signs.remedy)
+    return "; ".join(remedies) or "a second load cell or a four-wire measurement of the channel would"
 
 
 def _apart(one: Fit, other: Fit, run: Run) -> float:
@@ -126,7 +127,7 @@ def _apart(one: Fit, other: Fit, run: Run) -> float:
 
 def _distance(mine: Fit, other: Fit, run: Run) -> float:
     """Return how far `other` stays from `mine` on a new run after `mine` was refitted to the old runs and this one."""
-    problem = Problem(Case(mine.problem.case.serial, (run,), is_planned=True), mine.problem.sigma)
+    problem = mine.problem.of_run(run)
     hypothesis = mine.hypothesis.without_episodes()
     theirs = problem.predict(other.hypothesis.without_episodes(), other.coordinates) / problem.noise
     own = problem.predict(hypothesis, mine.coordinates) / problem.noise

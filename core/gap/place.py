@@ -13,7 +13,7 @@ from softcal.core.gap.case import Mask, Run
 from softcal.core.gap.fit import Block, Fit
 from softcal.core.gap.residual import Map, suspects
 from softcal.core.recording import Array
-from softcal.core.twin.effects import ChainStage
+from softcal.core.twin.effects import ChainStage, Placing
 
 UNEVEN_Z = 8.0
 UNEVEN_RATIO = 1.25
@@ -79,7 +79,7 @@ def _is_clipped(found: Fit, block: Block) -> Mask:
     output_V, near_V = found.predicted[block.place], CLIPPED_SIGMA * found.problem.sigma["output_V"]
     out = np.zeros(len(output_V), dtype=np.bool_)
     for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
-        if effect.id == "adc_saturation":
+        if effect.signs.placing in (Placing.CEILING, Placing.FLOOR):
             out |= np.abs(output_V - values[0]) < near_V
     return out
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.gap.fit import BASE, DRIVEN_COST, EPISODE_COST, Fit, fit_scale
+from softcal.core.gap.fit import DRIVEN_COST, EPISODE_COST, Fit, fit_scale
 from softcal.core.gap.residual import structure
 from softcal.core.twin.catalogue import EFFECTS
 
@@ -88,14 +88,13 @@ def penalty(found: Fit) -> float:
 
 def _spared(found: Fit) -> float:
     """Return what the sizes pay less than Schwarz's ln n: −2·ln of the posterior's share of the prior (Laplace)."""
-    spared, at = 0.0, len(BASE)
-    most = float(np.log(found.problem.count))
+    spared, most = 0.0, float(np.log(found.problem.count))
     for effect in found.hypothesis.effects:
+        at = found.hypothesis.place_of(effect.id)
         size, variance = effect.parameters[0], float(found.covariance[at, at])
         if variance > 0.0 and not effect.is_episodic:
             width = USUAL_RANGE * fit_scale(size) / np.sqrt(2.0 * np.pi * variance)
             spared += size.weight * max(0.0, most - 2.0 * float(np.log(max(width, 1.0))))
-        at += len(effect.parameters)
     return spared
 
 
@@ -116,8 +115,8 @@ def log_evidences(fits: Fits) -> dict[tuple[str, ...], float]:
     return {ids: yardstick.log_evidence(found) for ids, found in fits.items()}
 
 
-def probabilities(logs: Mapping[tuple[str, ...], float]) -> dict[str, float]:
-    """Return for every effect of the catalogue the probability that it is present.
+def probabilities(logs: Mapping[tuple[str, ...], float], effects: Iterable[str] = tuple(EFFECTS)) -> dict[str, float]:
+    """Return for every effect, of the catalogue where nothing else is said, the probability that it is present.
 
     Effects that were screened away have no hypothesis of their own and get 0; the numbers need not sum to 1.
 
@@ -127,4 +126,4 @@ def probabilities(logs: Mapping[tuple[str, ...], float]) -> dict[str, float]:
     top = max(logs.values())
     weights = {ids: float(np.exp(value - top)) for ids, value in logs.items()}
     total = sum(weights.values())
-    return {e: sum(w for ids, w in weights.items() if e in ids) / total for e in EFFECTS}
+    return {e: sum(w for ids, w in weights.items() if e in ids) / total for e in effects}

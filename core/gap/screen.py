@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.gap.candidates import Probe
-from softcal.core.gap.fit import BASE, Fit, start_coordinates
+from softcal.core.gap.fit import Fit, start_coordinates
 from softcal.core.gap.linear import combine, dots, energy, gram
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
@@ -31,14 +31,9 @@ class Lead:
 
     def start(self, found: Fit) -> Array:
         """Return the coordinates at which a fit of the larger hypothesis should begin."""
-        kept = _without(found, self.effect.id, found.coordinates + self.shift)
+        _, left = found.hypothesis.without(self.effect.id)
+        kept = (found.coordinates + self.shift)[left]
         return np.concatenate([kept, start_coordinates([self.effect], [self.values])])
-
-
-def _without(found: Fit, effect_id: str, coordinates: Array) -> Array:
-    keep = [np.ones(len(BASE), dtype=np.bool_)]
-    keep += [np.full(len(e.parameters), e.id != effect_id) for e in found.hypothesis.effects]
-    return np.asarray(coordinates[np.concatenate(keep)])
 
 
 def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
@@ -85,7 +80,7 @@ class Tangent:
         normal = gram(jacobian)
         scale = np.sqrt(np.diag(normal))
         if base_only:
-            scale[len(BASE) :] = 0.0
+            scale[found.hypothesis.of_base.stop :] = 0.0
         self._rows = np.flatnonzero(scale > 0)
         scale = scale[self._rows]
         strength, axes = np.linalg.eigh(normal[np.ix_(self._rows, self._rows)] / np.outer(scale, scale))
@@ -130,7 +125,8 @@ def stretched(probe: Probe, times: float) -> tuple[float, ...]:
     first = probe.effect.parameters[0]
     if first.scale == "inverse_square":
         size = probe.values[0] / max(times, 1e-3) ** 0.5
-    elif probe.effect.id == "adc_saturation":
+    elif first.neutral == np.inf:
+        # A level does not scale with what it cuts off.
         size = probe.values[0]
     else:
         size = probe.values[0] * times

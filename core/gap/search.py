@@ -1,21 +1,23 @@
 """Which hypotheses are fitted: forward from the base, a few of the best at every size, each by full joint fits."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from softcal.core.gap.candidates import Extent, probes, visible_effects
+from softcal.core.gap.candidates import Probe, extent_of, probes, visible_effects
 from softcal.core.gap.case import Case
-from softcal.core.gap.episodes import placed_again, with_bad_contacts, with_clipping, with_hum, with_lost_samples
-from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit, start_coordinates
-from softcal.core.gap.forms import FORMS, Form
+from softcal.core.gap.episodes import PLACERS, placed_again
+from softcal.core.gap.fit import Fit, fit, start_coordinates
+from softcal.core.gap.forms import FORMS
 from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import hiding, screen
 from softcal.core.gap.start import base_fit, noise_levels, rough_start, with_driving_noise
 from softcal.core.gap.strangers import stranger
-from softcal.core.twin.catalogue import EFFECTS
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Form, Placing
+from softcal.core.twin.probes import Extent
 
 Progress = Callable[[str], None]
 
@@ -59,15 +61,26 @@ class Search:
     """All hypotheses fitted to one case, under one noise level."""
 
     def __init__(self, case: Case, config: SearchConfig | None = None, progress: Progress | None = None) -> None:
-        self._config = config or SearchConfig()
-        self._say = progress or (lambda _: None)
-        self._say("fitting the base twin to all runs")
-        self.base = base_fit(case)
-        self._extent = _extent(self.base)
-        self._probes = probes(case, self._extent)
-        self._visible = set(visible_effects(case))
-        self.fits: dict[tuple[str, ...], Fit] = {(): self.base}
-        self.best = self.base
+        say = progress or (lambda _: None)
+        say("fitting the base twin to all runs")
+        base = base_fit(case)
+        extent = _extent(base)
+        to_place = [e for e in visible_effects(case) if e.signs.placing is not None]
+        self._begin(base, probes(case, extent), to_place, extent, config or SearchConfig(), say)
+
+    def _begin(
+        self,
+        base: Fit,
+        candidates: Sequence[Probe],
+        to_place: Sequence[Effect],
+        extent: Extent,
+        config: SearchConfig,
+        say: Progress,
+    ) -> None:
+        self._config, self._say = config, say
+        self._extent, self._probes, self._to_place = extent, candidates, to_place
+        self.base = self.best = base
+        self.fits: dict[tuple[str, ...], Fit] = {(): base}
         self.stranger: Fit | None = None
 
     def run(self) -> None:
@@ -99,13 +112,16 @@ class Search:
         likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
         ids = self._leader.hypothesis.ids
         likely += [self.fits[part] for k in range(len(ids)) if (part := ids[:k] + ids[k + 1 :]) in self.fits]
-        first = rough_start(self.base.problem.case)
+        first = self._rough_start()
         for _ in range(2):
             for found in likely:
-                start = np.append(first, found.coordinates[len(BASE) :])
+                start = np.append(first, found.coordinates[found.hypothesis.of_base.stop :])
                 self.keep(fit(found.problem, found.hypothesis, start, steps=40))
-            first = self._leader.coordinates[: len(BASE)]
+            first = self._leader.coordinates[self._leader.hypothesis.of_base]
         self._settle_noise(self._leader)
+
+    def _rough_start(self) -> Array:
+        return rough_start(self.base.problem.case)
 
     def _place_again(self) -> None:
         """Place episodes of the best hypotheses anew, with all their causes in."""
@@ -116,12 +132,12 @@ class Search:
     def _share_places(self) -> None:
         """Give smaller hypotheses the places of episodes that the closest one has found: places are no cause."""
         donor = min(self.fits.values(), key=lambda f: f.chi2)
-        placed = {i for i in donor.hypothesis.ids if EFFECTS[i].is_episodic}
+        placed = {e.id for e in donor.hypothesis.effects if e.is_episodic}
         if not donor.hypothesis.episode_count:
             return
         for ids, found in list(self.fits.items()):
             if set(ids) < set(donor.hypothesis.ids) and placed <= set(ids):
-                hypothesis = Hypothesis(found.hypothesis.effects, donor.hypothesis.episodes)
+                hypothesis = replace(found.hypothesis, episodes=donor.hypothesis.episodes)
                 self.keep(fit(found.problem, hypothesis, found.coordinates))
 
     def _conclude(self) -> None:
@@ -245,8 +261,9 @@ class Search:
         rows = [list(values) for values in found.effect_values]
         kept = [e for e in found.hypothesis.effects if e.id != form.effect.id]
         start = start_coordinates([*kept, form.effect], [*rows[:at], *rows[at + 1 :], form.start(rows[at])])
-        hypothesis = Hypothesis((*kept, form.effect), found.hypothesis.episodes)
-        return fit(found.problem, hypothesis, np.concatenate([found.coordinates[: len(BASE)], start]), steps=30)
+        hypothesis = replace(found.hypothesis, effects=(*kept, form.effect))
+        base = found.coordinates[hypothesis.of_base]
+        return fit(found.problem, hypothesis, np.concatenate([base, start]), steps=30)
 
     def _is_wanting(self, found: Fit) -> bool:
         """Whether any further effect promises enough, or must be placed to know."""
@@ -280,18 +297,15 @@ class Search:
         return children
 
     def _placed(self, parent: Fit) -> list[Fit]:
-        found: list[Fit | None] = []
-        missing = self._visible - set(parent.hypothesis.ids)
-        if "dropped_samples" in missing:
-            found.append(with_lost_samples(parent))
-        if "intermittent_contact" in missing:
-            steps = with_bad_contacts(parent)
-            found.append(steps if steps is not None and self._is_worth_patching(parent, steps) else None)
-        if "mains_hum" in missing:
-            found.append(with_hum(parent))
-        if "adc_saturation" in missing:
-            found += [with_clipping(parent, self._extent, side) for side in (1, -1)]
-        return [f for f in found if f is not None]
+        """Return the parent with each effect that must be placed first, where placing it leads anywhere."""
+        missing = [e for e in self._to_place if e.id not in parent.hypothesis.ids]
+        every = [(side, _placing(side)) for e in missing for side in (e, *e.sides)]
+        found = [(placing, PLACERS[placing](parent, side, self._extent)) for side, placing in every]
+        return [
+            child
+            for placing, child in found
+            if child is not None and (placing != Placing.INTERVALS or self._is_worth_patching(parent, child))
+        ]
 
     def _settle_noise(self, best: Fit) -> None:
         """Score all hypotheses under the noise that the best one leaves, so that their χ² can be compared."""
@@ -306,4 +320,10 @@ def _extent(base: Fit) -> Extent:
     depth_mm = max(depths) - base.base.u0_mm if depths else 1.0
     forces = [float(run.force_N.max()) for run in case.presses if run.force_N is not None]
     force_N = max(forces) if forces else base.base.k1_N_mm * depth_mm + base.base.k3_N_mm3 * depth_mm**3
-    return Extent.of(case, depth_mm, force_N)
+    return extent_of(case, depth_mm, force_N)
+
+
+def _placing(effect: Effect) -> Placing:
+    if effect.signs.placing is None:
+        raise ValueError(f"{effect.id} ({effect.parameters[0].name}) has a side that is placed and must be placed too")
+    return effect.signs.placing

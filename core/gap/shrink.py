@@ -14,9 +14,6 @@ HELD_PARTS = 4
 BLOCK_s = 0.6
 """Length of the stretches that are held back inside a run where whole runs cannot be."""
 
-PER_RUN = ("dropped_samples", "intermittent_contact", "mains_hum")
-"""Effects with values of their own in every run: another run cannot foretell them."""
-
 
 @dataclass(frozen=True)
 class ChannelGap:
@@ -72,7 +69,8 @@ def quantify(base: Fit, best: Fit) -> Quantified:
 
 def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Mask], str]:
     presses = [k for k, run in enumerate(problem.case.runs) if run.kind == "press"]
-    if len(presses) > 1 and not any(e in PER_RUN for e in hypothesis.ids):
+    # What belongs to one run cannot be foretold by another.
+    if len(presses) > 1 and not any(effect.belongs_to_run for effect in hypothesis.effects):
         return [_of_run(problem, k) for k in presses], "one run after the other held back"
     return [_of_stretches(problem, part) for part in range(HELD_PARTS)], "stretches of every run held back"
 
@@ -101,7 +99,7 @@ def _refit(base: Fit, best: Fit, unseen: Mask) -> _Fold:
 
 
 def _channels(problem: Problem) -> list[str]:
-    return [c for c in ("output_V", "force_N") if any(b.channel == c for b in problem.blocks)]
+    return problem.scored_channels
 
 
 def _pooled(folds: list[_Fold], problem: Problem, channel: str, errors: list[Array]) -> float:

@@ -93,7 +93,7 @@ STRANGERS = (
 """Generic departures; the identifier is the description."""
 
 WARM_DIVIDER = _stranger(f"a divider resistor that {WARM}", "electronics", Hook.REFERENCE, _divider, "1/K", 1e-3)
-"""Looks like `thermal_drift` with the sign reversed as long as the channel itself is read."""
+"""Looks like a channel that follows the temperature, sign reversed, as long as the channel itself is read."""
 
 
 def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | None:

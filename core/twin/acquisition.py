@@ -9,7 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Placing, Signs
+from softcal.core.twin.forms import plus
+from softcal.core.twin.probes import Sizes
 
 
 def _read_at(flow: Flow, wanted_s: Array, state: Memory) -> None:
@@ -47,6 +49,11 @@ def _dropped_samples(flow: Flow, _: Sequence[float], state: Memory) -> None:
     _read_at(flow, wanted_s, state)
 
 
+def _skew_curve(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    wanted_s = flow.t_s * (1.0 + v[0] + v[1] * flow.t_s)
+    flow.output_V = np.interp(wanted_s, flow.t_s, flow.output_V)
+
+
 EFFECTS = (
     Effect(
         id="clock_offset",
@@ -56,6 +63,12 @@ EFFECTS = (
         source="latency of a serial link; 1–50 ms over USB",
         parameters=(Parameter("delta", "s", -2.0, 2.0, 0.04, neutral=0.0),),
         step=_clock_offset,
+        signs=Signs(
+            probes=Sizes((0.5, -0.5), "period_s"),
+            clock="delay",
+            hides_behind=("channel_creep", "readout_lag"),
+            shown_by=("rate_sweep", "fast_ramps"),
+        ),
     ),
     Effect(
         id="clock_skew",
@@ -65,7 +78,13 @@ EFFECTS = (
         source="10–100 ppm for a crystal, up to 1 % for an RC clock",
         parameters=(Parameter("epsilon", "", -0.03, 0.03, 0.001, neutral=0.0),),
         step=_clock_skew,
-    ),
+        signs=Signs(
+            probes=Sizes((2.0,), "period_per_duration"),
+            clock="rate",
+            hides_behind=("dropped_samples", "clock_offset"),
+            shown_by=("fast_ramps",),
+        ),
+    ).with_forms(plus(_skew_curve, "bending clock", (Parameter("bend", "1/s", -1e-3, 1e-3, 1e-5), 0.0))),
     Effect(
         id="dropped_samples",
         stage="acquisition",
@@ -75,5 +94,10 @@ EFFECTS = (
         parameters=(Parameter("count", "", 0.0, 1000.0, 5.0, neutral=0.0),),
         step=_dropped_samples,
         is_episodic=True,
+        signs=Signs(
+            placing=Placing.LOSSES,
+            hides_behind=("clock_skew",),
+            shown_by=("fast_ramps",),
+        ),
     ),
 )

@@ -1,4 +1,4 @@
-"""The one list of effects a diagnosis can blame, in the order of the signal chain."""
+"""The one list of effects a diagnosis can blame: softcal's own in the order of the signal chain, then plug-ins."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -6,14 +6,19 @@ from types import MappingProxyType
 from softcal.core.errors import InputError
 from softcal.core.twin import acquisition, electronics, load_cell, mechanics, motion, transduction
 from softcal.core.twin.effects import Effect
+from softcal.core.twin.plugins import installed_effects, with_plugins
 
-EFFECTS: Mapping[str, Effect] = MappingProxyType(
+OWN_EFFECTS: Mapping[str, Effect] = MappingProxyType(
     {
         effect.id: effect
         for module in (motion, mechanics, transduction, electronics, load_cell, acquisition)
         for effect in module.EFFECTS
     }
 )
+"""The effects of the written catalogue, by identifier."""
+
+EFFECTS: Mapping[str, Effect] = MappingProxyType(with_plugins(OWN_EFFECTS, installed_effects()))
+"""Every effect that a diagnosis can name, by identifier."""
 
 
 def effect(effect_id: str) -> Effect:

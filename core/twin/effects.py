@@ -1,14 +1,15 @@
-"""What an effect of the twin is: where it stands in the chain, its equation, its parameters, its step."""
+"""What an effect of the twin is: its place in the chain, its equation and parameters, and how it shows."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from enum import IntEnum
+from dataclasses import dataclass, field, replace
+from enum import Enum, IntEnum
 from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.recording import Array
+from softcal.core.twin.probes import Extent, Probes
 
 ChainStage = Literal["motion", "mechanics", "transduction", "electronics", "load_cell", "acquisition"]
 Scale = Literal["linear", "log", "inverse_square"]
@@ -100,29 +101,95 @@ Step: TypeAlias = Callable[[Flow, Sequence[float], Memory], None]
 """Change the flow in place by an effect with these parameter values and this memory."""
 
 
+class Placing(Enum):
+    """What of an effect a search must find in the recordings before it can be fitted."""
+
+    LOSSES = "instants at which samples of the output were lost"
+    INTERVALS = "intervals in which the resistance is off by a constant"
+    LINE = "a line in the spectrum of the output, its phase free in every run"
+    CEILING = "a level above which the output does not go"
+    FLOOR = "a level below which the output does not go"
+
+
+@dataclass(frozen=True)
+class Alias:
+    """A departure outside the catalogue that gives the same recordings as an effect of it until one run is made.
+
+    Args:
+        stage: where it sits.
+        detail: what it is, in words.
+        share: of the effect's place that it gets while nothing tells the two apart.
+        told_by: kind of the run that tells them apart ...
+        changing, by: ... when this channel changes in it by so much.
+        advice: how to make that run.
+    """
+
+    stage: ChainStage
+    detail: str
+    share: float
+    told_by: str
+    changing: str
+    by: float
+    advice: str
+
+
+@dataclass(frozen=True)
+class Signs:
+    """How an effect shows: everything a diagnosis must know of it besides its equation.
+
+    Args:
+        needs: channels that must be recorded and change in a run, besides the one that shows its stage.
+        probes: where a search begins; the usual size and shapes around the usual ones where None.
+        placing: what must be found in the recordings first.
+        clock: how its size moves the instants at which the output is read: by a constant, or in proportion to time.
+        hides_behind: effects that look like it on poor recordings.
+        shown_by: runs of the menu of experiments that show it best.
+        remedy: what to measure where no run of the menu tells it from its rivals.
+        alias: a departure outside the catalogue that looks exactly like it.
+    """
+
+    needs: tuple[str, ...] = ()
+    probes: Probes | None = None
+    placing: Placing | None = None
+    clock: Literal["delay", "rate"] | None = None
+    hides_behind: tuple[str, ...] = ()
+    shown_by: tuple[str, ...] = ()
+    remedy: str = ""
+    alias: Alias | None = None
+
+
 @dataclass(frozen=True)
 class Effect:
     """One entry of the catalogue of effects (or another realisation of the same cause).
 
     Args:
         id: identifier of the catalogue.
-        stage: stage of the chain it belongs to.
+        stage: stage of the chain it belongs to; the part of the mechanism, for an effect of another simulator.
         hook: signal it changes.
         equation: its equation on top of the base model.
         source: where the equation or its usual size comes from.
         parameters: in the order `step` takes them; the first one is the size of the effect.
         step: the equation.
         is_episodic: it happens at a few instants of one run and does not carry over to another.
+        signs: how it shows.
+        of_runs: the same effect with values of its own in every run, for a number of runs; None where one set of
+            values holds for all.
+        sides: the same effect acting from another side, told apart by the parameters that are given.
+        forms: other realisations of the same cause that a rig may show.
     """
 
     id: str
-    stage: ChainStage
+    stage: str
     hook: Hook
     equation: str
     source: str
     parameters: tuple[Parameter, ...]
     step: Step
     is_episodic: bool = False
+    signs: Signs = Signs()
+    of_runs: "Callable[[int], Effect] | None" = None
+    sides: "tuple[Effect, ...]" = ()
+    forms: "tuple[Form, ...]" = ()
 
     def __post_init__(self) -> None:
         if self.parameters and self.parameters[0].neutral is None:
@@ -132,6 +199,59 @@ class Effect:
     def neutral_values(self) -> tuple[float, ...]:
         """Values at which the effect changes nothing; shape parameters at their usual value."""
         return tuple(p.usual if p.neutral is None else p.neutral for p in self.parameters)
+
+    @property
+    def is_one_sided(self) -> bool:
+        """Whether its size cannot change its sign: it starts at 0, or is a level whose absence is infinity."""
+        size = self.parameters[0]
+        return size.low == 0.0 or size.neutral == np.inf
+
+    @property
+    def belongs_to_run(self) -> bool:
+        """Whether values of one run say nothing of another."""
+        return self.is_episodic or self.of_runs is not None
+
+    def side_with(self, names: Sequence[str]) -> "Effect":
+        """Return the side of this effect that has parameters of these names; itself where none has them all."""
+        every = (self, *self.sides)
+        return next((side for side in every if set(names) <= {p.name for p in side.parameters}), self)
+
+    def probes(self, at: Extent) -> list[tuple[float, ...]]:
+        """Return the parameter values at which a search on such a case begins, shapes within their bounds."""
+        if self.signs.placing in (Placing.LOSSES, Placing.INTERVALS, Placing.LINE):
+            return []
+        rows = self._usual_probes() if self.signs.probes is None else self.signs.probes(at)
+        shapes = self.parameters[1:]
+        return [
+            (row[0], *(float(np.clip(v, p.low, p.high)) for p, v in zip(shapes, row[1:], strict=True))) for row in rows
+        ]
+
+    def _usual_probes(self) -> list[tuple[float, ...]]:
+        size, usual = 0.2 * self.parameters[0].usual, [p.usual for p in self.parameters[1:]]
+        if not usual:
+            return [(size,)]
+        return [(size, factor * usual[0], *usual[1:]) for factor in (0.25, 1.0, 4.0)]
+
+    def with_forms(self, *makers: "Callable[[Effect], Form]") -> "Effect":
+        """Return this effect with other realisations, each made from its own parameters."""
+        return replace(self, forms=tuple(make(self) for make in makers))
+
+
+@dataclass(frozen=True)
+class Form:
+    """Another realisation of a cause.
+
+    Args:
+        effect: the realisation; its identifier is that of the cause.
+        carry: value of every parameter from the catalogue's values, as (index of the value or None, factor or value).
+    """
+
+    effect: Effect
+    carry: tuple[tuple[int | None, float], ...]
+
+    def start(self, values: Sequence[float]) -> list[float]:
+        """Return where a fit of this form begins when the catalogue's equation ended at these values."""
+        return [number if index is None else values[index] * number for index, number in self.carry]
 
 
 def memory(memory: Memory, name: str, *start: float) -> Array:

@@ -6,9 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Placing, Signs, memory
+from softcal.core.twin.forms import POWER, SETTLING, bent_time, plus, settling_time
 from softcal.core.twin.parameters import ReadoutMetadata
+from softcal.core.twin.probes import Extent, Sizes
 from softcal.core.twin.signals import low_pass
+from softcal.core.twin.transduction import CLIMATE
 
 
 def divide(flow: Flow, readout: ReadoutMetadata) -> None:
@@ -48,6 +51,105 @@ def _adc_floor(flow: Flow, values: Sequence[float], _: Memory) -> None:
     flow.output_V = np.maximum(flow.output_V, values[0])
 
 
+def _lag_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    for tau_s in v[:2]:
+        start = np.full(2, flow.output_V[0])
+        flow.output_V = low_pass(flow.output_V, flow.step_s, max(tau_s, 1e-4), start)
+
+
+def _lag_sampled(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    """A filter computed sample by sample: its input is held, and it answers up to a sample late."""
+    start = np.full(2, flow.output_V[0])
+    slow = low_pass(flow.output_V, flow.step_s, max(v[0], 1e-4), start)
+    period_s = float(np.median(flow.step_s[1:]))
+    flow.output_V = np.interp(flow.t_s - v[1] * period_s, flow.t_s, slow)
+
+
+def _reference_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.reference_V = flow.reference_V * (1.0 + v[0] * bent_time(flow.t_s, v[1]))
+
+
+def _reference_settling(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.reference_V = flow.reference_V * (1.0 + v[0] * settling_time(flow.t_s, v[1]))
+
+
+def _soft_clip(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.output_V = v[0] - v[1] * np.logaddexp(0.0, (v[0] - flow.output_V) / v[1])
+
+
+HUM_STEP_Hz = 0.05
+"""Scale on which the fit moves the frequency: a few hundredths of a hertz turn the phase once in a run."""
+
+PHASE_WEIGHT = 0.5
+"""What the phase of one run counts as: it is known to a fifth of a period at least, far less than ln n tells apart."""
+
+HUM = (
+    Parameter("A", "V", 0.0, 0.5, 0.004, neutral=0.0),
+    Parameter("f", "Hz", 0.0, 500.0, 10.0),
+    Parameter("phi", "rad", -np.pi, np.pi, 0.0),
+)
+
+
+def _hum_of_runs(runs: int) -> Effect:
+    """Return the hum with a phase per run: where in the mains' period a run begins is no property of the rig."""
+    phases = [Parameter(f"phi{k}", "rad", -20.0, 20.0, 1.0, weight=PHASE_WEIGHT) for k in range(runs)]
+    parameters = (HUM[0], replace(HUM[1], usual=HUM_STEP_Hz), *phases)
+    return replace(MAINS_HUM, parameters=parameters, step=_hum_with_phases)
+
+
+def _hum_with_phases(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    flow.output_V = flow.output_V + values[0] * np.sin(2 * np.pi * values[1] * flow.t_s + values[2 + flow.run])
+
+
+def _near_the_top(at: Extent) -> list[tuple[float, ...]]:
+    span_V = at.highest_V - at.lowest_V
+    return [(at.highest_V - share * span_V,) for share in (1e-3, 0.01, 0.03, 0.08)]
+
+
+MAINS_HUM = Effect(
+    id="mains_hum",
+    stage="electronics",
+    hook=Hook.OUTPUT,
+    equation="V + A·sin(2πft + φ), f the alias of 50 or 60 Hz at the sample rate",
+    source="pick-up of the mains; 1–10 mV",
+    parameters=HUM,
+    step=_mains_hum,
+    signs=Signs(
+        placing=Placing.LINE,
+        shown_by=("rest",),
+    ),
+    of_runs=_hum_of_runs,
+)
+
+CLIPPED_BELOW = Effect(
+    id="adc_saturation",
+    stage="electronics",
+    hook=Hook.OUTPUT,
+    equation="V clipped below V_min > 0",
+    source="range of an amplifier or an ADC that does not reach zero",
+    parameters=(Parameter("V_min", "V", 0.0, 100.0, 0.5, neutral=0.0),),
+    step=_adc_floor,
+    signs=Signs(placing=Placing.FLOOR),
+)
+"""The other side of a clipped output; a setting that gives `V_min` means this one."""
+
+ADC_SATURATION = Effect(
+    id="adc_saturation",
+    stage="electronics",
+    hook=Hook.OUTPUT,
+    equation="V clipped above V_max < Vref",
+    source="range of an amplifier or an ADC short of the rail",
+    parameters=(Parameter("V_max", "V", 0.05, 100.0, 2.2, neutral=np.inf),),
+    step=_adc_saturation,
+    signs=Signs(
+        probes=_near_the_top,
+        placing=Placing.CEILING,
+        hides_behind=("loadcell_nonlinearity",),
+        shown_by=("dummy_resistor",),
+    ),
+    sides=(CLIPPED_BELOW,),
+).with_forms(plus(_soft_clip, "soft clip", (Parameter("width", "V", 1e-4, 0.5, 0.01), 0.01)))
+
 EFFECTS = (
     Effect(
         id="readout_lag",
@@ -57,6 +159,14 @@ EFFECTS = (
         source="RC filter of the divider's input; 1–300 ms",
         parameters=(Parameter("tau", "s", 0.0005, 3.0, 0.08, neutral=0.0),),
         step=_readout_lag,
+        signs=Signs(
+            probes=Sizes((0.5, 3.0, 10.0), "period_s"),
+            hides_behind=("channel_creep", "clock_offset"),
+            shown_by=("rate_sweep",),
+        ),
+    ).with_forms(
+        plus(_lag_2, "second order", (Parameter("tau2", "s", 0.0, 3.0, 0.05), 0.02)),
+        plus(_lag_sampled, "computed sample by sample", (Parameter("late", "", -0.6, 1.1, 0.5), 0.0)),
     ),
     Effect(
         id="wiring_resistance",
@@ -66,6 +176,11 @@ EFFECTS = (
         source="leads and contacts in series with the channel, Ohm; 0.05–1 Ω",
         parameters=(Parameter("Rw", "ohm", 0.0, 50.0, 0.5, neutral=0.0),),
         step=_wiring_resistance,
+        signs=Signs(
+            probes=Sizes((0.1, 1.0)),
+            hides_behind=("channel_collapse", "loadcell_nonlinearity"),
+            shown_by=("dummy_resistor",),
+        ),
     ),
     Effect(
         id="reference_drift",
@@ -75,35 +190,15 @@ EFFECTS = (
         source="supply that warms up; linear over a run",
         parameters=(Parameter("rho", "1/s", -0.003, 0.003, 0.0001, neutral=0.0),),
         step=_reference_drift,
-    ),
-    Effect(
-        id="mains_hum",
-        stage="electronics",
-        hook=Hook.OUTPUT,
-        equation="V + A·sin(2πft + φ), f the alias of 50 or 60 Hz at the sample rate",
-        source="pick-up of the mains; 1–10 mV",
-        parameters=(
-            Parameter("A", "V", 0.0, 0.5, 0.004, neutral=0.0),
-            Parameter("f", "Hz", 0.0, 500.0, 10.0),
-            Parameter("phi", "rad", -np.pi, np.pi, 0.0),
+        signs=Signs(
+            probes=Sizes((0.01,), "rate_per_s"),
+            hides_behind=("ageing_drift", "thermal_drift"),
+            shown_by=("dummy_resistor", "long_hold"),
+            remedy=CLIMATE,
         ),
-        step=_mains_hum,
+    ).with_forms(
+        plus(_reference_power, "power of time", (POWER, 0.8)), plus(_reference_settling, "settling", (SETTLING, 40.0))
     ),
-    Effect(
-        id="adc_saturation",
-        stage="electronics",
-        hook=Hook.OUTPUT,
-        equation="V clipped above V_max < Vref",
-        source="range of an amplifier or an ADC short of the rail",
-        parameters=(Parameter("V_max", "V", 0.05, 100.0, 2.2, neutral=np.inf),),
-        step=_adc_saturation,
-    ),
+    MAINS_HUM,
+    ADC_SATURATION,
 )
-
-CLIPPED_BELOW = replace(
-    EFFECTS[-1],
-    equation="V clipped below V_min > 0",
-    parameters=(Parameter("V_min", "V", 0.0, 100.0, 0.5, neutral=0.0),),
-    step=_adc_floor,
-)
-"""The other side of `adc_saturation`; a setting that gives `V_min` means this one."""

@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, memory
+from softcal.core.twin.forms import POWER, SETTLING, bent_time, plus, settling_time, two
+from softcal.core.twin.probes import Sizes, Times
 from softcal.core.twin.signals import low_pass
 
 NONLINEARITY_SPAN_N = 10.0
@@ -34,6 +36,31 @@ def _drift(flow: Flow, values: Sequence[float], _: Memory) -> None:
     flow.reading_N = flow.reading_N + values[0] * flow.t_s
 
 
+def _cell_knee(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    if np.isfinite(v[0]):
+        bent = (1.0 + np.abs(flow.reading_N / v[0]) ** v[1]) ** (1.0 / v[1])
+        flow.reading_N = flow.reading_N / bent
+
+
+def _cell_curve(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    part = flow.reading_N / 10.0
+    flow.reading_N = flow.reading_N * (1.0 + v[0] * (1.0 - part) + v[1] * (1.0 - part**2) + v[2] * (1.0 - part**3))
+
+
+def _cell_creep_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    slow = v[0] * low_pass(flow.reading_N, flow.step_s, v[1], np.zeros(2))
+    slow += v[2] * low_pass(flow.reading_N, flow.step_s, v[3], np.zeros(2))
+    flow.reading_N = flow.reading_N + slow
+
+
+def _cell_drift_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.reading_N = flow.reading_N + v[0] * bent_time(flow.t_s, v[1])
+
+
+def _cell_drift_settling(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.reading_N = flow.reading_N + v[0] * settling_time(flow.t_s, v[1])
+
+
 EFFECTS = (
     Effect(
         id="loadcell_saturation",
@@ -43,7 +70,12 @@ EFFECTS = (
         source="cell or amplifier near its capacity",
         parameters=(Parameter("F_sat", "N", 0.5, 1000.0, 15.0, neutral=np.inf, scale="inverse_square"),),
         step=_saturation,
-    ),
+        signs=Signs(
+            probes=Sizes((4.0,), "force_N"),
+            hides_behind=("loadcell_nonlinearity", "channel_collapse", "frame_compliance"),
+            shown_by=("dead_weights",),
+        ),
+    ).with_forms(plus(_cell_knee, "knee", (Parameter("sharpness", "", 0.8, 30.0, 1.0), 2.0))),
     Effect(
         id="loadcell_nonlinearity",
         stage="load_cell",
@@ -52,6 +84,18 @@ EFFECTS = (
         source="terminal-line nonlinearity of a strain-gauge cell; 0.02–3 % of full scale",
         parameters=(Parameter("lambda", "", -0.25, 0.25, 0.03, neutral=0.0),),
         step=_nonlinearity,
+        signs=Signs(
+            probes=Sizes((0.01,)),
+            hides_behind=("loadcell_saturation", "channel_collapse", "wiring_resistance"),
+            shown_by=("dead_weights",),
+        ),
+    ).with_forms(
+        plus(
+            _cell_curve,
+            "cubic and quartic term",
+            (Parameter("quadratic", "", -0.5, 0.5, 0.01), 0.0),
+            (Parameter("cubic", "", -0.5, 0.5, 0.01), 0.0),
+        )
     ),
     Effect(
         id="loadcell_creep",
@@ -64,7 +108,12 @@ EFFECTS = (
             Parameter("tau", "s", 0.3, 1000.0, 20.0, scale="log"),
         ),
         step=_creep,
-    ),
+        signs=Signs(
+            probes=Times(0.01, without=2),
+            hides_behind=("loadcell_drift", "stress_relaxation"),
+            shown_by=("dead_weights", "long_hold"),
+        ),
+    ).with_forms(two(_cell_creep_2, "two creep times")),
     Effect(
         id="loadcell_drift",
         stage="load_cell",
@@ -73,5 +122,12 @@ EFFECTS = (
         source="zero drift of the amplifier; 0.01–0.1 % of full scale per K",
         parameters=(Parameter("r", "N/s", -0.1, 0.1, 0.001, neutral=0.0),),
         step=_drift,
+        signs=Signs(
+            probes=Sizes((0.1,), "rate_per_s"),
+            hides_behind=("loadcell_creep",),
+            shown_by=("rest",),
+        ),
+    ).with_forms(
+        plus(_cell_drift_power, "power of time", (POWER, 0.8)), plus(_cell_drift_settling, "settling", (SETTLING, 40.0))
     ),
 )

@@ -5,8 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, memory
+from softcal.core.twin.forms import POWER, in_form, loops, plus, stop_form, stops, two
+from softcal.core.twin.motion import PLATEN
 from softcal.core.twin.parameters import BaseParameters
+from softcal.core.twin.probes import Shapes, Sizes, Times
 from softcal.core.twin.signals import compiled, completed_presses, direction_state, low_pass
 
 
@@ -80,6 +83,51 @@ def _mullins_softening(flow: Flow, values: Sequence[float], state: Memory) -> No
     flow.force_N = flow.force_N * (1.0 + values[0] * np.expm1(-presses / values[1]))
 
 
+def _shift_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    settled = v[0] * -np.expm1(-flow.t_s / v[1]) + v[2] * -np.expm1(-flow.t_s / v[3])
+    flow.contact_mm = flow.contact_mm + settled
+
+
+def _frame_joint(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.compliance_mm_N = v[0]
+    flow.toe_mm = v[1]
+
+
+def _relaxation_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    slow = v[0] * low_pass(flow.force_N, flow.step_s, v[1], np.zeros(2))
+    slow += v[2] * low_pass(flow.force_N, flow.step_s, v[3], np.zeros(2))
+    flow.force_N = np.maximum(0.0, flow.force_N - slow)
+
+
+def _mechanical_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.force_N = flow.force_N * loops(flow.deformation_mm, v)
+
+
+def _force_stops(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.force_N = np.maximum(0.0, flow.force_N + _touching(flow) * stops(flow.force_N, v))
+
+
+def _stroke_stops(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    stiffness = float(np.max(flow.force_N)) / (float(np.max(flow.deformation_mm)) or 1.0)
+    flow.force_N = np.maximum(0.0, flow.force_N + _touching(flow) * stiffness * stops(flow.deformation_mm, v))
+
+
+def _touching(flow: Flow) -> Array:
+    return (flow.deformation_mm > 0).astype(np.float64)
+
+
+def _mullins_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    done = completed_presses(flow.deformation_mm, np.zeros(2))
+    flow.force_N = flow.force_N * (1.0 + v[0] * ((1.0 + done / v[1]) ** -v[2] - 1.0))
+
+
+def _mullins_deepest(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    deepest = np.maximum.accumulate(flow.deformation_mm)
+    flow.force_N = flow.force_N * (1.0 + v[0] * np.expm1(-deepest / v[1]))
+
+
+SOFTENING = Parameter("m", "", 0.0, 0.8, 0.1, neutral=0.0)
+
 EFFECTS = (
     Effect(
         id="contact_shift",
@@ -92,7 +140,13 @@ EFFECTS = (
             Parameter("tau", "s", 2.0, 1000.0, 40.0, scale="log"),
         ),
         step=_contact_shift,
-    ),
+        signs=Signs(
+            probes=Shapes(0.02, (0.05, 0.15, 0.5, 1.5), "duration_s"),
+            hides_behind=("mullins_softening", "stress_relaxation"),
+            shown_by=("slow_touch_down",),
+            remedy=PLATEN,
+        ),
+    ).with_forms(two(_shift_2, "two settling times")),
     Effect(
         id="frame_compliance",
         stage="mechanics",
@@ -101,7 +155,13 @@ EFFECTS = (
         source="spring in series, Hooke; 1–50 µm/N for bench stands",
         parameters=(Parameter("c_f", "mm/N", 0.0, 0.2, 0.03, neutral=0.0),),
         step=_frame_compliance,
-    ),
+        signs=Signs(
+            probes=Sizes((0.02, 0.06), "softness_mm_N"),
+            hides_behind=("loadcell_saturation", "misaligned_contact", "loadcell_nonlinearity"),
+            shown_by=("rigid_block",),
+            remedy=PLATEN,
+        ),
+    ).with_forms(plus(_frame_joint, "joint that closes", (Parameter("l", "mm", 0.0, 0.5, 0.05), 0.01))),
     Effect(
         id="misaligned_contact",
         stage="mechanics",
@@ -110,6 +170,12 @@ EFFECTS = (
         source="toe region of a compression curve, ASTM D695 annex on toe compensation",
         parameters=(Parameter("l", "mm", 0.0, 0.8, 0.2, neutral=0.0),),
         step=_misaligned_contact,
+        signs=Signs(
+            probes=Sizes((0.03, 0.15), "depth_mm"),
+            hides_behind=("frame_compliance",),
+            shown_by=("slow_touch_down",),
+            remedy=PLATEN,
+        ),
     ),
     Effect(
         id="stress_relaxation",
@@ -122,7 +188,12 @@ EFFECTS = (
             Parameter("tau", "s", 0.03, 300.0, 5.0, scale="log"),
         ),
         step=_stress_relaxation,
-    ),
+        signs=Signs(
+            probes=Times(0.02),
+            hides_behind=("mechanical_hysteresis", "loadcell_creep"),
+            shown_by=("steps_with_holds", "rate_sweep", "long_hold"),
+        ),
+    ).with_forms(two(_relaxation_2, "two relaxation times")),
     Effect(
         id="mechanical_hysteresis",
         stage="mechanics",
@@ -134,6 +205,15 @@ EFFECTS = (
             Parameter("d0", "mm", 0.02, 5.0, 0.3, scale="log"),
         ),
         step=_mechanical_hysteresis,
+        signs=Signs(
+            probes=Shapes(0.01, (0.02, 0.06, 0.2, 0.6), "depth_mm"),
+            hides_behind=("stress_relaxation", "backlash"),
+            shown_by=("rate_sweep", "small_reversals"),
+        ),
+    ).with_forms(
+        two(_mechanical_2, "two loops"),
+        stop_form(_force_stops, "stop operators on the force"),
+        stop_form(_stroke_stops, "stop operators on the compression"),
     ),
     Effect(
         id="mullins_softening",
@@ -142,9 +222,22 @@ EFFECTS = (
         equation="F = Fe·(1 − m·(1 − exp(−N/N0))), N = completed compressions",
         source="Mullins 1969; 5–30 % in virgin silicone",
         parameters=(
-            Parameter("m", "", 0.0, 0.8, 0.1, neutral=0.0),
+            SOFTENING,
             Parameter("N0", "", 0.2, 50.0, 3.0, scale="log"),
         ),
         step=_mullins_softening,
+        signs=Signs(
+            probes=Shapes(0.02, (0.5, 2.0, 8.0)),
+            hides_behind=("contact_shift",),
+            shown_by=("amplitude_ladder", "rest"),
+        ),
+    ).with_forms(
+        plus(_mullins_power, "power of the presses", (POWER, 0.5)),
+        in_form(
+            _mullins_deepest,
+            "softening with the deepest press so far",
+            (SOFTENING, Parameter("depth", "mm", 0.1, 20.0, 2.0, scale="log")),
+            ((0, 1.0), (None, 2.0)),
+        ),
     ),
 )

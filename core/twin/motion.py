@@ -2,8 +2,12 @@
 
 from collections.abc import Sequence
 
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, memory
+from softcal.core.twin.probes import Sizes
 from softcal.core.twin.signals import play
+
+PLATEN = "measure the position of the platen itself"
+"""What tells effects of motion and mechanics apart where no run does."""
 
 
 def _backlash(flow: Flow, values: Sequence[float], state: Memory) -> None:
@@ -19,6 +23,12 @@ BACKLASH = Effect(
     source="play operator, Brokate and Sprekels 1996; 5–20 µm for ball screws, 20–150 µm for lead screws",
     parameters=(Parameter("b", "mm", 0.0, 1.0, 0.05, neutral=0.0),),
     step=_backlash,
+    signs=Signs(
+        probes=Sizes((0.02, 0.1)),
+        hides_behind=("loadcell_creep", "mechanical_hysteresis"),
+        shown_by=("small_reversals", "rigid_block"),
+        remedy=PLATEN,
+    ),
 )
 
 EFFECTS = (BACKLASH,)

@@ -10,7 +10,7 @@ from softcal.core.errors import InputError
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, effect
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory
-from softcal.core.twin.electronics import CLIPPED_BELOW, digitise, divide
+from softcal.core.twin.electronics import digitise, divide
 from softcal.core.twin.load_cell import read_force
 from softcal.core.twin.mechanics import press
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -50,9 +50,8 @@ class EffectSetting:
 
     @property
     def effect(self) -> Effect:
-        """The effect; `adc_saturation` has two sides, told apart by the level that is given."""
-        is_floor = self.effect_id == CLIPPED_BELOW.id and "V_min" in self.values
-        return CLIPPED_BELOW if is_floor else effect(self.effect_id)
+        """The effect; one with several sides is told apart by the parameters that are given."""
+        return effect(self.effect_id).side_with(tuple(self.values))
 
     @property
     def ordered_values(self) -> tuple[float, ...]:

@@ -5,8 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
+from softcal.core.twin.effects import Alias, Effect, Flow, Hook, Memory, Parameter, Placing, Signs, memory
+from softcal.core.twin.forms import loops, plus, stop_form, stops, two
 from softcal.core.twin.parameters import BaseParameters
+from softcal.core.twin.probes import Shapes, Sizes, Times
 from softcal.core.twin.signals import compiled, direction_state, low_pass
 
 COLLAPSED = 0.02
@@ -58,6 +60,53 @@ def _intermittent_contact(flow: Flow, values: Sequence[float], _: Memory) -> Non
     flow.is_unforeseeable = np.diff(bad, prepend=bad[:1])
 
 
+def _creep_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    slow = v[0] * low_pass(flow.drive, flow.step_s, v[1], np.zeros(2))
+    slow += v[2] * low_pass(flow.drive, flow.step_s, v[3], np.zeros(2))
+    flow.drive = (1.0 - v[0] - v[2]) * flow.drive + slow
+
+
+def _channel_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.drive = flow.drive * loops(flow.drive, v)
+
+
+def _channel_stops(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.drive = flow.drive + stops(flow.drive, v)
+
+
+def _collapse_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    over = np.maximum(0.0, flow.drive - v[1])
+    flow.resistance_ohm = flow.resistance_ohm * (1.0 + v[0] * over ** v[2])
+
+
+def _thermal_curve(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    if flow.temperature_rise_K is not None:
+        felt = flow.temperature_rise_K
+        if v[2] > 0:
+            felt = low_pass(felt, flow.step_s, v[2], np.zeros(2))
+        flow.resistance_ohm = flow.resistance_ohm * (1.0 + v[0] * felt + v[1] * felt**2)
+
+
+def _ageing_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    x = 1.0 + flow.t_s / v[1]
+    grown = np.log(x) if abs(v[2]) < 1e-6 else (x ** v[2] - 1.0) / v[2]
+    flow.resistance_ohm = flow.resistance_ohm * (1.0 + v[0] * grown)
+
+
+CLIMATE = "log the temperature of the sensor and the reference voltage"
+"""What tells the slow drifts of the output apart where no run does."""
+
+DIVIDER = Alias(
+    stage="electronics",
+    detail="the divider resistor's temperature coefficient, sign reversed: only R/Rs enters the divider",
+    # A channel of liquid metal (1e-3/K) follows the temperature more than a resistor does.
+    share=0.4,
+    told_by="dummy_resistor",
+    changing="temperature_C",
+    by=1.0,
+    advice="read a dummy resistor for a minute while the electronics warm by a few K, with temperature_C logged",
+)
+
 EFFECTS = (
     Effect(
         id="channel_creep",
@@ -70,7 +119,12 @@ EFFECTS = (
             Parameter("tau", "s", 0.03, 300.0, 5.0, scale="log"),
         ),
         step=_channel_creep,
-    ),
+        signs=Signs(
+            probes=Times(0.02),
+            hides_behind=("readout_lag", "clock_offset"),
+            shown_by=("rate_sweep", "steps_with_holds"),
+        ),
+    ).with_forms(two(_creep_2, "two creep times")),
     Effect(
         id="channel_hysteresis",
         stage="transduction",
@@ -82,7 +136,12 @@ EFFECTS = (
             Parameter("f0", "N", 0.05, 20.0, 1.0, scale="log"),
         ),
         step=_channel_hysteresis,
-    ),
+        signs=Signs(
+            probes=Shapes(0.01, (0.02, 0.06, 0.2, 0.6), "force_N"),
+            hides_behind=("clock_offset", "channel_creep"),
+            shown_by=("rate_sweep", "small_reversals"),
+        ),
+    ).with_forms(two(_channel_2, "two loops"), stop_form(_channel_stops, "stop operators on the force")),
     Effect(
         id="channel_collapse",
         stage="transduction",
@@ -94,7 +153,12 @@ EFFECTS = (
             Parameter("Fc", "N", 0.2, 50.0, 4.0),
         ),
         step=_channel_collapse,
-    ),
+        signs=Signs(
+            probes=Shapes(0.01, (0.1, 0.3, 0.5, 0.65, 0.8, 0.9), "force_N"),
+            hides_behind=("wiring_resistance", "loadcell_nonlinearity", "loadcell_saturation"),
+            shown_by=("dummy_resistor", "dead_weights"),
+        ),
+    ).with_forms(plus(_collapse_power, "power law", (Parameter("power", "", 0.7, 6.0, 0.5), 2.0))),
     Effect(
         id="thermal_drift",
         stage="transduction",
@@ -103,6 +167,21 @@ EFFECTS = (
         source="temperature coefficient of a liquid-metal channel, about 1e-3/K",
         parameters=(Parameter("alpha", "1/K", -0.02, 0.02, 0.001, neutral=0.0),),
         step=_thermal_drift,
+        signs=Signs(
+            needs=("temperature_C",),
+            probes=Sizes((0.001,)),
+            hides_behind=("ageing_drift", "reference_drift"),
+            shown_by=("dummy_resistor",),
+            remedy=CLIMATE,
+            alias=DIVIDER,
+        ),
+    ).with_forms(
+        plus(
+            _thermal_curve,
+            "curved, felt with a delay",
+            (Parameter("alpha2", "1/K²", -0.01, 0.01, 1e-4), 0.0),
+            (Parameter("tau", "s", 0.0, 200.0, 5.0), 0.5),
+        )
     ),
     Effect(
         id="ageing_drift",
@@ -115,7 +194,13 @@ EFFECTS = (
             Parameter("tau", "s", 0.5, 2000.0, 30.0, scale="log"),
         ),
         step=_ageing_drift,
-    ),
+        signs=Signs(
+            probes=Shapes(0.001, (0.01, 0.05, 0.2, 1.0), "duration_s"),
+            hides_behind=("thermal_drift", "reference_drift"),
+            shown_by=("rest", "long_hold", "dummy_resistor"),
+            remedy=CLIMATE,
+        ),
+    ).with_forms(plus(_ageing_power, "power law", (Parameter("power", "", -2.0, 1.0, 0.3), 0.2))),
     Effect(
         id="intermittent_contact",
         stage="transduction",
@@ -125,5 +210,10 @@ EFFECTS = (
         parameters=(Parameter("dR", "ohm", -5.0, 50.0, 0.3, neutral=0.0),),
         step=_intermittent_contact,
         is_episodic=True,
+        signs=Signs(
+            placing=Placing.INTERVALS,
+            hides_behind=("channel_creep", "dropped_samples"),
+            shown_by=("long_hold",),
+        ),
     ),
 )

@@ -1,5 +1,6 @@
 """Scoring of reports against opened labels."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -110,3 +111,9 @@ def test_honest_probabilities_have_no_calibration_error(rng: np.random.Generator
 def test_a_report_of_another_shape_is_refused_in_one_line() -> None:
     with pytest.raises(InputError, match="case-1.*softcal.gap/1"):
         read_answer("case-1", {"verdict": "explained"})
+
+
+@pytest.mark.parametrize(("verdict", "expected"), [("data", "right"), ("explained", "wrong"), ("no_gap", "wrong")])
+def test_a_mistake_in_the_recordings_asks_for_the_verdict_data(verdict: str, expected: str) -> None:
+    spoilt = replace(label("channel_creep"), case=replace(label("channel_creep").case, mistake="output in mV"))
+    assert outcome(spoilt, report(verdict, {"channel_creep": 0.98})) == expected

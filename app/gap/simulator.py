@@ -1,0 +1,94 @@
+"""Diagnose the gap between a simulator of the user's own, a Python module, and recordings of what it simulates."""
+
+import importlib
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from softcal.app.files.case_folder import METADATA, RECORDING
+from softcal.app.files.recording_file import column, read_table
+from softcal.core.errors import InputError
+from softcal.core.gap.simulator import Simulator, SimulatorRun, recorded
+from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis, diagnose_simulator
+
+
+def load_simulator(reference: str) -> Simulator:
+    """Return the simulator `module:name`; the module is looked for in the working folder too.
+
+    Raises:
+        InputError: no such module or name, or what it names is no `Simulator`.
+    """
+    module_name, _, name = reference.partition(":")
+    if not module_name or not name:
+        raise InputError(f"--simulator {reference}: module:name was expected, such as my_rig:SIMULATOR")
+    found = getattr(_imported(module_name, reference), name, None)
+    made = found() if callable(found) and not isinstance(found, Simulator) else found
+    if not isinstance(made, Simulator):
+        raise InputError(
+            f"--simulator {reference}: {name} is {type(made).__name__}; a softcal.core.gap.simulator.Simulator, or a "
+            "function without arguments that returns one, was expected"
+        )
+    return made
+
+
+def _imported(module_name: str, reference: str) -> object:
+    here = str(Path.cwd())
+    sys.path.insert(0, here)
+    try:
+        return importlib.import_module(module_name)
+    except Exception as error:
+        raise InputError(
+            f"--simulator {reference}: {module_name} cannot be imported ({error}); it is looked for in {here} "
+            "and among installed packages"
+        ) from error
+    finally:
+        sys.path.remove(here)
+
+
+def diagnose_with(
+    place: Path, simulator: Simulator, progress: Callable[[str], None] | None = None
+) -> SimulatorDiagnosis:
+    """Read the runs of a mechanism and diagnose its simulator.
+
+    Args:
+        place: folder with runs/<n>/recording.csv, one such run, or one table; columns are `t_s`, the inputs and the
+            channels of the simulator. A recording.json beside it may say `profile` and `serial`.
+
+    Raises:
+        InputError: there is no run, a column is missing, or the simulator fails.
+    """
+    paths = _tables(place)
+    runs = [
+        _run(simulator, path, str(path.parent.relative_to(place)) if place.is_dir() else path.stem) for path in paths
+    ]
+    serial = str(_said(paths[0]).get("serial", place.stem))
+    return diagnose_simulator(simulator, runs, serial, progress)
+
+
+def _tables(place: Path) -> list[Path]:
+    if place.is_file():
+        return [place]
+    if (place / RECORDING).is_file():
+        return [place / RECORDING]
+    found = sorted((place / "runs").glob(f"*/{RECORDING}"), key=lambda path: (len(path.parent.name), path.parent.name))
+    if not found:
+        raise InputError(f"{place}: neither a table nor runs/<n>/{RECORDING}; record the mechanism first")
+    return found
+
+
+def _run(simulator: Simulator, path: Path, name: str) -> SimulatorRun:
+    table = read_table(path)
+    wanted = [c for c in ("t_s", *simulator.inputs, *simulator.channels) if c in table.columns]
+    return recorded(simulator, name, {c: column(table, c, path) for c in wanted}, str(_said(path).get("profile", "")))
+
+
+def _said(path: Path) -> dict[str, object]:
+    beside = path.parent / METADATA
+    if not beside.is_file():
+        return {}
+    try:
+        content = json.loads(beside.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{beside}: cannot be read as JSON: {error}") from error
+    return content if isinstance(content, dict) else {}

@@ -1,0 +1,45 @@
+"""What a diagnosis must reach on a few fresh cases of every line, so that one that says nothing fails.
+
+The floors lie far below what is measured on many cases, and above what an answer reaches that does not look at the
+recording: with a handful of cases a line, a sound diagnosis passes but once in hundreds of times, and silence never.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from softcal.core.challenge.score import ScoreSheet
+
+FLOORS: Mapping[str, float] = MappingProxyType(
+    {
+        "usual": 0.7,
+        "none": 0.7,
+        "pair": 0.5,
+        "form": 0.5,
+        "outside": 0.5,
+        "published_form": 0.15,
+        "published_outside": 0.15,
+    }
+)
+"""Least share of cases of a line that are right: exactly the true causes, `no_gap`, `unknown` or `data`."""
+
+POOLED = 0.6
+"""Least share over all these lines together."""
+
+
+def shortfalls(sheet: ScoreSheet) -> list[str]:
+    """Return one sentence for every floor that is not reached; empty where all are.
+
+    A line that was not drawn is a shortfall too: a check that leaves out what is hard cannot fail.
+    """
+    said, hits, total = [], 0, 0
+    for line, floor in FLOORS.items():
+        cases = [judged for judged in sheet.judged if judged.label.case.line == line]
+        right = sum(judged.outcome == "right" for judged in cases)
+        hits, total = hits + right, total + len(cases)
+        if not cases:
+            said.append(f"{line}: no case was drawn")
+        elif right < floor * len(cases):
+            said.append(f"{line}: {right} of {len(cases)} right; at least {floor:.0%} were expected")
+    if total and hits < POOLED * total:
+        said.append(f"all lines: {hits} of {total} right; at least {POOLED:.0%} were expected")
+    return said

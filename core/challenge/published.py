@@ -1,0 +1,183 @@
+"""Equations from the literature that nobody wrote the solver for: five other forms of causes, five effects outside.
+
+Each docstring cites the published model. None of them was chosen by looking at what the diagnosis can fit.
+"""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+from numba import njit
+from scipy.optimize import nnls
+from scipy.signal import butter, lfilter
+from scipy.special import erf
+
+from softcal.core.challenge.catalogue_equations import CATALOGUE
+from softcal.core.challenge.chain import Apply, Equation, Moment
+from softcal.core.challenge.operators import low_passes
+from softcal.core.challenge.outside_equations import OUTSIDE_FORM
+from softcal.core.challenge.sizes import Draw, Rng, Scope
+from softcal.core.recording import Array
+
+BRANCHES = 24
+"""Exponentials that stand for a published relaxation law, over six decades of time."""
+
+
+def _as_branches(law: Callable[[Array], Array], tau_s: float) -> tuple[list[float], list[float]]:
+    """Return weights >= 0 and times of the exponentials 1 − exp(−t/τᵢ) that add up to a law that rises from 0."""
+    taus_s = np.geomspace(1e-3 * tau_s, 1e3 * tau_s, BRANCHES)
+    t_s = np.geomspace(1e-3 * tau_s, 1e2 * tau_s, 300)
+    weights, _ = nnls(1.0 - np.exp(-t_s[:, None] / taus_s), law(t_s))
+    return weights.tolist(), taus_s.tolist()
+
+
+def _kohlrausch_relaxation(force_N: Array, at: Moment, share: float, tau_s: float) -> Array:
+    """Stretched exponential, 1 − exp(−√(t/τ)): Kohlrausch 1854; Williams and Watts, Trans. Faraday Soc. 66 (1970)."""
+    weights, taus_s = _as_branches(lambda t_s: 1.0 - np.exp(-np.sqrt(t_s / tau_s)), tau_s)
+    return np.maximum(0.0, force_N - share * low_passes(force_N, at.step_s, weights, taus_s))
+
+
+def _ogden_roxburgh(force_N: Array, at: Moment, size: float, cycles: float) -> Array:
+    """Pseudo-elastic Mullins effect, η = 1 − erf((Wm − W)/m)/r: Ogden and Roxburgh, Proc. R. Soc. Lond. A 455 (1999).
+
+    W is the stored energy, Wm the largest so far, 1/r the size; `cycles` scales m in units of the largest energy of a
+    press to 3 N.
+    """
+    energy = at.rig.k1_N_mm * at.compression_mm**2 / 2.0 + at.rig.k3_N_mm3 * at.compression_mm**4 / 4.0
+    most = np.maximum.accumulate(energy)
+    scale = cycles * 0.5 * 3.0**2 / (2.0 * at.rig.k1_N_mm)
+    return np.asarray(force_N * (1.0 - size * erf((most - energy) / scale)))
+
+
+@njit(cache=True)
+def _dahl_state(signal: Array, scale: float) -> Array:  # pragma: no cover - compiled
+    out = np.empty_like(signal)
+    state = 0.0
+    out[0] = state
+    for k in range(1, len(signal)):
+        step = (signal[k] - signal[k - 1]) / scale
+        sign = 1.0 if step > 0.0 else -1.0
+        # dz/dx = (1 − z·sign)² has the solution 1/(1 − z·sign) = 1/(1 − z₀·sign) + |x|.
+        left = max(1.0 - state * sign, 1e-12)
+        state = sign * (1.0 - 1.0 / (1.0 / left + abs(step)))
+        out[k] = state
+    return out
+
+
+def _dahl_channel(load: Array, at: Moment, size: float, scale_N: float) -> Array:
+    """Solid friction, dz/dx = (1 − z·sign ẋ)²/scale: Dahl, Aerospace Corporation TOR-0158(3107-18)-1 (1968)."""
+    return load * (1.0 + size * _dahl_state(np.ascontiguousarray(load), scale_N))
+
+
+def _butterworth_lag(volts: Array, at: Moment, tau_s: float) -> Array:
+    """Third-order maximally flat low-pass with the delay τ at low frequency: Butterworth, Wireless Engineer 7 (1930).
+
+    A filter of symmetric weights (sinc³) would be a pure delay besides some smoothing: the catalogue's clock offset.
+    """
+    numerator, denominator = butter(3, 2.0 / tau_s * at.step_s / np.pi)
+    return np.asarray(lfilter(numerator, denominator, volts - volts[0]) + volts[0])
+
+
+def _andrade_creep(force_N: Array, at: Moment, share: float, tau_s: float) -> Array:
+    """Transient creep of a metal spring element, (t/τ)^(1/3): Andrade, Proc. R. Soc. Lond. A 84 (1910)."""
+    weights, taus_s = _as_branches(lambda t_s: np.cbrt(t_s / tau_s), tau_s)
+    return force_N + 0.6 * share * low_passes(force_N, at.step_s, weights, taus_s)
+
+
+def _screw_growth(stage_mm: Array, at: Moment, growth: float, tau_s: float) -> Array:
+    """A ball screw that warms and grows while it runs: Ramesh, Mannan and Poo, Int. J. Mach. Tools Manuf. 40 (2000)."""
+    return np.asarray(stage_mm * (1.0 - growth * -np.expm1(-at.t_s / tau_s)))
+
+
+def _rate_stiffening(force_N: Array, at: Moment, size: float, speed_mm_s: float) -> Array:
+    """Stiffness that grows with the speed as (v/C)^(1/4): Cowper and Symonds, Brown University report C11-28 (1957)."""
+    speed = np.abs(np.gradient(at.compression_mm, at.step_s))
+    return np.asarray(force_N * (1.0 + size * (speed / speed_mm_s) ** 0.25))
+
+
+def _film_contact(ohm: Array, at: Moment, film_ohm: float, load_N: float) -> Array:
+    """A contact whose film resistance falls as F^(−1/2): Holm, Electric Contacts, 4th edition (1967)."""
+    return np.asarray(ohm + film_ohm / np.sqrt(1.0 + np.maximum(0.0, at.force_N) / load_N))
+
+
+def _stray_tone(volts: Array, at: Moment, amplitude_V: float, frequency_Hz: float) -> Array:
+    """Narrow-band pick-up that is not the mains: Ott, Electromagnetic Compatibility Engineering (2009), chapter 2."""
+    phase = at.rng.uniform(0.0, 2.0 * np.pi)
+    return np.asarray(volts + amplitude_V * np.sin(2.0 * np.pi * frequency_Hz * at.t_s + phase))
+
+
+@njit(cache=True)
+def _ringing(signal: Array, step_s: float, omega: float, damping: float) -> Array:  # pragma: no cover - compiled
+    out = np.empty_like(signal)
+    place, speed = signal[0], 0.0
+    for k in range(len(signal)):
+        speed += step_s * (omega * omega * (signal[k] - place) - 2.0 * damping * omega * speed)
+        place += step_s * speed
+        out[k] = place
+    return out
+
+
+def _cell_ringing(force_N: Array, at: Moment, frequency_Hz: float, damping: float) -> Array:
+    """A cell and its platen that swing, second order: Boschetti and others, Mech. Syst. Signal Process. 34 (2013)."""
+    return _ringing(np.ascontiguousarray(force_N), at.step_s, 2.0 * np.pi * frequency_Hz, damping)
+
+
+_FORMS: tuple[tuple[str, str, Apply], ...] = (
+    ("stress_relaxation", "kohlrausch", _kohlrausch_relaxation),
+    ("mullins_softening", "ogden_roxburgh", _ogden_roxburgh),
+    ("channel_hysteresis", "dahl", _dahl_channel),
+    ("readout_lag", "butterworth", _butterworth_lag),
+    ("loadcell_creep", "andrade", _andrade_creep),
+)
+_EFFECTS: tuple[tuple[str, str, str, Apply], ...] = (
+    ("screw_growth", "motion", "position", _screw_growth),
+    ("rate_stiffening", "mechanics", "elastic", _rate_stiffening),
+    ("film_contact", "transduction", "resistance", _film_contact),
+    ("stray_tone", "electronics", "pickup", _stray_tone),
+    ("cell_ringing", "load_cell", "cell", _cell_ringing),
+)
+
+PUBLISHED_FORMS: Mapping[tuple[str, str], Equation] = MappingProxyType(
+    {
+        (effect, form): Equation(effect, form, CATALOGUE[effect].stage, CATALOGUE[effect].hook, apply)
+        for effect, form, apply in _FORMS
+    }
+)
+"""By (effect, form); each takes the parameters of the catalogue's equation and is of about the same size."""
+
+PUBLISHED_OUTSIDE: Mapping[str, Equation] = MappingProxyType(
+    {row[0]: Equation(row[0], OUTSIDE_FORM, *row[1:]) for row in _EFFECTS}
+)
+"""Published effects outside the catalogue by name."""
+
+
+def _near(rng: Rng, centre: float, factor: float = 1.6) -> float:
+    return float(centre * factor ** rng.uniform(-1.0, 1.0))
+
+
+def _tone_Hz(rng: Rng, at: Scope) -> float:
+    """A frequency between 1 Hz and 0.45 of the rate, at least 1.5 Hz from every alias of the mains."""
+    rate_Hz = at.rig.sample_rate_Hz
+    aliases = [abs(m - rate_Hz * round(m / rate_Hz)) for m in (50.0, 60.0)]
+    while True:
+        frequency_Hz = float(rng.uniform(1.0, 0.45 * rate_Hz))
+        if all(abs(frequency_Hz - alias) > 1.5 for alias in aliases):
+            return frequency_Hz
+
+
+PUBLISHED_SIZES: Mapping[str, Draw] = MappingProxyType(
+    {
+        "screw_growth": lambda rng, at, scale: {"growth": scale * _near(rng, 0.02), "tau_s": _near(rng, 60.0)},
+        "rate_stiffening": lambda rng, at, scale: {"size": scale * _near(rng, 0.05), "speed_mm_s": _near(rng, 2.0)},
+        "film_contact": lambda rng, at, scale: {
+            "film_ohm": scale * at.rig.r0_ohm * _near(rng, 0.08),
+            "load_N": _near(rng, 0.3),
+        },
+        "stray_tone": lambda rng, at, scale: {
+            "amplitude_V": scale * _near(rng, 4e-3),
+            "frequency_Hz": _tone_Hz(rng, at),
+        },
+        "cell_ringing": lambda rng, at, scale: {"frequency_Hz": _near(rng, 5.0) / scale, "damping": _near(rng, 0.08)},
+    }
+)
+"""Usual sizes of the published effects outside the catalogue."""

@@ -1,0 +1,298 @@
+"""The diagnosis of a simulator of somebody else: where, which, how far, how sure, what to run next.
+
+Hypotheses, evidence, rivals, hidden fractions and held-out shrink are those of the soft sensor's twin; only what
+predicts the channels is another.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.gap import next_experiment
+from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
+from softcal.core.gap.candidates import Probe
+from softcal.core.gap.case import Case
+from softcal.core.gap.diagnosis import SCHEMA, UNKNOWN_TRUST, Cause, Place, Verdict, chances_of, estimates_of, shares_of
+from softcal.core.gap.fit import Block, Fit, fit, fit_scale, to_fit
+from softcal.core.gap.next_experiment import NextExperiment
+from softcal.core.gap.posterior import log_evidences
+from softcal.core.gap.residual import Regime, structure
+from softcal.core.gap.search import Progress, Search, SearchConfig
+from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
+from softcal.core.gap.simulator import (
+    Simulator,
+    SimulatorHypothesis,
+    SimulatorProblem,
+    SimulatorRun,
+    noise_of,
+    planned,
+)
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Parameter
+from softcal.core.twin.probes import Extent
+
+STARTS = 3
+"""Starts of the base fit: the usual values, and this many less one around them."""
+
+CONFIG = SearchConfig(leads=(8, 5), beam=(3,))
+"""As for the twin, up to two causes at once."""
+
+STANDS_OUT = 1.5
+"""Share of the gap over share of time from which a condition is listed."""
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatorDiagnosis:
+    """What is found of a simulator; parts as in `Diagnosis`."""
+
+    simulator: Simulator
+    serial: str
+    verdict: Verdict
+    base: Fit
+    best: Fit
+    causes: tuple[Cause, ...]
+    places: tuple[Place, ...]
+    gap: dict[str, ChannelGap]
+    shrink: Shrink
+    protocol: str
+    ambiguous_with: list[list[str]]
+    hidden_fraction: dict[str, float]
+    next_experiment: NextExperiment
+    explained_share: float
+
+    def report(self) -> dict[str, object]:
+        """Return the report of schema `softcal.gap/1`; `parameters` are those of the simulator that explains most."""
+        found = self.base if self.verdict == "unknown" else self.best
+        hypothesis = found.hypothesis
+        named = hypothesis.named(found.coordinates) if isinstance(hypothesis, SimulatorHypothesis) else {}
+        proposed = self.next_experiment
+        return {
+            "schema": SCHEMA,
+            "simulator": self.simulator.name,
+            "verdict": self.verdict,
+            "serial": self.serial,
+            "gap": {name: vars(gap) for name, gap in self.gap.items()},
+            "shrink": vars(self.shrink) | {"protocol": self.protocol},
+            "where": [vars(place) for place in self.places],
+            "causes": [
+                vars(c) | {"parameters": {name: vars(p) for name, p in c.parameters.items()}} for c in self.causes
+            ],
+            "ambiguous_with": self.ambiguous_with,
+            "hidden_fraction": self.hidden_fraction,
+            "next_experiment": {
+                "profile": proposed.profile,
+                "why": proposed.why,
+                "separation_sigma": proposed.separation_sigma,
+                "minutes": proposed.minutes,
+            },
+            "explained_share": self.explained_share,
+            "parameters": named,
+        }
+
+
+def diagnose_simulator(
+    simulator: Simulator, runs: Sequence[SimulatorRun], serial: str = "", progress: Progress | None = None
+) -> SimulatorDiagnosis:
+    """Diagnose the gap between a simulator and recordings of what it simulates.
+
+    Args:
+        runs: made by `recorded`.
+        serial: of the unit, for the report.
+        progress: called with one line at every step.
+
+    Raises:
+        InputError: no run, or the simulator gives something else than finite channels.
+    """
+    if not runs:
+        raise InputError(f"simulator {simulator.name}: no run was given; a diagnosis needs one")
+    say = progress or (lambda _: None)
+    search = SimulatorSearch(simulator, Case(serial, tuple(runs)), say)
+    search.run()
+    best, ids = search.best, [c.id for c in simulator.candidates]
+    logs = log_evidences(search.fits)
+    group = rivals(search.fits, best, logs)
+    say("measuring the shrink on samples no fit has seen")
+    quantified = quantify(search.base, best)
+    share = float(np.clip(search.share(best), 0.0, 1.0))
+    verdict = _verdict(search, group)
+    doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0
+    chances = {i: p * doubt for i, p in chances_of(logs, group, ids).items()}
+    causes = _causes(search, simulator, group, chances, quantified.shrink.held_out)
+    return SimulatorDiagnosis(
+        simulator=simulator,
+        serial=serial,
+        verdict=verdict,
+        base=search.base,
+        best=best,
+        causes=causes,
+        places=_places(search, causes, verdict),
+        gap=quantified.gap,
+        shrink=quantified.shrink,
+        protocol=quantified.protocol,
+        ambiguous_with=confused_pairs(group),
+        hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
+        next_experiment=_next(simulator, group, verdict),
+        explained_share=share,
+    )
+
+
+class SimulatorSearch(Search):
+    """The search over the candidates of a simulator; nothing is placed first, and a cause has one realisation."""
+
+    def __init__(self, simulator: Simulator, case: Case, say: Progress) -> None:
+        say(f"fitting {simulator.name} to all runs")
+        base = base_fit(simulator, case)
+        duration_s = max(float(run.elapsed_s[-1]) for run in case.runs)
+        extent = Extent(1.0, 1.0, 0.0, 1.0, duration_s, float(np.median(case.runs[0].step_s[1:])))
+        probes = tuple(Probe(c, row, c.is_one_sided) for c in simulator.candidates for row in c.probes(extent))
+        self._begin(base, probes, (), extent, CONFIG, say)
+
+    def _rough_start(self) -> Array:
+        return self.base.coordinates[self.base.hypothesis.of_base]
+
+    def _try_forms(self, share: float) -> None:
+        self._settle_noise(self._leader)
+
+    def _try_forms_within(self, best: Fit) -> bool:
+        return False
+
+    def _find_stranger(self) -> Fit | None:
+        return None
+
+    def _settle_noise(self, best: Fit) -> None:
+        problem = best.problem.with_noise(noise_of(best))
+        self.fits = {ids: found.under(problem) for ids, found in self.fits.items()}
+        self.base = self.fits[()]
+
+
+def base_fit(simulator: Simulator, case: Case) -> Fit:
+    """Fit the base parameters alone from several starts, with noise levels from the residual."""
+    problem = SimulatorProblem(case, dict.fromkeys(simulator.channels, 1.0), simulator=simulator)
+    spans = {c: [problem.measured[b.place] for b in problem.blocks if b.channel == c] for c in simulator.channels}
+    rough = {c: 0.02 * max(float(np.std(np.concatenate(parts))), 1e-12) for c, parts in spans.items()}
+    hypothesis = SimulatorHypothesis(base=simulator.base)
+    first = problem.with_noise(rough)
+    fits = [fit(first, hypothesis, start, steps=40) for start in _starts(simulator.base)]
+    best = min(fits, key=lambda found: found.chi2)
+    for _ in range(3):
+        best = fit(best.problem.with_noise(noise_of(best)), hypothesis, best.coordinates)
+    return best
+
+
+def _starts(base: tuple[Parameter, ...]) -> list[Array]:
+    rng = np.random.default_rng(1)
+    usual = np.array([to_fit(p, p.usual) for p in base])
+    scale = np.array([fit_scale(p) for p in base])
+    bounds = np.array([sorted((to_fit(p, p.low), to_fit(p, p.high))) for p in base])
+    drawn = [usual + 0.5 * scale * rng.normal(size=len(base)) for _ in range(STARTS - 1)]
+    return [np.clip(start, bounds[:, 0], bounds[:, 1]) for start in (usual, *drawn)]
+
+
+def _verdict(search: Search, group: tuple[Fit, ...]) -> Verdict:
+    best = search.best
+    if not best.hypothesis.ids:
+        return "unknown" if structure(best).is_significant else "no_gap"
+    if not search.is_explained(best):
+        return "unknown"
+    return "ambiguous" if len(group) > 1 else "explained"
+
+
+def _causes(
+    search: Search, simulator: Simulator, group: tuple[Fit, ...], chances: dict[str, float], held_out: float
+) -> tuple[Cause, ...]:
+    shares = shares_of(search, search.best)
+
+    def cause(effect: Effect) -> Cause:
+        found = next((f for f in group if effect.id in f.hypothesis.ids), search.fits.get((effect.id,)))
+        parameters = estimates_of(found, effect.id) if found is not None else {}
+        return Cause(effect.id, effect.stage, chances[effect.id], shares.get(effect.id, 0.0) * held_out, parameters)
+
+    return tuple(sorted(map(cause, simulator.candidates), key=lambda c: (-c.probability, -c.shrink)))
+
+
+def _places(search: Search, causes: tuple[Cause, ...], verdict: Verdict) -> tuple[Place, ...]:
+    """Where the gap lies: parts of the mechanism where causes are named, then the conditions in which it stands out."""
+    if verdict == "no_gap":
+        return ()
+    seen = regimes_of(search.base)
+    channel, regime = (seen[0].channel, seen[0].name) if seen else (_loudest(search.base), "everywhere")
+    if verdict == "unknown":
+        part, ids = float(np.clip(search.share(search.best), 0.0, 1.0)), " and ".join(search.best.hypothesis.ids)
+        nearest = f"{ids} explains {part:.0%} of it" if ids else "no candidate explains any of it"
+        places = [Place("unknown", channel, regime, 1.0, nearest)]
+    else:
+        named = [c for c in causes if c.effect in search.best.hypothesis.ids]
+        total = sum(c.shrink for c in named) or 1.0
+        places = [Place(c.stage, channel, regime, c.shrink / total, c.effect) for c in named]
+    at = places[0].stage
+    lines = [
+        Place(
+            at, r.channel, r.name, r.share, f"{r.share:.0%} of the gap's energy, {r.lift:.1f} times its share of time"
+        )
+        for r in seen[:4]
+    ]
+    return (*places, *lines)
+
+
+def _loudest(found: Fit) -> str:
+    """Return the channel with the most structure left."""
+    return max(found.problem.scored_channels, key=lambda channel: structure(found, channel).z)
+
+
+def regimes_of(found: Fit) -> list[Regime]:
+    """Return the conditions in which the residual of a channel stands out, by share and lift, strongest first."""
+    out = []
+    for channel in found.problem.scored_channels:
+        blocks = [b for b in found.problem.blocks if b.channel == channel]
+        excess = np.concatenate([found.residual[b.place] ** 2 - 1.0 for b in blocks])
+        total = float(excess.sum())
+        if total <= 4 * np.sqrt(2 * len(excess)):
+            continue
+        for name, members in _conditions(found, blocks).items():
+            time_share = float(np.mean(members))
+            share = float(np.clip(excess[members].sum() / total, 0.0, 1.0)) if 0.01 < time_share < 0.95 else 0.0
+            if share > STANDS_OUT * time_share:
+                out.append(Regime(channel, name, share, share / time_share))
+    return sorted(out, key=lambda r: -r.share * np.log(r.lift))
+
+
+def _conditions(found: Fit, blocks: list[Block]) -> dict[str, Array]:
+    """Which samples of a channel lie at a level, a slope or a time, and in which run."""
+    runs = [found.problem.case.runs[b.run] for b in blocks]
+    predicted = [found.predicted[b.place] for b in blocks]
+    slope = np.concatenate([np.gradient(p, r.t_s) for p, r in zip(predicted, runs, strict=True)])
+    level, part = np.concatenate(predicted), np.concatenate([r.elapsed_s / r.elapsed_s[-1] for r in runs])
+    low, high = np.quantile(level, (0.2, 0.8))
+    calm, quick = np.quantile(np.abs(slope), (0.3, 0.7))
+    of_run = np.concatenate([np.full(len(r), k) for k, r in enumerate(runs)])
+    out = {
+        "low level (lowest fifth)": level < low,
+        "high level (highest fifth)": level > high,
+        "rising": slope > quick,
+        "falling": slope < -quick,
+        "fast change": np.abs(slope) > quick,
+        "standing still": np.abs(slope) < calm,
+        "start of the run (first quarter)": part < 0.25,
+        "end of the run (last quarter)": part > 0.75,
+    }
+    return out | {f"run {run.name}": of_run == k for k, run in enumerate(runs)}
+
+
+def _next(simulator: Simulator, group: tuple[Fit, ...], verdict: Verdict) -> NextExperiment:
+    if verdict == "unknown":
+        return NextExperiment(
+            "none", "no candidate explains the gap; add one that acts where `where` says it stands out"
+        )
+    if len(group) < 2:
+        what = "no gap is visible on these runs" if verdict == "no_gap" else "the causes are separated on these runs"
+        return NextExperiment("none", what)
+    entries = [
+        next_experiment.Experiment(name, planned(simulator, name), entry.minutes)
+        for name, entry in simulator.experiments.items()
+    ]
+    if not entries:
+        names = " and ".join("+".join(f.hypothesis.ids) for f in group)
+        return NextExperiment("none", f"{names} fit alike; give the simulator experiments to choose among")
+    return next_experiment.most_telling(entries, group)

@@ -1,0 +1,98 @@
+"""How other realisations of a cause are built: what a rig may show instead of the catalogue's own equation.
+
+A cause is named by its place and character, not by its formula: several relaxation times instead of one, stop
+operators instead of a Duhem loop, a power law instead of a logarithm. Each form carries the identifier of its cause,
+so that a diagnosis can name the cause and describe what the catalogue's equation leaves.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Form, Parameter, Step
+from softcal.core.twin.signals import direction_state, play
+
+STOPS = (0.03, 0.1, 0.25, 0.6)
+"""Strokes of the stop operators of a Prandtl–Ishlinskii loop, as shares of the largest value of their input."""
+
+SPLIT = 4.0
+"""Two time constants or loop widths begin this factor above and below the one that was fitted."""
+
+POWER = Parameter("power", "", 0.15, 3.0, 0.3)
+SETTLING = Parameter("tau", "s", 3.0, 1000.0, 30.0, scale="log")
+
+Maker: TypeAlias = Callable[[Effect], Form]
+"""Makes a form of an effect from the effect's own parameters."""
+
+
+def in_form(step: Step, what: str, parameters: Sequence[Parameter], carry: Sequence[tuple[int | None, float]]) -> Maker:
+    """Return a maker of a form with parameters of its own.
+
+    Args:
+        what: the realisation in words.
+        carry: where its fit begins, see `Form`.
+    """
+
+    def make(effect: Effect) -> Form:
+        return Form(replace(effect, step=step, parameters=tuple(parameters), equation=what, forms=()), tuple(carry))
+
+    return make
+
+
+def two(step: Step, what: str) -> Maker:
+    """Return a maker of a form that is the effect twice, with two sizes and two shapes."""
+
+    def make(effect: Effect) -> Form:
+        size, shape = effect.parameters
+        second = (replace(size, name=f"{size.name}2"), replace(shape, name=f"{shape.name}2"))
+        carry = ((0, 0.5), (1, 1 / SPLIT), (0, 0.5), (1, SPLIT))
+        return in_form(step, what, (size, shape, *second), carry)(effect)
+
+    return make
+
+
+def plus(step: Step, what: str, *extra: tuple[Parameter, float]) -> Maker:
+    """Return a maker of a form with parameters more, each with the value it begins at."""
+
+    def make(effect: Effect) -> Form:
+        own: list[tuple[int | None, float]] = [(k, 1.0) for k in range(len(effect.parameters))]
+        carry = [*own, *((None, value) for _, value in extra)]
+        return in_form(step, what, (*effect.parameters, *(p for p, _ in extra)), carry)(effect)
+
+    return make
+
+
+def stop_form(step: Step, what: str) -> Maker:
+    """Return a maker of a form of stop operators, one weight for each of `STOPS`."""
+    weights = [Parameter(f"w{k}", "", -0.5, 1.0, 0.05, neutral=0.0) for k in range(len(STOPS))]
+    return in_form(step, what, weights, [(0, 0.5)] * len(STOPS))
+
+
+def loops(signal: Array, values: Sequence[float]) -> Array:
+    """Return 1 + a₁·z₁ + a₂·z₂ of two rate-independent loops; values are (a₁, width₁, a₂, width₂)."""
+    one = direction_state(signal, values[1], np.array([0.0, signal[0]]))
+    other = direction_state(signal, values[3], np.array([0.0, signal[0]]))
+    return 1.0 + values[0] * one + values[2] * other
+
+
+def stops(signal: Array, weights: Sequence[float]) -> Array:
+    """Return Σ wᵢ·(x − play_rᵢ(x)): stop operators, each saturating after its own stroke (Brokate, Sprekels 1996)."""
+    out = np.zeros_like(signal)
+    largest = float(np.max(np.abs(signal))) or 1.0
+    for weight, share in zip(weights, STOPS, strict=True):
+        width = share * largest
+        out += weight * (signal - play(signal, width, np.array([signal[0] - width])))
+    return out
+
+
+def bent_time(t_s: Array, power: float) -> Array:
+    """Return a time that runs straight for power 1, ever slower below and faster above; equal to t after 30 s."""
+    return np.asarray(30.0 * (t_s / 30.0) ** power)
+
+
+def settling_time(t_s: Array, tau_s: float) -> Array:
+    """Return a time that runs like t at first and stands still after a few τ."""
+    return np.asarray(-tau_s * np.expm1(-t_s / tau_s))

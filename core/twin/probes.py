@@ -1,0 +1,72 @@
+"""How far a recording reaches, and where the search for an effect on it begins: sizes and shapes in its own units."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+TAU_s = (0.05, 0.2, 0.6, 2.0, 6.0, 20.0, 60.0)
+"""Time constants tried for an effect with a memory, as far as the longest run reaches."""
+
+Measure = Literal[
+    "one", "depth_mm", "force_N", "duration_s", "period_s", "softness_mm_N", "rate_per_s", "period_per_duration"
+]
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How far a case reaches: deepest press, largest force, outputs, longest run, sample period."""
+
+    depth_mm: float
+    force_N: float
+    lowest_V: float
+    highest_V: float
+    duration_s: float
+    period_s: float
+
+    def measure(self, name: Measure) -> float:
+        """Return one of the natural units of this case."""
+        derived = {
+            "one": 1.0,
+            "softness_mm_N": self.depth_mm / self.force_N,
+            "rate_per_s": 1.0 / self.duration_s,
+            "period_per_duration": self.period_s / self.duration_s,
+        }
+        return derived[name] if name in derived else float(getattr(self, name))
+
+
+Probes: TypeAlias = Callable[[Extent], Sequence[tuple[float, ...]]]
+"""Parameter values at which an effect is tried on a case, the size first."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of an effect without a shape, as multiples of a natural unit of the case."""
+
+    multiples: tuple[float, ...]
+    unit: Measure = "one"
+
+    def __call__(self, at: Extent) -> list[tuple[float, ...]]:
+        return [(multiple * at.measure(self.unit),) for multiple in self.multiples]
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """One small size and several shapes, the shapes as multiples of a natural unit of the case."""
+
+    size: float
+    multiples: tuple[float, ...]
+    unit: Measure = "one"
+
+    def __call__(self, at: Extent) -> list[tuple[float, ...]]:
+        return [(self.size, multiple * at.measure(self.unit)) for multiple in self.multiples]
+
+
+@dataclass(frozen=True)
+class Times:
+    """One small size and every time constant that the longest run can show, without the shortest few."""
+
+    size: float
+    without: int = 0
+
+    def __call__(self, at: Extent) -> list[tuple[float, ...]]:
+        return [(self.size, tau_s) for tau_s in [t for t in TAU_s if t < at.duration_s][self.without :]]

@@ -1,0 +1,159 @@
+"""What every effect must satisfy: checks that run over the catalogue, and over a plug-in in its own tests.
+
+import pytest
+from softcal.core.twin.properties import PROPERTIES
+
+@pytest.mark.parametrize("holds", PROPERTIES, ids=lambda holds: holds.__name__)
+def test_my_effect(holds):
+    holds(MY_EFFECT)
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from softcal.core.recording import Array
+from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, Placing
+from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
+from softcal.core.twin.probes import Extent
+from softcal.core.twin.simulate import Chain
+
+RATE_Hz = 50.0
+STAGE_OF: dict[Hook, tuple[ChainStage, ...]] = {
+    Hook.MOTION: ("motion",),
+    Hook.CONTACT: ("mechanics",),
+    Hook.FORCE: ("mechanics",),
+    Hook.CHANNEL: ("transduction",),
+    Hook.RESISTANCE: ("transduction",),
+    Hook.REFERENCE: ("electronics",),
+    Hook.OUTPUT: ("electronics",),
+    Hook.CLOCK: ("acquisition",),
+    Hook.READING: ("load_cell",),
+}
+EXTENT = Extent(depth_mm=3.0, force_N=6.5, lowest_V=1.43, highest_V=2.1, duration_s=40.0, period_s=1 / RATE_Hz)
+EPISODES = np.array([[5.0, 7.0], [21.0, 22.0]])
+
+
+class Broken(AssertionError):
+    """An effect that does not satisfy a property; the message says which and by how much."""
+
+
+def _run(
+    effect: Effect, values: Sequence[float], cuts: Sequence[int] = (), readout: ReadoutMetadata | None = None
+) -> Array:
+    """(3, n) force, reading and output of a press with this effect, passed through in pieces that end at the cuts."""
+    readout = readout or ReadoutMetadata(5.0, 32, 10.0, RATE_Hz)
+    t_s = np.arange(int(40 * RATE_Hz)) / RATE_Hz
+    stage_mm = 3.0 * np.abs(np.sin(np.pi * t_s / 8.0)) * (0.6 + 0.4 * np.sin(t_s / 5.0))
+    chain = Chain([effect])
+    memories, parts = chain.fresh_memories(), []
+    for part in np.split(np.arange(len(t_s)), list(cuts)):
+        step_s = np.diff(t_s, prepend=0.0)[part]
+        warm_K = 3.0 * np.sin(t_s[part] / 9.0)
+        rows = {effect.id: EPISODES} if effect.is_episodic else {}
+        flow = Flow(t_s[part], step_s, stage_mm[part], warm_K, readout.vref_V, rows)
+        chain.run(flow, BaseParameters(), readout, [values], memories)
+        parts.append(np.array([flow.force_N, flow.reading_N, flow.output_V]))
+    return np.concatenate(parts, axis=1)
+
+
+def _usual(effect: Effect) -> list[float]:
+    return [p.usual for p in effect.parameters]
+
+
+def switched_off_it_changes_nothing(effect: Effect) -> None:
+    """At its neutral size the signals are those of the base twin; a small size stands in where 0 is no value."""
+    size = effect.parameters[0]
+    values = list(effect.neutral_values)
+    if values[0] == 0.0 and size.low > 0.0:
+        values[0] = 1e-9
+    if effect.signs.placing == Placing.LOSSES:
+        # Its size is read off the episodes: none lost, none missing.
+        return
+    change = np.max(np.abs(_run(effect, values) - _run(_idle(effect), [])))
+    if not change < 1e-6:
+        raise Broken(f"{effect.id}: at its neutral size it changes the signals by {change:.3g}")
+
+
+def _idle(effect: Effect) -> Effect:
+    return Effect(effect.id, effect.stage, effect.hook, "", "", (), lambda flow, values, memory: None)
+
+
+def at_its_usual_size_it_shows(effect: Effect) -> None:
+    """The usual size changes a signal by more than a thousandth of its span; a level is put amid the output."""
+    values = _usual(effect)
+    if effect.signs.placing in (Placing.CEILING, Placing.FLOOR):
+        values[0] = 0.5 * (EXTENT.lowest_V + EXTENT.highest_V)
+    difference = np.abs(_run(effect, values) - _run(_idle(effect), []))
+    span = np.ptp(_run(_idle(effect), []), axis=1)
+    if not np.max(np.max(difference, axis=1) / span) > 1e-3:
+        raise Broken(f"{effect.id}: at its usual size nothing moves by a thousandth of its span")
+
+
+def it_stays_finite_within_its_bounds(effect: Effect) -> None:
+    """No value within the bounds gives a number that is not finite."""
+    for k, p in enumerate(effect.parameters):
+        for end in (p.low, p.high):
+            values = _usual(effect)
+            values[k] = end
+            with np.errstate(all="ignore"):
+                signals = _run(effect, values)
+            if not np.all(np.isfinite(signals)):
+                raise Broken(f"{effect.id}: {p.name} = {end:.4g} {p.unit} gives numbers that are not finite")
+
+
+def chunks_of_a_stream_give_the_same(effect: Effect) -> None:
+    """Samples in pieces give the numbers of one call; the output of a shifted clock is left out at the cuts."""
+    whole, pieces = (_run(effect, _usual(effect), cuts) for cuts in ((), (1, 2, 77, 500, 1200)))
+    rows = slice(0, 2) if effect.hook == Hook.CLOCK else slice(0, 3)
+    change = np.max(np.abs(whole[rows] - pieces[rows]))
+    if not change < 1e-9:
+        raise Broken(f"{effect.id}: a stream in pieces differs from one call by {change:.3g}; keep state in `memory`")
+
+
+def it_acts_where_it_says(effect: Effect) -> None:
+    """The stage is that of its hook, and signals of earlier stages do not change."""
+    if effect.stage not in STAGE_OF[effect.hook]:
+        raise Broken(f"{effect.id}: stage {effect.stage} does not belong to the hook {effect.hook.name}")
+    change = np.max(np.abs(_run(effect, _usual(effect)) - _run(_idle(effect), [])), axis=1)
+    untouched = [2] if effect.hook == Hook.READING else [0, 1] if effect.hook >= Hook.CHANNEL else []
+    for row in untouched:
+        if change[row] > 0:
+            raise Broken(
+                f"{effect.id}: it acts at {effect.hook.name}, yet changes {('force', 'reading', 'output')[row]}"
+            )
+
+
+def a_search_finds_where_to_begin(effect: Effect) -> None:
+    """It has probes within its bounds, or says how it is placed first."""
+    rows = effect.probes(EXTENT)
+    if not rows and effect.signs.placing is None:
+        raise Broken(f"{effect.id}: it has neither probes nor a way to be placed")
+    if effect.is_episodic and effect.signs.placing is None:
+        raise Broken(f"{effect.id}: it is episodic, but says not how its episodes are placed")
+    for row in rows:
+        for p, value in zip(effect.parameters, row, strict=True):
+            if not p.low <= value <= p.high:
+                raise Broken(f"{effect.id}: a search would begin at {p.name} = {value:.4g}, outside its bounds")
+
+
+def other_forms_carry_its_name(effect: Effect) -> None:
+    """Every form has the identifier and stage of its cause, and begins within its own bounds."""
+    for form in effect.forms:
+        if (form.effect.id, form.effect.stage) != (effect.id, effect.stage):
+            raise Broken(f"{effect.id}: its form {form.effect.equation!r} is of another cause")
+        for p, value in zip(form.effect.parameters, form.start(_usual(effect)), strict=True):
+            if not p.low <= value <= p.high:
+                raise Broken(f"{effect.id}: its form {form.effect.equation!r} begins at {p.name} = {value:.4g}")
+
+
+PROPERTIES: tuple[Callable[[Effect], None], ...] = (
+    switched_off_it_changes_nothing,
+    at_its_usual_size_it_shows,
+    it_stays_finite_within_its_bounds,
+    chunks_of_a_stream_give_the_same,
+    it_acts_where_it_says,
+    a_search_finds_where_to_begin,
+    other_forms_carry_its_name,
+)
+"""Each raises `Broken` with one line where an effect does not satisfy it."""

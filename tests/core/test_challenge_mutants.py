@@ -1,0 +1,86 @@
+"""The check can fail: answers that never look at a recording fall below its floors, and a right one does not."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from softcal.core.challenge.catalogue_equations import CATALOGUE
+from softcal.core.challenge.draw import draw_case
+from softcal.core.challenge.floors import FLOORS, shortfalls
+from softcal.core.challenge.score import score_reports
+from softcal.core.challenge.seal import Label
+
+PER_LINE = 4
+Mutant = Callable[[Label], dict[str, Any]]
+
+
+def labels(seed: int) -> list[Label]:
+    cases = [draw_case(seed + k, f"{line}-{k}", line) for line in FLOORS for k in range(PER_LINE)]
+    return [Label(case, "00", 100.0) for case in cases]
+
+
+def said(verdict: str, named: dict[str, float], groups: tuple[tuple[str, ...], ...] = ()) -> dict[str, Any]:
+    return {
+        "verdict": verdict,
+        "causes": [{"effect": effect, "probability": named.get(effect, 0.0)} for effect in CATALOGUE],
+        "ambiguous_with": [list(group) for group in groups],
+        "where": [{"stage": "transduction", "share": 1.0}],
+        "shrink": {"predicted": 0.97, "low": 0.9, "high": 1.0},
+    }
+
+
+def truth(label: Label) -> dict[str, Any]:
+    causes = {cause.effect for cause in label.case.causes}
+    if not causes:
+        return said("no_gap", {})
+    return said("explained", dict.fromkeys(causes, 1.0)) if causes <= set(CATALOGUE) else said("unknown", {})
+
+
+def peeks_at_the_stage(label: Label) -> dict[str, Any]:
+    """Knows the stage of the first cause, and names the first effect of it."""
+    first = next((e for e, q in CATALOGUE.items() if q.stage in label.case.stages), "backlash")
+    return said("explained", {first: 1.0})
+
+
+MUTANTS: dict[str, Mutant] = {
+    "always no gap": lambda label: said("no_gap", {}),
+    "always unknown": lambda label: said("unknown", {}),
+    "always a data mistake": lambda label: said("data", {}),
+    "first of the catalogue": lambda label: said("explained", {next(iter(CATALOGUE)): 1.0}),
+    "last of the catalogue": lambda label: said("explained", {list(CATALOGUE)[-1]: 1.0}),
+    "everything at once": lambda label: said("explained", dict.fromkeys(CATALOGUE, 1.0)),
+    "everything ambiguous": lambda label: said("ambiguous", dict.fromkeys(CATALOGUE, 0.4), (tuple(CATALOGUE),)),
+    "never a name": lambda label: said("no_gap" if label.case.name.endswith(("0", "2")) else "unknown", {}),
+    "the first effect of the stage": peeks_at_the_stage,
+}
+
+
+@pytest.mark.parametrize("mutant", MUTANTS)
+def test_an_answer_that_does_not_look_falls_below_the_floors(mutant: str) -> None:
+    for seed in (1, 1000, 2000):
+        every = labels(seed)
+        sheet = score_reports(every, {label.case.name: MUTANTS[mutant](label) for label in every})
+        assert len(shortfalls(sheet)) > len(FLOORS) / 2, shortfalls(sheet)
+
+
+def test_the_truth_stands_above_them() -> None:
+    every = labels(1)
+    assert shortfalls(score_reports(every, {label.case.name: truth(label) for label in every})) == []
+
+
+def test_a_diagnosis_that_fails_on_one_line_alone_is_seen() -> None:
+    every = labels(1)
+    for line in FLOORS:
+        reports = {
+            label.case.name: said("explained", {"dropped_samples": 1.0}) if label.case.line == line else truth(label)
+            for label in every
+        }
+        told = shortfalls(score_reports(every, reports))
+        assert [sentence.split(":")[0] for sentence in told] == [line]
+
+
+def test_a_line_that_is_left_out_is_a_shortfall() -> None:
+    kept = [label for label in labels(1) if label.case.line != "outside"]
+    told = shortfalls(score_reports(kept, {label.case.name: truth(label) for label in kept}))
+    assert told == ["outside: no case was drawn"]
