@@ -1,5 +1,6 @@
 """Who may do what: people with a role and a PIN. PINs are kept as Argon2id hashes and never leave this module."""
 
+import hashlib
 from datetime import timedelta
 
 from argon2 import PasswordHasher
@@ -70,8 +71,10 @@ class People(RegistryBase):
                 values["pin_hash"] = _HASHER.hash(pin)
             statement = insert(users) if known is None else update(users).where(users.c.name == name)
             connection.execute(statement.values(**values))
-            before = vars(_user(known)) if known else None
-            self._tell(connection, "set_user", name, vars(user), before, actor, reason)
+            before = people_as_told(known) if known else None
+            kept = _row(connection, name)
+            after = {} if kept is None else people_as_told(kept)
+            self._tell(connection, "set_user", name, after, before, actor, reason)
             return user
 
     def users(self) -> list[User]:
@@ -122,6 +125,11 @@ class People(RegistryBase):
 def may(user: User, action: str) -> bool:
     """Whether a person's role allows an action of `PERMISSIONS`."""
     return user.is_active and action in PERMISSIONS[user.role]
+
+
+def people_as_told(row: RowMapping) -> dict[str, object]:
+    """Return a person as the audit trail tells of one: the hash of the PIN only as a hash of its own."""
+    return vars(_user(row)) | {"pin_sha256": hashlib.sha256(row["pin_hash"].encode()).hexdigest()}
 
 
 def _refusal(row: RowMapping | None, is_locked: bool, is_right: bool) -> str:

@@ -7,6 +7,9 @@ row. Everything given back is a value of its own, never a row.
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
+from sqlalchemy.exc import DataError, DBAPIError, StatementError
+
+from softcal.core.errors import InputError
 from softcal.db import history
 from softcal.db.adaptation_tables import AdaptationTables
 from softcal.db.calibration_tables import CalibrationTables
@@ -43,6 +46,23 @@ class Registry(
         """Keep everything done in the block, or nothing of it. Calls inside need no change."""
         with self.database.writing():
             yield
+
+    @contextmanager
+    def part(self) -> Iterator[None]:
+        """Keep everything done in the block or nothing of it, inside a transaction that goes on either way.
+
+        Raises:
+            InputError: a value that the database cannot take.
+        """
+        with self.database.writing() as connection, connection.begin_nested():
+            try:
+                yield
+            except DataError as error:
+                raise InputError(f"a value cannot be stored: {error.orig}") from error
+            except StatementError as error:
+                if isinstance(error, DBAPIError):
+                    raise
+                raise InputError(f"a value cannot be stored: {error.orig}") from error
 
     @property
     def work_queue(self) -> WorkQueue:

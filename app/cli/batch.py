@@ -63,16 +63,17 @@ def run(options: argparse.Namespace) -> int:
     with registry_of(options) as registry:
         report = run_batch(folder, registry, config, batch_watch(folder.lot.reference_unit))
         if options.out is not None:
+            from softcal.app.export.calibrated_unit import ExportOptions
             from softcal.app.export.export import export_units
 
             passed = [u.serial for u in report.units if u.verdict in ("pass", "conditional")]
-            export_units(registry, passed, ("json",), options.out)
+            export_units(registry, passed, ("json",), options.out, ExportOptions(lot_id=report.lot_id))
             say(f"{options.out}: calibration files of {len(passed)} units")
         if options.plots is not None:
             from softcal.app.batch.explain import explain_units
 
             mapped = [u.serial for u in report.units if u.made is not None]
-            explain_units(registry, mapped, options.plots)
+            explain_units(registry, mapped, options.plots, report.lot_id)
             say(f"{options.plots}: figures of {len(mapped)} units")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     for unit in report.units:

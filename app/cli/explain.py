@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_registry, registry_of
+from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of
 from softcal.app.cli.output import print_table, say, write_json
 
 EXAMPLES = """examples:
@@ -25,6 +25,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--serial", required=True, metavar="S")
     parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the figure as a page (.html)")
+    add_lot_of_serial(parser)
     add_registry(parser)
     add_json(parser)
     parser.set_defaults(run=run)
@@ -37,9 +38,9 @@ def run(options: argparse.Namespace) -> int:
 
     with registry_of(options, create=False) as registry:
         if options.out is None:
-            view = unit_view(registry, options.serial, options.revision)
+            view = unit_view(registry, options.serial, options.revision, options.lot)
         else:
-            view = explain_unit(registry, options.serial, options.out, options.revision)
+            view = explain_unit(registry, options.serial, options.out, options.revision, options.lot)
             say(f"{options.out}: the figure of {options.serial}")
     facts = why_json(view)
     if options.json:

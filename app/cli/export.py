@@ -42,7 +42,9 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     units = parser.add_argument_group("which units")
     units.add_argument("--serial", action="append", default=[], metavar="S", help="a unit; may be repeated")
-    units.add_argument("--lot", metavar="ID", help="every unit of a lot that passed, conditionally or not")
+    units.add_argument(
+        "--lot", metavar="ID", help="every unit of a lot that passed, conditionally or not; with --serial: its lot"
+    )
     units.add_argument("--revision", type=int, metavar="N", help="an older calibration; default: the one in use")
     units.add_argument("--failed-too", action="store_true", help="device files also of units that did not pass")
     parser.add_argument("--format", action="append", default=[], choices=FORMATS, help="may be repeated")
@@ -109,7 +111,7 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
     from softcal.core.errors import UnitRefused
 
     with registry_of(options, create=False) as registry:
-        serials = [*options.serial, *(lot_serials(registry, options.lot, options.failed_too) if options.lot else ())]
+        serials = options.serial or lot_serials(registry, options.lot, options.failed_too)
         progress = Progress("units exported", len(serials))
         formats = options.format or ["json"]
         units = export_units(
@@ -160,6 +162,7 @@ def _options(options: argparse.Namespace) -> "ExportOptions":
         network_address=options.network_address,
         failed_too=options.failed_too,
         revision=options.revision,
+        lot_id=options.lot,
         signing_key=options.sign,
         laboratory=options.laboratory,
     )

@@ -24,6 +24,11 @@ def add_registry(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--registry", metavar="URL", help=REGISTRY_HELP)
 
 
+def add_lot_of_serial(parser: argparse.ArgumentParser) -> None:
+    """Add `--lot ID`, which says what unit a serial means that stands in several lots."""
+    parser.add_argument("--lot", metavar="ID", help="lot of the unit; needed where the serial stands in several")
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add `--json FILE`."""
     parser.add_argument("--json", metavar="FILE", help=JSON_HELP)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.bootstrap import open_chosen_registry, registry_url
-from softcal.app.cli.options import add_json, add_registry
+from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry
 from softcal.app.cli.output import print_table, say, write_json
 from softcal.core.errors import RegistryError
 
@@ -44,6 +44,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     listing.add_argument("--csv", type=Path, metavar="FILE", help="write the table as CSV for a spreadsheet")
     history = _action(actions, "history", "every revision of a unit's map", _history)
     history.add_argument("--serial", required=True)
+    add_lot_of_serial(history)
     _action(actions, "verify", "check every stored byte, every row and the audit trail", _verify)
     backup = _action(actions, "backup", "write one consistent copy while the registry is in use", _backup)
     backup.add_argument("file", type=Path, metavar="FILE", help="new SQLite file")
@@ -51,7 +52,9 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     restore.add_argument("file", type=Path, metavar="FILE", help="a backup")
     rollback = _action(actions, "rollback", "bring an older revision back into use", _rollback)
     rollback.add_argument("--serial", required=True)
+    add_lot_of_serial(rollback)
     rollback.add_argument("--to", required=True, type=int, metavar="REVISION")
+    rollback.add_argument("--origin", metavar="REGISTRY", help="who made it, where two registries made this revision")
     rollback.add_argument("--reason", required=True, help="lands in the audit trail")
     sync = _action(actions, "sync", "bring a station's registry and the line's together, both ways", _sync)
     sync.add_argument("--with", required=True, dest="other", metavar="URL", help="the other registry")
@@ -103,13 +106,14 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _history(options: argparse.Namespace) -> int:
-    from softcal.app.registry.maintenance import HISTORY_HEADER, history_json, history_row
+    from softcal.app.registry.maintenance import HISTORY_HEADER, history_json, history_row, only_lot
 
     with _existing(options) as registry:
-        revisions = registry.history(options.serial)
-        units = registry.units(serial=options.serial)
+        units = [unit for unit in registry.units(serial=options.serial) if options.lot in (None, unit.lot_id)]
+        lot_id = only_lot(options.serial, [unit.lot_id for unit in units], options.lot)
+        revisions = registry.history(options.serial, lot_id)
     if options.json:
-        value = {"schema": "softcal.registry.history/1", "serial": options.serial}
+        value = {"schema": "softcal.registry.history/1", "serial": options.serial, "lot": lot_id}
         write_json(options.json, value | {"revisions": [history_json(stored) for stored in revisions]})
     if options.json == "-":
         return DONE
@@ -118,6 +122,9 @@ def _history(options: argparse.Namespace) -> int:
         print_table(HISTORY_HEADER, [history_row(stored) for stored in revisions])
     else:
         print("no calibration yet" + "".join(f"; {reason}" for unit in units for reason in unit.reasons))
+    for unit in units:
+        if unit.is_conflict:
+            say(f"conflict: {unit.reasons[0]}")
     return DONE
 
 
@@ -158,7 +165,8 @@ def _restore(options: argparse.Namespace) -> int:
 
 def _rollback(options: argparse.Namespace) -> int:
     with _existing(options) as registry:
-        revision = registry.rollback(options.serial, options.to, reason=options.reason)
+        which = {"lot_id": options.lot, "origin": options.origin}
+        revision = registry.rollback(options.serial, options.to, reason=options.reason, **which)
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
     value = {"schema": "softcal.registry.rollback/1", "serial": options.serial, "revision": revision}
     return _answer(options, line, value | {"rolled_back_to": options.to})
@@ -171,9 +179,11 @@ def _sync(options: argparse.Namespace) -> int:
         report = synchronise_with(registry, options.other)
     for conflict in report.conflicts:
         say(f"conflict: {conflict}")
+    for clock in report.clocks:
+        say(f"clock: {clock}")
     value: dict[str, object] = {"schema": "softcal.registry.sync/1", "sent": report.sent, "received": report.received}
     line = f"sent {report.sent}, received {report.received} changes, {len(report.conflicts)} conflicts"
-    return _answer(options, line, value | {"conflicts": list(report.conflicts)})
+    return _answer(options, line, value | {"conflicts": list(report.conflicts), "clocks": list(report.clocks)})
 
 
 def _grants(options: argparse.Namespace) -> int:

@@ -30,6 +30,7 @@ class ExportOptions:
         unit_address, network_address: where `hex` places the files.
         failed_too: write device files also of units whose verdict is fail or retest; the file says so.
         revision: an older calibration; None is the one in use.
+        lot_id: lot of the units; needed where a serial stands in several.
         signing_key: Ed25519 private key (PEM) that signs the manifest.
         laboratory: TOML with laboratory, customer, responsible person and load cell, for certificates.
     """
@@ -41,6 +42,7 @@ class ExportOptions:
     network_address: int = 0x38000
     failed_too: bool = False
     revision: int | None = None
+    lot_id: str | None = None
     signing_key: Path | None = None
     laboratory: Path | None = None
 
@@ -142,7 +144,7 @@ class UnitLoader:
 
     def load(self, serial: str) -> CalibratedUnit:
         """Read one unit; `InputError` where the registry does not know it."""
-        stored = self.registry.calibration(serial, self.options.revision)
+        stored = self.registry.calibration(serial, self.options.revision, lot_id=self.options.lot_id)
         recording = self.registry.recording(stored.record.recording_sha256)
         unlabelled = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
         lot = self.registry.lot(stored.lot_id)

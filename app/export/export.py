@@ -64,7 +64,7 @@ def export_units(
             written.
     """
     writers = _writers(formats)
-    _check_serials(registry, serials)
+    _check_serials(registry, serials, options.lot_id)
     manifest, loader = read_manifest(out), UnitLoader(registry, options)
     exported = []
     for serial in serials:
@@ -99,7 +99,7 @@ def _writers(formats: Sequence[str]) -> dict[str, Writer]:
     return {name: WRITERS[name] for name in dict.fromkeys(formats)}
 
 
-def _check_serials(registry: Registry, serials: Sequence[str]) -> None:
+def _check_serials(registry: Registry, serials: Sequence[str], lot_id: str | None) -> None:
     """Refuse, before anything is written, unknown serials and those a device or a file system would mix up."""
     seen: dict[str, str] = {}
     for serial in serials:
@@ -107,7 +107,8 @@ def _check_serials(registry: Registry, serials: Sequence[str]) -> None:
             if key in seen:
                 raise InputError(f"serials {seen[key]} and {serial} look the same to a device; export one of them")
             seen[key] = serial
-    known = {entry.serial for entry in registry.units() if entry.revision is not None} if len(serials) > 1 else None
+    is_many = len(serials) > 1
+    known = {unit.serial for unit in registry.units(lot_id) if unit.revision is not None} if is_many else None
     unknown = [serial for serial in serials if known is not None and serial not in known]
     if unknown:
         raise InputError(f"the registry has no calibration of {', '.join(unknown[:5])}; nothing was written")

@@ -150,8 +150,9 @@ class RunKeeper:
             "limit": None if limit is None else asdict(limit),
         }
         input_sha256 = content_sha256({}, settings)
-        known = registry.find_calibration(unit.serial, input_sha256)
+        known = registry.find_calibration(unit.serial, input_sha256, lot_id=lot.id)
         if known is not None:
+            registry.put_in_use(lot.id, unit.serial, input_sha256, "line", actor=actor)
             return sha256, Verdict(known.record.verdict, known.record.reasons)
         return sha256, self._calibrate(lot, unit, limit, entry, input_sha256, order)
 

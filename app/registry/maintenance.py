@@ -1,10 +1,11 @@
 """What the registry says of itself as rows and JSON, and what keeps it whole: upgrade, check, backup, restore."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from softcal.core.errors import RegistryError
+from softcal.core.errors import InputError, RegistryError
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
 from softcal.db.database import Database, open_database, schema_of
@@ -29,7 +30,19 @@ UNIT_HEADER = (
     "made",
     "reason",
 )
-HISTORY_HEADER = ("rev", "in use", "made (UTC)", "by", "lot", "verdict", "map", "predicted", "after", "remark")
+HISTORY_HEADER = (
+    "rev",
+    "registry",
+    "in use",
+    "made (UTC)",
+    "by",
+    "lot",
+    "verdict",
+    "map",
+    "predicted",
+    "after",
+    "remark",
+)
 
 
 @dataclass(frozen=True)
@@ -105,7 +118,7 @@ def synchronise_with(registry: Registry, other_url: str) -> SyncReport:
 
 def unit_row(unit: UnitEntry) -> list[object]:
     """Return one row of the table under `UNIT_HEADER`."""
-    remark = "calibrated by two registries under one revision; see history" if unit.is_conflict else ""
+    remark = "two registries put different maps into use; see history" if unit.is_conflict else ""
     reason = "; ".join(filter(None, (remark, *unit.reasons)))[:100]
     errors = [unit.predicted_rmse, unit.before_rmse, unit.after_rmse, unit.own_rmse]
     made = unit.made_at and f"{unit.made_at:%Y-%m-%d %H:%M}"
@@ -117,16 +130,33 @@ def unit_json(unit: UnitEntry) -> dict[str, object]:
     return vars(unit) | {"reasons": list(unit.reasons), "made_at": unit.made_at and unit.made_at.isoformat()}
 
 
+def only_lot(serial: str, lots: Sequence[str], wanted: str | None) -> str:
+    """Return the lot of a serial.
+
+    Args:
+        lots: those the serial stands in, of `wanted` only where it is given.
+
+    Raises:
+        InputError: none, or several.
+    """
+    if not lots:
+        raise InputError(f"serial {serial!r} is not in lot {wanted!r}")
+    if len(lots) > 1:
+        raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which with --lot")
+    return lots[0]
+
+
 def history_row(stored: StoredCalibration) -> list[object]:
     """Return one row of the table under `HISTORY_HEADER`."""
     record = stored.record
     remarks = [
         f"back to revision {stored.rolled_back_to}" if stored.rolled_back_to else "",
-        f"also written elsewhere, this one by registry {stored.origin}" if stored.is_conflict else "",
+        "put into use by one of two registries" if stored.is_conflict else "",
         stored.reason,
     ]
     return [
         stored.revision,
+        stored.origin,
         "yes" if stored.is_current else "",
         f"{stored.made_at:%Y-%m-%d %H:%M:%S}",
         stored.actor,
