@@ -33,6 +33,8 @@ def back_up(database: Database, path: Path) -> None:
     part = path.with_name(f".{path.name}.part")
     try:
         part.unlink(missing_ok=True)
+        # SQLite keeps the mode of a file that is there and empty.
+        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
         _write_copy(database, part)
         with part.open("rb+") as file:
             os.fsync(file.fileno())
@@ -120,6 +122,6 @@ def _copy_tables(source: Connection, target: Connection, *, keep_origin: bool) -
         if table in PASSING:
             continue
         if table is registry_info and not keep_origin:
-            query = query.where(registry_info.c.key != "origin")
+            query = query.where(registry_info.c.key.not_in(["origin", "origin_sha256"]))
         for rows in source.execute(query, execution_options={"yield_per": ROWS_AT_ONCE}).mappings().partitions():
             target.execute(insert(table), [dict(row) for row in rows])

@@ -258,6 +258,7 @@ class CalibrationTables(InUseTable):
             raise InputError(
                 f"revision {revision} of serial {serial!r} was made by the registries {names}; say which with --origin"
             )
+        self._check_row(connection, calibrations, rows[0])
         return rows[0]
 
     def _stored(self, connection: Connection, row: RowMapping) -> StoredCalibration:

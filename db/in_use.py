@@ -10,11 +10,11 @@ from typing import Any
 
 from sqlalchemy import Connection, RowMapping, Select, and_, func, or_, select
 
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, RegistryError
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, MadeCalibration, UnitStanding
 from softcal.db.registry_base import RegistryBase
-from softcal.db.tables import calibrations, in_use, refusals, units
+from softcal.db.tables import audit, calibrations, canonical_json, in_use, refusals, units
 
 NEWEST_STATEMENT = (in_use.c.made_at.desc(), in_use.c.number.desc(), in_use.c.origin.desc())
 OF_STATEMENT = and_(
@@ -139,9 +139,30 @@ class InUseTable(RegistryBase):
             InputError: two registries put different maps into use.
         """
         heads = heads_of(connection, lot_id, serial)
+        self._check_statements(connection, lot_id, serial)
+        for head in heads:
+            self._check_row(connection, in_use, head)
         if names_several(connection, heads):
             raise InputError(conflict_line(connection, lot_id, serial))
         return heads[0] if heads else None
+
+    def _check_statements(self, connection: Connection, lot_id: str, serial: str) -> None:
+        """Raise `RegistryError` where the audit trail tells of a statement that was not found: an older one would hold.
+
+        A damaged index hides rows without a word; the audit trail is found by another one.
+        """
+        u = in_use.c
+        query = select(u.origin, func.max(u.number), func.count()).where(u.lot_id == lot_id, u.serial == serial)
+        last = {origin: (number, count) for origin, number, count in connection.execute(query.group_by(u.origin))}
+        names = {*history.origins(connection), *last}
+        following = [canonical_json((lot_id, serial, name, last.get(name, (0, 0))[0] + 1)) for name in sorted(names)]
+        hidden = select(audit.c.key).where(audit.c.entity == "in_use", audit.c.key.in_(following)).limit(1)
+        is_gap = any(number != count for number, count in last.values())
+        if is_gap or connection.execute(hidden).first() is not None:
+            raise RegistryError(
+                f"unit {serial} of lot {lot_id}: a statement of what is in use was not found; the registry is "
+                "damaged; run `softcal registry verify` and go back to a backup"
+            )
 
     def _state(
         self,

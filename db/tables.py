@@ -27,6 +27,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.types import TypeDecorator
 
+from softcal.core.errors import RegistryError
+
 SCHEMA = "0007"
 """Revision of the newest migration: what a registry must have to be used by this version."""
 
@@ -39,6 +41,21 @@ metadata = MetaData(
         "pk": "pk_%(table_name)s",
     }
 )
+
+
+def _read_or_damaged(process: Any) -> Any:
+    """Say of a value that cannot be read that the registry is damaged: softcal has never written it."""
+
+    def read(value: Any) -> Any:
+        try:
+            return value if process is None else process(value)
+        except (ValueError, TypeError) as error:
+            raise RegistryError(
+                f"the registry holds {str(value)[:40]!r} where a value was written; it is damaged; run `softcal "
+                "registry verify` and go back to a backup"
+            ) from error
+
+    return read
 
 
 class UtcTime(TypeDecorator[datetime]):
@@ -59,6 +76,9 @@ class UtcTime(TypeDecorator[datetime]):
             return None
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
 
+    def result_processor(self, dialect: Dialect, coltype: object) -> Any:
+        return _read_or_damaged(super().result_processor(dialect, coltype))
+
 
 class CanonicalJson(TypeDecorator[Any]):
     """JSON as text with sorted keys, so that equal values have equal bytes on every database. NaN is refused."""
@@ -71,6 +91,9 @@ class CanonicalJson(TypeDecorator[Any]):
 
     def process_result_value(self, value: str | None, dialect: Dialect) -> Any:
         return None if value is None else json.loads(value)
+
+    def result_processor(self, dialect: Dialect, coltype: object) -> Any:
+        return _read_or_damaged(super().result_processor(dialect, coltype))
 
 
 def canonical_json(value: object) -> str:

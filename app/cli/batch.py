@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from softcal.app.cli.options import add_json, add_network, add_registry, batch_watch, network_config, registry_of
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.cli.output import print_table, say, shown, write_json
 
 EXAMPLES = """examples:
   softcal batch lot-1
@@ -78,9 +78,9 @@ def run(options: argparse.Namespace) -> int:
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     for unit in report.units:
         if unit.verdict != "pass":
-            print(f"{unit.serial} {unit.verdict}: {'; '.join(unit.reasons)}")
+            print(shown(f"{unit.serial} {unit.verdict}: {'; '.join(unit.reasons)}"))
     for line in audit_lines(report):
-        print(line)
+        print(shown(line))
     print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
     if options.json:
         write_json(options.json, report_json(report))

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.cli.output import print_table, say, shown, write_json
 
 EXAMPLES = """examples:
   softcal explain --serial A1
@@ -46,7 +46,8 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         write_json(options.json, facts)
     if options.json != "-":
-        print(f"{options.serial} {view.calibration.verdict.word}: {'; '.join(view.calibration.verdict.reasons)}")
+        verdict = view.calibration.verdict
+        print(shown(f"{options.serial} {verdict.word}: {'; '.join(verdict.reasons)}"))
         rows = [[name, value] for name, value in view.explanation.contributions.items()]
         print_table(("part of the predicted error", view.lot.reference_unit), rows)
     return 0

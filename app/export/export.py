@@ -1,5 +1,6 @@
 """Calibration files of units: one folder, whole files, a manifest with hashes, and the same bytes every time."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,12 +8,15 @@ from pathlib import Path
 from softcal.app.export.calibrated_unit import REFUSED_VERDICTS, CalibratedUnit, ExportOptions, UnitLoader
 from softcal.app.export.formats import WRITERS, Writer, device_summary
 from softcal.app.export.manifest import FileEntry, Manifest, read_manifest, write_manifest
-from softcal.app.files.atomic import write_bytes
+from softcal.app.files.atomic import write_bytes, write_text
+from softcal.app.registry.anchors import anchor_json, remember
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import serial_field
 from softcal.db.registry import Registry
 
 DEVICE_FORMATS = ("blob", "c", "hex")
+AUDIT = "audit.json"
+"""Where the audit trail ended at the export: `softcal registry verify --against` compares."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +80,8 @@ def export_units(
         exported.append(done)
         on_unit(done)
     write_manifest(out, manifest, options.signing_key)
+    remember(registry, f"export {out.absolute()}")
+    write_text(out / AUDIT, json.dumps(anchor_json(registry, "export"), indent=2, sort_keys=True) + "\n")
     return exported
 
 

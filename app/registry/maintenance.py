@@ -1,17 +1,17 @@
 """What the registry says of itself as rows and JSON, and what keeps it whole: upgrade, check, backup, restore."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from softcal.app.registry.anchors import read_anchor, remember, remembered
 from softcal.core.errors import InputError, RegistryError
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
 from softcal.db.database import Database, open_database, schema_of
 from softcal.db.entries import StoredCalibration, UnitEntry
-from softcal.db.history import head
-from softcal.db.maintenance import migrate
+from softcal.db.maintenance import Heads, migrate
 from softcal.db.registry import Registry
 from softcal.db.sync import SyncReport, synchronise
 from softcal.db.tables import SCHEMA
@@ -85,24 +85,42 @@ def _backup_before_upgrade(database: Database, schema: str | None) -> Path | Non
 
 @dataclass(frozen=True)
 class Verification:
-    """What `registry verify` found; the head of the trail can be written down to prove later that nothing was cut."""
+    """What `registry verify` found.
+
+    Args:
+        faults: a line each.
+        audit_rows: rows of the audit trail, of all chains.
+        heads: number and hash of the last row of each chain; written down elsewhere they prove that nothing was cut.
+    """
 
     faults: tuple[str, ...]
     audit_rows: int
-    head_sha256: str
+    heads: Heads
 
 
-def verify(registry: Registry) -> Verification:
-    """Check every blob, row and link of the audit trail."""
-    faults = tuple(registry.verify())
-    with registry.database.reading() as connection:
-        rows, sha256 = head(connection, registry.origin)
-    return Verification(faults, rows, sha256)
+def verify(
+    registry: Registry,
+    *,
+    is_quick: bool = False,
+    files: Sequence[Path] = (),
+    on_step: Callable[[str], None] = lambda _: None,
+) -> Verification:
+    """Check a registry against its schema, its audit trail, and what was written down of the trail elsewhere.
+
+    Args:
+        is_quick: leave out what reads every page and blob.
+        files: backups and `audit.json` of exports to compare with, beside what this computer remembers.
+    """
+    anchors = [*remembered(registry), *map(read_anchor, files)]
+    faults = tuple(registry.verify(is_quick=is_quick, anchors=anchors, on_step=on_step))
+    heads = registry.heads()
+    return Verification(faults, sum(seq for seq, _ in heads.values()), heads)
 
 
 def back_up_registry(registry: Registry, path: Path) -> None:
     """Write a backup while the registry is in use."""
     back_up(registry.database, path)
+    remember(registry, f"backup {path.absolute()}")
 
 
 def restore_registry(path: Path, url: str) -> None:
