@@ -6,29 +6,14 @@ from typing import Any
 from sqlalchemy import Connection, RowMapping, bindparam, func, select
 
 from softcal.core.errors import InputError
-from softcal.core.identity import Settings
+from softcal.core.reason import Reason, to_kept
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.db.arrays import get_arrays, put_arrays
 from softcal.db.entries import StoredCalibration
 from softcal.db.in_use import InUseTable, heads_of, lots_of, names_several, newest_of_unit
 from softcal.db.lot_tables import unit_entries
+from softcal.db.records import PLAIN_FIELDS, record_of
 from softcal.db.tables import calibrations, networks, refusals
-
-PLAIN_FIELDS = (
-    "serial",
-    "network_id",
-    "family",
-    "map_sha256",
-    "predicted_rmse",
-    "before_rmse",
-    "after_rmse",
-    "own_rmse",
-    "fit_s",
-    "verdict",
-    "input_sha256",
-    "recording_sha256",
-)
-"""Fields of `CalibrationRecord` that are columns as they are."""
 
 NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), calibrations.c.origin.desc())
 """No registry writes a revision older than the one it follows. Which one is in use is not told by this order."""
@@ -69,7 +54,7 @@ class CalibrationTables(InUseTable):
             values = {field: getattr(record, field) for field in PLAIN_FIELDS} | {
                 "lot_id": lot_id,
                 "settings": dict(record.settings),
-                "reasons": list(record.reasons),
+                "reasons": [to_kept(why) for why in record.reasons],
                 "evidence": dict(record.evidence),
                 "blob_sha256": put_arrays(connection, record.arrays),
                 "rolled_back_to": None,
@@ -175,7 +160,7 @@ class CalibrationTables(InUseTable):
         lot_id: str,
         serial: str,
         verdict: str,
-        reasons: tuple[str, ...],
+        reasons: tuple[Reason, ...],
         *,
         actor: str | None = None,
         work_sha256: str | None = None,
@@ -201,7 +186,7 @@ class CalibrationTables(InUseTable):
                 "origin": self.origin,
                 "actor": self._actor(actor),
                 "verdict": verdict,
-                "reasons": list(reasons),
+                "reasons": [to_kept(why) for why in reasons],
                 "work_sha256": work_sha256,
             }
             self._store(connection, refusals, values, "refuse", actor)
@@ -268,18 +253,8 @@ class CalibrationTables(InUseTable):
         is_named = (row["revision"], row["origin"]) in named
         fields = ("lot_id", "revision", "made_at", "actor", "reason", "rolled_back_to", "origin")
         return StoredCalibration(
-            record=_record(row, get_arrays(connection, row["blob_sha256"]), row["settings"]),
+            record=record_of(row, get_arrays(connection, row["blob_sha256"]), row["settings"]),
             **{field: row[field] for field in fields},
             is_current=is_named and not is_conflict,
             is_conflict=is_named and is_conflict,
         )
-
-
-def _record(row: RowMapping, arrays: Mapping[str, Any], settings: Settings) -> CalibrationRecord:
-    return CalibrationRecord(
-        **{field: row[field] for field in PLAIN_FIELDS},
-        arrays=arrays,
-        settings=settings,
-        reasons=tuple(row["reasons"]),
-        evidence=row["evidence"],
-    )

@@ -120,7 +120,7 @@ def people_faults(connection: Connection, origin: str) -> Iterator[str]:
 
 
 def count_faults(connection: Connection) -> Iterator[str]:
-    """Give a line for every table that has more rows than the audit trail tells of, or fewer in a trail of one chain."""
+    """Give a line for every table with more rows than the audit trail tells of, or fewer where one chain is all."""
     is_alone = len(history.origins(connection)) == 1
     query = select(audit.c.entity, func.count()).where(audit.c.entity.in_(AUDITED)).group_by(audit.c.entity)
     told = {entity: count for entity, count in connection.execute(query)}

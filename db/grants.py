@@ -8,9 +8,14 @@ import re
 from softcal.core.errors import InputError
 from softcal.db.tables import APPEND_ONLY, metadata
 
-CHANGING = {"users": "UPDATE (failures, locked_until)", "work_items": "INSERT, UPDATE, DELETE", "orders": "INSERT, UPDATE",
-            "heartbeats": "INSERT, UPDATE", "run_signals": "INSERT, DELETE",
-            "jobs": "INSERT, UPDATE"}  # fmt: skip
+CHANGING = {
+    "users": "UPDATE (failures, locked_until)",
+    "work_items": "INSERT, UPDATE, DELETE",
+    "orders": "INSERT, UPDATE",
+    "heartbeats": "INSERT, UPDATE",
+    "run_signals": "INSERT, DELETE",
+    "jobs": "INSERT, UPDATE",
+}
 """Tables whose rows change at the line, and how. Of people it may count wrong PINs and pause, nothing else."""
 
 DECIDED_ELSEWHERE = ("limits", "line_rules", "certificates")

@@ -11,8 +11,10 @@ from typing import Any
 from sqlalchemy import Connection, RowMapping, Select, and_, func, or_, select
 
 from softcal.core.errors import InputError, RegistryError
+from softcal.core.reason import Reason, plain
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, MadeCalibration, UnitStanding
+from softcal.db.records import PLAIN_FIELDS, record_of
 from softcal.db.registry_base import RegistryBase
 from softcal.db.tables import audit, calibrations, canonical_json, in_use, refusals, units
 
@@ -114,17 +116,17 @@ class InUseTable(RegistryBase):
         for part in _parts(serials):
             with self.database.reading() as connection:
                 for row in connection.execute(_newest_statements(lot_id, part)).mappings():
-                    made = MadeCalibration.of(dict(row))
+                    made = MadeCalibration.of(record_of(row, {}, row["settings"]), row["revision"])
                     found[made.serial] = UnitStanding(made.serial, made.verdict, made.reasons, row["stated_at"], made)
                 for serial in undecided & set(part):
-                    reason = conflict_line(connection, lot_id, serial)
+                    reason = plain(conflict_line(connection, lot_id, serial))
                     found[serial] = UnitStanding(serial, UNDECIDED, (reason,), found[serial].made_at)
                 r = refusals.c
                 query = select(refusals).where(r.lot_id == lot_id, r.serial.in_(part)).order_by(r.made_at)
                 for row in connection.execute(query).mappings():
                     serial, at = row["serial"], row["made_at"]
                     if serial not in found or found[serial].made_at < at:
-                        found[serial] = UnitStanding(serial, row["verdict"], tuple(row["reasons"]), at)
+                        found[serial] = UnitStanding(serial, row["verdict"], tuple(map(Reason.of, row["reasons"])), at)
         return found
 
     def lots_of(self, serial: str) -> list[str]:
@@ -299,8 +301,8 @@ def _newest_statements(lot_id: str, serials: Sequence[str]) -> Select[Any]:
     is_newer = select(newer.c.number).where(
         newer.c.lot_id == in_use.c.lot_id, newer.c.serial == in_use.c.serial, is_newer_statement(newer)
     )
-    columns = [c[name] for name in MadeCalibration.__dataclass_fields__ if name in c]
-    query = select(*columns, c.evidence, in_use.c.made_at.label("stated_at")).select_from(in_use)
+    columns = [*(c[name] for name in PLAIN_FIELDS), c.revision, c.settings, c.reasons, c.evidence]
+    query = select(*columns, in_use.c.made_at.label("stated_at")).select_from(in_use)
     query = query.join(calibrations, OF_STATEMENT).where(in_use.c.lot_id == lot_id, in_use.c.serial.in_(serials))
     return query.where(~is_newer.correlate(in_use).exists())
 

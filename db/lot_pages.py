@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 from sqlalchemy import ColumnElement, Connection, RowMapping, Subquery, Table, and_, case, func, or_, select, tuple_
 
 from softcal.core.errors import InputError
+from softcal.core.reason import Reason, plain
+from softcal.core.unit.verdict import Verdict
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, UnitEntry
 from softcal.db.in_use import OF_STATEMENT, conflict_line, conflicts_of
@@ -16,7 +18,7 @@ from softcal.db.tables import calibrations, in_use, refusals, units
 ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
 MADE_FIELDS = ("revision", "family", "map_sha256", *ERRORS)
-SEVERITY = {"fail": 0, "retest": 1, "conditional": 2, "pass": 3}
+SEVERITY = {str(verdict): -verdict.severity for verdict in sorted(Verdict, key=lambda v: -v.severity)}
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,7 @@ def _condition(table: Subquery, wanted: UnitFilter) -> ColumnElement[bool]:
 
 def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
     if wanted.sort == "severity":
-        severity = case(SEVERITY, value=table.c.verdict, else_=len(SEVERITY))
+        severity = case(SEVERITY, value=table.c.verdict, else_=1)
         return [severity, table.c.predicted_rmse.desc().nulls_last(), table.c.serial]
     column = table.c[wanted.sort]
     first = (column.desc() if wanted.is_descending else column.asc()).nulls_last()
@@ -183,8 +185,8 @@ def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
 
 def _entry(lot_id: str, row: RowMapping) -> UnitEntry:
     facts = {name: value for name, value in row.items() if name != "reasons"}
-    return UnitEntry(lot_id=lot_id, role="target", reasons=tuple(row["reasons"] or ()), **facts)
+    return UnitEntry(lot_id=lot_id, role="target", reasons=tuple(map(Reason.of, row["reasons"] or ())), **facts)
 
 
 def _conflict(connection: Connection, entry: UnitEntry) -> UnitEntry:
-    return replace(entry, reasons=(conflict_line(connection, entry.lot_id, entry.serial),), is_conflict=True)
+    return replace(entry, reasons=(plain(conflict_line(connection, entry.lot_id, entry.serial)),), is_conflict=True)

@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import Connection, RowMapping, Select, func, select
+from sqlalchemy import Connection, RowMapping, Select, Text, func, select, type_coerce
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.reason import Reason
+from softcal.core.unit.method import Method
 from softcal.db.entries import UNDECIDED, LimitEntry, RunEntry, UnitEntry
 from softcal.db.in_use import NEWEST_STATEMENT, OF_STATEMENT, conflict_line, conflicts_of
 from softcal.db.registry_base import RegistryBase
@@ -100,7 +102,7 @@ class LotTables(RegistryBase):
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
             rows = [dict(row) for query in queries for row in connection.execute(query).mappings()]
-        runs = [RunEntry(**row | {"reasons": tuple(row["reasons"])}) for row in rows]
+        runs = [RunEntry(**row | {"reasons": tuple(map(Reason.of, row["reasons"]))}) for row in rows]
         return sorted(runs, key=lambda run: (run.made_at, run.serial))
 
     def limit(self, lot_id: str) -> LimitEntry | None:
@@ -163,7 +165,8 @@ def unit_entries(connection: Connection, lot_id: str | None, serial: str | None)
     for row in connection.execute(_of(select(units), units, lot_id, serial)).mappings():
         entries[row["lot_id"], row["serial"]] = {f: row[f] for f in ("lot_id", "serial", "role")}
     for row in connection.execute(_in_use(lot_id, serial)).mappings():
-        entries[row["lot_id"], row["serial"]] |= {field: row[field] for field in (*RESULT_FIELDS, "made_at")}
+        facts = {field: row[field] for field in (*RESULT_FIELDS, "made_at")}
+        entries[row["lot_id"], row["serial"]] |= facts | {"is_stale": not row["is_this_method"]}
     for unit in conflicts_of(connection, lot_id, serial):
         undecided = {"verdict": UNDECIDED, "reasons": [conflict_line(connection, *unit)], "is_conflict": True}
         entries[unit] |= dict.fromkeys(RESULT_FIELDS) | undecided
@@ -172,14 +175,18 @@ def unit_entries(connection: Connection, lot_id: str | None, serial: str | None)
         entry = entries[row["lot_id"], row["serial"]]
         if "made_at" not in entry or row["made_at"] > entry["made_at"]:
             entry |= {field: row[field] for field in ("verdict", "reasons", "made_at")}
-    made = (UnitEntry(**entry | {"reasons": tuple(entry.get("reasons", ()))}) for entry in entries.values())
+    made = (
+        UnitEntry(**entry | {"reasons": tuple(map(Reason.of, entry.get("reasons", ())))}) for entry in entries.values()
+    )
     return sorted(made, key=lambda unit: (unit.lot_id, unit.serial))
 
 
 def _in_use(lot_id: str | None, serial: str | None) -> Select[Any]:
     u, c = in_use.c, calibrations.c
     rank = func.row_number().over(partition_by=(u.lot_id, u.serial), order_by=NEWEST_STATEMENT).label("rank")
-    columns = [u.lot_id, u.serial, *(c[field] for field in RESULT_FIELDS), u.made_at, rank]
+    # The settings are canonical JSON text: the hash of today's method stands in it or it does not.
+    same = type_coerce(c.settings, Text).contains(f'"method_id":"{Method().id}"').label("is_this_method")
+    columns = [u.lot_id, u.serial, *(c[field] for field in RESULT_FIELDS), u.made_at, rank, same]
     joined = select(*columns).select_from(in_use).join(calibrations, OF_STATEMENT)
     ranked = _of(joined, in_use, lot_id, serial).subquery()
     return select(ranked).where(ranked.c.rank == 1)

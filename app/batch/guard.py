@@ -8,7 +8,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from softcal.app.batch.unit_work import Chunk, ChunkOutcome, Refusal, SharedWork, UnitOutcome, UnitTask
+from softcal.app.batch.calibrating import Refusal
+from softcal.app.batch.unit_work import Chunk, ChunkOutcome, SharedWork, UnitOutcome, UnitTask
+from softcal.core.reason import plain
+from softcal.core.unit.verdict import Verdict
 
 Work = Callable[[SharedWork, Chunk], ChunkOutcome]
 
@@ -41,11 +44,13 @@ def _alone(work: Work, limit_s: float, shared: SharedWork, task: UnitTask) -> tu
         with time_limit(limit_s):
             return work(shared, Chunk((task,))).units
     except TooLong:
-        refusal = PassingRefusal("retest", f"its work was broken off after {limit_s:g} s; look at its recording")
+        refusal = PassingRefusal(
+            Verdict.RETEST, plain(f"its work was broken off after {limit_s:g} s; look at its recording")
+        )
     except Exception as error:
         what = " ".join(str(error).split())[:200]
         reason = f"its work failed: {type(error).__name__}: {what}; the log has the details"
-        refusal = PassingRefusal("retest", reason, traceback.format_exc())
+        refusal = PassingRefusal(Verdict.RETEST, plain(reason), traceback.format_exc())
     return (UnitOutcome(task.item_id, task.serial, refusal),)
 
 

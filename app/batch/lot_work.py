@@ -17,6 +17,7 @@ from itertools import chain
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from softcal.app.batch.calibrating import Refusal
 from softcal.app.batch.claims import Claims
 from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.batch.guard import PassingRefusal, each_alone
@@ -26,7 +27,6 @@ from softcal.app.batch.unit_work import (
     ChunkOutcome,
     FileContent,
     Known,
-    Refusal,
     SharedWork,
     UnitOutcome,
     UnitTask,
@@ -40,7 +40,9 @@ from softcal.core.errors import InputError, RegistryError
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.training import EpochReport, NetworkConfig
-from softcal.core.unit.calibrate import CalibrationConfig
+from softcal.core.reason import plain
+from softcal.core.unit.method import Method
+from softcal.core.unit.verdict import Release, Verdict
 from softcal.db.entries import UnitStanding
 from softcal.db.registry import Registry
 from softcal.db.work_queue import WorkItem, WorkSet
@@ -61,22 +63,24 @@ class BatchConfig:
 
     Args:
         network: how f is built and trained.
-        calibration: how maps are chosen and judged.
+        method: every number of the calibration.
         engine: where the fits run.
         chunk: units that go to a worker together; None lets the time they take decide.
         score_own: whether own calibrations are trained on audit recordings, for comparison.
         refit: whether units are fitted again although the registry has their result.
+        release: which verdicts release files.
         anchors: known loads by serial, where someone took them.
         unit_limit_s: seconds after which the work on one unit is broken off.
         actor: who asks, for the audit trail; None is the user the registry was opened by.
     """
 
     network: NetworkConfig = NetworkConfig()
-    calibration: CalibrationConfig = CalibrationConfig()
+    method: Method = Method()
     engine: EngineChoice = EngineChoice()
     chunk: int | None = None
     score_own: bool = True
     refit: bool = False
+    release: Release = Release.PASS
     anchors: Mapping[str, Anchors] = field(default_factory=dict)
     unit_limit_s: float = 900.0
     actor: str | None = None
@@ -157,7 +161,7 @@ class LotWork:
 
     def _refuse(self, serial: str, reason: str, work_sha256: str | None = None) -> None:
         told = {"actor": self._config.actor, "work_sha256": work_sha256}
-        self._registry.add_refusal(self._lot_id, serial, "retest", (reason,), **told)
+        self._registry.add_refusal(self._lot_id, serial, str(Verdict.RETEST), (plain(reason),), **told)
         self._ended.add(serial)
 
     def _told(self, serials: Sequence[str]) -> dict[str, UnitResult]:
@@ -166,7 +170,7 @@ class LotWork:
 
     def _result(self, serial: str, standing: UnitStanding | None) -> UnitResult:
         if standing is None:
-            return UnitResult(serial, "retest", (NO_RESULT,), is_new=False)
+            return UnitResult(serial, Verdict.RETEST, (plain(NO_RESULT),), is_new=False)
         return UnitResult(serial, standing.verdict, standing.reasons, standing.made, serial in self._new)
 
     def _work_off(self, claims: Claims) -> None:
@@ -290,8 +294,8 @@ class LotWork:
         if isinstance(result, Refusal):
             if isinstance(result, PassingRefusal):
                 told["work_sha256"] = None
-                note("unit_failed", lot=lot_id, serial=unit.serial, reason=result.reason, trace=result.trace)
-            registry.add_refusal(lot_id, unit.serial, result.verdict, (result.reason,), **told)
+                note("unit_failed", lot=lot_id, serial=unit.serial, reason=str(result.reason), trace=result.trace)
+            registry.add_refusal(lot_id, unit.serial, str(result.verdict), (result.reason,), **told)
             return
         registry.add_calibration(lot_id, result, reason="batch", decided_by="batch", **told)
 
@@ -311,9 +315,9 @@ def _settings_sha256(shared: SharedWork, is_refit: bool) -> str:
     settings = {
         "lot": {name: value for name, value in shared.lot.settings().items() if name != "limit_rmse"},
         "network": shared.source.network.id,
-        "calibration": asdict(shared.calibration),
+        "method": shared.source.method.id,
         "own": None if shared.own is None else asdict(shared.own),
-        "limit": None if shared.limit is None else asdict(shared.limit),
+        "limit": None if shared.limit is None else shared.limit.to_json(),
         # A newer version may read what an older one refused.
         "version": version("softcal"),
         "refit": uuid.uuid4().hex if is_refit else None,

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of
+from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of, say_caution
 from softcal.app.cli.output import Progress, say, write_json
 
 if TYPE_CHECKING:
@@ -73,6 +73,7 @@ def run(options: argparse.Namespace) -> int:
     adapt = AdaptOptions(config, options.revision, options.stream, options.resume, lot_id=options.lot)
     with registry_of(options, create=False) as registry:
         report = _follow(registry, options, adapt)
+        say_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
         _report(registry, options, report)
     return 0
 

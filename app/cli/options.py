@@ -76,6 +76,19 @@ def registry_of(options: argparse.Namespace, *, create: bool = True) -> "Iterato
         yield registry
 
 
+def say_caution(registry: "Registry", unit: "tuple[str, int | None, str | None]", action: str) -> None:
+    """Warn in one line, and record in the audit trail, where the unit that is used did not pass.
+
+    Args:
+        unit: serial, revision and lot as they were asked for.
+    """
+    from softcal.app.registry.caution import caution
+
+    serial, revision, lot_id = unit
+    if warning := caution(registry, registry.calibration(serial, revision, lot_id=lot_id), action):
+        say(warning)
+
+
 def say_epoch(report: "EpochReport", unit: str) -> None:
     """Print every 20th epoch of a training as one line of progress."""
     if report.epoch % 20 == 0:

@@ -16,15 +16,18 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from softcal.app.batch import lot_work
+from softcal.app.batch.calibrating import Refusal
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
-from softcal.app.batch.unit_work import ChunkOutcome, Known, Refusal, SharedWork, UnitOutcome
+from softcal.app.batch.unit_work import ChunkOutcome, Known, SharedWork, UnitOutcome
 from softcal.app.files.lot_folder import LotFolder
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
-from softcal.core.unit.calibrate import CalibrationConfig
+from softcal.core.reason import plain
 from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.method import Method
+from softcal.core.unit.verdict import Verdict
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
 from softcal.db.registry_base import RegistrySettings
@@ -34,7 +37,7 @@ SERIALS, SIDES = ("A1", "A2"), ("station", "centre")
 BAD = 0
 LOT = Lot("L1", "S0", 50.0)
 NETWORK = Network((np.zeros((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
-SHARED = SharedWork(LOT, SimpleNamespace(network=NETWORK), CalibrationConfig(), None, None)
+SHARED = SharedWork(LOT, SimpleNamespace(network=NETWORK, method=Method()), None, None)
 
 
 def input_of(serial: str, number: int) -> str:
@@ -45,7 +48,7 @@ def record(serial: str, number: int) -> CalibrationRecord:
     arrays = {"map.gain": np.array([float(number)])}
     sha256 = content_sha256(arrays, {})
     inputs = input_of(serial, number), sha256
-    return CalibrationRecord(serial, NETWORK.id, "affine", sha256, arrays, {}, 0.1, "pass", ("fine",), *inputs)
+    return CalibrationRecord(serial, NETWORK.id, "affine", sha256, arrays, {}, 0.1, "pass", (plain("fine"),), *inputs)
 
 
 def fake_work(shared, chunk):
@@ -54,7 +57,7 @@ def fake_work(shared, chunk):
     for task in chunk.tasks:
         number = int(task.recording.content)
         if number == BAD:
-            result = Refusal("retest", "bad")
+            result = Refusal(Verdict.RETEST, plain("bad"))
         elif input_of(task.serial, number) in task.known:
             result = Known(input_of(task.serial, number))
         else:

@@ -11,6 +11,7 @@ from sqlalchemy.pool import NullPool
 
 from softcal.app.cli.main import main
 from softcal.core.errors import SoftcalError
+from softcal.core.reason import plain
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
 from softcal.db.maintenance import Anchor
@@ -149,6 +150,7 @@ def edits(registry) -> list[str]:
                 int: f'"{column.name}" + 1', float: f'"{column.name}" * 1.5', bool: f'NOT "{column.name}"',
                 bytes: "x'00'",
             }.get(kind, f"replace(replace(\"{column.name}\", '1', '2'), 'a', 'b') || 'x'")  # fmt: skip
+            change = f"coalesce({change}, {1 if kind in (int, float) else repr('x')})"
             made.append(f'UPDATE {name} SET "{column.name}" = {change} WHERE rowid = (SELECT max(rowid) FROM {name})')
         made.append(f"DELETE FROM {name} WHERE rowid = (SELECT max(rowid) FROM {name})")
     return made
@@ -162,7 +164,7 @@ def test_an_edit_of_any_column_of_any_row_is_found(file_registry, make_factory, 
     factory = make_factory(file_registry)
     factory.registry.add_recording("L1", recording_of("A1"), "unit")
     factory.calibrate("A1", 1)
-    factory.registry.add_refusal("L1", "A2", "fail", ("constant",))
+    factory.registry.add_refusal("L1", "A2", "fail", (plain("constant"),))
     factory.registry.set_user("kim", "operator", "2580", actor="lee")
     path, copy = file_registry.database.path, tmp_path / "edited.db"
     statements = [s for s in edits(file_registry) if not any(f'SET "{name}"' in s and "users" in s for name in PASSING)]
