@@ -93,7 +93,10 @@ def faults(
     for name, check in _checks(connection, is_quick, anchors):
         on_step(name)
         try:
-            yield from check
+            # A query that fails ends a transaction of PostgreSQL; the checks after it go on in what is left.
+            with connection.begin_nested():
+                found = list(check)
+            yield from found
         except (ValueError, TypeError, KeyError, RegistryError, DBAPIError) as error:
             # A damaged value may not even be read: that is what was to be found out.
             yield f"{name}: cannot be read: {_line(error)}"
