@@ -83,7 +83,8 @@ def _sqlite_triggers(connection: Connection) -> dict[str, str]:
 def _postgresql_triggers(connection: Connection) -> dict[str, str]:
     query = text(
         "SELECT t.tgname, c.relname || ' ' || p.proname || ' ' || t.tgtype || ' ' || "
-        "CAST(t.tgenabled AS text) || ' ' || md5(regexp_replace(p.prosrc, '\\s+', ' ', 'g')) FROM pg_trigger t JOIN pg_class c ON c.oid = t.tgrelid "
+        "CAST(t.tgenabled AS text) || ' ' || "
+        "md5(regexp_replace(p.prosrc, '\\s+', ' ', 'g')) FROM pg_trigger t JOIN pg_class c ON c.oid = t.tgrelid "
         "JOIN pg_proc p ON p.oid = t.tgfoid JOIN pg_namespace n ON n.oid = c.relnamespace "
         "WHERE NOT t.tgisinternal AND n.nspname = 'public'"
     )

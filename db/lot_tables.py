@@ -169,7 +169,7 @@ def unit_entries(connection: Connection, lot_id: str | None, serial: str | None)
         entries[row["lot_id"], row["serial"]] |= facts | {"is_stale": not row["is_this_method"]}
     for unit in conflicts_of(connection, lot_id, serial):
         undecided = {"verdict": UNDECIDED, "reasons": [conflict_line(connection, *unit)], "is_conflict": True}
-        entries[unit] |= dict.fromkeys(RESULT_FIELDS) | undecided
+        entries[unit] |= dict.fromkeys(RESULT_FIELDS) | undecided | {"is_stale": False}
     refused = _of(select(refusals), refusals, lot_id, serial).order_by(refusals.c.made_at)
     for row in connection.execute(refused).mappings():
         entry = entries[row["lot_id"], row["serial"]]
