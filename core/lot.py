@@ -10,8 +10,14 @@ SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 """Serials become file names and bar codes: letters, digits, dot, dash and underscore, 64 at most."""
 
 
+RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?", re.IGNORECASE)
+"""Names that are devices on Windows whatever their suffix (Microsoft, Naming Files, Paths, and Namespaces)."""
+
+
 def check_serial(serial: str) -> str:
     """Return the serial, or raise `InputError` saying which characters are allowed."""
+    if RESERVED.fullmatch(serial) or serial.endswith("."):
+        raise InputError(f"serial {serial[:80]!r}: Windows cannot have a file of this name; give another serial")
     if not SERIAL.fullmatch(serial) or ".." in serial:
         raise InputError(
             f"serial {serial[:80]!r}: 1 to 64 letters, digits, '.', '-' or '_' are allowed, starting with a letter "

@@ -5,14 +5,19 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from sqlalchemy import Connection, Select, delete, insert, select, text
+from sqlalchemy import Connection, Select, delete, insert, select
 
 from softcal.core.errors import RegistryError
+from softcal.db import history
+from softcal.db.adoption import Adoption
 from softcal.db.database import Database, check_schema, open_database, schema_of
 from softcal.db.maintenance import faults, migrate
-from softcal.db.tables import SCHEMA, metadata, registry_info, work_items
+from softcal.db.registry_base import RegistrySettings
+from softcal.db.tables import SCHEMA, heartbeats, metadata, registry_info, work_items
 
 ROWS_AT_ONCE = 200
+PASSING = (work_items, heartbeats)
+"""Work under way and signs of life: they tell of programs that run here, and would be false elsewhere."""
 
 
 def back_up(database: Database, path: Path) -> None:
@@ -28,6 +33,8 @@ def back_up(database: Database, path: Path) -> None:
     part = path.with_name(f".{path.name}.part")
     try:
         part.unlink(missing_ok=True)
+        # SQLite keeps the mode of a file that is there and empty.
+        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
         _write_copy(database, part)
         with part.open("rb+") as file:
             os.fsync(file.fileno())
@@ -94,18 +101,27 @@ def _fill(source: Database, target: Database) -> None:
                 raise RegistryError(f"registry {target.name} is not empty; restore into a new one")
             migrate(target)
             _copy_tables(rows, connection, keep_origin=False)
+            _tell_of_restore(rows, target)
     finally:
         target.close()
+
+
+def _tell_of_restore(source: Connection, target: Database) -> None:
+    """Begin the chain of the restored registry with where it comes from: each chain's last row at that moment."""
+    heads = {origin: list(history.head(source, origin)) for origin in history.origins(source)}
+    adoption = Adoption(target, RegistrySettings())
+    with target.writing() as connection:
+        at, key = adoption.settings.clock(), (adoption.origin,)
+        history.append(connection, adoption.origin, at, "softcal", "restore", "registry", key, after={"heads": heads})
+    adoption.state_people("restored from a backup")
 
 
 def _copy_tables(source: Connection, target: Connection, *, keep_origin: bool) -> None:
     for table in metadata.sorted_tables:
         query: Select[tuple[object, ...]] = select(table)
+        if table in PASSING:
+            continue
         if table is registry_info and not keep_origin:
-            query = query.where(registry_info.c.key != "origin")
+            query = query.where(registry_info.c.key.not_in(["origin", "origin_sha256"]))
         for rows in source.execute(query, execution_options={"yield_per": ROWS_AT_ONCE}).mappings().partitions():
             target.execute(insert(table), [dict(row) for row in rows])
-    if target.dialect.name == "postgresql":
-        # Rows were copied with their numbers; the sequence has to go on behind them.
-        column = "pg_get_serial_sequence('work_items', 'id')"
-        target.execute(text(f"SELECT setval({column}, greatest(1, (SELECT max(id) FROM {work_items.name})))"))

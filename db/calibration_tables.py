@@ -1,4 +1,4 @@
-"""Calibrations with their full history per serial: revisions, rollbacks, refusals and the rule for the one in use."""
+"""Calibrations with their full history per serial: revisions, rollbacks and refusals."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -6,33 +6,17 @@ from typing import Any
 from sqlalchemy import Connection, RowMapping, bindparam, func, select
 
 from softcal.core.errors import InputError
-from softcal.core.identity import Settings
 from softcal.core.reason import Reason, to_kept
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.db.arrays import get_arrays, put_arrays
-from softcal.db.entries import MadeCalibration, StoredCalibration
+from softcal.db.entries import StoredCalibration
+from softcal.db.in_use import InUseTable, heads_of, lots_of, names_several, newest_of_unit
 from softcal.db.lot_tables import unit_entries
-from softcal.db.registry_base import RegistryBase
+from softcal.db.records import PLAIN_FIELDS, record_of
 from softcal.db.tables import calibrations, networks, refusals
 
-PLAIN_FIELDS = (
-    "serial",
-    "network_id",
-    "family",
-    "map_sha256",
-    "predicted_rmse",
-    "before_rmse",
-    "after_rmse",
-    "own_rmse",
-    "fit_s",
-    "verdict",
-    "input_sha256",
-    "recording_sha256",
-)
-"""Fields of `CalibrationRecord` that are columns as they are."""
-
 NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), calibrations.c.origin.desc())
-"""The rule for the calibration in use: the newest. No registry writes a revision older than the one it follows."""
+"""No registry writes a revision older than the one it follows. Which one is in use is not told by this order."""
 
 KNOWN_NETWORK = select(networks.c.id).where(networks.c.id == bindparam("network"))
 LAST_REVISION = select(
@@ -40,13 +24,24 @@ LAST_REVISION = select(
 ).where(calibrations.c.serial == bindparam("unit"))
 
 
-class CalibrationTables(RegistryBase):
+class CalibrationTables(InUseTable):
     """The part of the registry that knows calibrations."""
 
     def add_calibration(
-        self, lot_id: str, record: CalibrationRecord, actor: str | None = None, reason: str = ""
+        self,
+        lot_id: str,
+        record: CalibrationRecord,
+        actor: str | None = None,
+        reason: str = "",
+        *,
+        decided_by: str = "line",
+        work_sha256: str | None = None,
     ) -> int:
-        """Store a calibration as the next revision of its serial and return the revision.
+        """Store a calibration as the next revision of its serial, put it into use in its lot and return the revision.
+
+        Args:
+            decided_by: who puts it into use: batch or line.
+            work_sha256: hash of the files and settings it answers, to be found again without reading the files.
 
         Raises:
             InputError: the lot or the network is not registered.
@@ -64,23 +59,45 @@ class CalibrationTables(RegistryBase):
                 "blob_sha256": put_arrays(connection, record.arrays),
                 "rolled_back_to": None,
             }
-            return self._add_revision(connection, values, "calibrate", actor, reason)
+            told = {"decided_by": decided_by, "work_sha256": work_sha256, "input_sha256": record.input_sha256}
+            return self._add_revision(connection, values, told, "calibrate", actor, reason)
 
-    def rollback(self, serial: str, to: int, *, reason: str, actor: str | None = None) -> int:
+    def rollback(
+        self,
+        serial: str,
+        to: int,
+        *,
+        reason: str,
+        actor: str | None = None,
+        lot_id: str | None = None,
+        origin: str | None = None,
+    ) -> int:
         """Bring an older revision back into use, as a new revision that repeats it; return the new one.
 
+        It is also how a person decides between two registries that put different maps into use.
+
+        Args:
+            lot_id: lot of the unit; needed where the serial stands in several.
+            origin: registry that made the revision; needed where two made one of this number.
+
         Raises:
-            InputError: no reason, no such serial or revision, or it is the one in use.
+            InputError: no reason, no such serial or revision, more than one that fits, or it is the one in use.
         """
         if not reason.strip():
             raise InputError("a rollback needs a reason; nothing was changed")
         with self.database.writing() as connection:
-            old = self._calibration_row(connection, serial, to)
-            newest = self._calibration_row(connection, serial, None)
-            if (old["map_sha256"], old["blob_sha256"]) == (newest["map_sha256"], newest["blob_sha256"]):
-                raise InputError(f"revision {to} of {serial} is the one in use; nothing was changed")
-            before = {"revision": newest["revision"], "map_sha256": newest["map_sha256"]}
-            return self._add_revision(connection, {**old, "rolled_back_to": to}, "rollback", actor, reason, before)
+            lot = self._only_lot(connection, serial, lot_id)
+            old = self._revision_row(connection, lot, serial, to, origin)
+            heads = heads_of(connection, lot, serial)
+            before = None
+            if heads and not names_several(connection, heads):
+                used = self._revision_row(connection, lot, serial, heads[0]["revision"], heads[0]["made_by"])
+                if (old["map_sha256"], old["blob_sha256"]) == (used["map_sha256"], used["blob_sha256"]):
+                    raise InputError(f"revision {to} of {serial} is the one in use; nothing was changed")
+                before = {"revision": used["revision"], "map_sha256": used["map_sha256"]}
+            told = {"decided_by": "rollback"}
+            again = {**old, "rolled_back_to": to}
+            return self._add_revision(connection, again, told, "rollback", actor, reason, before)
 
     def find_calibration(
         self, serial: str, input_sha256: str, *, lot_id: str | None = None
@@ -103,59 +120,74 @@ class CalibrationTables(RegistryBase):
                 known.setdefault(serial, set()).add(sha256)
         return {serial: frozenset(hashes) for serial, hashes in known.items()}
 
-    def made_calibrations(self, lot_id: str) -> dict[tuple[str, int], MadeCalibration]:
-        """Return what is known of every calibration this registry made in a lot, without its arrays, by serial and
-        revision."""
-        c = calibrations.c
-        columns = [c[field] for field in PLAIN_FIELDS] + [c.revision, c.settings, c.reasons, c.evidence]
-        query = select(*columns).where(c.lot_id == lot_id, c.origin == self.origin)
-        with self.database.reading() as connection:
-            rows = connection.execute(query).mappings()
-            made = [MadeCalibration.of(_record(row, {}, row["settings"]), row["revision"]) for row in rows]
-        return {(entry.serial, entry.revision): entry for entry in made}
+    def calibration(
+        self, serial: str, revision: int | None = None, *, lot_id: str | None = None, origin: str | None = None
+    ) -> StoredCalibration:
+        """Return the calibration of a unit in use, or one revision of its history.
 
-    def calibration(self, serial: str, revision: int | None = None) -> StoredCalibration:
-        """Return the calibration of a serial in use, or one revision of its history.
+        Args:
+            lot_id: lot of the unit; needed where the serial stands in several.
+            origin: registry that made the revision; needed where two made one of this number.
 
         Raises:
-            InputError: the serial or the revision is not in the registry.
+            InputError: the serial or the revision is not in the registry, it is not clear which one is meant, or two
+                registries put different maps into use.
         """
         with self.database.reading() as connection:
-            return self._stored(connection, self._calibration_row(connection, serial, revision))
+            lot = self._only_lot(connection, serial, lot_id)
+            if revision is None:
+                statement = self._in_use(connection, lot, serial)
+                if statement is None:
+                    raise InputError(f"serial {serial!r} has no calibration in lot {lot!r}")
+                revision, origin = statement["revision"], statement["made_by"]
+            return self._stored(connection, self._revision_row(connection, lot, serial, revision, origin))
 
-    def history(self, serial: str) -> list[StoredCalibration]:
-        """Return every revision of a serial, oldest first; a unit that got no map yet has none.
+    def history(self, serial: str, lot_id: str | None = None) -> list[StoredCalibration]:
+        """Return every revision of a serial, of one lot or of all, oldest first; a unit that got no map yet has none.
 
         Raises:
             InputError: the serial is not in the registry.
         """
         query = select(calibrations).where(calibrations.c.serial == serial).order_by(*NEWEST_FIRST)
+        query = query if lot_id is None else query.where(calibrations.c.lot_id == lot_id)
         with self.database.reading() as connection:
             self._known_serial(connection, serial)
             rows = connection.execute(query).mappings().all()
             return [self._stored(connection, row) for row in reversed(rows)]
 
     def add_refusal(
-        self, lot_id: str, serial: str, verdict: str, reasons: tuple[Reason, ...], *, actor: str | None = None
+        self,
+        lot_id: str,
+        serial: str,
+        verdict: str,
+        reasons: tuple[Reason, ...],
+        *,
+        actor: str | None = None,
+        work_sha256: str | None = None,
     ) -> None:
         """Register that a unit got no map (`UnitRefused`, unreadable recording); its verdict is fail or retest.
 
         The verdict and reasons the unit has already are not written again.
+
+        Args:
+            work_sha256: hash of the files and settings it answers; None: asking again may end otherwise.
         """
         with self.database.writing() as connection:
             self._lot_row(connection, lot_id)
             self._add_unit(connection, lot_id, serial, "target", actor)
             (unit,) = unit_entries(connection, lot_id, serial)
-            if (unit.verdict, unit.reasons) == (verdict, reasons):
+            answered = self.decided_works(lot_id, [serial]).get(serial)
+            if (unit.verdict, unit.reasons, answered) == (verdict, reasons, work_sha256):
                 return
             values = {
                 "lot_id": lot_id,
                 "serial": serial,
-                "made_at": self._after(unit.made_at),
+                "made_at": self._after(newest_of_unit(connection, lot_id, serial)),
                 "origin": self.origin,
                 "actor": self._actor(actor),
                 "verdict": verdict,
                 "reasons": [to_kept(why) for why in reasons],
+                "work_sha256": work_sha256,
             }
             self._store(connection, refusals, values, "refuse", actor)
 
@@ -163,52 +195,66 @@ class CalibrationTables(RegistryBase):
         self,
         connection: Connection,
         values: Mapping[str, Any],
+        told: Mapping[str, Any],
         action: str,
         actor: str | None,
         reason: str,
         before: Mapping[str, object] | None = None,
     ) -> int:
-        newest = connection.execute(LAST_REVISION, {"unit": values["serial"]}).one()
+        lot_id, serial = values["lot_id"], values["serial"]
+        newest = connection.execute(LAST_REVISION, {"unit": serial}).one()
+        times = (newest.made_at, newest_of_unit(connection, lot_id, serial))
         revision = (newest.revision or 0) + 1
         new = {
             "revision": revision,
             "origin": self.origin,
-            "made_at": self._after(newest.made_at),
+            "made_at": self._after(max((at for at in times if at is not None), default=None)),
             "actor": self._actor(actor),
             "reason": reason,
         }
         self._store(connection, calibrations, {**values, **new}, action, actor, reason, before)
+        named = {"revision": revision, "made_by": self.origin}
+        self._state(connection, lot_id, serial, named, told, actor, reason, new["made_at"])
         return int(revision)
 
-    def _calibration_row(self, connection: Connection, serial: str, revision: int | None) -> RowMapping:
-        query = select(calibrations).where(calibrations.c.serial == serial)
-        query = query if revision is None else query.where(calibrations.c.revision == revision)
-        row = connection.execute(query.order_by(*NEWEST_FIRST).limit(1)).mappings().first()
-        if row is None:
-            self._known_serial(connection, serial)
-            what = "no calibration" if revision is None else f"no revision {revision}"
-            raise InputError(f"serial {serial!r} has {what} in the registry")
-        return row
+    def _only_lot(self, connection: Connection, serial: str, lot_id: str | None) -> str:
+        """Return the lot of a serial; a serial that stands in several has to be asked for with its lot."""
+        self._known_serial(connection, serial)
+        lots = lots_of(connection, serial)
+        if lot_id is None and len(lots) > 1:
+            raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which with --lot")
+        if lot_id is not None and lot_id not in lots:
+            self._lot_row(connection, lot_id)
+            raise InputError(f"serial {serial!r} is not in lot {lot_id!r}; it is in {', '.join(map(repr, lots))}")
+        return lots[0] if lot_id is None else lot_id
+
+    def _revision_row(
+        self, connection: Connection, lot_id: str, serial: str, revision: int, origin: str | None
+    ) -> RowMapping:
+        c = calibrations.c
+        query = select(calibrations).where(c.lot_id == lot_id, c.serial == serial, c.revision == revision)
+        query = query if origin is None else query.where(c.origin == origin)
+        rows = connection.execute(query.order_by(c.origin)).mappings().all()
+        if not rows:
+            by = "" if origin is None else f" of registry {origin}"
+            raise InputError(f"serial {serial!r} has no revision {revision}{by} in lot {lot_id!r}")
+        if len(rows) > 1:
+            names = ", ".join(f"{row['origin']} ({row['made_at']:%Y-%m-%d %H:%M:%S} UTC)" for row in rows)
+            raise InputError(
+                f"revision {revision} of serial {serial!r} was made by the registries {names}; say which with --origin"
+            )
+        self._check_row(connection, calibrations, rows[0])
+        return rows[0]
 
     def _stored(self, connection: Connection, row: RowMapping) -> StoredCalibration:
-        c = calibrations.c
-        same_serial = select(c.revision, c.origin).where(c.serial == row["serial"]).order_by(*NEWEST_FIRST)
-        known = connection.execute(same_serial).all()
-        revisions = [revision for revision, _ in known]
+        heads = heads_of(connection, row["lot_id"], row["serial"])
+        is_conflict = names_several(connection, heads)
+        named = {(head["revision"], head["made_by"]) for head in (heads if is_conflict else heads[:1])}
+        is_named = (row["revision"], row["origin"]) in named
         fields = ("lot_id", "revision", "made_at", "actor", "reason", "rolled_back_to", "origin")
         return StoredCalibration(
-            record=_record(row, get_arrays(connection, row["blob_sha256"]), row["settings"]),
+            record=record_of(row, get_arrays(connection, row["blob_sha256"]), row["settings"]),
             **{field: row[field] for field in fields},
-            is_current=tuple(known[0]) == (row["revision"], row["origin"]),
-            is_conflict=revisions.count(row["revision"]) > 1,
+            is_current=is_named and not is_conflict,
+            is_conflict=is_named and is_conflict,
         )
-
-
-def _record(row: RowMapping, arrays: Mapping[str, Any], settings: Settings) -> CalibrationRecord:
-    return CalibrationRecord(
-        **{field: row[field] for field in PLAIN_FIELDS},
-        arrays=arrays,
-        settings=settings,
-        reasons=tuple(map(Reason.of, row["reasons"])),
-        evidence=row["evidence"],
-    )

@@ -54,8 +54,8 @@ class Database:
 
     @property
     def name(self) -> str:
-        """The URL without its password."""
-        return self.engine.url.render_as_string(hide_password=True)
+        """The URL without its password, wherever in it that stands."""
+        return shown_url(self.engine.url)
 
     @property
     def path(self) -> Path | None:
@@ -125,7 +125,10 @@ class Database:
         try:
             yield
         except (SQLAlchemyError, sqlite3.Error) as error:
-            raise RegistryError(f"registry {self.name}: {_first_line(error)}; nothing was changed") from error
+            what = without_password(_first_line(error), self.engine.url)
+            if "permission denied" in what:
+                what += "; the database account may not do this, ask who manages the registry to do it"
+            raise RegistryError(f"registry {self.name}: {what}; nothing was changed") from error
 
 
 def open_database(url: str, *, create: bool = True) -> Database:
@@ -198,6 +201,7 @@ def _sqlite_engine(url: URL, create: bool) -> Engine:
         engine = create_engine(url, poolclass=StaticPool, connect_args={"check_same_thread": False})
     else:
         _check_sqlite_path(Path(str(url.database)), create)
+        _make_private(Path(str(url.database)))
         engine = create_engine(url, connect_args={"timeout": SQLITE_WAIT_S, "check_same_thread": False})
     event.listen(engine, "connect", _set_up_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
@@ -215,6 +219,17 @@ def _check_sqlite_path(path: Path, create: bool) -> None:
     if not os.access(path if path.exists() else folder, os.W_OK) or not os.access(folder, os.W_OK):
         raise RegistryError(f"registry {path}: {folder} cannot be written; SQLite needs the folder, too")
     refuse_network_share(folder)
+
+
+def _make_private(path: Path) -> None:
+    """Make a new file that nobody else may read: there are hashes of PINs in it. SQLite gives its log the same mode."""
+    if not path.exists():
+        try:
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
+        except FileExistsError:
+            return
+        except OSError as error:
+            raise RegistryError(f"registry {path}: cannot be made: {error.strerror}") from error
 
 
 def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:
@@ -269,6 +284,24 @@ def _set_up_postgresql(connection: object, record: object) -> None:
     cursor.execute("SET timezone = 'UTC'")
     cursor.close()
     connection.commit()  # type: ignore[attr-defined]
+
+
+SECRET_KEYS = ("password", "passfile", "sslpassword")
+
+
+def shown_url(url: URL) -> str:
+    """Return a URL as text without its password, which may stand among its options, too."""
+    hidden = {key: "***" for key in url.query if key.lower() in SECRET_KEYS}
+    return url.update_query_dict(hidden).render_as_string(hide_password=True)
+
+
+def without_password(text: str, url: URL) -> str:
+    """Return what a driver said without the password, should it have quoted its connection."""
+    secrets = [url.password, *(url.query.get(key) for key in SECRET_KEYS)]
+    for secret in secrets:
+        if isinstance(secret, str) and secret:
+            text = text.replace(secret, "***")
+    return text
 
 
 def _first_line(error: BaseException) -> str:

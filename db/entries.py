@@ -23,7 +23,7 @@ class UnitEntry:
         revision, family, map_sha256, predicted_rmse, before_rmse, after_rmse, own_rmse: of the newest calibration of
             this lot; None while there is none.
         made_at: when the newest result was made, UTC.
-        is_conflict: two registries calibrated this serial under one revision; `history` shows both.
+        is_conflict: two registries put different maps into use; `history` shows both, and a person has to decide.
         is_stale: its calibration was made with another method than this version's; a batch makes it anew.
     """
 
@@ -67,8 +67,8 @@ class StoredCalibration:
         actor, reason: who made it, and why.
         rolled_back_to: the older revision this one repeats, for a rollback.
         origin: the registry that wrote it.
-        is_current: this is the map in use.
-        is_conflict: another registry wrote a revision of this number for this serial.
+        is_current: this is the map in use in its lot. None is while two registries disagree.
+        is_conflict: two registries put different maps into use, this one among them; a person has to decide.
     """
 
     record: CalibrationRecord
@@ -134,6 +134,28 @@ class MadeCalibration:
     def is_audited(self) -> bool:
         """Whether its error was measured."""
         return self.decision.is_audited
+
+
+UNDECIDED = "retest"
+"""Verdict of a unit for which two registries put different maps into use: nobody may use it before a person decided."""
+
+
+@dataclass(frozen=True)
+class UnitStanding:
+    """Where a unit stands: its verdict, why and since when.
+
+    Args:
+        serial: the unit.
+        verdict, reasons: of the calibration in use, or of a newer refusal.
+        made_at: when that was stated, UTC.
+        made: the calibration in use; None where the newest result is a refusal, or two maps are in conflict.
+    """
+
+    serial: str
+    verdict: str
+    reasons: tuple[Reason, ...]
+    made_at: datetime
+    made: MadeCalibration | None = None
 
 
 @dataclass(frozen=True)

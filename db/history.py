@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Table, bindparam, insert, select
 
 from softcal.core.errors import RegistryError
 from softcal.db.entries import AuditRow
-from softcal.db.tables import TOLD_BY_HASH, audit, canonical_json
+from softcal.db.tables import LATER_COLUMNS, TOLD_BY_HASH, audit, canonical_json
 
 FIRST_HASH = "0" * 64
 Values = Mapping[str, object]
@@ -64,7 +64,14 @@ def row_hash(row: AuditRow) -> str:
 
 def origins(connection: Connection) -> list[str]:
     """Return the registries whose chains are here."""
-    return list(connection.execute(select(audit.c.origin).distinct().order_by(audit.c.origin)).scalars())
+    # One look into the index per registry; DISTINCT would read the whole trail.
+    found: list[str] = []
+    query = select(audit.c.origin).order_by(audit.c.origin).limit(1)
+    name = connection.execute(query).scalar_one_or_none()
+    while name is not None:
+        found.append(name)
+        name = connection.execute(query.where(audit.c.origin > name)).scalar_one_or_none()
+    return found
 
 
 def of_entity(connection: Connection, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
@@ -94,12 +101,16 @@ def newest(connection: Connection, count: int) -> list[AuditRow]:
     return sorted(found, key=lambda row: (row.at, row.origin, row.seq), reverse=True)[:count]
 
 
-def chain_faults(trail: Iterator[AuditRow]) -> Iterator[str]:
-    """Give one line for every row that does not fit its chain."""
-    origin, seq, prev_hash = "", 0, FIRST_HASH
+def chain_faults(trail: Iterator[AuditRow], after_seq: int = 0, after_hash: str = FIRST_HASH) -> Iterator[str]:
+    """Give one line for every row that does not fit its chain.
+
+    Args:
+        after_seq, after_hash: the row before the first one, where a chain is not read from its beginning.
+    """
+    origin, seq, prev_hash = "", after_seq, after_hash
     for row in trail:
         if row.origin != origin:
-            origin, seq, prev_hash = row.origin, 0, FIRST_HASH
+            origin, seq, prev_hash = row.origin, after_seq, after_hash
         if row.seq != seq + 1:
             yield f"audit {origin}: rows {seq + 1} to {row.seq - 1} are missing"
         elif row.prev_hash != prev_hash:
@@ -128,6 +139,14 @@ def told(table: Table, values: Values) -> dict[str, object]:
         name: hashlib.sha256(canonical_json(value).encode()).hexdigest() if name in hashed else value
         for name, value in plain(values).items()
     }
+
+
+def forms(table: Table, values: Values) -> set[str]:
+    """Return the texts by which the audit trail may tell of a row: as it is, or as before later columns came."""
+    now = told(table, values)
+    later = [name for name in LATER_COLUMNS.get(table.name, ()) if now[name] is None]
+    older = {name: value for name, value in now.items() if name not in later}
+    return {canonical_json(form) for form in (now, older)}
 
 
 def plain(values: Values) -> dict[str, object]:

@@ -1,16 +1,19 @@
 """A lot of any size a page at a time: counts, columns of numbers and sorted, filtered pages of units, all in SQL."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, RowMapping, Subquery, Table, and_, case, func, or_, select, tuple_
+from sqlalchemy import ColumnElement, Connection, RowMapping, Subquery, Table, and_, case, func, or_, select, tuple_
 
 from softcal.core.errors import InputError
-from softcal.core.reason import Reason
+from softcal.core.reason import Reason, plain
 from softcal.core.unit.verdict import Verdict
-from softcal.db.entries import UnitEntry
+from softcal.db import history
+from softcal.db.entries import UNDECIDED, UnitEntry
+from softcal.db.in_use import OF_STATEMENT, conflict_line, conflicts_of
 from softcal.db.registry_base import RegistryBase
-from softcal.db.tables import calibrations, golden_runs, limits, line_rules, networks, refusals, units
+from softcal.db.tables import calibrations, in_use, refusals, units
 
 ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
@@ -67,15 +70,17 @@ class LotPages(RegistryBase):
         Raises:
             InputError: the lot is not in the registry.
         """
-        table = _standing(lot_id)
-        condition = _condition(table, wanted)
-        order = _order(table, wanted)
-        query = select(table).where(condition).order_by(*order).limit(size).offset((page - 1) * size)
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
+            undecided = _undecided(connection, lot_id)
+            table = _standing(lot_id, undecided)
+            condition = _condition(table, wanted)
+            order = _order(table, wanted)
+            query = select(table).where(condition).order_by(*order).limit(size).offset((page - 1) * size)
             total = connection.execute(select(func.count()).select_from(table).where(condition)).scalar_one()
-            rows = connection.execute(query).mappings().all()
-        return UnitPage(tuple(_entry(lot_id, row) for row in rows), int(total))
+            entries = [_entry(lot_id, row) for row in connection.execute(query).mappings()]
+            told = [_conflict(connection, entry) if entry.serial in undecided else entry for entry in entries]
+        return UnitPage(tuple(told), int(total))
 
     def find_serials(self, text: str, count: int = 50) -> list[str]:
         """Return serials of target units with a result that hold a text in any case; those that begin with it first."""
@@ -94,51 +99,61 @@ class LotPages(RegistryBase):
 
     def verdict_counts(self, lot_id: str) -> dict[str, int]:
         """Return a lot's target units by the verdict of their newest result; `none` counts those without."""
-        table = _standing(lot_id)
-        verdict = func.coalesce(table.c.verdict, "none")
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
+            table = _standing(lot_id, _undecided(connection, lot_id))
+            verdict = func.coalesce(table.c.verdict, "none")
             found = {str(v): int(n) for v, n in connection.execute(select(verdict, func.count()).group_by(verdict))}
         return {name: found.get(name, 0) for name in (*SEVERITY, "none")}
 
     def lot_errors(self, lot_id: str) -> list[UnitErrors]:
         """Return the errors of every target unit with a map, by serial."""
-        table = _standing(lot_id)
-        query = select(table.c.serial, table.c.verdict, *(table.c[name] for name in ERRORS))
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
+            table = _standing(lot_id, _undecided(connection, lot_id))
+            query = select(table.c.serial, table.c.verdict, *(table.c[name] for name in ERRORS))
             rows = connection.execute(query.where(table.c.revision.is_not(None)).order_by(table.c.serial))
             return [UnitErrors(*row) for row in rows]
 
     def change_marker(self, lot_id: str) -> str:
         """Return text that changes whenever a unit, a result, a limit, a rule, a network or a check is added.
 
-        A cheap key for what was computed from a lot: nothing of it is ever changed in place or deleted.
+        A cheap key for what was computed from a lot: every change ends a chain of the audit trail with another row.
         """
-        of_lot = (calibrations, refusals, limits, line_rules)
-        parts = [
-            select(value).where(t.c.lot_id == lot_id) for t in of_lot for value in (func.count(), func.max(t.c.made_at))
-        ]
-        parts += [select(func.count()).where(t.c.lot_id == lot_id) for t in (units, networks)]
-        parts.append(select(func.count()).select_from(golden_runs))
         with self.database.reading() as connection:
-            found = connection.execute(select(*(part.scalar_subquery() for part in parts))).one()
-        return "|".join(map(str, found))
+            heads = [history.head(connection, origin) for origin in history.origins(connection)]
+        return "|".join([lot_id, *(sha256 for _, sha256 in heads)])
 
 
-def _standing(lot_id: str) -> Subquery:
-    """Every target unit of a lot beside its newest map and its newest verdict, which may be a later refusal's.
+def _undecided(connection: Connection, lot_id: str) -> list[str]:
+    return [serial for _, serial in conflicts_of(connection, lot_id)]
+
+
+def _standing(lot_id: str, undecided: Sequence[str]) -> Subquery:
+    """Every target unit of a lot beside its map in use and its newest verdict, which may be a later refusal's.
 
     "Nothing newer exists" is found through the index of the table; a window function over all rows is not, and its
     join with the units would take the square of their number.
+
+    Args:
+        undecided: units for which two registries put different maps into use.
     """
-    c, r = calibrations, refusals
-    is_refused = and_(r.c.made_at.is_not(None), or_(c.c.made_at.is_(None), r.c.made_at > c.c.made_at))
-    newest = [case((is_refused, r.c[name]), else_=c.c[name]).label(name) for name in ("verdict", "reasons", "made_at")]
-    joined = units.outerjoin(c, _is_newest(c, ("made_at", "revision", "origin"))).outerjoin(
-        r, _is_newest(r, ("made_at", "origin"))
+    c, u, r = calibrations, in_use, refusals
+    is_refused = and_(r.c.made_at.is_not(None), or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
+    is_open = units.c.serial.in_(undecided)
+    newest = {name: case((is_refused, r.c[name]), else_=c.c[name]) for name in ("verdict", "reasons")}
+    newest["made_at"] = case((is_refused, r.c.made_at), else_=u.c.made_at)
+    maps = {name: c.c[name] for name in MADE_FIELDS}
+    if undecided:
+        newest["verdict"] = case((is_open, UNDECIDED), else_=newest["verdict"])
+        maps = {name: case((is_open, None), else_=column) for name, column in maps.items()}
+    joined = (
+        units.outerjoin(u, _is_newest(u, ("made_at", "number", "origin")))
+        .outerjoin(c, OF_STATEMENT)
+        .outerjoin(r, _is_newest(r, ("made_at", "origin")))
     )
-    query = select(units.c.serial, *(c.c[name] for name in MADE_FIELDS), *newest).select_from(joined)
+    columns = [column.label(name) for name, column in (maps | newest).items()]
+    query = select(units.c.serial, *columns).select_from(joined)
     return query.where(units.c.lot_id == lot_id, units.c.role == "target").subquery("standing")
 
 
@@ -171,3 +186,7 @@ def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
 def _entry(lot_id: str, row: RowMapping) -> UnitEntry:
     facts = {name: value for name, value in row.items() if name != "reasons"}
     return UnitEntry(lot_id=lot_id, role="target", reasons=tuple(map(Reason.of, row["reasons"] or ())), **facts)
+
+
+def _conflict(connection: Connection, entry: UnitEntry) -> UnitEntry:
+    return replace(entry, reasons=(plain(conflict_line(connection, entry.lot_id, entry.serial)),), is_conflict=True)

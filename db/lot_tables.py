@@ -9,9 +9,10 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.reason import Reason
 from softcal.core.unit.method import Method
-from softcal.db.entries import LimitEntry, RunEntry, UnitEntry
+from softcal.db.entries import UNDECIDED, LimitEntry, RunEntry, UnitEntry
+from softcal.db.in_use import NEWEST_STATEMENT, OF_STATEMENT, conflict_line, conflicts_of
 from softcal.db.registry_base import RegistryBase
-from softcal.db.tables import calibrations, limits, lots, refusals, units
+from softcal.db.tables import calibrations, in_use, limits, lots, refusals, units
 
 RESULT_FIELDS = (
     "revision",
@@ -23,7 +24,6 @@ RESULT_FIELDS = (
     "own_rmse",
     "verdict",
     "reasons",
-    "made_at",
 )
 STATED = "stated with the lot"
 
@@ -164,10 +164,12 @@ def unit_entries(connection: Connection, lot_id: str | None, serial: str | None)
     entries = {}
     for row in connection.execute(_of(select(units), units, lot_id, serial)).mappings():
         entries[row["lot_id"], row["serial"]] = {f: row[f] for f in ("lot_id", "serial", "role")}
-    for row in connection.execute(_newest_calibrations(lot_id, serial)).mappings():
-        result = {field: row[field] for field in RESULT_FIELDS}
-        result |= {"is_conflict": row["copies"] > 1, "is_stale": not row["is_this_method"]}
-        entries[row["lot_id"], row["serial"]] |= result
+    for row in connection.execute(_in_use(lot_id, serial)).mappings():
+        facts = {field: row[field] for field in (*RESULT_FIELDS, "made_at")}
+        entries[row["lot_id"], row["serial"]] |= facts | {"is_stale": not row["is_this_method"]}
+    for unit in conflicts_of(connection, lot_id, serial):
+        undecided = {"verdict": UNDECIDED, "reasons": [conflict_line(connection, *unit)], "is_conflict": True}
+        entries[unit] |= dict.fromkeys(RESULT_FIELDS) | undecided | {"is_stale": False}
     refused = _of(select(refusals), refusals, lot_id, serial).order_by(refusals.c.made_at)
     for row in connection.execute(refused).mappings():
         entry = entries[row["lot_id"], row["serial"]]
@@ -179,15 +181,14 @@ def unit_entries(connection: Connection, lot_id: str | None, serial: str | None)
     return sorted(made, key=lambda unit: (unit.lot_id, unit.serial))
 
 
-def _newest_calibrations(lot_id: str | None, serial: str | None) -> Select[Any]:
-    c = calibrations.c
-    order = (c.made_at.desc(), c.revision.desc(), c.origin.desc())
-    rank = func.row_number().over(partition_by=(c.lot_id, c.serial), order_by=order).label("rank")
-    copies = func.count().over(partition_by=(c.serial, c.revision)).label("copies")
+def _in_use(lot_id: str | None, serial: str | None) -> Select[Any]:
+    u, c = in_use.c, calibrations.c
+    rank = func.row_number().over(partition_by=(u.lot_id, u.serial), order_by=NEWEST_STATEMENT).label("rank")
     # The settings are canonical JSON text: the hash of today's method stands in it or it does not.
     same = type_coerce(c.settings, Text).contains(f'"method_id":"{Method().id}"').label("is_this_method")
-    columns = [c.lot_id, c.serial, *(c[field] for field in RESULT_FIELDS), rank, copies, same]
-    ranked = _of(select(*columns), calibrations, lot_id, serial).subquery()
+    columns = [u.lot_id, u.serial, *(c[field] for field in RESULT_FIELDS), u.made_at, rank, same]
+    joined = select(*columns).select_from(in_use).join(calibrations, OF_STATEMENT)
+    ranked = _of(joined, in_use, lot_id, serial).subquery()
     return select(ranked).where(ranked.c.rank == 1)
 
 

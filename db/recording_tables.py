@@ -55,6 +55,7 @@ class RecordingTables(RegistryBase):
             row = connection.execute(query).mappings().first()
             if row is None:
                 raise InputError(f"recording {sha256[:12]} is not in the registry")
+            self._check_row(connection, recordings, row)
             return _recording(row, cast(dict[str, Array], get_arrays(connection, row["blob_sha256"])))
 
     def recordings(self, lot_id: str, serial: str | None = None, kind: str | None = None) -> list[RecordingEntry]:
@@ -109,6 +110,7 @@ class RecordingTables(RegistryBase):
         """Return a network by its id, or raise `InputError`."""
         with self.database.reading() as connection:
             row = _network_row(connection, network_id)
+            self._check_row(connection, networks, row)
             return Network.from_arrays(
                 cast(dict[str, Array], get_arrays(connection, row["blob_sha256"])), row["settings"]
             )
@@ -117,6 +119,7 @@ class RecordingTables(RegistryBase):
         """Return what is known of a network beside its weights, or raise `InputError`."""
         with self.database.reading() as connection:
             row = _network_row(connection, network_id)
+            self._check_row(connection, networks, row)
             return NetworkEntry(**{f: row[f] for f in NetworkEntry.__dataclass_fields__})
 
     def networks(self) -> list[NetworkEntry]:

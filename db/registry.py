@@ -4,9 +4,12 @@ Every change is one transaction with its row of the audit trail. What is stored 
 row. Everything given back is a value of its own, never a row.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
+from sqlalchemy.exc import DataError, DBAPIError, StatementError
+
+from softcal.core.errors import InputError
 from softcal.db import history
 from softcal.db.adaptation_tables import AdaptationTables
 from softcal.db.calibration_tables import CalibrationTables
@@ -15,7 +18,7 @@ from softcal.db.job_board import JobBoard
 from softcal.db.line_rules import LineRulesTable
 from softcal.db.lot_pages import LotPages
 from softcal.db.lot_tables import LotTables
-from softcal.db.maintenance import faults
+from softcal.db.maintenance import Anchor, Heads, faults
 from softcal.db.order_queue import OrderQueue
 from softcal.db.people import People
 from softcal.db.recording_tables import RecordingTables
@@ -43,6 +46,23 @@ class Registry(
         """Keep everything done in the block, or nothing of it. Calls inside need no change."""
         with self.database.writing():
             yield
+
+    @contextmanager
+    def part(self) -> Iterator[None]:
+        """Keep everything done in the block or nothing of it, inside a transaction that goes on either way.
+
+        Raises:
+            InputError: a value that the database cannot take.
+        """
+        with self.database.writing() as connection, connection.begin_nested():
+            try:
+                yield
+            except DataError as error:
+                raise InputError(f"a value cannot be stored: {error.orig}") from error
+            except StatementError as error:
+                if isinstance(error, DBAPIError):
+                    raise
+                raise InputError(f"a value cannot be stored: {error.orig}") from error
 
     @property
     def work_queue(self) -> WorkQueue:
@@ -89,7 +109,19 @@ class Registry(
         with self.database.reading() as connection:
             return history.newest(connection, count)
 
-    def verify(self) -> list[str]:
-        """Check every blob, every row and the audit chain; return one line per fault, none when all is well."""
+    def verify(
+        self,
+        *,
+        is_quick: bool = False,
+        anchors: Sequence[Anchor] = (),
+        on_step: Callable[[str], None] = lambda _: None,
+    ) -> list[str]:
+        """Check the database, every blob, every row and the audit chain; return one line per fault, none when all is
+        well. `db.maintenance.faults` says what the arguments mean."""
         with self.database.reading() as connection:
-            return list(faults(connection))
+            return list(faults(connection, is_quick=is_quick, anchors=anchors, on_step=on_step))
+
+    def heads(self) -> Heads:
+        """Return number and hash of the last row of every chain of the audit trail: what to write down elsewhere."""
+        with self.database.reading() as connection:
+            return {origin: history.head(connection, origin) for origin in history.origins(connection)}

@@ -7,10 +7,10 @@ from typing import Any, Protocol
 
 from sqlalchemy import Connection, RowMapping, Table, bindparam, insert, select
 
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, RegistryError
 from softcal.db import history
 from softcal.db.database import Database
-from softcal.db.tables import lots, registry_info, units
+from softcal.db.tables import audit, canonical_json, lots, registry_info, units
 
 TICK = timedelta(microseconds=1)
 KNOWN_LOT = select(lots).where(lots.c.id == bindparam("lot"))
@@ -69,6 +69,18 @@ class RegistryBase:
             connection, self.origin, at, who, action, table.name, key, after=after, before=before, reason=reason
         )
 
+    def _check_row(self, connection: Connection, table: Table, row: RowMapping) -> None:
+        """Raise `RegistryError` where a row is not what the audit trail tells of it: nobody may go on with it."""
+        values = {column.name: row[column.name] for column in table.columns}
+        key = canonical_json(history.row_key(table, values))
+        query = select(audit.c.after).where(audit.c.entity == table.name, audit.c.key == key)
+        told = connection.execute(query).scalars().all()
+        if not history.forms(table, values) & {after for after in told if after is not None}:
+            raise RegistryError(
+                f"{table.name} {key} is not what the audit trail tells of it: it was damaged or changed; run "
+                "`softcal registry verify` and go back to a backup"
+            )
+
     def _actor(self, actor: str | None) -> str:
         return actor or self.settings.actor
 
@@ -82,6 +94,7 @@ class RegistryBase:
         if row is None:
             known = connection.execute(select(lots.c.id).order_by(lots.c.id).limit(6)).scalars().all()
             raise InputError(f"lot {lot_id!r} is not in the registry; it holds {_some(known)}")
+        self._check_row(connection, lots, row)
         return row
 
     def _add_unit(self, connection: Connection, lot_id: str, serial: str, role: str, actor: str | None) -> None:

@@ -8,7 +8,7 @@ nothing. Work items, orders and people stay where they are.
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import date, datetime
+from datetime import date, datetime, timedelta
 from typing import Any
 
 from sqlalchemy import Connection, Date, Table, and_, func, insert, select
@@ -17,10 +17,12 @@ from softcal.core.errors import InputError, RegistryError
 from softcal.db import history
 from softcal.db.arrays import copy_blob
 from softcal.db.entries import AuditRow
+from softcal.db.in_use import conflict_line, conflicts_of
 from softcal.db.registry import Registry
-from softcal.db.tables import AUDITED, UtcTime, audit, blobs, calibrations, limits, metadata
+from softcal.db.tables import AUDITED, UtcTime, audit, blobs, limits, metadata
 
 ROWS_AT_ONCE = 200
+CLOCKS_AGREE = timedelta(minutes=2)
 Named = tuple[object, ...]
 """Table and primary key of a row."""
 
@@ -33,12 +35,14 @@ class SyncReport:
 
     Args:
         sent, received: rows of the audit trail that went to the other registry and came from there.
-        conflicts: what two registries did to the same thing; both results are kept, the newest counts.
+        conflicts: what two registries did to the same thing; both results are kept, and a person has to decide.
+        clocks: registries whose clocks do not agree with this computer's; their order of events is not to be trusted.
     """
 
     sent: int
     received: int
     conflicts: tuple[str, ...]
+    clocks: tuple[str, ...] = ()
 
 
 def synchronise(here: Registry, there: Registry) -> SyncReport:
@@ -54,13 +58,33 @@ def synchronise(here: Registry, there: Registry) -> SyncReport:
             "make copies with `softcal registry backup` and `restore`"
         )
     sent, received = _send(here, there), _send(there, here)
-    return SyncReport(sent, received, tuple(conflicts(here)))
+    return SyncReport(sent, received, tuple(conflicts(here)), tuple(_clocks(here, there)))
 
 
 def conflicts(registry: Registry) -> list[str]:
     """Return one line for everything that two registries did differently: calibrations, limits, facts of a lot."""
     with registry.database.reading() as connection:
-        return [*_twice_calibrated(connection), *_twice_limited(connection), *_differing_lots(connection)]
+        return [*_used_differently(connection), *_twice_limited(connection), *_differing_lots(connection)]
+
+
+def _clocks(here: Registry, there: Registry) -> Iterator[str]:
+    """Give a line for every clock that does not agree: of a server now, of a registry by the newest row it wrote."""
+    now = here.settings.clock()
+    for side in (here, there):
+        if not side.database.is_sqlite:
+            with side.database.reading() as connection:
+                server: datetime = connection.execute(select(func.clock_timestamp())).scalar_one()
+            if abs(server - now) > CLOCKS_AGREE:
+                yield f"the clock of this computer and the server's of {side.database.name} are {server - now} apart"
+    with here.database.reading() as connection:
+        for origin in history.origins(connection):
+            newest = select(audit.c.at).where(audit.c.origin == origin).order_by(audit.c.seq.desc()).limit(1)
+            at: datetime = connection.execute(newest).scalar_one()
+            if at - now > CLOCKS_AGREE:
+                yield (
+                    f"registry {origin} wrote its newest row at {at:%Y-%m-%d %H:%M:%S} UTC, {at - now} ahead of this "
+                    "computer's clock; set that station's clock, and do not trust which of two results is the newer"
+                )
 
 
 def _send(source: Registry, target: Registry) -> int:
@@ -144,15 +168,9 @@ def _typed(kind: object, value: Any) -> Any:
     return date.fromisoformat(value) if isinstance(kind, Date) else value
 
 
-def _twice_calibrated(connection: Connection) -> Iterator[str]:
-    c = calibrations.c
-    for serial, revision in _doubles(connection, c.serial, c.revision):
-        newest = select(c.origin, c.made_at).where(c.serial == serial, c.revision == revision)
-        origin, made_at = connection.execute(newest.order_by(c.made_at.desc(), c.origin.desc()).limit(1)).one()
-        yield (
-            f"unit {serial} revision {revision} was calibrated by two registries; "
-            f"the newer one of {made_at:%Y-%m-%d %H:%M:%S} UTC by registry {origin} counts before the other"
-        )
+def _used_differently(connection: Connection) -> Iterator[str]:
+    for lot_id, serial in conflicts_of(connection):
+        yield conflict_line(connection, lot_id, serial)
 
 
 def _twice_limited(connection: Connection) -> Iterator[str]:

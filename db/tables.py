@@ -27,7 +27,9 @@ from sqlalchemy import (
 )
 from sqlalchemy.types import TypeDecorator
 
-SCHEMA = "0006"
+from softcal.core.errors import RegistryError
+
+SCHEMA = "0007"
 """Revision of the newest migration: what a registry must have to be used by this version."""
 
 metadata = MetaData(
@@ -39,6 +41,21 @@ metadata = MetaData(
         "pk": "pk_%(table_name)s",
     }
 )
+
+
+def _read_or_damaged(process: Any) -> Any:
+    """Say of a value that cannot be read that the registry is damaged: softcal has never written it."""
+
+    def read(value: Any) -> Any:
+        try:
+            return value if process is None else process(value)
+        except (ValueError, TypeError) as error:
+            raise RegistryError(
+                f"the registry holds {str(value)[:40]!r} where a value was written; it is damaged; run `softcal "
+                "registry verify` and go back to a backup"
+            ) from error
+
+    return read
 
 
 class UtcTime(TypeDecorator[datetime]):
@@ -59,6 +76,9 @@ class UtcTime(TypeDecorator[datetime]):
             return None
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
 
+    def result_processor(self, dialect: Dialect, coltype: object) -> Any:
+        return _read_or_damaged(super().result_processor(dialect, coltype))
+
 
 class CanonicalJson(TypeDecorator[Any]):
     """JSON as text with sorted keys, so that equal values have equal bytes on every database. NaN is refused."""
@@ -71,6 +91,9 @@ class CanonicalJson(TypeDecorator[Any]):
 
     def process_result_value(self, value: str | None, dialect: Dialect) -> Any:
         return None if value is None else json.loads(value)
+
+    def result_processor(self, dialect: Dialect, coltype: object) -> Any:
+        return _read_or_damaged(super().result_processor(dialect, coltype))
 
 
 def canonical_json(value: object) -> str:
@@ -223,9 +246,38 @@ refusals = Table(
     Column("actor", Text, nullable=False),
     Column("verdict", String(16), nullable=False),
     Column("reasons", CanonicalJson, nullable=False),
+    sha256_column("work_sha256"),
     ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
     CheckConstraint("verdict IN ('fail', 'retest')", name="verdict"),
 )
+
+in_use = Table(
+    "in_use",
+    metadata,
+    Column("lot_id", String(64), primary_key=True),
+    Column("serial", String(64), primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("revision", Integer, nullable=False),
+    Column("made_by", String(32), nullable=False),
+    Column("follows_origin", String(32)),
+    Column("follows_number", Integer),
+    Column("decided_by", String(16), nullable=False),
+    sha256_column("work_sha256"),
+    sha256_column("input_sha256"),
+    Column("made_at", UtcTime, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    ForeignKeyConstraint(["lot_id", "serial"], ["units.lot_id", "units.serial"]),
+    ForeignKeyConstraint(
+        ["serial", "revision", "made_by"], ["calibrations.serial", "calibrations.revision", "calibrations.origin"]
+    ),
+    CheckConstraint("number >= 1", name="number"),
+    Index("ix_in_use_lot_id_serial", "lot_id", "serial", "made_at"),
+    Index("ix_in_use_serial", "serial"),
+)
+"""Which calibration a unit of a lot uses, as statements: each names the one it follows. Two that nothing follows and
+that name different maps are a conflict, which a person ends."""
 
 audit = Table(
     "audit",
@@ -258,10 +310,8 @@ work_items = Table(
     Column("attempts", Integer, nullable=False),
     Column("owner", Text),
     Column("lease_until", UtcTime),
-    Column("result", Text),
-    Column("error", Text),
     Column("changed_at", UtcTime, nullable=False),
-    CheckConstraint("state IN ('queued', 'claimed', 'done', 'failed')", name="state"),
+    CheckConstraint("state IN ('queued', 'claimed', 'failed')", name="state"),
     Index("uq_work_items_item", "lot_id", "kind", "serial", "work_set", "input_sha256", unique=True),
     Index("ix_work_items_set_state", "lot_id", "kind", "work_set", "state", "id"),
     Index("ix_work_items_owner", "owner", "state"),
@@ -410,11 +460,15 @@ AUDITED = (
     "networks",
     "calibrations",
     "refusals",
+    "in_use",
     "adaptations",
     "certificates",
     "golden_runs",
 )
 """Tables whose every row has a row in the audit trail with the same values, in the order their rows may be copied."""
+
+LATER_COLUMNS = {"refusals": ("work_sha256",)}
+"""Columns that rows of older schemas do not have: the audit trail of such a row does not name them."""
 
 APPEND_ONLY = ("blobs", "audit", *AUDITED)
 """Tables whose rows are never changed or deleted; triggers on both databases see to it."""

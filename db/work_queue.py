@@ -1,8 +1,9 @@
-"""Durable work items of a lot: claimed under a lease, done once, and handed out again when a worker dies.
+"""Durable work items of a lot: claimed under a lease, gone when they are done, handed out again when a worker dies.
 
-A worker that is killed loses nothing: its lease runs out and the item goes to the next one. An item is named by its
-lot, kind, serial and input hash, so that asking twice for the same work makes one item. Items that are asked for
-together, under the same settings, are one set; a claimant takes items of its own set only.
+A queue and no record: what became of the work stands elsewhere, and nothing here is believed to be a result. A worker
+that is killed loses nothing: its lease runs out and the item goes to the next one. An item is named by its lot, kind,
+serial and input hash, so that asking twice for the same work makes one item. Items that are asked for together, under
+the same settings, are one set; a claimant takes items of its own set only.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -10,8 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import Connection, Select, and_, delete, func, select, update
-from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy import Connection, Select, and_, delete, func, or_, select, update
 
 from softcal.db.database import Database
 from softcal.db.tables import work_items
@@ -19,8 +19,9 @@ from softcal.db.tables import work_items
 MOST_ATTEMPTS = 3
 """An item whose workers died this often is failed: it would take down the next worker, too."""
 
+LONGEST_LEASE = timedelta(hours=1)
 ROWS_AT_ONCE = 500
-STATES = ("queued", "claimed", "done", "failed")
+STATES = ("queued", "claimed", "failed")
 COUNTED = {"preserve_rowcount": True}
 FREE = {"state": "queued", "owner": None, "lease_until": None}
 
@@ -46,15 +47,12 @@ class WorkItem:
 
     Args:
         attempts: claims so far.
-        result: what was kept once it is done; why where it was given up.
     """
 
     id: int
     serial: str
     input_sha256: str
     attempts: int
-    state: str = "claimed"
-    result: str | None = None
 
 
 class WorkQueue:
@@ -64,10 +62,11 @@ class WorkQueue:
         self._database, self._clock = database, clock
 
     def enqueue(self, work: WorkSet, inputs: Mapping[str, str]) -> int:
-        """Queue what is not queued, claimed or done yet and return how many items are new.
+        """Queue what is not queued or claimed yet and return how many items are new.
 
         An item that failed before is queued again, and attempts are counted anew: asking is a decision to retry. Sets
-        of the lot that nobody works at any more are forgotten; what they finished is in the registry.
+        of the lot that nobody works at any more are forgotten. Each few hundred items are a transaction of their own,
+        so that other writers wait for milliseconds only.
 
         Args:
             inputs: input hash of every serial.
@@ -78,12 +77,13 @@ class WorkQueue:
         rows = [{**fresh, "serial": serial, "input_sha256": sha256} for serial, sha256 in inputs.items()]
         with self._database.writing() as connection:
             self._forget_abandoned(connection, work)
-            new = 0
-            for part in _parts(rows):
+        new = 0
+        for part in _parts(rows):
+            with self._database.writing() as connection:
                 new += connection.execute(self._insert_new(), part, execution_options=COUNTED).rowcount
                 serials = c.serial.in_([row["serial"] for row in part])
                 failed = update(work_items).where(*_of(work), c.state == "failed", serials)
-                new += connection.execute(failed.values(**FREE, attempts=0, error=None, changed_at=now)).rowcount
+                new += connection.execute(failed.values(**FREE, attempts=0, changed_at=now)).rowcount
                 tried = update(work_items).where(*_of(work), c.state == "queued", c.attempts > 0, serials)
                 connection.execute(tried.values(attempts=0))
         return new
@@ -97,12 +97,14 @@ class WorkQueue:
         with self._database.writing(in_turn=False) as connection:
             taken = self._free(connection, work, count, c.state == "queued")
             if len(taken) < count:
-                expired = and_(c.state == "claimed", c.lease_until < now)
+                # No lease runs for so long: it was written by a clock that is ahead, or by nobody.
+                is_no_lease = or_(c.lease_until.is_(None), c.lease_until > now + LONGEST_LEASE)
+                expired = and_(c.state == "claimed", or_(c.lease_until < now, is_no_lease))
                 taken += self._free(connection, work, count - len(taken), expired)
             given_up = [item.id for item in taken if item.attempts >= MOST_ATTEMPTS]
             mine = [item for item in taken if item.attempts < MOST_ATTEMPTS]
             if given_up:
-                failed = {**FREE, "state": "failed", "error": f"{MOST_ATTEMPTS} workers died on it"}
+                failed = {**FREE, "state": "failed"}
                 connection.execute(update(work_items).where(c.id.in_(given_up)).values(**failed, changed_at=now))
             if mine:
                 held = {"state": "claimed", "owner": owner, "lease_until": now + timedelta(seconds=lease_s)}
@@ -128,13 +130,12 @@ class WorkQueue:
         with self._database.writing(in_turn=False) as connection:
             return set(connection.execute(mine.order_by(c.id).with_for_update()).scalars())
 
-    def finish(self, owner: str, item_id: int, result: str) -> bool:
-        """Mark an item done. False: the lease ran out and the item is another one's by now; drop the result."""
-        return self._close(owner, item_id, {"state": "done", "result": result})
-
-    def fail(self, owner: str, item_id: int, error: str) -> bool:
-        """Mark an item failed with its reason; it is not tried again unless it is queued anew."""
-        return self._close(owner, item_id, {"state": "failed", "error": error})
+    def finish(self, owner: str, item_id: int) -> bool:
+        """Take a done item out. False: the lease ran out and the item is another one's by now; drop the result."""
+        c = work_items.c
+        mine = delete(work_items).where(c.id == item_id, c.owner == owner, c.state == "claimed")
+        with self._database.writing(in_turn=False) as connection:
+            return connection.execute(mine).rowcount == 1
 
     def give_back(self, owner: str) -> int:
         """Queue all items of an owner that stops in order; the attempt does not count."""
@@ -151,17 +152,15 @@ class WorkQueue:
             query = select(owner).where(*_of(work), work_items.c.state == "claimed").distinct().order_by(owner)
             return list(connection.execute(query).scalars())
 
-    def ended(self, work: WorkSet) -> list[WorkItem]:
-        """Return the items of a set that are done, with their results, and those given up, with why."""
+    def given_up(self, work: WorkSet) -> list[WorkItem]:
+        """Return the items of a set whose workers died too often."""
         c = work_items.c
-        result = func.coalesce(c.result, c.error)
-        query = select(c.id, c.serial, c.input_sha256, c.attempts, c.state, result)
+        query = select(c.id, c.serial, c.input_sha256, c.attempts).where(*_of(work), c.state == "failed")
         with self._database.reading() as connection:
-            rows = connection.execute(query.where(*_of(work), c.state.in_(["done", "failed"])).order_by(c.id))
-            return [WorkItem(*row) for row in rows]
+            return [WorkItem(*row) for row in connection.execute(query.order_by(c.id))]
 
     def counts(self, lot_id: str | None = None, work: WorkSet | None = None) -> dict[str, int]:
-        """Return how many items are queued, claimed, done and failed: of a work, of a lot, or of all."""
+        """Return how many items are queued, claimed and failed: of a work, of a lot, or of all."""
         query: Select[Any] = select(work_items.c.state, func.count()).group_by(work_items.c.state)
         query = query if lot_id is None else query.where(work_items.c.lot_id == lot_id)
         query = query if work is None else query.where(*_of(work))
@@ -170,7 +169,13 @@ class WorkQueue:
         return {state: found.get(state, 0) for state in STATES}
 
     def _insert_new(self) -> Any:
-        insert = sqlite.insert if self._database.is_sqlite else postgresql.insert
+        # A dialect takes a tenth of a second to load: who only reads needs neither.
+        if self._database.is_sqlite:
+            from sqlalchemy.dialects.sqlite import insert as on_sqlite
+
+            return on_sqlite(work_items).on_conflict_do_nothing()
+        from sqlalchemy.dialects.postgresql import insert
+
         return insert(work_items).on_conflict_do_nothing()
 
     def _forget_abandoned(self, connection: Connection, work: WorkSet) -> None:
@@ -190,13 +195,6 @@ class WorkQueue:
         mine = update(work_items).where(c.owner == owner, c.state == "claimed")
         with self._database.writing(in_turn=False) as connection:
             return connection.execute(mine.values(**FREE, **more, changed_at=self._clock())).rowcount
-
-    def _close(self, owner: str, item_id: int, values: Mapping[str, object]) -> bool:
-        c = work_items.c
-        mine = update(work_items).where(c.id == item_id, c.owner == owner, c.state == "claimed")
-        with self._database.writing(in_turn=False) as connection:
-            closed = mine.values(**values, lease_until=None, changed_at=self._clock())
-            return connection.execute(closed).rowcount == 1
 
 
 def _of(work: WorkSet) -> tuple[Any, ...]:

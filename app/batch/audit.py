@@ -154,5 +154,5 @@ def _limit(registry: Registry, lot_id: str) -> Limit:
     if lot.limit_rmse is not None:
         return Limit(lot.reference_unit, lot.limit_rmse)
     serial = next(iter(_accepted(registry, lot_id)))
-    evidence = registry.calibration(serial).record.evidence
+    evidence = registry.calibration(serial, lot_id=lot_id).record.evidence
     return Limit(lot.reference_unit, float(str(evidence["limit_rmse"])), plain(str(evidence["limit_origin"])))

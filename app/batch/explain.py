@@ -15,7 +15,9 @@ SCRIPT = "plotly.min.js"
 """Pages of one folder share this file beside them."""
 
 
-def explain_unit(registry: Registry, serial: str, out: Path, revision: int | None = None) -> UnitView:
+def explain_unit(
+    registry: Registry, serial: str, out: Path, revision: int | None = None, lot_id: str | None = None
+) -> UnitView:
     """Write the page of one unit, whole in itself.
 
     Raises:
@@ -23,18 +25,18 @@ def explain_unit(registry: Registry, serial: str, out: Path, revision: int | Non
     """
     if out.suffix.lower() != ".html":
         raise InputError(f"{out}: the figure is written as a page; name a file that ends in .html")
-    view = unit_view(registry, serial, revision)
+    view = unit_view(registry, serial, revision, lot_id)
     write_text(out, why_page(view, script=True))
     return view
 
 
-def explain_units(registry: Registry, serials: list[str], folder: Path) -> None:
+def explain_units(registry: Registry, serials: list[str], folder: Path, lot_id: str | None = None) -> None:
     """Write one page a unit into a folder, and the drawing script they share."""
     from plotly.offline import get_plotlyjs
 
     write_text(folder / SCRIPT, get_plotlyjs())
     for serial in serials:
-        write_text(folder / f"{serial}.html", why_page(unit_view(registry, serial), script=SCRIPT))
+        write_text(folder / f"{serial}.html", why_page(unit_view(registry, serial, None, lot_id), script=SCRIPT))
 
 
 def why_page(view: UnitView, script: bool | str) -> str:

@@ -1,23 +1,26 @@
 """The units of a lot as work items of the registry: claimed under a lease, computed by an engine, kept one by one.
 
 Any number of batches share a lot. Each claims units, and a result and the end of its item are kept in one transaction,
-so that a batch that is killed loses nothing and repeats nothing that was kept.
+so that a batch that is killed loses nothing and repeats nothing that was kept. What is told of a unit comes from its
+calibrations and refusals alone; the queue says who works at what, and nothing else.
 """
 
 import hashlib
-import json
 import math
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from importlib.metadata import version
 from itertools import chain
-from pathlib import Path
+
+from sqlalchemy.exc import SQLAlchemyError
 
 from softcal.app.batch.calibrating import Refusal
 from softcal.app.batch.claims import Claims
 from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
+from softcal.app.batch.guard import PassingRefusal, each_alone
 from softcal.app.batch.report import UnitResult
 from softcal.app.batch.unit_work import (
     Chunk,
@@ -31,15 +34,16 @@ from softcal.app.batch.unit_work import (
     work_on,
 )
 from softcal.app.files.lot_folder import LotFolder
+from softcal.app.files.regular import read_regular
 from softcal.app.logs import note
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, RegistryError
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import EpochReport, NetworkConfig
-from softcal.core.reason import Reason, plain
+from softcal.core.reason import plain
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Release, Verdict
-from softcal.db.entries import MadeCalibration
+from softcal.db.entries import UnitStanding
 from softcal.db.registry import Registry
 from softcal.db.work_queue import WorkItem, WorkSet
 
@@ -47,6 +51,7 @@ CHUNK_S = 1.0
 """Seconds of CPU a chunk should hold. By `benchmarks/batch_chunks.py` a chunk of one unit costs the command twice as
 much as one of four or more, and a batch that is killed repeats no more than the chunks under way."""
 
+NO_RESULT = "the registry has no result of it; run `softcal registry verify`"
 FIRST_CHUNK, LARGEST_CHUNK = 4, 128
 LOOK_EVERY_S = 1.0
 """How often a batch that waits for units of others looks whether they are done."""
@@ -65,6 +70,7 @@ class BatchConfig:
         refit: whether units are fitted again although the registry has their result.
         release: which verdicts release files.
         anchors: known loads by serial, where someone took them.
+        unit_limit_s: seconds after which the work on one unit is broken off.
         actor: who asks, for the audit trail; None is the user the registry was opened by.
     """
 
@@ -76,6 +82,7 @@ class BatchConfig:
     refit: bool = False
     release: Release = Release.PASS
     anchors: Mapping[str, Anchors] = field(default_factory=dict)
+    unit_limit_s: float = 900.0
     actor: str | None = None
 
 
@@ -112,19 +119,59 @@ class LotWork:
         self._config, self._watch = config, watch
         self._lot_id = folder.lot.id
         self._work = WorkSet(self._lot_id, _settings_sha256(shared, config.refit))
-        self._made: dict[str, UnitResult] = {}
+        self._works: dict[str, str] = {}
+        self._new: set[str] = set()
+        self._ended: set[str] = set()
         self._unit_s: float | None = None
 
     def results(self) -> dict[str, UnitResult]:
         """Return the result of every unit, whoever made it."""
-        inputs = {serial: self._input_sha256(serial) for serial in self._folder.unit_paths}
+        self._works = dict(self._readable())
         with Claims(self._registry, self._work) as claims:
             claims.take_back_from_dead()
-            claims.queue.enqueue(self._work, inputs)
+            claims.queue.enqueue(self._work, self._undecided())
             self._tell_done(claims)
-            while not self._is_done(claims, inputs):
+            while not self._is_done(claims):
                 self._work_off(claims)
-            return self._from_queue(claims, inputs) | self._made
+        return self._told(list(self._folder.unit_paths))
+
+    def _readable(self) -> Iterator[tuple[str, str]]:
+        """Give serial and hash of the work of each unit; what cannot be read is that unit's result."""
+        for serial in self._folder.unit_paths:
+            try:
+                recording, audit = self._contents(serial)
+            except InputError as error:
+                self._refuse(serial, f"recording not readable: {error}")
+                continue
+            yield serial, self._work_sha256(serial, recording, audit)
+
+    def _undecided(self) -> dict[str, str]:
+        """Return the work of the units whose newest result in the registry answers something else.
+
+        Where the same work was calibrated before, that calibration is put into use again without reading the files.
+        """
+        decided = self._registry.decided_works(self._lot_id, list(self._works))
+        left = {s: work for s, work in self._works.items() if s not in self._ended and decided.get(s) != work}
+        for serial, input_sha256 in self._registry.inputs_of_works(self._lot_id, left).items():
+            told = {"work_sha256": left[serial], "actor": self._config.actor}
+            if self._registry.put_in_use(self._lot_id, serial, input_sha256, "batch", **told):
+                del left[serial]
+                self._ended.add(serial)
+        return left
+
+    def _refuse(self, serial: str, reason: str, work_sha256: str | None = None) -> None:
+        told = {"actor": self._config.actor, "work_sha256": work_sha256}
+        self._registry.add_refusal(self._lot_id, serial, str(Verdict.RETEST), (plain(reason),), **told)
+        self._ended.add(serial)
+
+    def _told(self, serials: Sequence[str]) -> dict[str, UnitResult]:
+        standings = self._registry.standings(self._lot_id, serials)
+        return {s: self._result(s, standings.get(s)) for s in serials}
+
+    def _result(self, serial: str, standing: UnitStanding | None) -> UnitResult:
+        if standing is None:
+            return UnitResult(serial, Verdict.RETEST, (plain(NO_RESULT),), is_new=False)
+        return UnitResult(serial, standing.verdict, standing.reasons, standing.made, serial in self._new)
 
     def _work_off(self, claims: Claims) -> None:
         """Work until nothing is free; wait a moment where others hold the rest."""
@@ -135,38 +182,51 @@ class LotWork:
             self._watch.on_wait(held["claimed"])
             time.sleep(LOOK_EVERY_S if held["claimed"] else 0.0)
             return
-        for answer in run_all(self._config.engine, work_on, self._shared, chain([first], chunks), Chunk.split):
-            outcome = lost(answer.item) if isinstance(answer, WorkerLost) else answer
+        work = partial(each_alone, work_on, self._config.unit_limit_s)
+        for answer in run_all(self._config.engine, work, self._shared, chain([first], chunks), Chunk.split):
+            outcome = _passing(lost(answer.item)) if isinstance(answer, WorkerLost) else answer
             for result in self._keep(claims, outcome):
-                self._made[result.serial] = result
                 self._watch.on_unit(result)
             self._tell_done(claims)
 
-    def _is_done(self, claims: Claims, inputs: Mapping[str, str]) -> bool:
+    def _is_done(self, claims: Claims) -> bool:
         counts = claims.queue.counts(work=self._work)
-        if counts["queued"] + counts["claimed"] == 0:
-            # A batch with other settings forgets what nobody was working at just then.
-            return claims.queue.enqueue(self._work, self._missing(claims, inputs)) == 0
-        return False
-
-    def _missing(self, claims: Claims, inputs: Mapping[str, str]) -> dict[str, str]:
-        known = {(item.serial, item.input_sha256) for item in claims.queue.ended(self._work)}
-        return {serial: sha256 for serial, sha256 in inputs.items() if (serial, sha256) not in known}
+        if counts["queued"] + counts["claimed"] > 0:
+            return False
+        # A batch with other settings forgets what nobody was working at just then, and rows of a queue can be lost.
+        undecided = self._undecided()
+        for item in claims.queue.given_up(self._work):
+            if undecided.pop(item.serial, None) is not None:
+                self._refuse(item.serial, "not calibrated: the programs that worked on it died; run the batch again")
+        return claims.queue.enqueue(self._work, undecided) == 0 and not undecided
 
     def _tell_done(self, claims: Claims) -> None:
-        self._watch.on_done(sum(claims.queue.counts(work=self._work)[state] for state in ("done", "failed")))
+        counts = claims.queue.counts(work=self._work)
+        self._watch.on_done(max(0, len(self._folder.unit_paths) - counts["queued"] - counts["claimed"]))
 
-    def _input_sha256(self, serial: str) -> str:
-        """Return the hash of the files as they lie there: much faster than reading them as recordings."""
-        paths = [self._folder.unit_paths[serial], self._folder.audit_paths.get(serial)]
+    def _contents(self, serial: str) -> tuple[FileContent, FileContent | None]:
+        """Read the files of a unit as they lie there."""
+        path, audit_path = self._folder.unit_paths[serial], self._folder.audit_paths.get(serial)
+        recording = FileContent(path, read_regular(path, self._folder.root))
+        audit = None if audit_path is None else FileContent(audit_path, read_regular(audit_path, self._folder.root))
+        return recording, audit
+
+    def _work_sha256(self, serial: str, recording: FileContent, audit: FileContent | None) -> str:
+        """Return the hash of all that the unit's result depends on: much faster than parsing the recordings."""
         anchors = self._config.anchors.get(serial)
         loads = None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()]
-        files = [path and (path.suffix, _file_sha256(path)) for path in paths]
+        files = [file and [file.path.suffix, hashlib.sha256(file.content).hexdigest()] for file in (recording, audit)]
         return content_sha256({}, {"set": self._work.name, "files": files, "anchors": loads})
 
     def _chunks(self, claims: Claims) -> Iterator[Chunk]:
         while items := claims.take(self._chunk_size()):
-            yield Chunk(tuple(self._tasks(items)))
+            mine = [item for item in items if item.serial in self._folder.unit_paths]
+            for item in items:
+                if item not in mine:
+                    # Asked for by a program that sees other files: it asks again for what it misses.
+                    claims.queue.finish(claims.owner, item.id)
+            if mine:
+                yield Chunk(tuple(self._tasks(mine)))
 
     def _chunk_size(self) -> int:
         if self._config.chunk is not None:
@@ -179,16 +239,14 @@ class LotWork:
         serials = [item.serial for item in items]
         known = {} if self._config.refit else self._registry.known_inputs(self._lot_id, serials)
         for item in items:
-            path, audit_path = self._folder.unit_paths.get(item.serial), self._folder.audit_paths.get(item.serial)
-            if path is None:
-                yield UnitTask(item.id, item.serial, None, problem="its file is no longer in the lot folder")
-                continue
             try:
-                recording = FileContent(path, path.read_bytes())
-                audit = None if audit_path is None else FileContent(audit_path, audit_path.read_bytes())
-            except OSError as error:
-                yield UnitTask(item.id, item.serial, None, problem=f"{error.filename}: {error.strerror}")
+                recording, audit = self._contents(item.serial)
+            except InputError as error:
+                self._works.pop(item.serial, None)
+                yield UnitTask(item.id, item.serial, None, problem=str(error))
                 continue
+            # The file may be another one by now than it was when the work was asked for.
+            self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
             anchors = self._config.anchors.get(item.serial)
             yield UnitTask(item.id, item.serial, recording, audit, anchors, known.get(item.serial, frozenset()))
 
@@ -201,37 +259,55 @@ class LotWork:
             mine = claims.queue.held(claims.owner, [unit.task_id for unit in outcome.units])
             for unit in outcome.units:
                 if unit.task_id in mine:
-                    result = self._register(unit)
-                    claims.queue.finish(claims.owner, unit.task_id, _result_text(result))
-                    kept.append(result)
-        for result in kept:
+                    self._register(unit)
+                    claims.queue.finish(claims.owner, unit.task_id)
+                    kept.append(unit.serial)
+            results = self._told(kept)
+        for result in results.values():
             revision = result.made and result.made.revision
             note("unit", lot=self._lot_id, serial=result.serial, verdict=result.verdict, revision=revision)
-        return kept
+        return list(results.values())
 
-    def _register(self, unit: UnitOutcome) -> UnitResult:
-        registry, lot_id, actor = self._registry, self._lot_id, self._config.actor
+    def _register(self, unit: UnitOutcome) -> None:
+        """Keep the result of a unit; one that cannot be stored is a unit that cannot be calibrated."""
+        self._ended.add(unit.serial)
+        try:
+            with self._registry.part():
+                self._register_whole(unit)
+        except (RegistryError, SQLAlchemyError):
+            raise
+        except Exception as error:
+            self._refuse(unit.serial, f"its result cannot be kept: {error}", self._works.get(unit.serial))
+            self._new.add(unit.serial)
+
+    def _register_whole(self, unit: UnitOutcome) -> None:
+        registry, lot_id, result = self._registry, self._lot_id, unit.result
+        told = {"actor": self._config.actor, "work_sha256": self._works.get(unit.serial)}
         for recording, kind in ((unit.recording, "unit"), (unit.audit, "audit")):
             if recording is not None:
-                registry.add_recording(lot_id, recording, kind, actor=actor)
-        if isinstance(unit.result, Refusal):
-            word, reasons = str(unit.result.verdict), (unit.result.reason,)
-            registry.add_refusal(lot_id, unit.serial, word, reasons, actor=actor)
-            return UnitResult(unit.serial, word, reasons)
-        if isinstance(unit.result, Known):
-            stored = registry.find_calibration(unit.serial, unit.result.input_sha256, lot_id=lot_id)
-            if stored is None:
+                registry.add_recording(lot_id, recording, kind, actor=self._config.actor)
+        if isinstance(result, Known):
+            if not registry.put_in_use(lot_id, unit.serial, result.input_sha256, "batch", **told):
                 raise InputError(f"{unit.serial}: its calibration vanished from the registry; run `registry verify`")
-            return _of_made(MadeCalibration.of(stored.record, stored.revision), is_new=False)
-        revision = registry.add_calibration(lot_id, unit.result, actor=actor, reason="batch")
-        return _of_made(MadeCalibration.of(unit.result, revision), is_new=True)
+            return
+        self._new.add(unit.serial)
+        if isinstance(result, Refusal):
+            if isinstance(result, PassingRefusal):
+                told["work_sha256"] = None
+                note("unit_failed", lot=lot_id, serial=unit.serial, reason=str(result.reason), trace=result.trace)
+            registry.add_refusal(lot_id, unit.serial, str(result.verdict), (result.reason,), **told)
+            return
+        registry.add_calibration(lot_id, result, reason="batch", decided_by="batch", **told)
 
-    def _from_queue(self, claims: Claims, inputs: Mapping[str, str]) -> dict[str, UnitResult]:
-        """Return the results that were there before, or that another batch made."""
-        wanted = set(inputs.items()) - {(serial, inputs[serial]) for serial in self._made}
-        ended = [item for item in claims.queue.ended(self._work) if (item.serial, item.input_sha256) in wanted]
-        made = self._registry.made_calibrations(self._lot_id) if ended else {}
-        return {item.serial: _result(item, made) for item in ended}
+
+def _passing(outcome: ChunkOutcome) -> ChunkOutcome:
+    """Return refusals of units that killed their workers as what they are: the next try may end otherwise."""
+    units = []
+    for unit in outcome.units:
+        if isinstance(unit.result, Refusal):
+            unit = replace(unit, result=PassingRefusal(unit.result.verdict, unit.result.reason))
+        units.append(unit)
+    return replace(outcome, units=tuple(units))
 
 
 def _settings_sha256(shared: SharedWork, is_refit: bool) -> str:
@@ -247,30 +323,3 @@ def _settings_sha256(shared: SharedWork, is_refit: bool) -> str:
         "refit": uuid.uuid4().hex if is_refit else None,
     }
     return content_sha256({}, settings)
-
-
-def _file_sha256(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        return f"{time.time_ns()}: {error.strerror}"
-
-
-def _of_made(made: MadeCalibration, *, is_new: bool) -> UnitResult:
-    return UnitResult(made.serial, made.verdict, made.reasons, made, is_new)
-
-
-def _result_text(result: UnitResult) -> str:
-    if result.made is not None:
-        return json.dumps({"revision": result.made.revision})
-    return json.dumps({"verdict": result.verdict, "reasons": [why.to_json() for why in result.reasons]})
-
-
-def _result(item: WorkItem, made: Mapping[tuple[str, int], MadeCalibration]) -> UnitResult:
-    if item.state == "failed":
-        why = plain(f"not calibrated: {item.result}; run the batch again")
-        return UnitResult(item.serial, Verdict.RETEST, (why,), is_new=False)
-    facts = json.loads(item.result or "{}")
-    if "revision" in facts:
-        return _of_made(made[item.serial, facts["revision"]], is_new=False)
-    return UnitResult(item.serial, facts["verdict"], tuple(map(Reason.of, facts["reasons"])), is_new=False)

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json, add_registry, registry_of, say_caution
+from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of, say_caution
 from softcal.app.cli.output import Progress, say, write_json
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     live.add_argument("--station", type=Path, metavar="FILE", help="station file with the readout's scale and rate")
     live.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds; default: until Ctrl-C")
     live.add_argument("--view", action="store_true", help="show the estimate in the terminal")
+    add_lot_of_serial(parser)
     add_registry(parser)
     add_json(parser)
     parser.set_defaults(run=run)
@@ -68,10 +69,11 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.use.adapt import AdaptOptions
     from softcal.core.use.adapter import AdaptConfig
 
-    adapt = AdaptOptions(AdaptConfig(options.mode), options.revision, options.stream, options.resume)
+    config = AdaptConfig(options.mode)
+    adapt = AdaptOptions(config, options.revision, options.stream, options.resume, lot_id=options.lot)
     with registry_of(options, create=False) as registry:
         report = _follow(registry, options, adapt)
-        say_caution(registry, report.serial, report.revision, "adapt")
+        say_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
         _report(registry, options, report)
     return 0
 
@@ -101,7 +103,7 @@ def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptRep
     flags = [f"{count} {flag}" for flag, count in sorted(report.flags.items()) if flag]
     verdicts = ", ".join(f"{count} x {verdict}" for verdict, count in report.verdicts.items() if verdict != "start")
     say(f"{options.out}: {report.rows} rows; {', '.join(flags) or 'no row flagged'}")
-    unit = registry.lot(registry.calibration(report.serial, report.revision).lot_id).reference_unit
+    unit = report.lot.reference_unit
     say(f"map: {verdicts or 'never moved'}; predicted error {report.current.predicted_rmse:.3g} {unit}")
     if report.current.reason:
         say(f"{report.current.verdict}: {report.current.reason}")

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_json, add_network, add_registry, batch_watch, network_config, registry_of
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.cli.output import print_table, say, shown, write_json
 
 if TYPE_CHECKING:
     from softcal.app.batch.report import BatchReport
@@ -82,14 +82,14 @@ def run(options: argparse.Namespace) -> int:
             from softcal.app.batch.explain import explain_units
 
             mapped = [u.serial for u in report.units if u.made is not None]
-            explain_units(registry, mapped, options.plots)
+            explain_units(registry, mapped, options.plots, report.lot_id)
             say(f"{options.plots}: figures of {len(mapped)} units")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     for unit in report.units:
         if unit.verdict != Verdict.PASS:
-            print(f"{unit.serial} {unit.verdict}: {joined(unit.reasons)}")
+            print(shown(f"{unit.serial} {unit.verdict}: {joined(unit.reasons)}"))
     for line in audit_lines(report):
-        print(line)
+        print(shown(line))
     print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
     if options.json:
         write_json(options.json, report_json(report))
@@ -105,7 +105,7 @@ def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None
     released = [unit.serial for unit in report.units if report.releases(unit)]
     for serial in withdraw_units(out, released, {unit.serial: unit.verdict for unit in report.units}):
         say(f"{out}: files of {serial} were taken back; its verdict no longer releases them")
-    export_units(registry, released, ("json",), out, ExportOptions(release=report.release))
+    export_units(registry, released, ("json",), out, ExportOptions(release=report.release, lot_id=report.lot_id))
     say(f"{out}: calibration files of {len(released)} units")
 
 

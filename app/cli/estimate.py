@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_registry, registry_of, say_caution
+from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of, say_caution
 from softcal.app.cli.output import say, write_json
 
 EXAMPLES = """examples:
@@ -27,6 +27,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--out", required=True, type=Path, metavar="OUT", help="CSV or Parquet to write")
     parser.add_argument("--serial", required=True, metavar="S")
     parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
+    add_lot_of_serial(parser)
     add_registry(parser)
     add_json(parser)
     parser.set_defaults(run=run)
@@ -37,8 +38,9 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.use.estimate import estimate_file
 
     with registry_of(options, create=False) as registry:
-        result = estimate_file(registry, options.serial, options.recording, options.out, options.revision)
-        say_caution(registry, options.serial, options.revision, "estimate")
+        unit = options.serial, options.revision, options.lot
+        result = estimate_file(registry, options.recording, options.out, *unit)
+        say_caution(registry, unit, "estimate")
     flags = [flag for flag in result.flag if flag]
     counts = {flag: flags.count(flag) for flag in sorted(set(flags))}
     said = ", ".join(f"{count} {flag}" for flag, count in counts.items()) or "no row flagged"

@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_registry, registry_of
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of
+from softcal.app.cli.output import print_table, say, shown, write_json
 
 EXAMPLES = """examples:
   softcal explain --serial A1
@@ -27,6 +27,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
     parser.add_argument("--method", action="store_true", help="print every number of the method, with its origin")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the figure as a page (.html)")
+    add_lot_of_serial(parser)
     add_registry(parser)
     add_json(parser)
     parser.set_defaults(run=run)
@@ -43,16 +44,17 @@ def run(options: argparse.Namespace) -> int:
 
     with registry_of(options, create=False) as registry:
         if options.out is None:
-            view = unit_view(registry, options.serial, options.revision)
+            view = unit_view(registry, options.serial, options.revision, options.lot)
         else:
-            view = explain_unit(registry, options.serial, options.out, options.revision)
+            view = explain_unit(registry, options.serial, options.out, options.revision, options.lot)
             say(f"{options.out}: the figure of {options.serial}")
     facts = why_json(view)
     if options.json:
         write_json(options.json, facts)
     if options.json != "-":
         decision = view.calibration.decision
-        print(f"{options.serial} {decision.verdict} ({view.calibration.knowledge}): {joined(decision.reasons)}")
+        why = joined(decision.reasons)
+        print(shown(f"{options.serial} {decision.verdict} ({view.calibration.knowledge}): {why}"))
         rows = [[name, value] for name, value in view.explanation.contributions.items()]
         print_table(("part of the predicted error", view.lot.reference_unit), rows)
     return 0

@@ -46,7 +46,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     units = parser.add_argument_group("which units")
     units.add_argument("--serial", action="append", default=[], metavar="S", help="a unit; may be repeated")
-    units.add_argument("--lot", metavar="ID", help="every unit of a lot that is released")
+    units.add_argument("--lot", metavar="ID", help="every unit of a lot that is released; with --serial: its lot")
     units.add_argument("--revision", type=int, metavar="N", help="an older calibration; default: the one in use")
     units.add_argument(
         "--release",
@@ -123,13 +123,13 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
 
     with registry_of(options, create=False) as registry:
         choices = _options(options)
-        serials = [*options.serial, *(lot_serials(registry, options.lot, choices) if options.lot else ())]
+        serials = options.serial or lot_serials(registry, options.lot, choices)
         progress = Progress("units exported", len(serials))
         formats = options.format or ["json"]
         units = export_units(registry, serials, formats, options.out, choices, lambda unit: progress.step(unit.serial))
         for unit in units:
             if unit.files:
-                say_caution(registry, unit.serial, options.revision, "export")
+                say_caution(registry, (unit.serial, options.revision, options.lot), "export")
     refused = [unit for unit in units if unit.refusal]
     if len(units) == 1 and refused:
         raise UnitRefused(f"{refused[0].refusal}; written: {', '.join(refused[0].files) or 'nothing'}")
@@ -177,6 +177,7 @@ def _options(options: argparse.Namespace) -> "ExportOptions":
         release=Release(options.release),
         failed_too=options.failed_too,
         revision=options.revision,
+        lot_id=options.lot,
         signing_key=options.sign,
         laboratory=options.laboratory,
     )

@@ -41,6 +41,10 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--audit", action="store_true", help="keep the targets' references in audit/; they only score")
     parser.add_argument("--rows", type=_rows, metavar="A:B", help="data rows that fit, counted from 0")
     parser.add_argument("--audit-rows", type=_rows, metavar="A:B", help="data rows that score")
+    parser.add_argument(
+        "--most-cells", type=int, default=20_000_000, metavar="N",
+        help="refuse larger tables before they are read (default 20 million; a tenth of it for Excel)",
+    )  # fmt: skip
     parser.add_argument("--sheet", help="sheet of an Excel file")
     parser.add_argument("--reference-quantity", default="force")
     parser.add_argument("--reference-unit", default="N")
@@ -67,7 +71,9 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             "neither --sample-rate nor --time-column is given; one of them must say when samples were taken"
         )
-    rate_Hz = options.sample_rate or median_rate_Hz(options.files[0], options.time_column, options.sheet)
+    rate_Hz = options.sample_rate or median_rate_Hz(
+        options.files[0], options.time_column, options.sheet, options.most_cells
+    )
     lot = Lot(
         id=options.lot_id or options.out.name,
         source=options.source,
@@ -80,8 +86,9 @@ def run(options: argparse.Namespace) -> int:
     )
     columns = Columns(options.output_column, options.reference_column, options.time_column, options.stage_column)
     plan = ImportPlan(
-        options.files, columns, lot, options.audit, options.rows, options.audit_rows, options.sheet, options.serial
-    )
+        options.files, columns, lot, options.audit, options.rows, options.audit_rows, options.sheet, options.serial,
+        options.most_cells,
+    )  # fmt: skip
     units = import_lot(plan, options.out)
     say(f"{options.out}: lot {lot.id!r}, source {lot.source}, {len(units)} target units, {rate_Hz:g} Hz")
     if options.json:

@@ -24,6 +24,11 @@ def add_registry(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--registry", metavar="URL", help=REGISTRY_HELP)
 
 
+def add_lot_of_serial(parser: argparse.ArgumentParser) -> None:
+    """Add `--lot ID`, which says what unit a serial means that stands in several lots."""
+    parser.add_argument("--lot", metavar="ID", help="lot of the unit; needed where the serial stands in several")
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add `--json FILE`."""
     parser.add_argument("--json", metavar="FILE", help=JSON_HELP)
@@ -71,11 +76,16 @@ def registry_of(options: argparse.Namespace, *, create: bool = True) -> "Iterato
         yield registry
 
 
-def say_caution(registry: "Registry", serial: str, revision: int | None, action: str) -> None:
-    """Warn in one line, and record in the audit trail, where the unit that is used did not pass."""
+def say_caution(registry: "Registry", unit: "tuple[str, int | None, str | None]", action: str) -> None:
+    """Warn in one line, and record in the audit trail, where the unit that is used did not pass.
+
+    Args:
+        unit: serial, revision and lot as they were asked for.
+    """
     from softcal.app.registry.caution import caution
 
-    if warning := caution(registry, registry.calibration(serial, revision), action):
+    serial, revision, lot_id = unit
+    if warning := caution(registry, registry.calibration(serial, revision, lot_id=lot_id), action):
         say(warning)
 
 

@@ -11,7 +11,12 @@ from softcal.app.files.atomic import write_text
 
 def say(line: str) -> None:
     """Print one line of progress on standard error."""
-    print(line, file=sys.stderr, flush=True)
+    print(shown(line), file=sys.stderr, flush=True)
+
+
+def shown(text: str) -> str:
+    """Return text whose control characters are shown by their codes: what a file said must not steer a terminal."""
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
 def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
@@ -27,7 +32,7 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None
 def _cell(value: object) -> str:
     if value is None:
         return "–"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{value:.4g}" if isinstance(value, float) else shown(str(value)).replace("\n", " ")
 
 
 def write_json(target: str, value: object) -> None:

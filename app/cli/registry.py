@@ -1,13 +1,14 @@
 """`softcal registry`: the database with every unit's history."""
 
 import argparse
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.bootstrap import open_chosen_registry, registry_url
-from softcal.app.cli.options import add_json, add_registry
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry
+from softcal.app.cli.output import print_table, say, shown, write_json
 from softcal.core.errors import RegistryError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ EXAMPLES = """examples:
   softcal registry backup /backup/registry-2026-05-04.db
   softcal registry restore /backup/registry-2026-05-04.db --registry sqlite:///new.db
   softcal registry sync --with postgresql://line@db/softcal
-  softcal registry grants --line line --reader office | psql softcal
+  softcal registry grants --line line --manager quality --reader office | psql softcal
   softcal registry upgrade
 
 The registry is an SQLite file or a PostgreSQL database:
@@ -44,19 +45,31 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     listing.add_argument("--csv", type=Path, metavar="FILE", help="write the table as CSV for a spreadsheet")
     history = _action(actions, "history", "every revision of a unit's map", _history)
     history.add_argument("--serial", required=True)
-    _action(actions, "verify", "check every stored byte, every row and the audit trail", _verify)
+    add_lot_of_serial(history)
+    verify = _action(actions, "verify", "check every stored byte, every row, the schema and the audit trail", _verify)
+    verify.add_argument("--quick", action="store_true", help="leave out pages and blobs: a second for 10,000 units")
+    verify.add_argument(
+        "--against", action="append", type=Path, default=[], metavar="FILE",
+        help="a backup, or audit.json of an export: nothing that it knows may be gone; may be repeated",
+    )  # fmt: skip
     backup = _action(actions, "backup", "write one consistent copy while the registry is in use", _backup)
     backup.add_argument("file", type=Path, metavar="FILE", help="new SQLite file")
     restore = _action(actions, "restore", "fill an empty registry from a backup", _restore)
     restore.add_argument("file", type=Path, metavar="FILE", help="a backup")
     rollback = _action(actions, "rollback", "bring an older revision back into use", _rollback)
     rollback.add_argument("--serial", required=True)
+    add_lot_of_serial(rollback)
     rollback.add_argument("--to", required=True, type=int, metavar="REVISION")
+    rollback.add_argument("--origin", metavar="REGISTRY", help="who made it, where two registries made this revision")
     rollback.add_argument("--reason", required=True, help="lands in the audit trail")
     sync = _action(actions, "sync", "bring a station's registry and the line's together, both ways", _sync)
     sync.add_argument("--with", required=True, dest="other", metavar="URL", help="the other registry")
     grants = _action(actions, "grants", "print the SQL that gives a PostgreSQL role what the line needs", _grants)
     grants.add_argument("--line", default="softcal_line", metavar="ROLE", help="may calibrate; default softcal_line")
+    grants.add_argument(
+        "--manager", default="softcal_manager", metavar="ROLE",
+        help="may also set people, limits, rules and certificates; default softcal_manager",
+    )  # fmt: skip
     grants.add_argument("--reader", default="softcal_reader", metavar="ROLE", help="may read; default softcal_reader")
     _action(actions, "upgrade", "bring the tables to this version (SQLite: after a backup)", _upgrade)
 
@@ -103,13 +116,14 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _history(options: argparse.Namespace) -> int:
-    from softcal.app.registry.maintenance import HISTORY_HEADER, history_json, history_row
+    from softcal.app.registry.maintenance import HISTORY_HEADER, history_json, history_row, only_lot
 
     with _existing(options) as registry:
-        revisions = registry.history(options.serial)
-        units = registry.units(serial=options.serial)
+        units = [unit for unit in registry.units(serial=options.serial) if options.lot in (None, unit.lot_id)]
+        lot_id = only_lot(options.serial, [unit.lot_id for unit in units], options.lot)
+        revisions = registry.history(options.serial, lot_id)
     if options.json:
-        value = {"schema": "softcal.registry.history/1", "serial": options.serial}
+        value = {"schema": "softcal.registry.history/1", "serial": options.serial, "lot": lot_id}
         write_json(options.json, value | {"revisions": [history_json(stored) for stored in revisions]})
     if options.json == "-":
         return DONE
@@ -117,7 +131,10 @@ def _history(options: argparse.Namespace) -> int:
     if revisions:
         print_table(HISTORY_HEADER, [history_row(stored) for stored in revisions])
     else:
-        print("no calibration yet" + "".join(f"; {reason}" for unit in units for reason in unit.reasons))
+        print(shown("no calibration yet" + "".join(f"; {reason}" for unit in units for reason in unit.reasons)))
+    for unit in units:
+        if unit.is_conflict:
+            say(f"conflict: {unit.reasons[0]}")
     return DONE
 
 
@@ -125,17 +142,24 @@ def _verify(options: argparse.Namespace) -> int:
     from softcal.app.registry.maintenance import verify
 
     with _existing(options) as registry:
-        found = verify(registry)
+        found = verify(registry, is_quick=options.quick, files=options.against, on_step=_checking(options))
     value: dict[str, object] = {"schema": "softcal.registry.verify/1", "faults": list(found.faults)}
-    value |= {"audit_rows": found.audit_rows, "head_sha256": found.head_sha256}
+    value |= {"audit_rows": found.audit_rows, "heads": found.heads, "is_quick": options.quick}
     if not found.faults:
-        line = f"the registry is whole: {found.audit_rows} rows in the audit trail, the last one {found.head_sha256}"
+        ends = ", ".join(f"{origin} {seq} {sha256}" for origin, (seq, sha256) in found.heads.items())
+        what = "what was looked at is whole" if options.quick else "the registry is whole"
+        line = f"{what}: {found.audit_rows} rows in the audit trail, ending with {ends or 'nothing'}"
         return _answer(options, line, value)
     for fault in found.faults:
         say(fault)
     if options.json:
         write_json(options.json, value)
     raise RegistryError(f"{len(found.faults)} faults; keep the file as evidence and go back to a backup")
+
+
+def _checking(options: argparse.Namespace) -> Callable[[str], None]:
+    start_s = time.monotonic()
+    return lambda name: None if options.quick else say(f"{time.monotonic() - start_s:5.1f} s  checking {name}")
 
 
 def _backup(options: argparse.Namespace) -> int:
@@ -158,7 +182,8 @@ def _restore(options: argparse.Namespace) -> int:
 
 def _rollback(options: argparse.Namespace) -> int:
     with _existing(options) as registry:
-        revision = registry.rollback(options.serial, options.to, reason=options.reason)
+        which = {"lot_id": options.lot, "origin": options.origin}
+        revision = registry.rollback(options.serial, options.to, reason=options.reason, **which)
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
     value = {"schema": "softcal.registry.rollback/1", "serial": options.serial, "revision": revision}
     return _answer(options, line, value | {"rolled_back_to": options.to})
@@ -171,15 +196,17 @@ def _sync(options: argparse.Namespace) -> int:
         report = synchronise_with(registry, options.other)
     for conflict in report.conflicts:
         say(f"conflict: {conflict}")
+    for clock in report.clocks:
+        say(f"clock: {clock}")
     value: dict[str, object] = {"schema": "softcal.registry.sync/1", "sent": report.sent, "received": report.received}
     line = f"sent {report.sent}, received {report.received} changes, {len(report.conflicts)} conflicts"
-    return _answer(options, line, value | {"conflicts": list(report.conflicts)})
+    return _answer(options, line, value | {"conflicts": list(report.conflicts), "clocks": list(report.clocks)})
 
 
 def _grants(options: argparse.Namespace) -> int:
     from softcal.db.grants import grant_statements
 
-    statements = grant_statements(options.line, options.reader)
+    statements = grant_statements(options.line, options.reader, options.manager)
     return _answer(options, "\n".join(statements), {"schema": "softcal.registry.grants/1", "sql": statements})
 
 

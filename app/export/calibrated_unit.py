@@ -31,6 +31,7 @@ class ExportOptions:
         release: which verdicts release device files.
         failed_too: write device files of every unit, for the laboratory; each file says its verdict.
         revision: an older calibration; None is the one in use.
+        lot_id: lot of the units; needed where a serial stands in several.
         signing_key: Ed25519 private key (PEM) that signs the manifest.
         laboratory: TOML with laboratory, customer, responsible person and load cell, for certificates.
     """
@@ -43,6 +44,7 @@ class ExportOptions:
     release: Release = Release.PASS
     failed_too: bool = False
     revision: int | None = None
+    lot_id: str | None = None
     signing_key: Path | None = None
     laboratory: Path | None = None
 
@@ -149,7 +151,7 @@ class UnitLoader:
 
     def load(self, serial: str) -> CalibratedUnit:
         """Read one unit; `InputError` where the registry does not know it."""
-        stored = self.registry.calibration(serial, self.options.revision)
+        stored = self.registry.calibration(serial, self.options.revision, lot_id=self.options.lot_id)
         recording = unlabelled(self.registry.recording(stored.record.recording_sha256))
         lot = self.registry.lot(stored.lot_id)
         return CalibratedUnit(stored, lot, self._shared(stored), recording, self.options)

@@ -1,5 +1,6 @@
 """Calibration files of units: one folder, whole files, a manifest with hashes, and the same bytes every time."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,10 +10,14 @@ from softcal.app.export.formats import WRITERS, Writer, device_summary
 from softcal.app.export.manifest import FileEntry, Manifest, read_manifest, write_manifest
 from softcal.app.export.names import DEVICE_FORMATS
 from softcal.app.export.signature import open_signing_key
-from softcal.app.files.atomic import write_bytes
+from softcal.app.files.atomic import write_bytes, write_text
+from softcal.app.registry.anchors import anchor_json, remember
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import serial_field
 from softcal.db.registry import Registry
+
+AUDIT = "audit.json"
+"""Where the audit trail ended at the export: `softcal registry verify --against` compares."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +69,7 @@ def export_units(
             written.
     """
     writers = _writers(formats)
-    _check_serials(registry, serials)
+    _check_serials(registry, serials, options.lot_id)
     key = open_signing_key(options.signing_key) if options.signing_key else None
     manifest, loader = read_manifest(out), UnitLoader(registry, options)
     exported = []
@@ -77,6 +82,8 @@ def export_units(
         exported.append(done)
         on_unit(done)
     write_manifest(out, manifest, key)
+    remember(registry, f"export {out.absolute()}")
+    write_text(out / AUDIT, json.dumps(anchor_json(registry, "export"), indent=2, sort_keys=True) + "\n")
     return exported
 
 
@@ -100,7 +107,7 @@ def _writers(formats: Sequence[str]) -> dict[str, Writer]:
     return {name: WRITERS[name] for name in dict.fromkeys(formats)}
 
 
-def _check_serials(registry: Registry, serials: Sequence[str]) -> None:
+def _check_serials(registry: Registry, serials: Sequence[str], lot_id: str | None) -> None:
     """Refuse, before anything is written, unknown serials and those a device or a file system would mix up."""
     seen: dict[str, str] = {}
     for serial in serials:
@@ -108,7 +115,8 @@ def _check_serials(registry: Registry, serials: Sequence[str]) -> None:
             if key in seen:
                 raise InputError(f"serials {seen[key]} and {serial} look the same to a device; export one of them")
             seen[key] = serial
-    known = {entry.serial for entry in registry.units() if entry.revision is not None} if len(serials) > 1 else None
+    is_many = len(serials) > 1
+    known = {unit.serial for unit in registry.units(lot_id) if unit.revision is not None} if is_many else None
     unknown = [serial for serial in serials if known is not None and serial not in known]
     if unknown:
         raise InputError(f"the registry has no calibration of {', '.join(unknown[:5])}; nothing was written")

@@ -1,6 +1,7 @@
 """Make a lot folder out of the tables people have: one file per unit, or one wide file with a column per unit."""
 
 import fnmatch
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.lot_folder import write_lot_toml
-from softcal.app.files.recording_file import column, naming, read_table, write_columns
+from softcal.app.files.recording_file import MOST_CELLS, column, naming, read_table, write_columns
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -54,6 +55,7 @@ class ImportPlan:
             None takes all.
         sheet: sheet of an Excel file; None takes the first.
         serials: serial of each file in order; None takes the file names.
+        most_cells: a table with more is refused before it is read.
     """
 
     files: Sequence[Path]
@@ -64,6 +66,7 @@ class ImportPlan:
     audit_rows: tuple[int, int] | None = None
     sheet: str | None = None
     serials: Sequence[str] | None = None
+    most_cells: int = MOST_CELLS
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +143,7 @@ def _read_units(plan: ImportPlan) -> dict[str, ImportedUnit]:
         )
     units: dict[str, ImportedUnit] = {}
     for k, path in enumerate(plan.files):
-        table = read_table(path, plan.sheet)
+        table = read_table(path, plan.sheet, most_cells=plan.most_cells)
         if plan.columns.is_wide:
             outputs = [str(c) for c in table.columns if fnmatch.fnmatchcase(str(c), plan.columns.output)]
             if not outputs:
@@ -168,10 +171,32 @@ def _read_unit(table: "pd.DataFrame", path: Path, output: str, serial: str, plan
     return ImportedUnit(OutputRecording(serial, t_s, values, rate_Hz, plan.lot.output_unit, stage_mm), reference)
 
 
-def median_rate_Hz(path: Path, time_column: str, sheet: str | None = None) -> float:
-    """Return the sample rate that the time column of a table shows, rounded to five digits."""
-    t_s = column(read_table(path, sheet), time_column, path)
+OTHER_TIMES = re.compile(r"(?:^|[^A-Za-z])(ms|us|µs|μs|ns|msec|usec|min|millis|micros)(?:$|[^A-Za-z])", re.IGNORECASE)
+"""Names of time columns that are not in seconds."""
+
+SLOWEST_HZ = 0.5
+"""A soft sensor that is read less often is none: the time column is not in seconds."""
+
+
+def median_rate_Hz(path: Path, time_column: str, sheet: str | None = None, most_cells: int = MOST_CELLS) -> float:
+    """Return the sample rate that the time column of a table shows, rounded to five digits.
+
+    Raises:
+        InputError: the column never advances, or is not in seconds by its name or by its steps.
+    """
+    if found := OTHER_TIMES.search(time_column):
+        raise InputError(
+            f"{path}: column {time_column!r} is in {found[1]} by its name, not in s; convert it, or leave out "
+            "--time-column and give --sample-rate"
+        )
+    t_s = column(read_table(path, sheet, most_cells=most_cells), time_column, path)
     steps = np.diff(t_s)
     if not np.any(steps > 0):
         raise InputError(f"{path}: column {time_column!r} never advances; give --sample-rate or another --time-column")
-    return float(f"{1 / np.median(steps[steps > 0]):.5g}")
+    rate_Hz = float(f"{1 / np.median(steps[steps > 0]):.5g}")
+    if rate_Hz < SLOWEST_HZ:
+        raise InputError(
+            f"{path}: column {time_column!r} shows {rate_Hz:g} Hz if it is in s; is it in ms? convert it, or give "
+            "--sample-rate and leave out --time-column"
+        )
+    return rate_Hz

@@ -28,6 +28,7 @@ class LotFolder:
     """Where the recordings of a lot lie. Nothing but `lot.toml` is read before it is asked for.
 
     Args:
+        root: the folder; nothing outside it is read as a recording of a unit.
         lot: the facts of `lot.toml`.
         source_path: the source's labelled recording.
         unit_paths: recording of each target unit by serial.
@@ -35,6 +36,7 @@ class LotFolder:
         remarks: what in the folder was not understood, in words.
     """
 
+    root: Path
     lot: Lot
     source_path: Path
     unit_paths: Mapping[str, Path]
@@ -76,7 +78,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     strangers = sorted(set(audits) - set(units) - {lot.source})
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
-    return LotFolder(lot, sources[lot.source], units, audits, remarks)
+    return LotFolder(folder, lot, sources[lot.source], units, audits, remarks)
 
 
 def _recordings(folder: Path) -> dict[str, Path]:

@@ -19,14 +19,23 @@ if TYPE_CHECKING:
 CSV, PARQUET, EXCEL = {".csv", ".txt", ".tsv"}, {".parquet", ".pq"}, {".xlsx", ".xlsm"}
 SUFFIXES = CSV | PARQUET | EXCEL
 
-MAX_UNPACKED_BYTES = 2_000_000_000
-"""An Excel or Parquet file that unpacks to more than this is refused before it is opened: a few kB can hold it."""
+MOST_CELLS = 20_000_000
+"""A table with more cells is refused before it is read: a few kB of Parquet can hold them. As text they take 1.5 GB."""
+
+EXCEL_BYTES_PER_CELL = 20
+"""Fewer bytes no cell of a sheet's XML takes; a usual one takes 40."""
+
+EXCEL_CELLS_SHARE = 0.1
+"""Excel cells cost ten times as long to read as others: as many are allowed fewer."""
 
 
-def read_table(path: Path, sheet: str | None = None, content: bytes | None = None) -> "pd.DataFrame":
+def read_table(
+    path: Path, sheet: str | None = None, content: bytes | None = None, most_cells: int = MOST_CELLS
+) -> "pd.DataFrame":
     """Read a whole table without interpreting it further than the file format does.
 
     Args:
+        most_cells: a table with more is refused before it is read.
         sheet: of an Excel file; None takes the first.
         content: the bytes of the file where somebody has read them already, maybe on another machine.
 
@@ -42,7 +51,7 @@ def read_table(path: Path, sheet: str | None = None, content: bytes | None = Non
         raise InputError(f"{path}: the file is empty")
     try:
         with path.open("rb") if content is None else BytesIO(content) as file:
-            table = _parsed(file, path, sheet)
+            table = _parsed(file, path, sheet, most_cells)
     except InputError:
         raise
     except UnicodeDecodeError as error:
@@ -58,15 +67,15 @@ def read_table(path: Path, sheet: str | None = None, content: bytes | None = Non
     return table
 
 
-def _parsed(file: BinaryIO, path: Path, sheet: str | None) -> "pd.DataFrame":
+def _parsed(file: BinaryIO, path: Path, sheet: str | None, most_cells: int) -> "pd.DataFrame":
     import pandas as pd
 
     suffix = path.suffix.lower()
     if suffix in PARQUET:
-        _check_parquet_size(file, path)
+        _check_parquet_size(file, path, most_cells)
         return pd.read_parquet(file, page_checksum_verification=True)
     if suffix in EXCEL:
-        _check_unpacked_size(file, path)
+        _check_unpacked_size(file, path, most_cells)
         sheet_name = sheet if sheet is not None else 0
         _check_names(pd.read_excel(file, sheet_name=sheet_name, header=None, nrows=1).iloc[0].astype(str), path)
         return pd.read_excel(file, sheet_name=sheet_name)
@@ -94,11 +103,15 @@ def _check_names(names: Iterable[str], path: Path) -> None:
             raise InputError(f"{path}: more than one column is named {name!r}; rename or remove one")
 
 
-def _check_parquet_size(file: BinaryIO, path: Path) -> None:
+def _check_parquet_size(file: BinaryIO, path: Path, most_cells: int) -> None:
     import pyarrow.parquet
 
     facts = pyarrow.parquet.ParquetFile(file).metadata
-    _refuse_large(path, facts.num_rows * facts.num_columns * 8)
+    # The footer may lie: the row groups say it again, and what a page really holds pyarrow checks against them.
+    groups = [facts.row_group(k) for k in range(facts.num_row_groups)]
+    rows = max(facts.num_rows, sum(group.num_rows for group in groups))
+    _refuse_large(path, rows * facts.num_columns, most_cells)
+    _refuse_large(path, sum(group.total_byte_size for group in groups) // 8, most_cells)
     file.seek(0)
 
 
@@ -108,20 +121,21 @@ def _check_text(file: BinaryIO, path: Path) -> None:
     file.seek(0)
 
 
-def _check_unpacked_size(file: BinaryIO, path: Path) -> None:
+def _check_unpacked_size(file: BinaryIO, path: Path, most_cells: int) -> None:
     try:
         with ZipFile(file) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
     except BadZipFile as error:
         raise InputError(f"{path}: not an Excel file; save it as .xlsx again") from error
-    _refuse_large(path, size)
+    _refuse_large(path, size // EXCEL_BYTES_PER_CELL, int(most_cells * EXCEL_CELLS_SHARE))
     file.seek(0)
 
 
-def _refuse_large(path: Path, size: int) -> None:
-    if size > MAX_UNPACKED_BYTES:
+def _refuse_large(path: Path, cells: int, most_cells: int) -> None:
+    if cells > most_cells:
         raise InputError(
-            f"{path}: unpacks to {size / 1e9:.1f} GB, more than {MAX_UNPACKED_BYTES / 1e9:.0f} GB; split it"
+            f"{path}: unpacks to about {cells / 1e6:.3g} million cells, more than {most_cells / 1e6:g} million; split "
+            "it, or raise the limit of `softcal import` with --most-cells"
         )
 
 
@@ -148,8 +162,11 @@ def column(table: "pd.DataFrame", name: str, path: Path) -> Array:
     import pandas as pd
 
     raw = named_column(table, name, path)
-    if pd.api.types.is_bool_dtype(raw):
-        raise InputError(f"{path}: column {name!r} holds {shown(raw.iloc[0])} where numbers were expected")
+    truth = [value for value in raw if isinstance(value, bool)] if raw.dtype == object else []
+    is_time = pd.api.types.is_datetime64_any_dtype(raw) or pd.api.types.is_timedelta64_dtype(raw)
+    if pd.api.types.is_bool_dtype(raw) or truth or is_time:
+        value = truth[0] if truth else raw.iloc[0]
+        raise InputError(f"{path}: column {name!r} holds {shown(value)} where numbers were expected")
     values: Array = pd.to_numeric(raw, errors="coerce").to_numpy(dtype=np.float64, copy=True)
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):

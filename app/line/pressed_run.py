@@ -136,6 +136,7 @@ class RunKeeper:
         problem = UnitProblem(self._source_model(entry), unit, limit)
         known = registry.find_calibration(unit.serial, problem.input_sha256, lot_id=lot.id)
         if known is not None:
+            registry.put_in_use(lot.id, unit.serial, problem.input_sha256, "line", actor=order.actor or None)
             return sha256, (known.record.verdict, known.record.reasons)
         return sha256, self._calibrate(lot, problem, order)
 

@@ -1,16 +1,17 @@
 """What the registry says of itself as rows and JSON, and what keeps it whole: upgrade, check, backup, restore."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from softcal.core.errors import RegistryError
+from softcal.app.registry.anchors import read_anchor, remember, remembered
+from softcal.core.errors import InputError, RegistryError
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
 from softcal.db.database import Database, open_database, schema_of
 from softcal.db.entries import StoredCalibration, UnitEntry
-from softcal.db.history import head
-from softcal.db.maintenance import migrate
+from softcal.db.maintenance import Heads, migrate
 from softcal.db.registry import Registry
 from softcal.db.sync import SyncReport, synchronise
 from softcal.db.tables import SCHEMA
@@ -29,7 +30,19 @@ UNIT_HEADER = (
     "made",
     "reason",
 )
-HISTORY_HEADER = ("rev", "in use", "made (UTC)", "by", "lot", "verdict", "map", "predicted", "after", "remark")
+HISTORY_HEADER = (
+    "rev",
+    "registry",
+    "in use",
+    "made (UTC)",
+    "by",
+    "lot",
+    "verdict",
+    "map",
+    "predicted",
+    "after",
+    "remark",
+)
 
 
 @dataclass(frozen=True)
@@ -72,24 +85,42 @@ def _backup_before_upgrade(database: Database, schema: str | None) -> Path | Non
 
 @dataclass(frozen=True)
 class Verification:
-    """What `registry verify` found; the head of the trail can be written down to prove later that nothing was cut."""
+    """What `registry verify` found.
+
+    Args:
+        faults: a line each.
+        audit_rows: rows of the audit trail, of all chains.
+        heads: number and hash of the last row of each chain; written down elsewhere they prove that nothing was cut.
+    """
 
     faults: tuple[str, ...]
     audit_rows: int
-    head_sha256: str
+    heads: Heads
 
 
-def verify(registry: Registry) -> Verification:
-    """Check every blob, row and link of the audit trail."""
-    faults = tuple(registry.verify())
-    with registry.database.reading() as connection:
-        rows, sha256 = head(connection, registry.origin)
-    return Verification(faults, rows, sha256)
+def verify(
+    registry: Registry,
+    *,
+    is_quick: bool = False,
+    files: Sequence[Path] = (),
+    on_step: Callable[[str], None] = lambda _: None,
+) -> Verification:
+    """Check a registry against its schema, its audit trail, and what was written down of the trail elsewhere.
+
+    Args:
+        is_quick: leave out what reads every page and blob.
+        files: backups and `audit.json` of exports to compare with, beside what this computer remembers.
+    """
+    anchors = [*remembered(registry), *map(read_anchor, files)]
+    faults = tuple(registry.verify(is_quick=is_quick, anchors=anchors, on_step=on_step))
+    heads = registry.heads()
+    return Verification(faults, sum(seq for seq, _ in heads.values()), heads)
 
 
 def back_up_registry(registry: Registry, path: Path) -> None:
     """Write a backup while the registry is in use."""
     back_up(registry.database, path)
+    remember(registry, f"backup {path.absolute()}")
 
 
 def restore_registry(path: Path, url: str) -> None:
@@ -105,7 +136,7 @@ def synchronise_with(registry: Registry, other_url: str) -> SyncReport:
 
 def unit_row(unit: UnitEntry) -> list[object]:
     """Return one row of the table under `UNIT_HEADER`."""
-    conflict = "calibrated by two registries under one revision; see history" if unit.is_conflict else ""
+    conflict = "two registries put different maps into use; see history" if unit.is_conflict else ""
     stale = "stale: made with another method than this version's; run the batch again" if unit.is_stale else ""
     reason = "; ".join(filter(None, (conflict, stale, *map(str, unit.reasons))))[:100]
     errors = [unit.predicted_rmse, unit.before_rmse, unit.after_rmse, unit.own_rmse]
@@ -121,16 +152,33 @@ def unit_json(unit: UnitEntry) -> dict[str, object]:
     }
 
 
+def only_lot(serial: str, lots: Sequence[str], wanted: str | None) -> str:
+    """Return the lot of a serial.
+
+    Args:
+        lots: those the serial stands in, of `wanted` only where it is given.
+
+    Raises:
+        InputError: none, or several.
+    """
+    if not lots:
+        raise InputError(f"serial {serial!r} is not in lot {wanted!r}")
+    if len(lots) > 1:
+        raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which with --lot")
+    return lots[0]
+
+
 def history_row(stored: StoredCalibration) -> list[object]:
     """Return one row of the table under `HISTORY_HEADER`."""
     record = stored.record
     remarks = [
         f"back to revision {stored.rolled_back_to}" if stored.rolled_back_to else "",
-        f"also written elsewhere, this one by registry {stored.origin}" if stored.is_conflict else "",
+        "put into use by one of two registries" if stored.is_conflict else "",
         stored.reason,
     ]
     return [
         stored.revision,
+        stored.origin,
         "yes" if stored.is_current else "",
         f"{stored.made_at:%Y-%m-%d %H:%M:%S}",
         stored.actor,

@@ -51,28 +51,24 @@ class UnitInUse:
     recording: OutputRecording
 
 
-def unit_in_use(registry: Registry, serial: str, revision: int | None = None) -> UnitInUse:
+def unit_in_use(registry: Registry, serial: str, revision: int | None = None, lot_id: str | None = None) -> UnitInUse:
     """Return a unit as the registry knows it. The source of a lot has the identity as its map.
 
     Raises:
         InputError: the registry has no calibration of the serial, and it is not the source of a lot with a network.
     """
-    if revision is None and not _has_calibration(registry, serial):
-        _register_source(registry, serial)
-    stored = registry.calibration(serial, revision)
+    if revision is None and not registry.history(serial, lot_id):
+        _register_source(registry, serial, lot_id)
+    stored = registry.calibration(serial, revision, lot_id=lot_id)
     output = unlabelled(registry.recording(stored.record.recording_sha256))
     network = registry.network(stored.record.network_id)
     calibration = Calibration.from_record(stored.record)
     return UnitInUse(registry.lot(stored.lot_id), stored.revision, network, calibration, output)
 
 
-def _has_calibration(registry: Registry, serial: str) -> bool:
-    return bool(registry.history(serial))
-
-
-def _register_source(registry: Registry, serial: str) -> None:
+def _register_source(registry: Registry, serial: str, lot_id: str | None) -> None:
     """Give the source of a lot its calibration: f itself, the identity map, the interval of f on its recording."""
-    lots = [lot for lot in registry.lots() if lot.source == serial]
+    lots = [lot for lot in registry.lots() if lot.source == serial and lot_id in (None, lot.id)]
     sources = {entry.sha256: lot.id for lot in lots for entry in registry.recordings(lot.id, serial, "source")}
     trained = [entry for entry in registry.networks() if entry.training.get("source_recording_sha256") in sources]
     if not trained:
@@ -119,6 +115,7 @@ class AdaptOptions:
         stream: name under which the registry keeps the course; None makes one from the file's content.
         resume: go on from the last state of the stream in the registry.
         checkpoint_s: seconds of a live stream between two states to resume from.
+        lot_id: lot of the unit; needed where its serial stands in several.
     """
 
     config: AdaptConfig = AdaptConfig()
@@ -126,6 +123,7 @@ class AdaptOptions:
     stream: str | None = None
     resume: bool = False
     checkpoint_s: float = 60.0
+    lot_id: str | None = None
 
 
 @dataclass
@@ -134,6 +132,7 @@ class AdaptReport:
 
     Args:
         serial, revision, stream, mode: which unit, from which calibration, under which name, how.
+        lot: lot of the unit.
         rows: rows taken.
         flags: rows by flag; the empty flag are the trusted ones.
         verdicts: how often the map was followed, held or jumped.
@@ -146,6 +145,7 @@ class AdaptReport:
     stream: str
     mode: str
     current: MapUpdate
+    lot: Lot
     rows: int = 0
     flags: Counter[str] = field(default_factory=Counter)
     verdicts: Counter[str] = field(default_factory=Counter)
@@ -195,7 +195,7 @@ class Follower:
         rate_Hz = unit.recording.sample_rate_Hz
         self._maps_rows, self._state_rows = (max(1, round(s * rate_Hz)) for s in (MAPS_S, options.checkpoint_s))
         self._since_maps = self._since_state = 0
-        self.report = AdaptReport(serial, unit.revision, stream, options.config.mode, self._adapter.current)
+        self.report = AdaptReport(serial, unit.revision, stream, options.config.mode, self._adapter.current, unit.lot)
 
     def _restore(self, stream: str, state: Mapping[str, Any]) -> None:
         try:
@@ -297,7 +297,7 @@ def adapt_file(
     Raises:
         InputError: `source` cannot be read, or the registry does not know the serial.
     """
-    unit = unit_in_use(registry, serial, options.revision)
+    unit = unit_in_use(registry, serial, options.revision, options.lot_id)
     stream = options.stream or _stream_of(source, options.config.mode)
     follower = Follower(registry, unit, stream, options, is_repeatable=True)
     if options.resume:
@@ -351,7 +351,7 @@ def maps_of(course: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 
 def write_figure(registry: Registry, path: Path, report: AdaptReport, maps: list[Mapping[str, Any]]) -> None:
     """Write drift, map, estimate and predicted error over time as one page that needs no network."""
-    lot = registry.lot(registry.calibration(report.serial, report.revision).lot_id)
+    lot = report.lot
     title = f"{report.serial}, stream {report.stream}"
     figure = adaptation_figure(title, report.trace, maps, lot.output_unit, lot.reference_unit)
     write_text(path, figure.to_html(include_plotlyjs=True))

@@ -10,20 +10,24 @@ from softcal.core.unit.calibration import Calibration
 from softcal.db.registry import Registry
 
 
-def calibrated_unit(registry: Registry, serial: str, revision: int | None = None) -> tuple[Lot, Network, Calibration]:
+def calibrated_unit(
+    registry: Registry, serial: str, revision: int | None = None, lot_id: str | None = None
+) -> tuple[Lot, Network, Calibration]:
     """Return the lot, the shared network and the calibration of a unit.
 
     Raises:
-        InputError: the registry has no calibration of the serial.
+        InputError: the registry has no calibration of the serial, or it stands in several lots and none is named.
     """
-    stored = registry.calibration(serial, revision)
+    stored = registry.calibration(serial, revision, lot_id=lot_id)
     network = registry.network(stored.record.network_id)
     return registry.lot(stored.lot_id), network, Calibration.from_record(stored.record)
 
 
-def estimate_file(registry: Registry, serial: str, source: Path, target: Path, revision: int | None = None) -> Estimate:
+def estimate_file(
+    registry: Registry, source: Path, target: Path, serial: str, revision: int | None = None, lot_id: str | None = None
+) -> Estimate:
     """Read `t_s, output` of `source`, write `t_s, estimate, lower, upper, flag` to `target`, whole or not at all."""
-    lot, network, calibration = calibrated_unit(registry, serial, revision)
+    lot, network, calibration = calibrated_unit(registry, serial, revision, lot_id)
     recording = read_recording(source, serial, lot.sample_rate_Hz, lot.output_unit)
     result = estimate(network, calibration, recording)
     write_estimate(target, result)

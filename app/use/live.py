@@ -45,7 +45,7 @@ def adapt_live(registry: Registry, serial: str, live: LiveOptions, options: Adap
         InputError: source, target or serial cannot be used.
         DeviceError: the sensor is gone; estimates up to then are written, the state is kept.
     """
-    unit = unit_in_use(registry, serial, options.revision)
+    unit = unit_in_use(registry, serial, options.revision, options.lot_id)
     stream = options.stream or f"live {live.source} {options.config.mode}"
     with ExitStack() as stack:
         samples = stack.enter_context(open_source(live.source, live.station_file, unit.lot.output_unit))

@@ -57,13 +57,13 @@ class UnitView:
         return int(np.sum(self.estimate.flag != ""))
 
 
-def unit_view(registry: Registry, serial: str, revision: int | None = None) -> UnitView:
+def unit_view(registry: Registry, serial: str, revision: int | None = None, lot_id: str | None = None) -> UnitView:
     """Read one revision of a unit in full, the one in use without a number.
 
     Raises:
         InputError: the registry has no calibration of the serial, or no source recording of its lot.
     """
-    stored = registry.calibration(serial, revision)
+    stored = registry.calibration(serial, revision, lot_id=lot_id)
     calibration = Calibration.from_record(stored.record)
     network = registry.network(stored.record.network_id)
     recording = unlabelled(registry.recording(stored.record.recording_sha256))

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression
-from scipy.stats import rankdata
 
 from softcal.core.maps.config import MapConfig, SynchronyConfig
 from softcal.core.maps.crossing import moving_mean, robust_range, turning_points
@@ -79,6 +77,9 @@ def _compared(
     seen = time_s[_covered(source, time_s) & _covered(target, time_s)]
     if len(seen) < 2 * min(config.scales):
         return NONE
+    # scipy.stats and scipy.optimize take a second to load: naming a calibration needs neither.
+    from scipy.stats import rankdata
+
     a = rankdata(np.interp(time_s, seen, np.interp(seen, source.t_s, source.output)))
     b = rankdata(np.interp(time_s, seen, np.interp(seen, target.t_s, target.output)))
     if np.ptp(a) == 0 or np.ptp(b) == 0:
@@ -133,6 +134,8 @@ def _off_curve(source: Array, target: Array, known: int) -> Array:
     seen, onto = target[:known], source[:known]
     order = np.argsort(seen, kind="stable")
     is_rising = bool(np.corrcoef(seen, onto)[0, 1] >= 0) if np.ptp(seen) > 0 else True
+    from scipy.optimize import isotonic_regression
+
     curve = isotonic_regression(onto[order], increasing=is_rising).x
     is_judged = (target >= seen.min()) & (target <= seen.max())
     return np.where(is_judged, source - np.interp(target, seen[order], curve), 0.0)

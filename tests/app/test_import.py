@@ -4,10 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from softcal.app.cli.main import main
+from softcal.app.files.importing import median_rate_Hz
 from softcal.app.files.lot_folder import open_lot_folder
+from softcal.app.files.recording_file import column, read_table
+from softcal.core.errors import InputError
+from softcal.core.lot import check_serial
 
 
 def _table(folder: Path, name: str = "S1", rows: int = 60, **columns: object) -> Path:
@@ -127,3 +133,37 @@ def test_rows_choose_what_fits_and_what_scores(tmp_path: Path) -> None:
     folder = open_lot_folder(tmp_path / "lot")
     audit = folder.read_audit("S2")
     assert (len(folder.read_unit("S2")), len(audit) if audit else None) == (40, 20)
+
+
+@pytest.mark.parametrize("serial", ["CON", "con", "Lpt1", "nul.v2", "A1."])
+def test_a_serial_that_windows_cannot_write_is_refused(serial: str) -> None:
+    with pytest.raises(InputError, match="Windows"):
+        check_serial(serial)
+
+
+def test_a_small_parquet_file_that_unpacks_to_much_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.parquet"
+    schema = pa.schema([("t_s", pa.float64()), ("output", pa.string())])
+    with pq.ParquetWriter(path, schema) as writer:
+        part = pa.table({"t_s": np.zeros(1_000_000), "output": ["x" * 1000] * 1_000_000}, schema)
+        for _ in range(12):
+            writer.write_table(part)
+    assert path.stat().st_size < 2_000_000
+    with pytest.raises(InputError, match="million cells.*--most-cells"):
+        read_table(path)
+
+
+def test_truth_values_days_and_milliseconds_are_no_numbers_of_seconds(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    pd.DataFrame({"t": pd.date_range("2026-01-01", periods=5, freq="20ms")}).to_parquet(path)
+    with pytest.raises(InputError, match="where numbers were expected"):
+        column(read_table(path), "t", path)
+    mixed = pd.DataFrame({"output": pd.Series([1.0, True, 2.0], dtype=object)})
+    with pytest.raises(InputError, match="'True' where numbers were expected"):
+        column(mixed, "output", path)
+    for name, message in (("t_ms", "is in ms by its name"), ("t", "0.05 Hz.*is it in ms")):
+        pd.DataFrame({name: np.arange(50) * 20.0}).to_csv(tmp_path / "b.csv", index=False)
+        with pytest.raises(InputError, match=message):
+            median_rate_Hz(tmp_path / "b.csv", name)
+    pd.DataFrame({"time_s": np.arange(50) * 0.02}).to_csv(tmp_path / "c.csv", index=False)
+    assert median_rate_Hz(tmp_path / "c.csv", "time_s") == pytest.approx(50)

@@ -95,8 +95,8 @@ def test_backup_restore_and_sync_go_round(url, capsys, tmp_path):
     run(capsys, "registry", "rollback", "--registry", copy, "--serial", "A7", "--to", 1, "--reason", "x")
     code, out, _ = run(capsys, "registry", "sync", "--registry", url, "--with", copy, "--json", "-")
     assert code == 0 and json.loads(out) == {
-        "schema": "softcal.registry.sync/1", "sent": 0, "received": 1, "conflicts": []
-    }  # fmt: skip
+        "schema": "softcal.registry.sync/1", "sent": 0, "received": 3, "conflicts": [], "clocks": []
+    }, "the restore, the revision and that it is in use"  # fmt: skip
     assert run(capsys, "registry", "verify", "--registry", url)[0] == 0
 
 

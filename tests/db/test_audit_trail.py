@@ -61,7 +61,7 @@ def test_the_newest_rows_come_first_whoever_wrote_them(filled, make_factory, fil
     rows = filled.registry.audit_rows()
     newest = filled.registry.newest_audit_rows(7)
     assert newest == sorted(rows, key=lambda row: (row.at, row.origin, row.seq))[:-8:-1]
-    assert newest[0].action == "calibrate" and newest[0].origin == file_registry.origin
+    assert newest[0].action == "put_in_use" and newest[0].origin == file_registry.origin
 
 
 @pytest.mark.parametrize("table", APPEND_ONLY)

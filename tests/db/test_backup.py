@@ -25,7 +25,11 @@ def test_what_comes_back_is_what_was_there(factory, backup, new_url):
     restore(backup, url)
     with open_registry(url, create=False) as again:
         assert again.verify() == []
-        assert again.units() == factory.registry.units() and again.audit_rows() == factory.registry.audit_rows()
+        assert (
+            again.units() == factory.registry.units()
+            and again.audit_rows(factory.registry.origin) == factory.registry.audit_rows()
+        )
+        assert [row.action for row in again.audit_rows(again.origin)] == ["restore"]
         assert again.origin != factory.registry.origin, "two copies that are both written to must be told apart"
         again.rollback("A1", 1, reason="goes on")
         assert again.verify() == []

@@ -163,11 +163,18 @@ def test_what_is_not_there_is_named(factory, ask):
         ask(factory.registry)
 
 
-def test_a_serial_may_stand_in_two_lots_and_the_newest_result_counts(factory, make_factory):
+def test_a_serial_that_stands_in_two_lots_is_asked_for_with_its_lot(factory, make_factory):
     factory.calibrate("A1", 1)
     other = make_factory(factory.registry, "L2")
     assert other.calibrate("A1", 2) == 2
-    assert factory.registry.calibration("A1").lot_id == "L2"
+    with pytest.raises(InputError, match="'L1', 'L2'.*--lot"):
+        factory.registry.calibration("A1")
+    with pytest.raises(InputError, match="'L1', 'L2'.*--lot"):
+        factory.registry.rollback("A1", 1, reason="x")
+    assert [factory.registry.calibration("A1", lot_id=lot).revision for lot in ("L1", "L2")] == [1, 2]
+    assert [c.is_current for c in factory.registry.history("A1")] == [True, True]
+    with pytest.raises(InputError, match="no revision 2 in lot 'L1'"):
+        factory.registry.rollback("A1", 2, reason="x", lot_id="L1")
     assert [unit.revision for unit in factory.registry.units(serial="A1")] == [1, 2]
 
 
@@ -190,9 +197,10 @@ def test_a_clock_set_back_does_not_reorder_the_history(registry_url, make_factor
 
 def test_every_change_names_who_and_when(factory):
     factory.calibrate("A1", 1)
-    last = factory.registry.audit_rows()[-1]
-    assert (last.actor, last.action, last.entity) == ("tester", "calibrate", "calibrations")
-    assert last.at.tzinfo is not None
+    made, used = factory.registry.audit_rows()[-2:]
+    assert (made.actor, made.action, made.entity) == ("tester", "calibrate", "calibrations")
+    assert (used.actor, used.action, used.entity) == ("tester", "put_in_use", "in_use")
+    assert made.at.tzinfo is not None
 
 
 def test_an_adaptation_resumes_from_its_last_step(factory):

@@ -34,6 +34,8 @@ class RegistryMachine(RuleBasedStateMachine):
         self.history: dict[str, list[int]] = {}
         self.units: dict[str, set[str]] = {}
         self.verdicts: dict[tuple[str, str], str] = {}
+        self.used: dict[str, dict[str, int]] = {}
+        self.lots: dict[str, list[str]] = {}
 
     @initialize()
     def two_lots(self) -> None:
@@ -54,7 +56,9 @@ class RegistryMachine(RuleBasedStateMachine):
     def calibrate(self, lot_id: str, serial: str, number: int) -> None:
         revision = self.registry.add_calibration(lot_id, self.record(serial, number))
         self.history.setdefault(serial, []).append(number)
+        self.lots.setdefault(serial, []).append(lot_id)
         assert revision == len(self.history[serial])
+        self.used.setdefault(serial, {})[lot_id] = revision
         self.units[lot_id].add(serial)
         self.verdicts[lot_id, serial] = "pass"
 
@@ -64,18 +68,22 @@ class RegistryMachine(RuleBasedStateMachine):
         self.units[lot_id].add(serial)
         self.verdicts[lot_id, serial] = "retest"
 
-    @rule(serial=SERIALS, to=st.integers(1, 6))
-    def roll_back(self, serial: str, to: int) -> None:
-        numbers = self.history.get(serial, [])
-        is_possible = to <= len(numbers) and numbers[to - 1] != numbers[-1]
+    @rule(lot_id=LOTS, serial=SERIALS, to=st.integers(1, 6))
+    def roll_back(self, lot_id: str, serial: str, to: int) -> None:
+        numbers, lots = self.history.get(serial, []), self.lots.get(serial, [])
+        used = self.used.get(serial, {}).get(lot_id)
+        is_there = to <= len(numbers) and lots[to - 1] == lot_id
+        is_possible = is_there and used is not None and numbers[to - 1] != numbers[used - 1]
         try:
-            self.registry.rollback(serial, to, reason="test")
+            revision = self.registry.rollback(serial, to, reason="test", lot_id=lot_id)
         except InputError:
             assert not is_possible
             return
         assert is_possible
         numbers.append(numbers[to - 1])
-        self.verdicts[self.registry.calibration(serial).lot_id, serial] = "pass"
+        lots.append(lot_id)
+        self.used[serial][lot_id] = revision
+        self.verdicts[lot_id, serial] = "pass"
 
     @rule(lot_id=LOTS, serial=SERIALS, number=NUMBERS)
     def record_again(self, lot_id: str, serial: str, number: int) -> None:
@@ -111,7 +119,8 @@ class RegistryMachine(RuleBasedStateMachine):
         for serial, numbers in self.history.items():
             stored = self.registry.history(serial)
             assert [float(c.record.arrays["map.gain"][0]) for c in stored] == numbers
-            assert [c.is_current for c in stored] == [False] * (len(stored) - 1) + [True]
+            used = {(lot_id, revision) for lot_id, revision in self.used[serial].items()}
+            assert {(c.lot_id, c.revision) for c in stored if c.is_current} == used
 
     @invariant()
     def the_units_are_the_model_s(self) -> None:

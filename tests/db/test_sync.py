@@ -10,6 +10,7 @@ from softcal.core.lot import Lot
 from softcal.db import sync
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
+from softcal.db.lot_pages import UnitFilter
 from softcal.db.registry_base import RegistrySettings
 from softcal.db.sync import synchronise
 
@@ -47,24 +48,70 @@ def test_both_sides_get_what_the_other_did(station, registry, make_factory):
     central.calibrate("A1", 2)
     station.calibrate("A2", 3)
     report = synchronise(station.registry, registry)
-    assert (report.sent, report.received, report.conflicts) == (1, 1, ())
+    assert (report.sent, report.received, report.conflicts) == (2, 2, ())
     assert same_history(station.registry, registry)
     assert station.registry.calibration("A1").revision == registry.calibration("A2").revision == 2
     assert registry.verify() == station.registry.verify() == []
 
 
-def test_two_results_for_one_serial_are_both_kept_and_the_newest_counts(station, registry, make_factory):
+def test_of_two_results_for_one_serial_a_person_decides(station, registry, make_factory):
     synchronise(station.registry, registry)
     station.calibrate("A1", 2)
     make_factory(registry).calibrate("A1", 3)
+    mine, yours = station.registry.origin, registry.origin
     report = synchronise(station.registry, registry)
-    assert len(report.conflicts) == 1 and "A1 revision 2 was calibrated by two registries" in report.conflicts[0]
+    assert len(report.conflicts) == 1 and mine in report.conflicts[0] and yours in report.conflicts[0]
     for side in (station.registry, registry):
         assert [(c.revision, c.is_conflict) for c in side.history("A1")] == [(1, False), (2, True), (2, True)]
-        assert side.calibration("A1").record.predicted_rmse == pytest.approx(0.3)
-        assert next(unit for unit in side.units() if unit.serial == "A1").is_conflict
+        with pytest.raises(InputError, match=f"{mine}.*{yours}|{yours}.*{mine}"):
+            side.calibration("A1")
+        (unit,) = side.units(serial="A1")
+        page = side.unit_page("L1", UnitFilter(text="A1")).units[0]
+        assert unit == page and unit.is_conflict and (unit.verdict, unit.revision) == ("retest", None)
+        assert side.verdict_counts("L1")["retest"] == 1
         assert side.verify() == []
-    assert station.calibrate("A1", 4) == 3
+        with pytest.raises(InputError, match="--origin"):
+            side.rollback("A1", 2, reason="which?")
+    assert registry.rollback("A1", 2, origin=mine, reason="the other was not seated") == 3
+    assert synchronise(station.registry, registry).conflicts == ()
+    for side in (station.registry, registry):
+        assert side.calibration("A1").record.predicted_rmse == pytest.approx(0.2)
+        assert side.calibration("A1", 2, origin=yours).record.predicted_rmse == pytest.approx(0.3)
+        assert side.verify() == []
+    assert station.calibrate("A1", 4) == 4
+
+
+def test_the_same_map_made_twice_is_no_conflict(station, registry, make_factory):
+    synchronise(station.registry, registry)
+    station.calibrate("A1", 2)
+    make_factory(registry).calibrate("A1", 2)
+    assert synchronise(station.registry, registry).conflicts == ()
+    assert registry.calibration("A1").record.map_sha256 == station.registry.calibration("A1").record.map_sha256
+
+
+def test_two_persons_who_decide_differently_are_a_conflict_again(station, registry, make_factory):
+    synchronise(station.registry, registry)
+    station.calibrate("A1", 2)
+    make_factory(registry).calibrate("A1", 3)
+    synchronise(station.registry, registry)
+    mine, yours = station.registry.origin, registry.origin
+    station.registry.rollback("A1", 2, origin=mine, reason="mine")
+    registry.rollback("A1", 2, origin=yours, reason="yours")
+    assert len(synchronise(station.registry, registry).conflicts) == 1
+    station.calibrate("A1", 5)
+    assert synchronise(station.registry, registry).conflicts == (), "a calibration of today follows both"
+
+
+def test_a_clock_that_is_ahead_is_said_and_does_not_win(station, registry, make_factory):
+    synchronise(station.registry, registry)
+    ahead = datetime.now(UTC) + timedelta(days=30)
+    station.registry.settings = RegistrySettings(clock=lambda: ahead)
+    station.calibrate("A1", 2)
+    make_factory(registry).calibrate("A1", 3)
+    report = synchronise(registry, station.registry)
+    assert any(station.registry.origin in line and "29 days" in line for line in report.clocks)
+    with pytest.raises(InputError, match="two registries put different maps into use"):
+        registry.calibration("A1")
 
 
 def test_the_same_lot_registered_on_both_sides_comes_together(station, registry, make_factory):
@@ -135,6 +182,7 @@ def test_a_restored_copy_may_go_on_beside_the_old_one(station, registry, tmp_pat
         station.calibrate("A1", 6)
         synchronise(second, registry)
         report = synchronise(station.registry, registry)
-        assert "A1 revision 2" in report.conflicts[0]
-        assert registry.calibration("A1").record.predicted_rmse == pytest.approx(0.5), "the newest counts"
+        assert "unit A1" in report.conflicts[0]
+        registry.rollback("A1", 2, origin=second.origin, reason="the second one is mounted")
+        assert registry.calibration("A1").record.predicted_rmse == pytest.approx(0.5)
         assert registry.verify() == []

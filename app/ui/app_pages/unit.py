@@ -52,7 +52,7 @@ def _refused(serial: str) -> None:
 
 def _revision(serial: str, history: list[StoredCalibration]) -> None:
     say = words()
-    current = next(entry.revision for entry in history if entry.is_current)
+    current = registry().calibration(serial).revision
     revisions = [entry.revision for entry in reversed(history)]
     left, right = st.columns([1, 4], vertical_alignment="bottom")
     revision = right.selectbox(say("choose.revision"), revisions, index=revisions.index(current)) or current

@@ -1,0 +1,81 @@
+"""Keep one unit from stopping a lot: whatever its work raises, and however long it takes, is that unit's result."""
+
+import ctypes
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from softcal.app.batch.calibrating import Refusal
+from softcal.app.batch.unit_work import Chunk, ChunkOutcome, SharedWork, UnitOutcome, UnitTask
+from softcal.core.reason import plain
+from softcal.core.unit.verdict import Verdict
+
+Work = Callable[[SharedWork, Chunk], ChunkOutcome]
+
+
+class TooLong(BaseException):
+    """The work on a unit took longer than it may; no `except Exception` inside the work may swallow it."""
+
+
+@dataclass(frozen=True)
+class PassingRefusal(Refusal):
+    """A refusal that may end otherwise when it is tried again; `trace` is for the log."""
+
+    trace: str = ""
+
+
+def each_alone(work: Work, limit_s: float, shared: SharedWork, chunk: Chunk) -> ChunkOutcome:
+    """Work on the units of a chunk one by one; what goes wrong with one is its result.
+
+    Args:
+        work: does the work of a chunk.
+        limit_s: seconds after which the work on a unit is broken off.
+    """
+    start_s = time.process_time()
+    units = tuple(unit for task in chunk.tasks for unit in _alone(work, limit_s, shared, task))
+    return ChunkOutcome(units, time.process_time() - start_s)
+
+
+def _alone(work: Work, limit_s: float, shared: SharedWork, task: UnitTask) -> tuple[UnitOutcome, ...]:
+    try:
+        with time_limit(limit_s):
+            return work(shared, Chunk((task,))).units
+    except TooLong:
+        refusal = PassingRefusal(
+            Verdict.RETEST, plain(f"its work was broken off after {limit_s:g} s; look at its recording")
+        )
+    except Exception as error:
+        what = " ".join(str(error).split())[:200]
+        reason = f"its work failed: {type(error).__name__}: {what}; the log has the details"
+        refusal = PassingRefusal(Verdict.RETEST, plain(reason), traceback.format_exc())
+    return (UnitOutcome(task.item_id, task.serial, refusal),)
+
+
+@contextmanager
+def time_limit(limit_s: float) -> Iterator[None]:
+    """Raise `TooLong` in this thread when the block takes longer.
+
+    The exception comes between two steps of Python: a single call into a compiled library is not broken off. An alarm
+    signal would reach the main thread only, and workers of a cluster compute in others.
+    """
+    thread_id, lock, state = threading.get_ident(), threading.Lock(), {"is_over": False}
+
+    def fire() -> None:
+        with lock:
+            if not state["is_over"]:
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread_id), ctypes.py_object(TooLong))
+
+    timer = threading.Timer(limit_s, fire)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        with lock:
+            state["is_over"] = True
+            # What was sent and has not come yet must not come later, in the middle of something else.
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread_id), None)
+        timer.cancel()

@@ -1,0 +1,61 @@
+"""Read the files of a folder and nothing else: no pipe, device or socket, no link that leads out, no half copy."""
+
+import os
+import stat
+from pathlib import Path
+
+from softcal.core.errors import InputError
+
+MOST_BYTES = 1_000_000_000
+"""A recording of a unit is a few MB; more than this is something else, and would fill the memory of every worker."""
+
+KINDS = {
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFDIR: "a folder",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def read_regular(path: Path, folder: Path, most_bytes: int = MOST_BYTES) -> bytes:
+    """Return the content of a file that lies in a folder. It never waits, whatever the path names.
+
+    Args:
+        folder: a link is followed inside it only.
+        most_bytes: larger files are refused before they are read.
+
+    Raises:
+        InputError: it is no file, lies elsewhere, is too large, cannot be read, or changes while it is read.
+    """
+    try:
+        real = path.resolve(strict=True)
+        if not real.is_relative_to(folder.resolve()):
+            raise InputError(f"{path}: is a link that leads out of {folder}; put the file itself there")
+        _check_kind(path, os.stat(real).st_mode)
+        # A pipe that takes the file's place just now must not block the lot either.
+        handle = os.open(real, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        with os.fdopen(handle, "rb") as file:
+            return _content(path, file.fileno(), most_bytes)
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+
+
+def _content(path: Path, handle: int, most_bytes: int) -> bytes:
+    before = os.fstat(handle)
+    _check_kind(path, before.st_mode)
+    if before.st_size > most_bytes:
+        raise InputError(f"{path}: {before.st_size / 1e6:.0f} MB; at most {most_bytes / 1e6:.0f} MB are read")
+    parts, size = [], 0
+    while size <= before.st_size and (part := os.read(handle, before.st_size + 1 - size)):
+        parts.append(part)
+        size += len(part)
+    after = os.fstat(handle)
+    if size != before.st_size or (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
+        raise InputError(f"{path}: is still being written; run the batch again when the copy is done")
+    return b"".join(parts)
+
+
+def _check_kind(path: Path, mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        raise InputError(f"{path}: is {KINDS.get(stat.S_IFMT(mode), 'no file')}; a file was expected")

@@ -1,0 +1,78 @@
+"""The last rows of the audit trail, written down outside the database: who cuts the trail there is found out here."""
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+from softcal.app.bootstrap import data_folder
+from softcal.core.errors import InputError, RegistryError, SoftcalError
+from softcal.db.database import open_database
+from softcal.db.maintenance import Anchor, Heads
+from softcal.db.registry import Registry
+
+NAME = "audit-heads.jsonl"
+SCHEMA = "softcal.audit-heads/1"
+
+
+def anchor_json(registry: Registry, why: str) -> dict[str, object]:
+    """Return the last row of every chain as JSON values, to be kept beside what is exported or backed up."""
+    at = datetime.now(UTC).isoformat(timespec="seconds")
+    return {"schema": SCHEMA, "registry": registry.origin, "at": at, "why": why, "heads": registry.heads()}
+
+
+def remember(registry: Registry, why: str) -> None:
+    """Append the last rows to the file of this computer; where it cannot be written, the work goes on without."""
+    line = json.dumps(anchor_json(registry, why), sort_keys=True)
+    try:
+        with (data_folder() / NAME).open("a", encoding="utf-8") as file:
+            file.write(line + "\n")
+    except (OSError, SoftcalError):
+        return
+
+
+def remembered(registry: Registry) -> list[Anchor]:
+    """Return what this computer wrote down of a registry. A line that cannot be read is left out."""
+    try:
+        lines = (data_folder() / NAME).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError, SoftcalError):
+        return []
+    found = []
+    for line in lines:
+        try:
+            value = json.loads(line)
+            if value["registry"] == registry.origin:
+                found.append(Anchor(_heads(value), f"on this computer at {value['at']} ({value['why']})"))
+        except (ValueError, TypeError, KeyError):
+            continue
+    return found
+
+
+def read_anchor(path: Path) -> Anchor:
+    """Read the last rows from a file that an export or `verify --json` wrote, or from a backup.
+
+    Raises:
+        InputError: it is neither.
+    """
+    try:
+        if path.read_bytes()[:16] == b"SQLite format 3\0":
+            return Anchor(_heads_of_backup(path), f"in the backup {path}")
+        return Anchor(_heads(json.loads(path.read_text(encoding="utf-8"))), f"in {path}")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, TypeError, KeyError, RegistryError) as error:
+        raise InputError(f"{path}: holds no last rows of an audit trail; give a backup or an audit.json") from error
+
+
+def _heads(value: dict[str, dict[str, tuple[int, str]]]) -> Heads:
+    return {str(origin): (int(seq), str(sha256)) for origin, (seq, sha256) in value["heads"].items()}
+
+
+def _heads_of_backup(path: Path) -> Heads:
+    from softcal.db import history
+
+    database = open_database(f"sqlite:///{path}", create=False)
+    try:
+        with database.reading() as connection:
+            return {origin: history.head(connection, origin) for origin in history.origins(connection)}
+    finally:
+        database.close()

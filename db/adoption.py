@@ -1,0 +1,43 @@
+"""What a registry states anew when it was upgraded or restored: which maps are in use, and who may do what."""
+
+from sqlalchemy import and_, func, select
+
+from softcal.db import history
+from softcal.db.database import Database
+from softcal.db.in_use import InUseTable
+from softcal.db.people import people_as_told
+from softcal.db.registry_base import RegistrySettings
+from softcal.db.tables import calibrations, in_use, users
+
+
+class Adoption(InUseTable):
+    """Writes statements of a registry's own about rows that came from elsewhere or from an older schema."""
+
+    def state_maps(self, reason: str) -> None:
+        """State for every unit without a statement that its newest calibration is in use: the rule until then."""
+        c, u = calibrations.c, in_use.c
+        order = (c.made_at.desc(), c.revision.desc(), c.origin.desc())
+        rank = func.row_number().over(partition_by=(c.lot_id, c.serial), order_by=order).label("rank")
+        is_stated = select(u.number).where(and_(u.lot_id == c.lot_id, u.serial == c.serial)).exists()
+        columns = (c.lot_id, c.serial, c.revision, c.origin.label("made_by"), c.input_sha256, c.made_at, c.actor, rank)
+        ranked = select(*columns).where(~is_stated).subquery()
+        with self.database.writing() as connection:
+            for row in connection.execute(select(ranked).where(ranked.c.rank == 1)).mappings().all():
+                told = {"decided_by": "upgrade", "input_sha256": row["input_sha256"]}
+                self._state(connection, row["lot_id"], row["serial"], row, told, row["actor"], reason, row["made_at"])
+
+    def state_people(self, reason: str) -> None:
+        """Tell of every person in this registry's own chain, so that `verify` can compare."""
+        with self.database.writing() as connection:
+            for row in connection.execute(select(users).order_by(users.c.name)).mappings().all():
+                at, key, after = self.settings.clock(), (row["name"],), people_as_told(row)
+                history.append(
+                    connection, self.origin, at, "softcal", "state", "users", key, after=after, reason=reason
+                )
+
+
+def adopt(database: Database, reason: str) -> None:
+    """Write what an upgraded or restored registry has to state."""
+    adoption = Adoption(database, RegistrySettings())
+    adoption.state_maps(reason)
+    adoption.state_people(reason)

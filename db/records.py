@@ -1,0 +1,37 @@
+"""Calibrations as columns of a table and back."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from sqlalchemy import RowMapping
+
+from softcal.core.identity import Settings
+from softcal.core.reason import Reason
+from softcal.core.unit.calibration import CalibrationRecord
+
+PLAIN_FIELDS = (
+    "serial",
+    "network_id",
+    "family",
+    "map_sha256",
+    "predicted_rmse",
+    "before_rmse",
+    "after_rmse",
+    "own_rmse",
+    "fit_s",
+    "verdict",
+    "input_sha256",
+    "recording_sha256",
+)
+"""Fields of `CalibrationRecord` that are columns as they are."""
+
+
+def record_of(row: RowMapping, arrays: Mapping[str, Any], settings: Settings) -> CalibrationRecord:
+    """Return the calibration of a row, with the arrays and settings that belong to it."""
+    return CalibrationRecord(
+        **{field: row[field] for field in PLAIN_FIELDS},
+        arrays=arrays,
+        settings=settings,
+        reasons=tuple(map(Reason.of, row["reasons"])),
+        evidence=row["evidence"],
+    )

@@ -1,0 +1,228 @@
+"""Batches, lines, changes of files, restores, synchronisations and rollbacks in any order: what is in use is what a
+simple model of events says. The fit is faked, everything else is real."""
+
+import itertools
+import shutil
+import tempfile
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from types import SimpleNamespace
+from unittest import mock
+
+import numpy as np
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
+from softcal.app.batch import lot_work
+from softcal.app.batch.calibrating import Refusal
+from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
+from softcal.app.batch.unit_work import ChunkOutcome, Known, SharedWork, UnitOutcome
+from softcal.app.files.lot_folder import LotFolder
+from softcal.core.errors import InputError
+from softcal.core.identity import content_sha256
+from softcal.core.lot import Lot
+from softcal.core.network.network import Network
+from softcal.core.reason import plain
+from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.method import Method
+from softcal.core.unit.verdict import Verdict
+from softcal.db.backup import back_up, restore
+from softcal.db.connection import open_registry
+from softcal.db.registry_base import RegistrySettings
+from softcal.db.sync import synchronise
+
+SERIALS, SIDES = ("A1", "A2"), ("station", "centre")
+BAD = 0
+LOT = Lot("L1", "S0", 50.0)
+NETWORK = Network((np.zeros((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
+SHARED = SharedWork(LOT, SimpleNamespace(network=NETWORK, method=Method()), None, None)
+
+
+def input_of(serial: str, number: int) -> str:
+    return content_sha256({}, {"serial": serial, "number": number})
+
+
+def record(serial: str, number: int) -> CalibrationRecord:
+    arrays = {"map.gain": np.array([float(number)])}
+    sha256 = content_sha256(arrays, {})
+    inputs = input_of(serial, number), sha256
+    return CalibrationRecord(serial, NETWORK.id, "affine", sha256, arrays, {}, 0.1, "pass", (plain("fine"),), *inputs)
+
+
+def fake_work(shared, chunk):
+    """A file holds one number; its map is that number, and 0 cannot be calibrated."""
+    units = []
+    for task in chunk.tasks:
+        number = int(task.recording.content)
+        if number == BAD:
+            result = Refusal(Verdict.RETEST, plain("bad"))
+        elif input_of(task.serial, number) in task.known:
+            result = Known(input_of(task.serial, number))
+        else:
+            result = record(task.serial, number)
+        units.append(UnitOutcome(task.item_id, task.serial, result))
+    return ChunkOutcome(tuple(units), 0.0)
+
+
+@dataclass(frozen=True)
+class Event:
+    """A statement about a unit (`number` of the map), or a refusal (`number` None).
+
+    Args:
+        at: order in time.
+        parents: events it was made upon.
+        asked: the input that asked for it; None where a person decided.
+        work: the file that asked for it; None at a line.
+    """
+
+    at: int
+    number: int | None
+    parents: frozenset["Event"]
+    asked: int | None
+    work: int | None
+
+
+class OneAnswerMachine(RuleBasedStateMachine):
+    """Two registries, each with a folder of files; the model knows which events each has seen of each unit."""
+
+    @initialize()
+    def two_registries(self) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix="softcal-machine-"))
+        self.names, self.ticks = itertools.count(), itertools.count(1)
+        self.seen = {side: {serial: set() for serial in SERIALS} for side in SIDES}
+        self.files = {side: {} for side in SIDES}
+        self.registries = {}
+        for side in SIDES:
+            (self.folder / side).mkdir()
+            registry = self.registries[side] = self.opened(self.folder / f"{side}.db")
+            registry.add_lot(LOT)
+            registry.add_network("L1", NETWORK, {}, {}, "a" * 64)
+
+    def opened(self, path: Path):
+        start = datetime(2026, 5, 4, tzinfo=UTC)
+        if not hasattr(self, "clock"):
+            seconds = itertools.count()
+            self.clock = lambda: start + timedelta(seconds=next(seconds))
+        return open_registry(f"sqlite:///{path}", RegistrySettings(clock=self.clock))
+
+    def heads(self, side: str, serial: str) -> set[Event]:
+        known = {event for event in self.seen[side][serial] if event.number is not None}
+        return known - {parent for event in known for parent in event.parents}
+
+    def state(self, side: str, serial: str, number: int, asked: int | None, work: int | None) -> None:
+        event = Event(next(self.ticks), number, frozenset(self.heads(side, serial)), asked, work)
+        self.seen[side][serial].add(event)
+
+    def put(self, side: str, serial: str, number: int, work: int | None) -> None:
+        """What a batch or a line does with a recording."""
+        seen, heads = self.seen[side][serial], self.heads(side, serial)
+        # Whoever asked for a number first has made its map.
+        if number not in {event.asked for event in seen}:
+            self.state(side, serial, number, number, work)
+            return
+        if len({head.number for head in heads}) > 1:
+            return
+        last = max((event for event in seen if event.asked is not None), key=lambda event: event.at)
+        refused = max((event.at for event in seen if event.number is None), default=0)
+        is_again = last.asked == number and refused < last.at
+        if not (is_again and work in (None, last.work)):
+            self.state(side, serial, next(iter(heads)).number if is_again else number, number, work)
+
+    @rule(side=st.sampled_from(SIDES), changes=st.dictionaries(st.sampled_from(SERIALS), st.integers(0, 2)))
+    def batch(self, side: str, changes: dict[str, int]) -> None:
+        for serial, number in changes.items():
+            (self.folder / side / f"{serial}.csv").write_text(str(number))
+            self.files[side][serial] = number
+        files = self.files[side]
+        paths = {serial: self.folder / side / f"{serial}.csv" for serial in files}
+        folder = LotFolder(self.folder / side, LOT, self.folder, paths, {})
+        with mock.patch.object(lot_work, "work_on", fake_work):
+            told = LotWork(folder, self.registries[side], SHARED, BatchConfig(), Watch()).results()
+        for serial, number in files.items():
+            seen = self.seen[side][serial]
+            results = [event for event in seen if event.number is None or event.asked is not None]
+            newest = max(results, key=lambda event: event.at, default=None)
+            if newest is None or newest.work != number:
+                if number == BAD:
+                    seen.add(Event(next(self.ticks), None, frozenset(), None, BAD))
+                else:
+                    self.put(side, serial, number, number)
+        assert {serial: result.verdict for serial, result in told.items()} == {s: self.verdict(side, s) for s in files}
+
+    @rule(side=st.sampled_from(SIDES), serial=st.sampled_from(SERIALS), number=st.integers(1, 2))
+    def press(self, side: str, serial: str, number: int) -> None:
+        registry, made = self.registries[side], record(serial, number)
+        if registry.find_calibration(serial, made.input_sha256, lot_id="L1") is None:
+            registry.add_calibration("L1", made)
+        else:
+            registry.put_in_use("L1", serial, made.input_sha256, "line")
+        self.put(side, serial, number, None)
+
+    @rule(side=st.sampled_from(SIDES), serial=st.sampled_from(SERIALS), which=st.integers(0, 5))
+    def roll_back(self, side: str, serial: str, which: int) -> None:
+        if not self.heads(side, serial):
+            return
+        history = self.registries[side].history(serial)
+        old = history[which % len(history)]
+        number = int(old.record.arrays["map.gain"][0])
+        numbers = {head.number for head in self.heads(side, serial)}
+        try:
+            self.registries[side].rollback(serial, old.revision, origin=old.origin, reason="test")
+        except InputError:
+            assert numbers == {number}
+            return
+        assert numbers != {number}
+        self.state(side, serial, number, None, None)
+
+    @rule()
+    def sync(self) -> None:
+        report = synchronise(*self.registries.values())
+        for serial in SERIALS:
+            seen = self.seen["station"][serial] | self.seen["centre"][serial]
+            self.seen["station"][serial], self.seen["centre"][serial] = set(seen), set(seen)
+        parted = [serial for serial in SERIALS if len({head.number for head in self.heads("centre", serial)}) > 1]
+        assert len(report.conflicts) == len(parted)
+
+    @rule(side=st.sampled_from(SIDES))
+    def restore(self, side: str) -> None:
+        backup, path = (self.folder / f"{next(self.names)}.db" for _ in range(2))
+        back_up(self.registries[side].database, backup)
+        self.registries[side].close()
+        restore(backup, f"sqlite:///{path}")
+        self.registries[side] = self.opened(path)
+
+    def verdict(self, side: str, serial: str) -> str | None:
+        heads, seen = self.heads(side, serial), self.seen[side][serial]
+        if not seen:
+            return None
+        is_refused = max(seen, key=lambda event: event.at).number is None
+        return "retest" if is_refused or len({head.number for head in heads}) > 1 else "pass"
+
+    @invariant()
+    def there_is_one_answer(self) -> None:
+        for side, registry in getattr(self, "registries", {}).items():
+            listed = {unit.serial: unit.verdict for unit in registry.units("L1")}
+            for serial in SERIALS:
+                assert listed.get(serial) == self.verdict(side, serial)
+                numbers = {head.number for head in self.heads(side, serial)}
+                try:
+                    used = {int(registry.calibration(serial).record.arrays["map.gain"][0])}
+                except InputError:
+                    assert len(numbers) != 1
+                else:
+                    assert used == numbers
+
+    def teardown(self) -> None:
+        for registry in getattr(self, "registries", {}).values():
+            assert registry.verify() == []
+            registry.close()
+        if hasattr(self, "folder"):
+            shutil.rmtree(self.folder)
+
+
+TestOneAnswerMachine = OneAnswerMachine.TestCase
+TestOneAnswerMachine.settings = settings(
+    max_examples=6, stateful_step_count=20, deadline=None, suppress_health_check=list(HealthCheck)
+)

@@ -1,0 +1,234 @@
+"""What `verify` looks at beside rows and blobs: the database itself, its schema, people, and what is kept elsewhere."""
+
+import json
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sqlalchemy import create_engine, text
+from sqlalchemy.pool import NullPool
+
+from softcal.app.cli.main import main
+from softcal.core.errors import SoftcalError
+from softcal.core.reason import plain
+from softcal.db.backup import back_up, restore
+from softcal.db.connection import open_registry
+from softcal.db.maintenance import Anchor
+from softcal.db.tables import AUDITED, metadata
+
+
+@pytest.fixture
+def people(factory):
+    factory.calibrate("A1", 1)
+    factory.calibrate("A1", 2)
+    factory.registry.set_user("kim", "operator", "2580", actor="lee")
+    factory.registry.set_user("lee", "quality", "7777", actor="lee")
+    return factory.registry
+
+
+def behind(registry, *statements: str) -> None:
+    """Change a registry as an administrator can; triggers stay where they are."""
+    engine = create_engine(registry.database.engine.url, poolclass=NullPool)
+    with engine.begin() as connection:
+        if not registry.database.is_sqlite:
+            connection.execute(text("SET LOCAL session_replication_role = replica"))
+        for statement in statements:
+            connection.execute(text(statement))
+
+
+@pytest.mark.parametrize("is_quick", [True, False])
+@pytest.mark.parametrize(
+    ("statement", "fault"),
+    [
+        ("UPDATE users SET role = 'quality' WHERE name = 'kim'", 'users ["kim"]: role'),
+        ("UPDATE users SET pin_hash = (SELECT pin_hash FROM users WHERE name = 'lee') WHERE name = 'kim'", "PIN"),
+        ("UPDATE users SET is_active = false WHERE name = 'lee'", 'users ["lee"]'),
+        ("INSERT INTO users SELECT 'eve', role, pin_hash, is_active, failures, locked_until, version, changed_at "
+         "FROM users WHERE name = 'lee'", 'users ["eve"]: was put in'),
+        ("DELETE FROM users WHERE name = 'lee'", 'users ["lee"]: is in the audit trail'),
+        ("UPDATE registry_info SET value = 'deadbeef0000' WHERE key = 'origin'", "origin 'deadbeef0000'"),
+        ("CREATE TABLE aside (x INTEGER)", "table aside: was put in"),
+    ],
+)  # fmt: skip
+def test_what_was_changed_behind_its_back_is_found(people, statement, fault, is_quick):
+    assert people.verify(is_quick=is_quick) == []
+    behind(people, statement)
+    try:
+        assert any(fault in line for line in people.verify(is_quick=is_quick))
+    finally:
+        # The database of PostgreSQL is shared by the tests.
+        if "aside" in statement:
+            behind(people, "DROP TABLE aside")
+        if "registry_info" in statement:
+            behind(people, f"UPDATE registry_info SET value = '{people.origin}' WHERE key = 'origin'")
+
+
+def test_triggers_that_are_gone_off_or_others_are_found(people):
+    before, after = (
+        ("DROP TRIGGER audit_no_update", None)
+        if people.database.is_sqlite
+        else ("ALTER TABLE audit DISABLE TRIGGER audit_append_only", "ALTER TABLE audit ENABLE TRIGGER ALL")
+    )
+    behind(people, before)
+    try:
+        assert any("trigger audit_" in line for line in people.verify(is_quick=True))
+    finally:
+        if after:
+            behind(people, after)
+
+
+def test_a_function_that_forbids_nothing_any_more_is_found(people):
+    if people.database.is_sqlite:
+        behind(people, "DROP TRIGGER blobs_no_delete",
+               "CREATE TRIGGER blobs_no_delete BEFORE DELETE ON blobs BEGIN SELECT 1; END")  # fmt: skip
+        assert any("blobs_no_delete: is not the one" in line for line in people.verify())
+        return
+    with people.database.reading() as connection:
+        made = connection.execute(text("SELECT pg_get_functiondef('softcal_append_only'::regproc)")).scalar_one()
+    behind(people, "CREATE OR REPLACE FUNCTION softcal_append_only() RETURNS trigger LANGUAGE plpgsql AS "
+                   "$$ BEGIN RETURN NULL; END $$")  # fmt: skip
+    try:
+        assert any("is not the one that was made" in line for line in people.verify())
+    finally:
+        behind(people, made)
+
+
+def test_a_trail_that_was_cut_is_found_by_what_is_kept_elsewhere(people):
+    anchor = Anchor(people.heads(), "in a safe")
+    assert people.verify(anchors=[anchor]) == []
+    last = people.heads()[people.origin][0]
+    if people.database.is_sqlite:
+        behind(people, "DROP TRIGGER audit_no_delete")
+    behind(people, f"DELETE FROM audit WHERE seq = {last}")
+    assert any(f"row {last}: is gone" in line for line in people.verify(is_quick=True, anchors=[anchor]))
+
+
+def test_rows_that_refer_to_nothing_are_found(people):
+    if people.database.is_sqlite:
+        behind(people, "DROP TRIGGER networks_no_delete")
+    behind(people, "DELETE FROM networks")
+    assert any("calibrations: 2 rows refer to networks" in line for line in people.verify())
+
+
+def test_the_command_remembers_where_the_trail_ended(file_registry, make_factory, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    make_factory(file_registry).calibrate("A1", 1)
+    url, backup = f"sqlite:///{file_registry.database.path}", tmp_path / "b.db"
+    assert main(["registry", "backup", str(backup), "--registry", url]) == 0
+    assert main(["registry", "verify", "--quick", "--registry", url]) == 0
+    behind(file_registry, "DROP TRIGGER audit_no_delete", "DELETE FROM audit WHERE seq = (SELECT max(seq) FROM audit)")
+    for more in ([], ["--against", str(backup)]):
+        capsys.readouterr()
+        assert main(["registry", "verify", "--registry", url, *more]) == 4
+        assert "is gone than was written down" in capsys.readouterr().err
+    (tmp_path / "nothing.json").write_text("{}")
+    assert main(["registry", "verify", "--registry", url, "--against", str(tmp_path / "nothing.json")]) == 2
+
+
+def test_after_a_restore_the_trail_begins_with_it(people, tmp_path, capsys):
+    back_up(people.database, tmp_path / "b.db")
+    restore(tmp_path / "b.db", f"sqlite:///{tmp_path / 'again.db'}")
+    with open_registry(f"sqlite:///{tmp_path / 'again.db'}") as again:
+        first = again.audit_rows(again.origin)[0]
+        assert first.action == "restore"
+        told = {origin: tuple(head) for origin, head in json.loads(first.after)["heads"].items()}
+        assert told == people.heads()
+        assert again.verify() == [] and again.verify(is_quick=True) == []
+    assert main(["registry", "verify", "--registry", f"sqlite:///{tmp_path / 'again.db'}"]) == 0
+    assert "0 rows" not in capsys.readouterr().out
+
+
+def edits(registry) -> list[str]:
+    """One change of every column of every table that decides something, and one row less of each."""
+    made = []
+    for name in (*AUDITED, "audit", "blobs", "users"):
+        table = metadata.tables[name]
+        for column in table.columns:
+            kind = column.type.python_type
+            change = {
+                int: f'"{column.name}" + 1', float: f'"{column.name}" * 1.5', bool: f'NOT "{column.name}"',
+                bytes: "x'00'",
+            }.get(kind, f"replace(replace(\"{column.name}\", '1', '2'), 'a', 'b') || 'x'")  # fmt: skip
+            change = f"coalesce({change}, {1 if kind in (int, float) else repr('x')})"
+            made.append(f'UPDATE {name} SET "{column.name}" = {change} WHERE rowid = (SELECT max(rowid) FROM {name})')
+        made.append(f"DELETE FROM {name} WHERE rowid = (SELECT max(rowid) FROM {name})")
+    return made
+
+
+PASSING = ("failures", "locked_until", "changed_at")
+"""Columns of people that change at every sign-in; docs/registry.md says so."""
+
+
+def test_an_edit_of_any_column_of_any_row_is_found(file_registry, make_factory, recording_of, tmp_path, monkeypatch):
+    # The tables stay as they are, and comparing them takes longer than all the rest.
+    monkeypatch.setattr("softcal.db.checks.schema_faults", lambda _: iter(()))
+    factory = make_factory(file_registry)
+    factory.registry.add_recording("L1", recording_of("A1"), "unit")
+    factory.calibrate("A1", 1)
+    factory.registry.add_refusal("L1", "A2", "fail", (plain("constant"),))
+    factory.registry.set_user("kim", "operator", "2580", actor="lee")
+    path, copy = file_registry.database.path, tmp_path / "edited.db"
+    statements = [s for s in edits(file_registry) if not any(f'SET "{name}"' in s and "users" in s for name in PASSING)]
+    file_registry.close()
+    unseen = []
+    for statement in statements:
+        copy.write_bytes(path.read_bytes())
+        raw = sqlite3.connect(copy)
+        for (trigger,) in raw.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+            raw.execute(f"DROP TRIGGER {trigger}")
+        try:
+            changed = raw.execute(statement).rowcount
+            raw.commit()
+        except sqlite3.IntegrityError:
+            changed = 0
+        raw.close()
+        if changed:
+            with open_registry(f"sqlite:///{copy}", create=False) as registry:
+                if not [line for line in registry.verify() if not line.startswith("trigger ")]:
+                    unseen.append(statement)
+    assert unseen == []
+
+
+def pages(path: Path) -> list[int]:
+    """Where the pages of an SQLite file begin, one of each kind at least."""
+    content = path.read_bytes()
+    size = int.from_bytes(content[16:18], "big")
+    return list(range(0, len(content), 65536 if size == 1 else size))
+
+
+def answer(url: str) -> object:
+    """What is told of the unit: its map in use, bit by bit, and its verdict everywhere."""
+    with open_registry(url, create=False) as registry:
+        stored = registry.calibration("A1")
+        arrays = {name: array.tobytes() for name, array in stored.record.arrays.items()}
+        network = {name: a.tobytes() for name, a in registry.network(stored.record.network_id).arrays().items()}
+        return stored.revision, stored.origin, vars(stored.record) | {"arrays": arrays}, network, registry.lot("L1")
+
+
+@pytest.mark.parametrize("seed", [7])
+def test_no_flipped_bit_is_silent(file_registry, make_factory, tmp_path, seed, flips=120):
+    factory = make_factory(file_registry)
+    for number in (1, 2, 3):
+        factory.calibrate("A1", number)
+        factory.calibrate(f"B{number}", number)
+    path, copy = Path(file_registry.database.path), tmp_path / "flipped.db"
+    file_registry.close()
+    true, rng = answer(f"sqlite:///{path}"), np.random.default_rng(seed)
+    content, starts = path.read_bytes(), pages(path)
+    silent, defects = [], []
+    for _ in range(flips):
+        at = int(rng.choice(starts)) + int(rng.integers(0, starts[1] if len(starts) > 1 else len(content)))
+        flipped = bytearray(content)
+        flipped[at] ^= 1 << int(rng.integers(0, 8))
+        copy.write_bytes(flipped)
+        try:
+            told = answer(f"sqlite:///{copy}")
+        except SoftcalError:
+            continue
+        except Exception as error:
+            defects.append((at, repr(error)))
+            continue
+        if told != true:
+            silent.append(at)
+    assert silent == [] and defects == []
