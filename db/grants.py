@@ -10,7 +10,7 @@ from softcal.db.tables import APPEND_ONLY, metadata
 
 CHANGING = {"users": "INSERT, UPDATE", "work_items": "INSERT, UPDATE, DELETE", "orders": "INSERT, UPDATE",
             "heartbeats": "INSERT, UPDATE", "run_signals": "INSERT, DELETE",
-            "jobs": "INSERT, UPDATE"}  # fmt: skip
+            "jobs": "INSERT, UPDATE", "line_places": "INSERT, UPDATE"}  # fmt: skip
 """Tables whose rows change, and how; all the others only grow."""
 
 ROLE = re.compile(r"[a-z_][a-z0-9_]{0,62}")

@@ -8,7 +8,7 @@ from sqlalchemy import ColumnElement, RowMapping, Subquery, Table, and_, case, f
 from softcal.core.errors import InputError
 from softcal.db.entries import UnitEntry
 from softcal.db.registry_base import RegistryBase
-from softcal.db.tables import calibrations, golden_runs, limits, line_rules, networks, refusals, units
+from softcal.db.tables import calibrations, golden_runs, limits, line_rules, network_releases, networks, refusals, units
 
 ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
@@ -109,7 +109,7 @@ class LotPages(RegistryBase):
             return [UnitErrors(*row) for row in rows]
 
     def change_marker(self, lot_id: str) -> str:
-        """Return text that changes whenever a unit, a result, a limit, a rule, a network or a check is added.
+        """Return text that changes whenever a unit, result, limit, rule, network, release or check is added.
 
         A cheap key for what was computed from a lot: nothing of it is ever changed in place or deleted.
         """
@@ -117,7 +117,7 @@ class LotPages(RegistryBase):
         parts = [
             select(value).where(t.c.lot_id == lot_id) for t in of_lot for value in (func.count(), func.max(t.c.made_at))
         ]
-        parts += [select(func.count()).where(t.c.lot_id == lot_id) for t in (units, networks)]
+        parts += [select(func.count()).where(t.c.lot_id == lot_id) for t in (units, networks, network_releases)]
         parts.append(select(func.count()).select_from(golden_runs))
         with self.database.reading() as connection:
             found = connection.execute(select(*(part.scalar_subquery() for part in parts))).one()
