@@ -202,7 +202,7 @@ def pressable(view: LineView) -> str:
 
 
 def plain(world: World) -> tuple[Any, ...]:
-    """Return what tells worlds apart by what can follow: notes and badges lead nowhere, ids and versions have no names."""
+    """Return what tells worlds apart by what can follow: notes and badges lead nowhere."""
     version, values = world.place
     place = dict(values or ())
     newest = world.orders[0] if world.orders else ("", None, "", None, "")
