@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import Connection, RowMapping, Select, func, select
+from sqlalchemy import Connection, RowMapping, Select, Text, func, select, type_coerce
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.reason import Reason
+from softcal.core.unit.method import Method
 from softcal.db.entries import LimitEntry, RunEntry, UnitEntry
 from softcal.db.registry_base import RegistryBase
 from softcal.db.tables import calibrations, limits, lots, refusals, units
@@ -100,7 +102,7 @@ class LotTables(RegistryBase):
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
             rows = [dict(row) for query in queries for row in connection.execute(query).mappings()]
-        runs = [RunEntry(**row | {"reasons": tuple(row["reasons"])}) for row in rows]
+        runs = [RunEntry(**row | {"reasons": tuple(map(Reason.of, row["reasons"]))}) for row in rows]
         return sorted(runs, key=lambda run: (run.made_at, run.serial))
 
     def limit(self, lot_id: str) -> LimitEntry | None:
@@ -163,14 +165,17 @@ def unit_entries(connection: Connection, lot_id: str | None, serial: str | None)
     for row in connection.execute(_of(select(units), units, lot_id, serial)).mappings():
         entries[row["lot_id"], row["serial"]] = {f: row[f] for f in ("lot_id", "serial", "role")}
     for row in connection.execute(_newest_calibrations(lot_id, serial)).mappings():
-        result = {field: row[field] for field in RESULT_FIELDS} | {"is_conflict": row["copies"] > 1}
+        result = {field: row[field] for field in RESULT_FIELDS}
+        result |= {"is_conflict": row["copies"] > 1, "is_stale": not row["is_this_method"]}
         entries[row["lot_id"], row["serial"]] |= result
     refused = _of(select(refusals), refusals, lot_id, serial).order_by(refusals.c.made_at)
     for row in connection.execute(refused).mappings():
         entry = entries[row["lot_id"], row["serial"]]
         if "made_at" not in entry or row["made_at"] > entry["made_at"]:
             entry |= {field: row[field] for field in ("verdict", "reasons", "made_at")}
-    made = (UnitEntry(**entry | {"reasons": tuple(entry.get("reasons", ()))}) for entry in entries.values())
+    made = (
+        UnitEntry(**entry | {"reasons": tuple(map(Reason.of, entry.get("reasons", ())))}) for entry in entries.values()
+    )
     return sorted(made, key=lambda unit: (unit.lot_id, unit.serial))
 
 
@@ -179,7 +184,9 @@ def _newest_calibrations(lot_id: str | None, serial: str | None) -> Select[Any]:
     order = (c.made_at.desc(), c.revision.desc(), c.origin.desc())
     rank = func.row_number().over(partition_by=(c.lot_id, c.serial), order_by=order).label("rank")
     copies = func.count().over(partition_by=(c.serial, c.revision)).label("copies")
-    columns = [c.lot_id, c.serial, *(c[field] for field in RESULT_FIELDS), rank, copies]
+    # The settings are canonical JSON text: the hash of today's method stands in it or it does not.
+    same = type_coerce(c.settings, Text).contains(f'"method_id":"{Method().id}"').label("is_this_method")
+    columns = [c.lot_id, c.serial, *(c[field] for field in RESULT_FIELDS), rank, copies, same]
     ranked = _of(select(*columns), calibrations, lot_id, serial).subquery()
     return select(ranked).where(ranked.c.rank == 1)
 

@@ -103,8 +103,7 @@ def _head(facts: Certificate) -> Flowable:
 
 def _verdict(facts: Certificate) -> Flowable:
     colour = VERDICT_COLOURS[facts.verdict]
-    word = facts.conformity or facts.verdict
-    lines = [Paragraph(f'<font color="{colour}">{marked_up(word.upper())}</font>', _style(13, BOLD))]
+    lines = [Paragraph(f'<font color="{colour}">{marked_up(facts.verdict.upper())}</font>', _style(13, BOLD))]
     lines += [_paragraph(reason) for reason in facts.reasons]
     box = TableStyle(
         [("LINEBEFORE", (0, 0), (0, -1), 3, colors.HexColor(colour)), ("LEFTPADDING", (0, 0), (-1, -1), 8)]

@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     url = f"sqlite:///{options.out / 'registry.db'}"
     with open_chosen_registry(url) as registry:
         report = run_demo(config, folder, registry, batch_watch("N"))
-        passed = [unit.serial for unit in report.units if unit.verdict in ("pass", "conditional")]
+        passed = [unit.serial for unit in report.units if report.releases(unit)]
         export_units(registry, passed, ("json",), options.out / "files")
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     fits_s = [unit.made.fit_s for unit in report.units if unit.made and unit.made.fit_s]
@@ -64,4 +64,4 @@ def run(options: argparse.Namespace) -> int:
     print(f"all in all {time.monotonic() - start_s:.0f} s; registry, recordings and files are in {options.out}/")
     if options.json:
         write_json(options.json, report_json(report))
-    return 0 if report.counts["pass"] == len(report.units) else 1
+    return 0 if report.has_passed else 1

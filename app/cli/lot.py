@@ -128,7 +128,7 @@ def _watch(options: argparse.Namespace) -> int:
         try:
             for report in watch_lot(options.folder, registry, batch, config, Watch()):
                 print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
-                passed = passed and report.counts["pass"] == len(report.units)
+                passed = passed and report.has_passed
         except KeyboardInterrupt:
             say("stopped; what was finished is kept")
     return DONE if passed else SOME_UNIT_NOT_PASSED

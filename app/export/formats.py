@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from softcal.app.export.calibrated_unit import CalibratedUnit
+from softcal.app.export.names import FORMATS
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.compile_map import compile_map, fine_forms
@@ -58,7 +59,7 @@ def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
         "revision": unit.stored.revision,
         "made_at": unit.stored.made_at.isoformat(),
         "verdict": record.verdict,
-        "reasons": list(record.reasons),
+        "reasons": [str(why) for why in record.reasons],
         **{name: getattr(record, name) for name in names},
         "recording_sha256": record.recording_sha256,
         "input_sha256": record.input_sha256,
@@ -159,13 +160,11 @@ def device_summary(unit: CalibratedUnit) -> dict[str, object]:
     }
 
 
-WRITERS: Mapping[str, Writer] = {
-    "json": _json_files,
-    "c": _c_files,
-    "blob": _blob_files,
-    "hex": _hex_files,
-    "onnx": _onnx_files,
-    "pdf": _pdf_files,
-    "dcc": _dcc_files,
-}
-"""The one list of formats."""
+WRITERS: Mapping[str, Writer] = dict(
+    zip(
+        FORMATS,
+        (_json_files, _c_files, _blob_files, _hex_files, _onnx_files, _pdf_files, _dcc_files),
+        strict=True,
+    )
+)
+"""What writes each format."""

@@ -10,8 +10,9 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.quality.control_chart import Capability, ControlChart, capability, control_chart
 from softcal.core.quality.gauge_study import GaugeStudy, study_by_anova, study_by_ranges
-from softcal.core.quality.yields import Run, Share, Yields, yields
+from softcal.core.quality.yields import Run, Share, Yields, kind, yields
 from softcal.core.recording import Array
+from softcal.core.unit.verdict import Release, Verdict
 from softcal.db.registry import Registry
 
 STUDY_COLUMNS = ("unit", "station", "trial", "value")
@@ -72,7 +73,8 @@ def lot_yields(registry: Registry, lot_id: str, *, conditional_is_good: bool = F
     for run in registry.runs(lot_id):
         runs.setdefault(run.serial, []).append(Run(run.verdict, run.reasons))
     golden = {run.serial for run in registry.golden_runs()}
-    good = {"pass", "conditional"} if conditional_is_good else {"pass"}
+    asked = Release.CONDITIONAL if conditional_is_good else Release.PASS
+    good = [verdict for verdict in Verdict if asked.releases(verdict)]
     return yields(runs, golden, good)
 
 
@@ -107,7 +109,10 @@ def chart_json(chart: ControlChart) -> dict[str, object]:
 
 def yields_json(found: Yields) -> dict[str, object]:
     """Return yields as JSON values."""
-    return {**{name: share_json(share) for name, share in named_shares(found)}, "reasons": dict(found.reasons)}
+    return {
+        **{name: share_json(share) for name, share in named_shares(found)},
+        "reasons": {kind(why): count for why, count in found.reasons},
+    }
 
 
 def named_shares(found: Yields) -> list[tuple[str, Share]]:

@@ -5,7 +5,6 @@ from datetime import datetime
 
 from softcal.core.recording import Array
 
-VERDICTS = ("pass", "conditional", "fail", "retest")
 POINTS = 4000
 """So many points of a series are drawn; more cost the browser and show nothing."""
 

@@ -8,10 +8,11 @@ import streamlit as st
 from softcal.app.ui.account import actor
 from softcal.app.ui.desk import ask_reason, in_words, registry, words
 from softcal.app.ui.panels import table
-from softcal.app.views.common import VERDICTS, instant
+from softcal.app.views.common import instant
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.line_rules import LETTERS, LineRules
+from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import LineRulesEntry
 
 MOST_UNITS, MOST_RETESTS = 10_000_000, 99

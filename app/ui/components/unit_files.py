@@ -6,11 +6,11 @@ import streamlit as st
 
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.formats import WRITERS
+from softcal.app.export.names import FORMATS
 from softcal.app.ui.account import actor
 from softcal.app.ui.desk import in_words, registry, words
 from softcal.core.errors import UnitRefused
 
-FORMATS = ("pdf", "json", "blob", "onnx", "dcc", "c")
 MIMES = {"pdf": "application/pdf", "json": "application/json", "xml": "application/xml"}
 
 

@@ -10,11 +10,14 @@ from softcal.app.texts.reasons import all_said
 from softcal.app.ui.desk import errors_in_words, registry, words
 from softcal.app.ui.panels import go_to, table_to_choose
 from softcal.core.lot import Lot
+from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import UnitEntry
 from softcal.db.lot_pages import UnitFilter
 
 SIZE = 50
-VERDICTS = ("fail", "retest", "conditional", "pass", "none")
+WORDS = (*reversed(VERDICTS), "none")
+"""What a unit can be filtered by, worst first."""
+
 SORTS = ("severity", "serial", "predicted_rmse", "after_rmse", "made_at")
 LARGEST_FIRST = ("predicted_rmse", "after_rmse", "made_at")
 NUMBERS = ("predicted", "before", "after", "own")
@@ -67,7 +70,7 @@ def _filter(lot_id: str) -> UnitFilter:
     left, middle, right = st.columns([3, 2, 2], vertical_alignment="bottom")
     verdicts = left.pills(
         say("column.verdict"),
-        VERDICTS,
+        WORDS,
         selection_mode="multi",
         format_func=lambda word: say(f"verdict.{word}"),
         key=f"units-verdicts-{lot_id}",

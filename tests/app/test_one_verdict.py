@@ -1,0 +1,180 @@
+"""One unit, one word: every surface says the verdict that was decided, whatever was forecast, found and measured."""
+
+import subprocess
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softcal.app.batch.report import BatchReport, UnitResult, table_row
+from softcal.app.certificates.content import certificate_of
+from softcal.app.certificates.dcc import certificate_xml
+from softcal.app.certificates.pdf import certificate_pdf
+from softcal.app.charts.palette import palette
+from softcal.app.charts.why import why_figure
+from softcal.app.cli.main import main
+from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.export import export_units, lot_serials
+from softcal.app.export.manifest import read_manifest
+from softcal.app.registry.caution import caution
+from softcal.app.registry.quality import lot_yields
+from softcal.app.texts.catalogue import text
+from softcal.app.views.unit import unit_view
+from softcal.core.errors import InputError
+from softcal.core.export.blob import CONDITIONAL, FAILED
+from softcal.core.reason import reason
+from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import (
+    Decision,
+    Finding,
+    Limit,
+    Release,
+    Verdict,
+    decide,
+    decide_audited,
+)
+from softcal.db.connection import open_registry
+from softcal.db.entries import MadeCalibration
+from softcal.db.lot_pages import UnitFilter
+from softcal.db.registry import Registry
+
+DRAWS = 200
+DCC = {"dcc": "https://ptb.de/dcc"}
+FOUND = reason("too_little_data", windows=3, presses=1, enough_windows=500, enough_presses=3)
+
+
+@pytest.fixture(scope="module")
+def lot(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Registry, str]]:
+    """A registry in which the small lot is calibrated, and the lot's id."""
+    import shutil
+
+    folder = tmp_path_factory.mktemp("verdicts")
+    shutil.copytree(trained_lot / "lot", folder / "lot")
+    shutil.copy(trained_lot / "registry.db", folder / "registry.db")
+    url = f"sqlite:///{folder / 'registry.db'}"
+    assert main(["batch", str(folder / "lot"), "--registry", url, "--hidden", "16,8", "--no-own"]) in (0, 1)
+    with open_registry(url) as registry:
+        yield registry, registry.lots()[0].id
+
+
+def drawn(rng: np.random.Generator, record: CalibrationRecord, number: int) -> CalibrationRecord:
+    """Return the record with another forecast, finding, audit and limit, and what follows from them."""
+    limit = Limit("N", float(rng.uniform(0.05, 0.5)))
+    rmse = float(rng.uniform(0.02, 0.8))
+    forecast = ErrorForecast(rmse, rmse * float(rng.uniform(0.3, 1)), rmse * float(rng.uniform(1, 3)))
+    findings = tuple(Finding(FOUND, Verdict(word)) for word in rng.choice(list(Verdict), rng.integers(0, 3)))
+    measured, scores = None, {"before_rmse": None, "after_rmse": None}
+    if rng.random() < 0.5:
+        before, after = (float(error) for error in rng.uniform(0.02, 0.8, 2))
+        measured = decide_audited(before, after, int(rng.integers(50, 3000)), limit)
+        scores = {"before_rmse": before, "after_rmse": after}
+    decision = Decision(decide(forecast, limit, findings), measured)
+    return replace(
+        record,
+        **scores,
+        verdict=str(decision.verdict),
+        reasons=decision.reasons,
+        predicted_rmse=forecast.rmse,
+        settings={**record.settings, "decision": decision.to_json(), "forecast": vars(forecast)},
+        evidence={**record.evidence, "limit_rmse": limit.maximum_rmse},
+        input_sha256=f"{number:064x}",
+    )
+
+
+def documents(registry: Registry) -> dict[str, str]:
+    """Return the word that certificate, device file and manifest facts of the unit in use give it."""
+    unit = UnitLoader(registry, ExportOptions(failed_too=True)).load("A1")
+    facts = certificate_of(unit)
+    conformity = ET.fromstring(certificate_xml(facts)).findtext(".//dcc:statement/dcc:conformity", None, DCC)
+    flags = unit.device_unit.file.flags
+    return {
+        "certificate": facts.verdict,
+        "conformity": {"pass": "pass", "conditionalPass": "conditional", "fail": "fail", None: "retest"}[conformity],
+        "device": {0: "pass", CONDITIONAL: "conditional", FAILED: "not released"}[flags],
+    }
+
+
+def test_every_surface_says_the_same_word(lot: tuple[Registry, str], rng: np.random.Generator) -> None:
+    registry, lot_id = lot
+    first = registry.calibration("A1").record
+    words = set()
+    for number in range(DRAWS):
+        record = drawn(rng, first, number)
+        revision = registry.add_calibration(lot_id, record)
+        word = (record.decision.measured or record.decision.predicted).verdict
+        words.add(word)
+        stored = registry.calibration("A1")
+        result = UnitResult(
+            "A1", stored.record.verdict, stored.record.reasons, MadeCalibration.of(stored.record, revision)
+        )
+        report = BatchReport(lot_id, None, (result,), 0.0)  # type: ignore[arg-type]
+        (unit,) = registry.units(lot_id, "A1")
+        (page,) = [u for u in registry.unit_page(lot_id, UnitFilter()).units if u.serial == "A1"]
+        assert {stored.record.verdict, unit.verdict, page.verdict, result.verdict, str(table_row(result)[1])} == {word}
+        assert report.has_passed == (word is Verdict.PASS)
+        assert report.counts == {str(v): int(v is word) for v in Verdict}
+        assert report.releases(result) == (word is Verdict.PASS)
+        assert replace(report, release=Release.CONDITIONAL).releases(result) == (word in ("pass", "conditional"))
+        assert bool(caution(registry, stored, "test")) == (word is not Verdict.PASS)
+        last = lot_yields(registry, lot_id).last_pass.count
+        others = sum(u.verdict == "pass" for u in registry.units(lot_id) if u.serial != "A1" and u.role == "target")
+        assert last - others == (word is Verdict.PASS)
+    assert words == set(Verdict)
+
+
+@pytest.mark.parametrize("word", list(Verdict))
+def test_documents_and_files_say_the_same_word(
+    lot: tuple[Registry, str], word: Verdict, tmp_path: Path, require: Callable[[object, str], None]
+) -> None:
+    registry, lot_id = lot
+    rng = np.random.default_rng(7)
+    first = registry.calibration("A1", 1).record
+    record = next(r for r in (drawn(rng, first, 1000 + k) for k in range(500)) if r.verdict == word)
+    registry.add_calibration(lot_id, replace(record, input_sha256=f"{hash(word) % 2**60:064x}"))
+    said = documents(registry)
+    assert (said["certificate"], said["conformity"]) == (word, word)
+    assert said["device"] == (word if word in ("pass", "conditional") else "not released")
+    unit = UnitLoader(registry, ExportOptions()).load("A1")
+    (tmp_path / "c.pdf").write_bytes(certificate_pdf(certificate_of(unit)))
+    read = subprocess.run(["pdftotext", str(tmp_path / "c.pdf"), "-"], capture_output=True, text=True, check=True)
+    shown = {other for other in Verdict if other.upper() in read.stdout.split()}
+    assert shown == {word}
+    title = why_figure(unit_view(registry, "A1"), palette("light"), partial(text, "en")).layout.title.text
+    assert text("en", f"verdict.{word}") in title
+    (done,) = export_units(registry, ["A1"], ("blob",), tmp_path / "out")
+    assert bool(done.files) == (word is Verdict.PASS)
+    assert read_manifest(tmp_path / "out").units["A1"]["verdict"] == word
+    assert ("A1" in lot_serials(registry, lot_id, ExportOptions(failed_too=True))) is True
+    try:
+        assert ("A1" in lot_serials(registry, lot_id, ExportOptions())) == (word is Verdict.PASS)
+    except InputError:
+        assert word is not Verdict.PASS
+
+
+def test_a_worse_verdict_takes_the_files_back(
+    lot: tuple[Registry, str], trained_lot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import shutil
+
+    shutil.copytree(trained_lot / "lot", tmp_path / "lot")
+    url, out = f"sqlite:///{tmp_path / 'r.db'}", tmp_path / "out"
+    batch = ["batch", str(tmp_path / "lot"), "--registry", url, "--hidden", "16,8", "--no-own", "--out", str(out)]
+    main(batch)
+    released = {path.name for path in out.iterdir() if path.name.startswith("unit-")}
+    assert released
+    main(["lot", "limit", read_lot_id(url), "--registry", url, "--rmse", "0.0001", "--reason", "too strict"])
+    capsys.readouterr()
+    assert main(batch) == 1
+    assert "taken back" in capsys.readouterr().err
+    assert not [path for path in out.iterdir() if path.name.startswith("unit-")]
+    assert all(facts["verdict"] == "fail" for facts in read_manifest(out).units.values())
+
+
+def read_lot_id(url: str) -> str:
+    with open_registry(url) as registry:
+        return registry.lots()[0].id

@@ -1,0 +1,100 @@
+"""Every number that decides about a unit stands in `Method`, with its origin, and is part of its identity."""
+
+import ast
+import json
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from softcal.core.unit.method import Method
+
+CORE = Path(__file__).parents[2] / "core"
+ROOMS = ("unit", "maps")
+NO_DECISION = {
+    "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
+    "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
+    "core/unit/explanation.py": {"DENSITY_BINS"},  # bars of a figure
+    "core/maps/crossing.py": {"KEPT"},  # entries of a cache
+    "core/maps/synchrony.py": {"NONE"},  # zeros
+}
+"""Numbers outside the method that cannot change a map, an interval, a forecast or a verdict."""
+
+
+def constants(path: Path) -> Iterator[str]:
+    """Yield the names of a module that are given a number, or something made of numbers."""
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            is_number = any(
+                isinstance(part, ast.Constant)
+                and isinstance(part.value, int | float)
+                and not isinstance(part.value, bool)
+                for part in ast.walk(node.value)
+            )
+            if is_number:
+                yield from (name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name))
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_module_keeps_a_number_that_decides(room: str) -> None:
+    for path in sorted((CORE / room).glob("*.py")):
+        place = path.relative_to(CORE.parent).as_posix()
+        assert set(constants(path)) <= NO_DECISION.get(place, set()), place
+
+
+def changed(config: object) -> Iterator[tuple[str, object]]:
+    """Yield a configuration with one number changed, for each of its numbers in turn."""
+    for one in fields(config):  # type: ignore[arg-type]
+        value = getattr(config, one.name)
+        if is_dataclass(value):
+            for name, inner in changed(value):
+                yield f"{one.name}.{name}", replace(config, **{one.name: inner})  # type: ignore[type-var]
+        else:
+            other = _other(value)
+            yield one.name, replace(config, **{one.name: other})  # type: ignore[type-var]
+
+
+def _other(value: object) -> object:
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int | float):
+        return value + 1
+    if isinstance(value, str):
+        return f"{value}?"
+    assert isinstance(value, tuple)
+    return (*value[:-1], _other(value[-1]))
+
+
+FORMAT = {"taps", "levels", "confidence"}
+
+
+def test_every_number_is_part_of_the_identity() -> None:
+    method = Method()
+    numbers = {name for name, _, _ in method.numbers()}
+    seen = set()
+    for part in ("version", "range_margin"):
+        assert replace(method, **{part: getattr(method, part) + 1}).id != method.id
+        seen.add(part)
+    for section in (one.name for one in fields(method) if is_dataclass(getattr(method, one.name))):
+        for name, config in changed(getattr(method, section)):
+            assert replace(method, **{section: config}).id != method.id, name
+            seen.add(f"{section}.{name}")
+    assert seen == numbers - FORMAT
+
+
+def test_numbers_of_the_file_formats_cannot_be_changed() -> None:
+    for name in FORMAT:
+        with pytest.raises(ValueError, match="part of the file formats"):
+            Method(**{name: getattr(Method(), name) + 1})
+
+
+def test_every_number_says_where_it_comes_from() -> None:
+    assert [name for name, _, origin in Method().numbers() if not origin.strip()] == []
+
+
+def test_a_method_comes_back_from_what_was_kept() -> None:
+    method = replace(Method(), range_margin=0.07)
+    assert Method.of(json.loads(json.dumps(method.to_json()))) == method
+    assert Method.of({}) == Method()
