@@ -73,7 +73,9 @@ def open_page(monkeypatch: pytest.MonkeyPatch) -> Callable[..., AppTest]:
         monkeypatch.setenv("SOFTCAL_REGISTRY", url)
         monkeypatch.setattr(browser_memory, "_cookies", dict)
         registry_of_server.registry.clear()
-        screen = AppTest.from_file(str(MAIN)) if page is None else AppTest.from_function(page)
+        make = partial(AppTest.from_file, str(MAIN)) if page is None else partial(AppTest.from_function, page)
+        # A busy machine draws slowly; nobody waits here for a time.
+        screen = make(default_timeout=120)
         for key, value in query.items():
             screen.query_params[key] = value
         # Nobody draws here who could say so: the whole page at once.
