@@ -137,7 +137,7 @@ def press(page: Page, key: str, *states: str, serial: str = "") -> None:
 
 
 def verdict_of(page: Page, serial: str) -> str:
-    return str(shown(page, *VERDICTS, serial=serial).get_attribute("data-state"))
+    return str(shown(page, *VERDICTS, serial=serial, timeout_ms=120_000).get_attribute("data-state"))
 
 
 FOCUS = "(document.activeElement.shadowRoot?.activeElement ?? document.activeElement).tagName"
@@ -265,6 +265,7 @@ def test_no_number_of_presses_that_acknowledge_a_stop_moves_the_stage(line: Line
     shown(panel, "hand")
     panel.reload()
     shown(panel, "hand")
+    panel.wait_for_function(f"{FOCUS} === 'INPUT'")  # It listens from here on.
     for key in ("F4", "F4", "F2", "F2"):
         panel.keyboard.press(key)
         panel.wait_for_timeout(apart_ms)
