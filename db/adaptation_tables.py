@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Select, func, select
+from sqlalchemy import Select, Text, func, select, type_coerce
 
 from softcal.core.errors import InputError
 from softcal.db.registry_base import RegistryBase
@@ -20,7 +20,7 @@ class AdaptedUnit:
     """A unit in use and the newest step of its adaptation.
 
     Args:
-        steps: how many steps the registry holds of it, on all streams.
+        steps: how many steps the registry holds of it, on all streams, without states to resume from.
         entry: the newest step.
     """
 
@@ -98,12 +98,13 @@ class AdaptationTables(RegistryBase):
             return list(connection.execute(query).scalars())
 
     def adapted_units(self) -> list[AdaptedUnit]:
-        """Return the units in use with their newest step, the one adapted last first."""
+        """Return the units in use with their newest step, the one adapted last first; a checkpoint is no step."""
         a = adaptations.c
+        is_step = type_coerce(a.entry, Text).not_like('%"event":"checkpoint"%')
         order = (a.made_at.desc(), a.sample.desc(), a.number.desc())
         rank = func.row_number().over(partition_by=a.serial, order_by=order).label("rank")
         steps = func.count().over(partition_by=a.serial).label("steps")
-        ranked = select(a.serial, a.stream, a.made_at, a.entry, rank, steps).subquery()
+        ranked = select(a.serial, a.stream, a.made_at, a.entry, rank, steps).where(is_step).subquery()
         newest = select(ranked).where(ranked.c.rank == 1).order_by(ranked.c.made_at.desc(), ranked.c.serial)
         with self.database.reading() as connection:
             rows = connection.execute(newest)

@@ -15,10 +15,11 @@ CHANGING = {
     "heartbeats": "INSERT, UPDATE",
     "run_signals": "INSERT, DELETE",
     "jobs": "INSERT, UPDATE",
+    "line_places": "INSERT, UPDATE",
 }
 """Tables whose rows change at the line, and how. Of people it may count wrong PINs and pause, nothing else."""
 
-DECIDED_ELSEWHERE = ("limits", "line_rules", "certificates")
+DECIDED_ELSEWHERE = ("limits", "line_rules", "certificates", "network_releases")
 """What the line goes by and must not set: its account reads it, the managing one adds to it."""
 
 ROLE = re.compile(r"[a-z_][a-z0-9_]{0,62}")

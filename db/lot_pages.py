@@ -116,7 +116,7 @@ class LotPages(RegistryBase):
             return [UnitErrors(*row) for row in rows]
 
     def change_marker(self, lot_id: str) -> str:
-        """Return text that changes whenever a unit, a result, a limit, a rule, a network or a check is added.
+        """Return text that changes whenever a unit, result, limit, rule, network, release or check is added.
 
         A cheap key for what was computed from a lot: every change ends a chain of the audit trail with another row.
         """

@@ -22,8 +22,8 @@ LOCKED_FOR = timedelta(minutes=5)
 
 PERMISSIONS = {
     "operator": frozenset({"calibrate", "look"}),
-    "engineer": frozenset({"calibrate", "look", "set_limit", "rollback", "override", "set_up"}),
-    "quality": frozenset({"look", "set_limit", "rollback", "override", "people", "audit"}),
+    "engineer": frozenset({"calibrate", "look", "set_limit", "rollback", "override", "set_up", "release"}),
+    "quality": frozenset({"look", "set_limit", "rollback", "override", "people", "audit", "release"}),
 }
 _HASHER = PasswordHasher()
 

@@ -15,19 +15,27 @@ from softcal.db.adaptation_tables import AdaptationTables
 from softcal.db.calibration_tables import CalibrationTables
 from softcal.db.entries import AuditRow
 from softcal.db.job_board import JobBoard
+from softcal.db.line_place import LinePlaces
 from softcal.db.line_rules import LineRulesTable
 from softcal.db.lot_pages import LotPages
 from softcal.db.lot_tables import LotTables
 from softcal.db.maintenance import Anchor, Heads, faults
+from softcal.db.network_release import NetworkReleases
 from softcal.db.order_queue import OrderQueue
 from softcal.db.people import People
-from softcal.db.recording_tables import RecordingTables
 from softcal.db.station_tables import StationTables
 from softcal.db.work_queue import WorkQueue
 
 
 class Registry(
-    LotTables, LotPages, LineRulesTable, RecordingTables, CalibrationTables, AdaptationTables, StationTables, People
+    LotTables,
+    LotPages,
+    LineRulesTable,
+    NetworkReleases,
+    CalibrationTables,
+    AdaptationTables,
+    StationTables,
+    People,
 ):
     """An open registry, used as a context manager and made by `open_registry`."""
 
@@ -73,6 +81,11 @@ class Registry(
     def order_queue(self) -> OrderQueue:
         """The orders to this registry's stations, their runs and heartbeats."""
         return OrderQueue(self.database, self.settings.clock)
+
+    @property
+    def line_places(self) -> LinePlaces:
+        """What stands at each line: the unit that waits for its run, the last sentence, the badge."""
+        return LinePlaces(self.database)
 
     @property
     def job_board(self) -> JobBoard:

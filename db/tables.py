@@ -29,7 +29,7 @@ from sqlalchemy.types import TypeDecorator
 
 from softcal.core.errors import RegistryError
 
-SCHEMA = "0007"
+SCHEMA = "0008"
 """Revision of the newest migration: what a registry must have to be used by this version."""
 
 metadata = MetaData(
@@ -431,6 +431,27 @@ heartbeats = Table(
     Column("is_overridden", Boolean, nullable=False, server_default=false()),
 )
 
+line_places = Table(
+    "line_places",
+    metadata,
+    Column("station", String(64), primary_key=True),
+    Column("version", Integer, nullable=False),
+    Column("place", CanonicalJson, nullable=False),
+)
+
+network_releases = Table(
+    "network_releases",
+    metadata,
+    Column("network_id", ForeignKey("networks.id"), primary_key=True),
+    Column("made_at", UtcTime, primary_key=True),
+    Column("origin", String(32), primary_key=True),
+    Column("lot_id", ForeignKey("lots.id"), nullable=False),
+    Column("state", String(16), nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("reason", Text, nullable=False),
+    CheckConstraint("state IN ('released', 'withdrawn')", name="state"),
+)
+
 jobs = Table(
     "jobs",
     metadata,
@@ -458,6 +479,7 @@ AUDITED = (
     "units",
     "recordings",
     "networks",
+    "network_releases",
     "calibrations",
     "refusals",
     "in_use",

@@ -33,6 +33,13 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--no-browser", action="store_true", help="serve only")
     parser.add_argument("--station", metavar="NAME", help="the station at this screen; default: the only one there is")
     parser.add_argument(
+        "--host",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="another name under which browsers reach this server; every other name is refused",
+    )
+    parser.add_argument(
         "--accounts", type=Path, metavar="FILE", help="TOML with [auth]: sign in by company account (OIDC)"
     )
     parser.set_defaults(run=run)
@@ -52,5 +59,6 @@ def run(options: argparse.Namespace) -> int:
             opens_browser=not options.no_browser,
             station=options.station,
             accounts=options.accounts,
+            hosts=tuple(options.host),
         )
     )

@@ -1,44 +1,52 @@
 """The operator's use cases: read where the line stands, take a scan, order what it means. No Streamlit here.
 
-Everything shown comes from rows of the registry, so that a reload or a killed screen loses nothing; what a person is in
-the middle of (`Choice`) is a few words that the browser remembers.
+Everything shown comes from rows of the registry, so that a reload, a killed screen and a second one show the same.
+START alone ever orders a run, and only of the unit that was scanned since the last run, stop, refusal or restart:
+after any of these nobody knows which unit is in the hand, and it is asked for. OK takes as read and moves nothing.
 """
 
 import uuid
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 
+from softcal.app.line.place import Note, Place, is_alive, read_place, write_place
 from softcal.app.line.scan_codes import Scan, read_scan
+from softcal.app.line.serials import is_unheard_of
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.line_rules import LineRules
 from softcal.db.entries import RunEntry
+from softcal.db.network_release import NetworkState
 from softcal.db.order_queue import SILENT_AFTER
 from softcal.db.registry import Registry
 
 NEWEST_RUNS = 40
 NEWEST_LOTS = 8
+MOST_CONFLICTS = 5
+HUNG_AFTER = timedelta(seconds=15)
+"""A service whose process is seen to live may be late with its beat for so long: it trains, or the machine is busy."""
+
+BADGE_MARK = " (badge)"
+"""Behind a name that a badge gave: nobody has shown that it is theirs."""
+
 Run = tuple[Order, Progress]
 
 
 @dataclass(frozen=True)
-class Choice:
-    """What the person at the screen is in the middle of.
+class Screen:
+    """One screen of a line.
 
     Args:
-        station, lot_id: chosen; "" leaves it to the only one, or the last one used.
-        serial: scanned and not pressed yet.
-        is_golden: whether that serial is a golden unit, pressed to check the station.
-        since: when it was scanned; a run ordered later ends the choice.
+        station: chosen; "" leaves it to the only one.
+        tab: tells screens apart.
+        seen: version of the place that it showed when the key was pressed; None where nobody can say.
     """
 
     station: str = ""
-    lot_id: str = ""
-    serial: str = ""
-    is_golden: bool = False
-    since: datetime = datetime.min.replace(tzinfo=UTC)
+    tab: str = ""
+    seen: int | None = None
 
 
 @dataclass(frozen=True)
@@ -47,13 +55,13 @@ class LotAtLine:
 
     Args:
         lot, rules: the lot and its rules at the line.
-        has_network: whether f of the lot is trained, so that a unit gets a verdict.
+        network: the released network, by which a unit gets its verdict; None where there is none.
         counts: its units by verdict, `none` without.
     """
 
     lot: Lot
     rules: LineRules
-    has_network: bool
+    network: NetworkState | None
     counts: Mapping[str, int]
 
     @property
@@ -70,24 +78,24 @@ class LineFacts:
         now: this instant.
         stations: every station that ever gave a sign of life.
         heartbeat: of the chosen one; None where there is none.
+        is_alive: whether its process lives; None where that cannot be seen from here.
         lots: of the registry.
         lot: chosen or last used.
         active: the run that occupies the station.
         runs: newest runs of the station, newest first.
-        serial: scanned and not pressed yet.
-        is_golden: whether that serial is a golden unit.
-        results: in this lot, oldest first, of that serial, else of the unit pressed last.
+        place: what stands there beside the runs.
+        results: in this lot, oldest first, of the unit that waits, else of the unit pressed last.
     """
 
     now: datetime
     stations: tuple[str, ...] = ()
     heartbeat: Heartbeat | None = None
+    is_alive: bool | None = None
     lots: tuple[str, ...] = ()
     lot: LotAtLine | None = None
     active: Run | None = None
     runs: tuple[Run, ...] = ()
-    serial: str = ""
-    is_golden: bool = False
+    place: Place = Place()
     results: tuple[RunEntry, ...] = ()
 
     @property
@@ -97,9 +105,11 @@ class LineFacts:
 
     @property
     def is_answering(self) -> bool:
-        """Whether the station's service gave a sign of life in the last seconds."""
+        """Whether the station's service is there: its process is seen to live, or its beat is fresh."""
         beat = self.heartbeat
-        return beat is not None and beat.state is not StationState.OFF and self.now - beat.at <= SILENT_AFTER
+        if beat is None or beat.state is StationState.OFF or self.is_alive is False:
+            return False
+        return self.now - beat.at <= (HUNG_AFTER if self.is_alive else SILENT_AFTER)
 
     @property
     def is_stopped(self) -> bool:
@@ -107,10 +117,39 @@ class LineFacts:
         return self.heartbeat is not None and self.heartbeat.state is StationState.STOPPED
 
     @property
+    def newest_run(self) -> str:
+        """Id of the newest run, over or not; "" before the first."""
+        run = self.active or (self.runs[0] if self.runs else None)
+        return run[0].order_id if run else ""
+
+    @property
     def newest(self) -> Run | None:
-        """The newest run of a unit that is over."""
-        over = (run for run in self.runs if not run[1].state.is_active and run[0].kind.presses)
-        return next(over, None)
+        """The newest run that is over."""
+        return next((run for run in self.runs if not run[1].state.is_active), None)
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether the unit in the hand changed, or became unknown, since the newest run."""
+        return self.place.after_run == self.newest_run
+
+    @property
+    def serial(self) -> str:
+        """The unit that was scanned and not pressed yet; "" where nobody knows which one is in the hand."""
+        is_same_service = self.heartbeat is not None and self.place.process == self.heartbeat.process
+        return self.place.serial if self.is_in_doubt and is_same_service else ""
+
+    @property
+    def is_golden(self) -> bool:
+        """Whether the unit that waits is a golden one."""
+        return bool(self.serial) and self.place.is_golden
+
+    @property
+    def may_press(self) -> bool:
+        """Whether the station takes a run of the unit that waits now."""
+        beat = self.heartbeat
+        is_closed = beat is None or beat.state in (StationState.CLOSED, StationState.STARTING)
+        is_open_to_golden = beat is not None and beat.state is StationState.CLOSED and self.is_golden
+        return self.is_answering and (not is_closed or is_open_to_golden)
 
     @property
     def retests_left(self) -> int:
@@ -119,39 +158,35 @@ class LineFacts:
             return 0
         return self.lot.rules.retests_left(self.results[-1].verdict, len(self.results))
 
+    @property
+    def open_question(self) -> str:
+        """What a person has to say yes to before the unit that waits may be pressed; "" where nothing is open."""
+        if not self.serial or self.is_golden:
+            return ""
+        if self.results and self.retests_left == 0:
+            return "used_up"
+        if self.place.is_confirmed or (self.results and self.results[-1].verdict == "retest"):
+            return ""
+        return "ask" if self.results else "ask_new" if self.place.is_new else ""
 
-@dataclass(frozen=True)
-class Note:
-    """One sentence about the last scan.
+    @property
+    def operator(self) -> str:
+        """Name that the badge of this shift gave; "" without."""
+        return "" if self.place.is_badge_over(self.now) else self.place.operator
 
-    Args:
-        key: of the text `note.KEY`.
-        values: that it names.
-        is_refusal: whether the scan was refused.
-    """
-
-    key: str
-    values: dict[str, str] = field(default_factory=dict)
-    is_refusal: bool = True
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What a scan led to.
-
-    Args:
-        choice: what the person is in the middle of now.
-        note: to be shown until the next scan.
-        badge: name of the operator, where a badge was scanned.
-    """
-
-    choice: Choice
-    note: Note | None = None
-    badge: str | None = None
+    @property
+    def note(self) -> Note | None:
+        """The sentence about the last scan, as long as it matters: of what was refused in a run until the next scan."""
+        note = self.place.note
+        if note is None or note.run != self.newest_run:
+            return None
+        if not note.is_meanwhile or self.active is not None:
+            return note
+        return replace(note, key="meanwhile") if note.key == "busy" else None
 
 
 def read_line(
-    registry: Registry, choice: Choice, look_at_lot: Callable[[Registry, str], LotAtLine] | None = None
+    registry: Registry, screen: Screen, look_at_lot: Callable[[Registry, str], LotAtLine] | None = None
 ) -> LineFacts:
     """Read where a line stands.
 
@@ -163,79 +198,154 @@ def read_line(
     """
     queue, now = registry.order_queue, datetime.now(UTC)
     beats = queue.stations()
-    chosen = [beat for beat in beats if beat.station == choice.station] or (beats if len(beats) == 1 else [])
-    beat = chosen[0] if chosen else None
-    runs = tuple(run for run in queue.runs(beat.station, NEWEST_RUNS) if run[0].kind.is_run) if beat else ()
-    active = queue.active(beat.station) if beat else None
-    facts = LineFacts(now, tuple(b.station for b in beats), beat, active=active, runs=runs)
-    lots = tuple(registry.lot_ids())
-    last_lot = next((run[0].lot_id for run in runs if run[0].lot_id), "")
-    chosen_lot = next((lot for lot in (choice.lot_id, last_lot) if lot in lots), lots[0] if len(lots) == 1 else "")
-    if not chosen_lot:
-        return replace(facts, lots=lots)
-    pressed_since = any(order.serial == choice.serial and _created(order) >= choice.since for order, _ in runs)
-    serial = "" if pressed_since else choice.serial
-    lot = (look_at_lot or read_lot)(registry, chosen_lot)
-    facts = replace(facts, lots=lots, lot=lot, serial=serial, is_golden=bool(serial) and choice.is_golden)
-    subject = serial or (facts.newest[0].serial if facts.newest else "")
-    return replace(facts, results=tuple(registry.runs(chosen_lot, subject)) if subject else ())
+    chosen = [beat for beat in beats if beat.station == screen.station] or (beats if len(beats) == 1 else [])
+    facts = LineFacts(now, tuple(b.station for b in beats), lots=tuple(registry.lot_ids()))
+    if chosen:
+        facts = _at_station(registry, facts, chosen[0])
+    last_lot = next((run[0].lot_id for run in facts.runs if run[0].lot_id), "")
+    wanted = (facts.place.lot_id, last_lot)
+    lot_id = next((lot for lot in wanted if lot in facts.lots), facts.lots[0] if len(facts.lots) == 1 else "")
+    if not lot_id:
+        return facts
+    facts = replace(facts, lot=(look_at_lot or read_lot)(registry, lot_id))
+    subject = facts.serial or (facts.newest[0].serial if facts.newest else "")
+    return replace(facts, results=tuple(registry.runs(lot_id, subject)) if subject else ())
+
+
+def _at_station(registry: Registry, facts: LineFacts, beat: Heartbeat) -> LineFacts:
+    # In this order: a run that begins between two looks must not find a place that was read after it.
+    place = read_place(registry.line_places, beat.station)
+    active = registry.order_queue.active(beat.station)
+    runs = tuple(run for run in registry.order_queue.runs(beat.station, NEWEST_RUNS) if run[0].kind.is_run)
+    return replace(facts, heartbeat=beat, is_alive=is_alive(beat.process), active=active, runs=runs, place=place)
 
 
 def read_lot(registry: Registry, lot_id: str) -> LotAtLine:
     """Read what a line needs to know of a lot."""
     lot = registry.lot(lot_id)
-    has_network = any(network.lot_id == lot.id for network in registry.networks())
-    return LotAtLine(lot, registry.line_rules(lot), has_network, registry.verdict_counts(lot.id))
+    counts = registry.verdict_counts(lot.id)
+    return LotAtLine(lot, registry.line_rules(lot), registry.released_network(lot.id), counts)
 
 
-def take_scan(registry: Registry, choice: Choice, text: str, actor: str) -> Answer:
-    """Do what a scan means.
+@dataclass(frozen=True)
+class Step:
+    """What a scan leads to.
 
     Args:
-        choice: what the person is in the middle of.
+        place: what stands at the line then.
+        order: to be given to the station once the place is written; None for none.
+    """
+
+    place: Place
+    order: Order | None = None
+
+
+def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") -> LineFacts:
+    """Do what a scan means; what it led to stands at the line, for every screen.
+
+    Args:
+        screen: where it was scanned.
         text: as the scanner typed it.
-        actor: who stands at the line, for the orders.
+        actor: who has shown who they are at this screen; "" leaves it to the badge.
+
+    Returns:
+        Where the line stands then.
 
     Raises:
         RegistryError: the registry is away; nothing was ordered.
+        InputError: there is no station that it could be for; nothing was ordered.
     """
-    facts, scan = read_line(registry, choice), read_scan(text)
-    if scan.kind == "unreadable":
-        return Answer(choice, Note("unreadable", {"text": scan.value[:40]}))
-    if scan.kind == "badge":
-        note = Note("badge", {"name": scan.value}, False) if scan.value else Note("badge_off", {}, False)
-        return Answer(choice, note, badge=scan.value[:60])
+    scan = read_scan(text)
+    for _ in range(MOST_CONFLICTS):
+        facts = read_line(registry, screen)
+        if facts.heartbeat is None:
+            raise InputError("no station is chosen at this screen; the scan was not taken")
+        step = _step(registry, facts, screen, scan, actor or _badged(facts))
+        if write_place(registry.line_places, facts.station, step.place):
+            return _ordered(registry, facts, screen, step)
+    raise InputError("other screens of this line scanned at the same time; the scan was not taken, scan again")
+
+
+def _ordered(registry: Registry, facts: LineFacts, screen: Screen, step: Step) -> LineFacts:
+    """Give the order of a step to the station. Its unit waits no longer, so that no order is ever given twice."""
+    if step.order is not None:
+        try:
+            registry.order_queue.place(step.order)
+        except InputError:
+            after = read_line(registry, screen)
+            write_place(registry.line_places, facts.station, _told(after, Note("busy_key", _running(after))))
+    return read_line(registry, screen)
+
+
+def _step(registry: Registry, facts: LineFacts, screen: Screen, scan: Scan, who: str) -> Step:
     if scan.kind == "command":
-        return _COMMANDS[scan.value](registry, facts, choice, actor)
+        return _COMMANDS[scan.value](facts, screen, who)
+    if scan.kind == "badge":
+        return Step(_badge(registry, facts, scan.value))
     if facts.active is not None:
-        return Answer(choice, Note("busy", {"serial": facts.active[0].serial}))
+        return Step(_told(facts, Note("busy", {**_running(facts), "scanned": scan.value[:40]})))
     if facts.is_stopped:
-        return Answer(choice, Note("acknowledge_first"))
+        return Step(_told(facts, Note("acknowledge_first")))
+    found = _unit(registry, facts, scan)
+    if isinstance(found, Note):
+        # Whatever it was, it is not the unit that was shown: no key may press that one now.
+        return Step(_told(facts, found, facts.place.emptied(facts.newest_run)))
+    beat = facts.heartbeat
+    found = replace(found, process=beat.process if beat else "", tab=screen.tab, note=None)
+    return Step(_told(facts, Note("lot", {"lot": found.lot_id}, False), found) if scan.kind == "lot" else found)
+
+
+def _told(facts: LineFacts, note: Note, place: Place | None = None) -> Place:
+    said = replace(note, run=facts.newest_run, is_meanwhile=facts.active is not None)
+    return replace(place or facts.place, note=said)
+
+
+def _running(facts: LineFacts) -> dict[str, str]:
+    return {"serial": facts.active[0].serial if facts.active else ""}
+
+
+def _badged(facts: LineFacts) -> str:
+    return f"{facts.operator}{BADGE_MARK}" if facts.operator else "operator"
+
+
+def _badge(registry: Registry, facts: LineFacts, name: str) -> Place:
+    """Take the name of the operator from a badge; a name that opens more than the line needs its PIN."""
+    if not name:
+        return _told(facts, Note("badge_off", {}, False), replace(facts.place, operator="", badged_at=None))
+    is_other = any(user.name.lower() == name.lower() and user.role != "operator" for user in registry.users())
+    if is_other:
+        return _told(facts, Note("badge_needs_pin", {"name": name[:60]}))
+    badged = replace(facts.place, operator=name[:60], badged_at=facts.now)
+    return _told(facts, Note("badge", {"name": name[:60]}, False), badged)
+
+
+def _unit(registry: Registry, facts: LineFacts, scan: Scan) -> Place | Note:
+    """Return the place with the scanned unit in the hand, or why it was not taken."""
+    emptied = facts.place.emptied(facts.newest_run)
+    if scan.kind == "unreadable":
+        return Note("unreadable", {"text": scan.value[:40]})
     if scan.kind == "lot":
-        return _choose_lot(facts, choice, scan.value)
+        return _choose_lot(facts, emptied, scan.value)
     if scan.kind == "golden" or scan.value in {run.serial for run in registry.golden_runs(facts.station)}:
-        return Answer(replace(choice, serial=scan.value, is_golden=True, since=datetime.now(UTC)))
-    return _take_serial(registry, facts, choice, scan)
-
-
-def _choose_lot(facts: LineFacts, choice: Choice, lot_id: str) -> Answer:
-    found = next((known for known in facts.lots if known.lower() == lot_id.lower()), None)
-    if found is None:
-        known = ", ".join(facts.lots[:NEWEST_LOTS]) or "–"
-        return Answer(choice, Note("unknown_lot", {"lot": lot_id[:40], "known": known}))
-    return Answer(replace(choice, lot_id=found, serial=""), Note("lot", {"lot": found}, False))
-
-
-def _take_serial(registry: Registry, facts: LineFacts, choice: Choice, scan: Scan) -> Answer:
+        return replace(emptied, serial=scan.value, is_golden=True)
     if facts.lot is None:
-        return Answer(choice, Note("no_lot", {"serial": scan.value[:40]}))
+        return Note("no_lot", {"serial": scan.value[:40]})
     if scan.lot_id and scan.lot_id.lower() != facts.lot.id.lower():
-        return Answer(choice, Note("other_lot", {"serial": scan.value, "other": scan.lot_id, "lot": facts.lot.id}))
+        return Note("other_lot", {"serial": scan.value, "other": scan.lot_id, "lot": facts.lot.id})
     serial = facts.lot.rules.spelled(scan.value)
     refusal = _serial_refusal(registry, facts.lot, serial)
     if refusal is not None:
-        return Answer(choice, refusal)
-    return Answer(replace(choice, lot_id=facts.lot.id, serial=serial, is_golden=False, since=datetime.now(UTC)))
+        return refusal
+    pressed = {run[0].serial for run in facts.runs if run[0].lot_id == facts.lot.id}
+    is_new = is_unheard_of(registry, facts.lot.lot, facts.lot.rules, serial, pressed)
+    return replace(emptied, lot_id=facts.lot.id, serial=serial, is_new=is_new)
+
+
+def _choose_lot(facts: LineFacts, emptied: Place, lot_id: str) -> Place | Note:
+    found = next((known for known in facts.lots if known.lower() == lot_id.lower()), None)
+    if found is None:
+        return Note("unknown_lot", {"lot": lot_id[:40], "known": ", ".join(facts.lots[:NEWEST_LOTS]) or "–"})
+    return replace(emptied, lot_id=found)
 
 
 def _serial_refusal(registry: Registry, lot: LotAtLine, serial: str) -> Note | None:
@@ -269,84 +379,64 @@ def _other_lot(registry: Registry, lot: LotAtLine, serial: str) -> str:
     return next((lot_id for lot_id, other in rules if other.serial_pattern and other.fits(other.spelled(serial))), "")
 
 
-def _start(registry: Registry, facts: LineFacts, choice: Choice, actor: str) -> Answer:
+def _start(facts: LineFacts, screen: Screen, who: str) -> Step:
+    """Press the unit that waits; the only way to a run."""
+    refusal = _start_refusal(facts, screen)
+    if refusal is not None:
+        return Step(_told(facts, refusal))
+    lot_id = facts.lot.id if facts.lot and not facts.is_golden else ""
+    kind = OrderKind.GOLDEN if facts.is_golden else OrderKind.UNIT
+    reason = f"re-test after {facts.results[-1].verdict}" if facts.results and not facts.is_golden else ""
+    order = Order(uuid.uuid4().hex, facts.station, kind, facts.serial, lot_id, who, reason)
+    return Step(replace(facts.place.emptied(facts.newest_run), note=None), order)
+
+
+def _start_refusal(facts: LineFacts, screen: Screen) -> Note | None:
     if facts.active is not None:
-        return Answer(choice, Note("busy", {"serial": facts.active[0].serial}))
+        return Note("busy_key", _running(facts))
     if facts.is_stopped:
-        return Answer(choice, Note("acknowledge_first"))
+        return Note("acknowledge_first")
     if not facts.serial:
-        return Answer(choice, Note("scan_first"))
-    if facts.results and not facts.is_golden:
-        return Answer(choice, Note("repeat_instead", {"serial": facts.serial}))
-    return _press(registry, facts, choice, facts.serial, actor, "")
-
-
-def _repeat(registry: Registry, facts: LineFacts, choice: Choice, actor: str) -> Answer:
-    """Press a unit again: the scanned one, else the newest; a run that ended without a verdict is no test."""
-    if facts.active is not None:
-        return Answer(choice, Note("busy", {"serial": facts.active[0].serial}))
-    if facts.is_stopped:
-        return _acknowledge(registry, facts, choice, actor)
-    serial = facts.serial or _unfinished(facts)
-    if not serial or facts.lot is None:
-        return Answer(choice, Note("scan_first"))
-    if not facts.results or facts.is_golden:
-        return _press(registry, facts, choice, serial, actor, "")
-    if facts.retests_left == 0:
-        return Answer(choice, Note("no_retest", {"serial": serial}))
-    return _press(registry, facts, choice, serial, actor, f"re-test after {facts.results[-1].verdict}")
-
-
-def _unfinished(facts: LineFacts) -> str:
-    """Return the serial of the newest run where it ended without a result to stand on, "" else."""
-    if facts.newest is None:
-        return ""
-    order, progress = facts.newest
-    is_done = progress.state is RunState.DONE and progress.verdict != "retest"
-    return "" if is_done or order.kind is OrderKind.SOURCE else order.serial
-
-
-def _press(registry: Registry, facts: LineFacts, choice: Choice, serial: str, actor: str, reason: str) -> Answer:
+        return Note("scan_first")
+    if facts.open_question:
+        return Note(f"{facts.open_question}_first", {"serial": facts.serial})
     if not facts.is_answering:
-        return Answer(choice, Note("silent"))
-    is_golden, beat = facts.is_golden, facts.heartbeat
-    if beat is not None and beat.state is StationState.CLOSED and not is_golden:
-        return Answer(choice, Note("closed"))
-    lot_id = facts.lot.id if facts.lot and not is_golden else ""
-    kind = OrderKind.GOLDEN if is_golden else OrderKind.UNIT
-    order = Order(uuid.uuid4().hex, facts.station, kind, serial, lot_id, actor, reason)
-    try:
-        registry.order_queue.place(order)
-    except InputError:
-        return Answer(choice, Note("busy", {"serial": serial}))
-    return Answer(replace(choice, serial=""))
+        return Note("silent")
+    if not facts.may_press:
+        return Note("closed")
+    is_shown = screen.seen is None or screen.seen == facts.place.version
+    return None if is_shown or screen.tab == facts.place.tab else Note("look_again", {"serial": facts.serial})
 
 
-def _acknowledge(registry: Registry, facts: LineFacts, choice: Choice, actor: str) -> Answer:
-    """Take the reason of a stop as read; the unit that lay in the fixture is asked for again, nothing moves yet."""
-    if not facts.is_stopped:
-        return Answer(choice, Note("nothing_to_confirm", {}, False))
-    registry.order_queue.place(Order(uuid.uuid4().hex, facts.station, OrderKind.ACKNOWLEDGE, actor=actor))
-    broken = facts.newest
-    if broken is None or broken[1].state is RunState.DONE or broken[0].kind is not OrderKind.UNIT:
-        return Answer(replace(choice, serial=""))
-    order = broken[0]
-    return Answer(replace(choice, lot_id=order.lot_id, serial=order.serial, since=datetime.now(UTC)))
+def _confirm(facts: LineFacts, screen: Screen, who: str) -> Step:
+    """Take what stands there as read: a stop, a run that broke, a question. Nothing moves."""
+    if facts.active is not None:
+        return Step(_told(facts, Note("busy_key", _running(facts))))
+    emptied = facts.place.emptied(facts.newest_run)
+    if facts.is_stopped:
+        order = Order(uuid.uuid4().hex, facts.station, OrderKind.ACKNOWLEDGE, actor=who)
+        return Step(_told(facts, Note("acknowledged", {}, False), emptied), order)
+    if facts.open_question in ("ask", "ask_new"):
+        return Step(replace(facts.place, is_confirmed=True, note=None))
+    if facts.open_question:
+        return Step(_told(facts, Note("used_up_first", {"serial": facts.serial})))
+    if facts.newest is not None and not facts.is_in_doubt and facts.newest[1].state is not RunState.DONE:
+        return Step(replace(emptied, note=None))
+    return Step(_told(facts, Note("nothing_to_confirm", {}, False)))
 
 
-def _stop(registry: Registry, facts: LineFacts, choice: Choice, actor: str) -> Answer:
+def _stop(facts: LineFacts, screen: Screen, who: str) -> Step:
     if facts.active is None:
-        return Answer(choice, Note("nothing_runs", {}, False))
-    registry.order_queue.place(Order(uuid.uuid4().hex, facts.station, OrderKind.STOP, actor=actor))
-    return Answer(choice, Note("stopping", {}, False))
+        return Step(_told(facts, Note("nothing_runs", {}, False)))
+    order = Order(uuid.uuid4().hex, facts.station, OrderKind.STOP, actor=who)
+    return Step(_told(facts, Note("stopping", {}, False)), order)
 
 
-def _cancel(registry: Registry, facts: LineFacts, choice: Choice, actor: str) -> Answer:
-    return Answer(replace(choice, serial=""))
+def _cancel(facts: LineFacts, screen: Screen, who: str) -> Step:
+    """Put the unit that waits aside; which one is in the hand then nobody knows."""
+    if facts.active is not None:
+        return Step(_told(facts, Note("busy_key", _running(facts))))
+    return Step(replace(facts.place.emptied(facts.newest_run), note=None) if facts.serial else facts.place)
 
 
-def _created(order: Order) -> datetime:
-    return order.created or datetime.min.replace(tzinfo=UTC)
-
-
-_COMMANDS = {"START": _start, "STOP": _stop, "REPEAT": _repeat, "OK": _acknowledge, "CANCEL": _cancel}
+_COMMANDS = {"START": _start, "STOP": _stop, "REPEAT": _confirm, "OK": _confirm, "CANCEL": _cancel}

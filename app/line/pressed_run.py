@@ -128,7 +128,7 @@ class RunKeeper:
     def _keep_unit(self, order: Order, unit: OutputRecording) -> tuple[str, Outcome | None]:
         registry = self._registry
         sha256 = registry.add_recording(order.lot_id, unit, "unit", actor=order.actor or None)
-        entry = newest_network(registry, order.lot_id)
+        entry = released_network(registry, order.lot_id)
         if entry is None:
             return sha256, None
         lot = registry.lot(order.lot_id)
@@ -159,10 +159,10 @@ class RunKeeper:
         return self._source[1]
 
 
-def newest_network(registry: Registry, lot_id: str) -> NetworkEntry | None:
-    """Return the newest shared network of a lot, None before the first."""
-    entries = [entry for entry in registry.networks() if entry.lot_id == lot_id]
-    return entries[-1] if entries else None
+def released_network(registry: Registry, lot_id: str) -> NetworkEntry | None:
+    """Return the shared network of a lot that its units are judged by, None where none is released."""
+    state = registry.released_network(lot_id)
+    return state.network if state else None
 
 
 def _units(order: Order, recording: StationRecording) -> list[OutputRecording]:

@@ -12,6 +12,7 @@ from datetime import UTC, datetime, timedelta
 import streamlit as st
 
 from softcal.app.ui.browser_memory import forget, recall, remember
+from softcal.app.ui.pins import Pauses, is_code, new_code
 from softcal.app.ui.registry_of_server import registry
 from softcal.core.errors import InputError
 from softcal.db.entries import User
@@ -21,7 +22,6 @@ SHIFT = timedelta(hours=10)
 """A sign-in ends after this time, whatever the browser keeps; Streamlit's cookie of a company account lives 30 days."""
 
 SESSION = "session"
-BADGE = "badge"
 ROLE_CLAIM_VARIABLE = "SOFTCAL_ROLE_CLAIM"
 """Environment variable: which claim of a company account names the role; `roles` where it is not set."""
 
@@ -34,14 +34,23 @@ class SignIn:
     until: datetime
 
 
+FIRST_ACCOUNT = "\0first account"
+"""Name under which wrong codes wait; nobody can be called so."""
+
+
+@st.cache_resource(max_entries=1)
+def _pauses() -> Pauses:
+    return Pauses()
+
+
 @st.cache_resource(max_entries=1)
 def _sign_ins() -> dict[str, SignIn]:
     return {}
 
 
 def person() -> User:
-    """Return who is at the screen; without sign-in the operator of the line, named by the badge if one was scanned."""
-    return _by_company_account() or _by_pin() or User(recall(BADGE), "operator", True, 0)
+    """Return who is at the screen; without sign-in the operator of the line, whose badge stands there."""
+    return _by_company_account() or _by_pin() or User("", "operator", True, 0)
 
 
 def is_signed_in() -> bool:
@@ -55,7 +64,14 @@ def sign_in(name: str, pin: str) -> User:
     Raises:
         InputError: wrong name or PIN, not active, or a pause after wrong ones.
     """
-    user = registry().sign_in(name.strip(), pin)
+    pauses = _pauses()
+    pauses.check(name)
+    try:
+        user = registry().sign_in(name.strip(), pin)
+    except InputError:
+        pauses.failed(name)
+        raise
+    pauses.succeeded(name)
     token = secrets.token_urlsafe(24)
     now = datetime.now(UTC)
     known = _sign_ins()
@@ -66,17 +82,39 @@ def sign_in(name: str, pin: str) -> User:
     return user
 
 
+def make_first_account(name: str, pin: str, code: str) -> User:
+    """Make the first account of a registry, which decides about all others, and sign it in.
+
+    Args:
+        code: that this server printed where only who runs it can read.
+
+    Raises:
+        InputError: wrong code, a pause after wrong ones, a senseless name or PIN, or somebody was first.
+    """
+    _pauses().check(FIRST_ACCOUNT)
+    if not is_code(code, first_code()):
+        _pauses().failed(FIRST_ACCOUNT)
+        raise InputError("this is not the code that the server printed; nothing was made")
+    if registry().users():
+        raise InputError("there is an account already; sign in, or ask whoever has it")
+    registry().set_user(name, "quality", pin, actor=name, reason="the first account, by the code of the server")
+    return sign_in(name, pin)
+
+
+@st.cache_resource(max_entries=1)
+def first_code() -> str:
+    """Return the code for the first account; printed once, when it is asked for first."""
+    code = new_code()
+    print(f"softcal: the code for the first account of this registry is {code}", flush=True)
+    return code
+
+
 def sign_out() -> None:
     """End the sign-in of this browser; the screen is the operator's again."""
     _sign_ins().pop(recall(SESSION), None)
     forget(SESSION)
     if st.user.get("is_logged_in"):
         st.logout()
-
-
-def scan_badge(name: str) -> None:
-    """Take the name of the operator from a badge; "" hands the screen back to nobody in particular."""
-    remember(BADGE, name) if name else forget(BADGE)
 
 
 def permit(action: str) -> User:

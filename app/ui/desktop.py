@@ -16,6 +16,7 @@ from pathlib import Path
 
 from softcal.app.bootstrap import registry_url
 from softcal.app.cli.output import say
+from softcal.app.ui.guard import HOSTS_VARIABLE
 from softcal.core.errors import InputError
 
 FIRST_PORT, PORTS = 8501, 50
@@ -35,6 +36,7 @@ class UiOptions:
         opens_browser: otherwise open the default browser.
         station: name of the station at this screen.
         accounts: TOML file that names the identity provider for sign-in by company account.
+        hosts: other names under which browsers reach this server.
     """
 
     registry: str | None = None
@@ -45,6 +47,7 @@ class UiOptions:
     opens_browser: bool = True
     station: str | None = None
     accounts: Path | None = None
+    hosts: tuple[str, ...] = ()
 
 
 def serve(options: UiOptions) -> int:
@@ -85,6 +88,8 @@ def _environment(options: UiOptions) -> dict[str, str]:
     extra = {"SOFTCAL_REGISTRY": registry_url(options.registry)}
     if options.station is not None:
         extra["SOFTCAL_STATION"] = options.station
+    if options.hosts:
+        extra[HOSTS_VARIABLE] = ",".join(options.hosts)
     return dict(os.environ) | extra
 
 

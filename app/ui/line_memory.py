@@ -1,47 +1,40 @@
-"""What the operator's screen remembers: a choice in the browser, a note in the tab, a lot for a moment."""
+"""What the operator's screen remembers by itself: its station, its name among the screens, a lot for a moment."""
 
 import os
-from datetime import UTC, datetime
+import secrets
 
 import streamlit as st
 
-from softcal.app.line.line import Answer, Choice, LotAtLine, Note, read_lot
+from softcal.app.line.line import LotAtLine, Screen, read_lot
 from softcal.app.line.rig import spool_folder
-from softcal.app.ui.account import scan_badge
-from softcal.app.ui.browser_memory import recall, remember
+from softcal.app.ui.browser_memory import recall
 from softcal.app.ui.registry_of_server import registry
 from softcal.db.registry import Registry
 
 STATION_VARIABLE = "SOFTCAL_STATION"
 """Environment variable: name of the station at this screen."""
 
-NOTE = "line-note"
+TAB, REFUSED = "line-tab", "line-refused"
 
 
-def choice() -> Choice:
-    """Return what the person at the screen is in the middle of."""
-    since, _, serial = recall("unit").partition(" ")
-    at = datetime.fromisoformat(since) if serial else datetime.min.replace(tzinfo=UTC)
-    is_golden = serial.startswith("GOLDEN:")
-    station = recall("station") or os.environ.get(STATION_VARIABLE, "")
-    return Choice(station, recall("lot"), serial.removeprefix("GOLDEN:"), is_golden, at)
+def screen(seen: int | None = None) -> Screen:
+    """Return which screen of which line this is.
+
+    Args:
+        seen: version of the place that its person looked at.
+    """
+    tab = str(st.session_state.setdefault(TAB, secrets.token_hex(8)))
+    return Screen(recall("station") or os.environ.get(STATION_VARIABLE, ""), tab, seen)
 
 
-def remember_answer(answer: Answer) -> None:
-    """Keep what a scan led to; the browser has it, so that a reload and a killed server change nothing."""
-    chosen = answer.choice
-    serial = f"GOLDEN:{chosen.serial}" if chosen.is_golden else chosen.serial
-    remember("unit", f"{chosen.since.isoformat()} {serial}" if chosen.serial else "")
-    remember("lot", chosen.lot_id)
-    st.session_state[NOTE] = answer.note
-    if answer.badge is not None:
-        scan_badge(answer.badge)
+def remember_refusal(why: str) -> None:
+    """Keep why a scan was not taken where the registry cannot: it is away, or there is no station. "" forgets it."""
+    st.session_state[REFUSED] = why
 
 
-def note() -> Note | None:
-    """Return the sentence about the last scan."""
-    found: Note | None = st.session_state.get(NOTE)
-    return found
+def refusal() -> str:
+    """Return why the last scan was not taken, "" where it was."""
+    return str(st.session_state.get(REFUSED, ""))
 
 
 def lot_at_line(of: Registry, lot_id: str) -> LotAtLine:

@@ -7,6 +7,7 @@ from streamlit.navigation.page import Page as StreamlitPage
 
 from softcal.app.ui.account import is_signed_in, person
 from softcal.app.ui.browser_memory import keep
+from softcal.app.ui.components.liveness import liveness
 from softcal.app.ui.desk import errors_in_words, readable, words
 from softcal.app.ui.pages import pages_for
 
@@ -19,6 +20,7 @@ def run() -> None:
     say = words()
     st.set_page_config(page_title=say("app.title"), page_icon=str(ICON), layout="wide")
     readable()
+    liveness()
     with errors_in_words():
         sections: dict[str, list[StreamlitPage]] = {"": []}
         for entry in pages_for(person()):

@@ -49,7 +49,7 @@ PAGES = (
     PageEntry("unit", "memory", ("look",)),
     PageEntry("long_term", "timeline", ("look",)),
     PageEntry("source", "straighten", ("set_up",), "calibrate"),
-    PageEntry("networks", "hub", ("set_up",), "calibrate"),
+    PageEntry("networks", "hub", ("set_up", "release"), "calibrate"),
     PageEntry("limits", "rule", ("set_limit",), "calibrate"),
     PageEntry("gap", "troubleshoot", ("set_up",), "calibrate"),
     PageEntry("station", "precision_manufacturing", ("set_up", "override"), "rig"),

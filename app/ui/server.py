@@ -7,7 +7,7 @@ from pathlib import Path
 
 from softcal.app.ui.pages import PAGES
 
-MAIN = Path(__file__).with_name("main.py")
+WEB_APP = Path(__file__).with_name("web_app.py")
 DRAWN_WITH = (
     "pandas",
     "pyarrow.pandas_compat",
@@ -32,7 +32,7 @@ def main(flags: list[str]) -> None:
     # Streamlit collects garbage after every run of a page: without this it looks through all modules each time, 0.13 s.
     gc.collect()
     gc.freeze()
-    sys.argv = ["streamlit", "run", str(MAIN), *flags]
+    sys.argv = ["streamlit", "run", str(WEB_APP), *flags]
     cli.main()
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from softcal.app.line.line import LineFacts, Run
 from softcal.app.texts.reasons import parted, said, told
-from softcal.app.views.common import phase_said
-from softcal.core.orders import Condition, OrderKind, RunState, Signal, StationState
+from softcal.app.views.common import number, phase_said
+from softcal.core.orders import Condition, OrderKind, Progress, RunState, Signal
 
 Words = Callable[..., str]
 
@@ -20,8 +20,11 @@ TONES = {
     "closed": "closed",
     "no_lot": "ready",
     "ready": "ready",
+    "hand": "ready",
     "armed": "ready",
+    "armed_golden": "golden",
     "ask": "repeat",
+    "ask_new": "repeat",
     "used_up": "check",
     "running": "running",
     "pass": "pass",
@@ -37,20 +40,26 @@ TONES = {
 
 ACTIONS = {
     "armed": ("START", "CANCEL"),
-    "ask": ("REPEAT", "CANCEL"),
+    "armed_golden": ("START", "CANCEL"),
+    "ask": ("OK", "CANCEL"),
+    "ask_new": ("OK", "CANCEL"),
     "used_up": ("CANCEL",),
     "closed": ("CANCEL",),
     "running": ("STOP",),
     "stopped": ("OK",),
-    "broken": ("REPEAT",),
-    "retest": ("REPEAT",),
+    "broken": ("OK",),
 }
-KEYS = {"START": "F2", "REPEAT": "F4", "OK": "F4", "CANCEL": "F6", "STOP": "F8"}
-"""Command → function key; a command is also a bar code, `CMD:START`."""
+KEYS = {"START": "F2", "OK": "F4", "CANCEL": "F6", "STOP": "F8"}
+"""Command → function key; a command is also a bar code, `CMD:START`. START alone moves anything, in every state."""
 
-COMMAND_OF_KEY = {key: command for command, key in KEYS.items() if command != "OK"}
-"""Function key → command, in every state the same, so that no key is lost while a screen is drawn; after a stop,
-REPEAT says OK."""
+COMMAND_OF_KEY = {key: command for command, key in KEYS.items()}
+"""Function key → command, in every state the same, so that no key is lost while a screen is drawn."""
+
+BEFORE_RUN = ("armed", "armed_golden", "ask", "ask_new", "used_up", "closed")
+"""States that are about the unit that was scanned, not about the one pressed last."""
+
+NO_CONTACT = "no contact down to "
+"""How the message of a run begins that found no unit in the fixture."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +87,7 @@ class LineView:
         actions: commands that make sense now.
         phase, fraction, remaining: of a run.
         signal: live signal of a run.
+        version: of what stands at the line, so that a key names what its person has seen.
     """
 
     state: str
@@ -93,6 +103,7 @@ class LineView:
     fraction: float = 0.0
     remaining: str = ""
     signal: Signal = Signal()
+    version: int = 0
 
     @property
     def tone(self) -> str:
@@ -105,6 +116,11 @@ class LineView:
         return ". ".join(part for part in (self.word, self.serial, self.instruction) if part)
 
     @property
+    def seen(self) -> int:
+        """What a key says that was pressed at this card: the version of what it offered to start, -1 where nothing."""
+        return self.version if "START" in self.actions else -1
+
+    @property
     def is_busy(self) -> bool:
         """Whether a run is in progress, so that the screen looks often."""
         return self.state == "running"
@@ -115,28 +131,35 @@ def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
 
     Args:
         facts: where the line stands.
-        operator: name of who stands there, "" where nobody scanned a badge.
+        operator: name of who has signed in at this screen; "" leaves it to the badge.
         words: texts of the language.
     """
     state, run = _state(facts)
     order = run[0] if run else None
-    serial = facts.serial if state in ("armed", "ask", "used_up", "closed") else order.serial if order else ""
-    progress = run[1] if run else None
+    serial = facts.serial if state in BEFORE_RUN else order.serial if order else ""
+    progress = run[1] if run and state == "running" else None
     return LineView(
         state=state,
         word=words(f"line.{state}"),
         serial=serial,
         instruction=_instruction(facts, state, serial, run, words),
-        details=_details(facts, state, run, words),
-        conditions=_conditions(facts, words) if state in ("armed", "closed", "ready") else (),
+        details=(*_details(facts, state, run, words), *_news(facts, state, words)),
+        conditions=_conditions(facts, words) if state in ("armed", "closed", "ready", "hand") else (),
         cells=_cells(facts, operator, words),
         chips=_chips(facts, words),
         actions=_actions(facts, state),
-        phase=phase_said(progress.phase, words) if progress and state == "running" else "",
+        phase=phase_said(progress.phase, words) if progress else "",
         fraction=progress.fraction if progress else 0.0,
-        remaining=_remaining(progress.remaining_s, words) if progress and state == "running" else "",
-        signal=progress.signal if progress and state == "running" else Signal(),
+        remaining=_remaining(progress.remaining_s, words) if progress else "",
+        signal=progress.signal if progress else Signal(),
+        version=facts.place.version,
     )
+
+
+def note_said(facts: LineFacts, words: Words) -> tuple[str, bool] | None:
+    """Return the sentence about the last scan and whether it was a refusal; None where there is none."""
+    note = facts.note
+    return None if note is None else (words(f"note.{note.key}", **note.values), note.is_refusal)
 
 
 def away_view(kept: int, operator: str, words: Words) -> LineView:
@@ -159,31 +182,38 @@ def _state(facts: LineFacts) -> tuple[str, Run | None]:
     if facts.active is not None:
         return "running", facts.active
     if facts.is_stopped:
-        return "stopped", facts.newest
-    if facts.lot is None:
-        return "no_lot", None
+        run = facts.newest
+        return "stopped", run if run is not None and _is_why_stopped(facts, run) else None
     if facts.serial:
         return _before_run(facts), None
-    return _after_run(facts)
+    if facts.is_in_doubt or facts.newest is None:
+        return _idle(facts), None
+    return _after_run(facts, facts.newest)
 
 
 def _before_run(facts: LineFacts) -> str:
-    is_closed = facts.heartbeat is not None and facts.heartbeat.state is StationState.CLOSED
-    if is_closed and not facts.is_golden:
+    if facts.open_question:
+        return facts.open_question
+    if not facts.may_press:
         return "closed"
-    if not facts.results or facts.is_golden:
-        return "armed"
-    return "ask" if facts.retests_left else "used_up"
+    return "armed_golden" if facts.is_golden else "armed"
 
 
-def _after_run(facts: LineFacts) -> tuple[str, Run | None]:
-    run = facts.newest
-    if run is None:
-        is_closed = facts.heartbeat is not None and facts.heartbeat.state is StationState.CLOSED
-        return ("closed" if is_closed else "ready"), None
+def _idle(facts: LineFacts) -> str:
+    """Return the state where nobody knows which unit is in the hand; before the first run there is none yet."""
+    if not facts.may_press:
+        return "closed"
+    if facts.lot is None:
+        return "no_lot"
+    return "hand" if facts.is_in_doubt or facts.newest is not None else "ready"
+
+
+def _after_run(facts: LineFacts, run: Run) -> tuple[str, Run | None]:
     order, progress = run
     if progress.state is not RunState.DONE:
         return "broken", run
+    if not order.kind.presses:
+        return _idle(facts), None
     if order.kind is OrderKind.GOLDEN:
         return f"golden_{progress.verdict or 'fail'}", run
     if progress.verdict == "retest" and not facts.retests_left:
@@ -203,8 +233,8 @@ def _instruction(facts: LineFacts, state: str, serial: str, run: Run | None, wor
         last = facts.results[-1]
         values |= {"verdict": words(f"verdict.{last.verdict}"), "at": f"{last.made_at.astimezone():%Y-%m-%d %H:%M}"}
         return words("line.ask.do", **values, left=facts.retests_left)
-    if run is not None and (state == "broken" or (state == "stopped" and _is_why_stopped(facts, run))):
-        return words(_code_key(run[1].code, words))
+    if run is not None and state in ("broken", "stopped"):
+        return words(_code_key(run[1], words))
     return words(f"line.{state}.do", **values)
 
 
@@ -213,17 +243,44 @@ def _details(facts: LineFacts, state: str, run: Run | None, words: Words) -> tup
     if state == "closed" and beat is not None:
         return () if beat.gate else tuple(told(reason, words) for reason in beat.reasons)
     if state == "stopped" and beat is not None:
-        code = (words("line.code", code=run[1].code),) if run and _is_why_stopped(facts, run) else ()
+        code = (words("line.code", code=run[1].code),) if run else ()
         return (*(told(reason, words) for reason in beat.reasons), *code)
     if state in ("ask", "used_up"):
         return tuple(said(reason, words) for reason in facts.results[-1].reasons[:2])
-    if state == "armed" and facts.lot is not None and not facts.lot.has_network and not facts.is_golden:
+    if state == "armed" and facts.lot is not None and facts.lot.network is None:
         return (words("line.no_network"),)
+    if state == "pass":
+        return _result(facts, words)
     if run is None or state == "running":
         return ()
     parts = [said(reason, words) for reason in parted(run[1].message)]
     code = (words("line.code", code=run[1].code),) if run[1].code else ()
     return (*parts[:3], *code)
+
+
+def _result(facts: LineFacts, words: Words) -> tuple[str, ...]:
+    """Return what a good unit got: its own error beside the lot's limit, and nothing of how either was found."""
+    rmse = facts.results[-1].predicted_rmse if facts.results else None
+    if facts.lot is None or rmse is None:
+        return ()
+    lot = facts.lot.lot
+    if lot.limit_rmse is None:
+        return (words("line.result", rmse=number(rmse, lot.reference_unit)),)
+    limit = number(lot.limit_rmse, lot.reference_unit)
+    return (words("line.result.limit", rmse=number(rmse, lot.reference_unit), limit=limit),)
+
+
+def _news(facts: LineFacts, state: str, words: Words) -> tuple[str, ...]:
+    """Return the sentence that another network is in use since the last unit was pressed."""
+    network = facts.lot.network if facts.lot else None
+    pressed = [order.created for order, _ in facts.runs if order.kind is OrderKind.UNIT and order.created is not None]
+    if network is None or not network.reason or state in ("running", "stopped", "silent", "no_station"):
+        return ()
+    if pressed and pressed[0] > network.since:
+        return ()
+    at = f"{network.since.astimezone():%Y-%m-%d %H:%M}"
+    values = {"network": network.network.id[:8], "at": at, "actor": network.actor, "reason": network.reason}
+    return (words("line.network_changed", **values),)
 
 
 def _conditions(facts: LineFacts, words: Words) -> tuple[Condition, ...]:
@@ -250,10 +307,16 @@ def _cells(facts: LineFacts, operator: str, words: Words) -> tuple[tuple[str, st
         (words("line.cell.station"), station),
         (words("line.cell.lot"), lot.id if lot else "–"),
         (words("line.cell.product"), (lot.lot.sensor_model if lot else "") or "–"),
-        (words("line.cell.operator"), operator or "–"),
+        (words("line.cell.operator"), operator or _badge_said(facts, words)),
         (words("line.cell.units"), f"{judged} / {target}" if target else str(judged)),
         (words("line.cell.yield"), share),
     )
+
+
+def _badge_said(facts: LineFacts, words: Words) -> str:
+    if facts.operator:
+        return words("line.badge", name=facts.operator)
+    return words("line.badge.over", name=facts.place.operator) if facts.place.operator else "–"
 
 
 def _chips(facts: LineFacts, words: Words) -> tuple[Chip, ...]:
@@ -268,12 +331,13 @@ def _chip(run: Run, words: Words) -> Chip:
     return Chip(order.serial, TONES[state], words(f"line.{state}"))
 
 
-def _code_key(code: str, words: Words) -> str:
+def _code_key(progress: Progress, words: Words) -> str:
+    key = "code.no_contact" if progress.message.startswith(NO_CONTACT) else f"code.{progress.code}"
     try:
-        words(f"code.{code}")
+        words(key)
     except KeyError:
         return "code.other"
-    return f"code.{code}"
+    return key
 
 
 def _remaining(remaining_s: float, words: Words) -> str:

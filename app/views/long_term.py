@@ -69,6 +69,6 @@ def _unit(entry: AdaptedUnit) -> UnitInUse:
 def course(registry: Registry, serial: str, stream: str) -> Course:
     """Return the course of a unit on one stream."""
     steps: Sequence[Mapping[str, Any]] = registry.adaptations(serial, stream)
-    seen = tuple(step for step in steps if step["t_s"] is not None)
+    seen = tuple(step for step in steps if step.get("t_s") is not None)
     lot = registry.lot(registry.units(serial=serial)[-1].lot_id)
     return Course(serial, stream, seen, lot.output_unit, lot.reference_unit)

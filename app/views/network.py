@@ -6,7 +6,7 @@ from datetime import datetime
 from typing import Any
 
 from softcal.core.errors import InputError
-from softcal.db.entries import NetworkEntry
+from softcal.db.network_release import NetworkState
 from softcal.db.registry import Registry
 
 MOST_LAYERS, WIDEST = 6, 512
@@ -20,6 +20,9 @@ class NetworkRow:
         layers: widths of the hidden layers, "120-70-35".
         validation_rmse: error on held-out parts of the source, in the reference unit.
         is_stale: it was trained on an older source recording than the newest.
+        state: draft, released or withdrawn.
+        is_in_use: whether the line judges by it: the one released last.
+        decided: who decided on its state and why; "" where nobody had to.
     """
 
     id: str
@@ -31,16 +34,22 @@ class NetworkRow:
     epochs: int | None
     train_s: float | None
     is_stale: bool
+    state: str
+    is_in_use: bool
+    decided: str
 
 
 def network_rows(registry: Registry, lot_id: str) -> list[NetworkRow]:
     """Return the networks of a lot, newest first."""
     sources = registry.recordings(lot_id, kind="source")
     newest = sources[-1].sha256 if sources else ""
-    return [_row(entry, newest) for entry in reversed(registry.networks()) if entry.lot_id == lot_id]
+    in_use = registry.released_network(lot_id)
+    used = in_use.network.id if in_use else ""
+    return [_row(state, newest, used) for state in reversed(registry.network_states(lot_id))]
 
 
-def _row(entry: NetworkEntry, newest_source: str) -> NetworkRow:
+def _row(state: NetworkState, newest_source: str, used: str) -> NetworkRow:
+    entry = state.network
     config = entry.training.get("config")
     given: Mapping[str, Any] = config if isinstance(config, Mapping) else {}
     metrics: Mapping[str, Any] = entry.metrics
@@ -54,6 +63,9 @@ def _row(entry: NetworkEntry, newest_source: str) -> NetworkRow:
         epochs=None if metrics.get("epochs") is None else int(metrics["epochs"]),
         train_s=metrics.get("train_s"),
         is_stale=bool(newest_source) and entry.training.get("source_recording_sha256") != newest_source,
+        state=state.state,
+        is_in_use=entry.id == used,
+        decided=f"{state.actor}: {state.reason}" if state.reason else "",
     )
 
 

@@ -73,7 +73,9 @@ def open_page(monkeypatch: pytest.MonkeyPatch) -> Callable[..., AppTest]:
         monkeypatch.setenv("SOFTCAL_REGISTRY", url)
         monkeypatch.setattr(browser_memory, "_cookies", dict)
         registry_of_server.registry.clear()
-        screen = AppTest.from_file(str(MAIN)) if page is None else AppTest.from_function(page)
+        make = partial(AppTest.from_file, str(MAIN)) if page is None else partial(AppTest.from_function, page)
+        # A busy machine draws slowly; nobody waits here for a time.
+        screen = make(default_timeout=120)
         for key, value in query.items():
             screen.query_params[key] = value
         # Nobody draws here who could say so: the whole page at once.
@@ -154,28 +156,50 @@ def serve() -> Callable[..., AbstractContextManager[Screen]]:
 
 
 @pytest.fixture(scope="session")
-def serve_station() -> Callable[..., AbstractContextManager[None]]:
-    """`with serve_station(url, name, folder, *options)`: a simulated station as a process of its own."""
+def serve_station() -> Callable[..., AbstractContextManager["ServedStation"]]:
+    """`with serve_station(url, name, folder, *options) as station`: a simulated station as a process of its own."""
     return station_served
 
 
-@contextmanager
-def station_served(url: str, name: str, folder: Path, *options: str) -> Iterator[None]:
-    """Serve a simulated station by its command until the block ends."""
-    command = [SOFTCAL, "station", "serve", "--simulated", "5", "--name", name, "--registry", url]
-    log = (folder / "station.log").open("w")
-    station = subprocess.Popen([*command, "--spool", str(folder / "spool"), *options], stdout=log, stderr=log)
-    try:
-        with open_registry(url) as registry:
+class ServedStation:
+    """A simulated station as a process of its own, started by its command."""
+
+    def __init__(self, url: str, name: str, folder: Path, options: tuple[str, ...]):
+        command = [SOFTCAL, "station", "serve", "--simulated", "5", "--name", name, "--registry", url]
+        self._command = [*command, "--spool", str(folder / "spool"), *options]
+        self._url, self._name, self._log = url, name, folder / "station.log"
+        self.start()
+
+    def start(self) -> None:
+        """Start it and wait until it answers."""
+        with self._log.open("a") as log:
+            self._process = subprocess.Popen(self._command, stdout=log, stderr=log)
+        mine = f"{socket.gethostname()}:{self._process.pid}"
+        with open_registry(self._url) as registry:
             deadline_s = time.monotonic() + START_S
-            while not registry.order_queue.is_answering(name):
-                assert time.monotonic() < deadline_s and station.poll() is None, (folder / "station.log").read_text()
+            while (beat := registry.order_queue.heartbeat(self._name)) is None or beat.process != mine:
+                assert time.monotonic() < deadline_s and self._process.poll() is None, self._log.read_text()
                 time.sleep(0.1)
-        yield
+
+    def kill(self) -> None:
+        """Kill it as a power cut would."""
+        self._process.kill()
+        self._process.wait(timeout=30)
+
+    def end(self) -> None:
+        """End it in good order."""
+        self._process.terminate()
+        self._process.wait(timeout=30)
+
+
+@contextmanager
+def station_served(url: str, name: str, folder: Path, *options: str) -> Iterator[ServedStation]:
+    """Serve a simulated station by its command until the block ends."""
+    station = ServedStation(url, name, folder, options)
+    try:
+        yield station
     finally:
-        station.terminate()
-        station.wait(timeout=30)
-        log.close()
+        station.end()
 
 
 def free_port() -> int:

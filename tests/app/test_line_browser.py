@@ -10,6 +10,7 @@ import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
 
+from softcal.app.line.line import LineFacts, Screen, read_line, take_scan
 from softcal.core.orders import Order, OrderKind, RunState
 from softcal.db.connection import open_registry
 
@@ -24,11 +25,38 @@ class Line:
 
     registry: Any
     screen: Any
+    station: Any
 
     def order(self, kind: OrderKind, serial: str = "", reason: str = "") -> str:
         order_id = f"{kind}-{time.monotonic_ns()}"
         self.registry.order_queue.place(Order(order_id, STATION, kind, serial, LOT, "engineer", reason))
         return order_id
+
+    @property
+    def facts(self) -> LineFacts:
+        return read_line(self.registry, Screen(STATION))
+
+    def until(self, is_so: Callable[[], bool], what: str) -> None:
+        deadline_s = time.monotonic() + 120
+        while not is_so():
+            assert time.monotonic() < deadline_s, f"waited for {what}; {self.facts}"
+            time.sleep(0.1)
+
+    def clear(self) -> None:
+        """Nothing runs, nothing stands still and no unit waits, whatever other tests left here."""
+        self.until(lambda: self.facts.is_answering and self.facts.active is None, "a run to end")
+        for code in ("CMD:OK", "CMD:OK", "CMD:CANCEL"):
+            take_scan(self.registry, Screen(STATION), code)
+        self.until(lambda: not self.facts.is_stopped and self.facts.may_press, "the station to be ready")
+
+    def runs(self) -> int:
+        """How many runs this station was ever ordered."""
+        return sum(order.kind.is_run for order, _ in self.registry.order_queue.runs(STATION, 10_000))
+
+    def press(self, serial: str) -> None:
+        """Order a run of a unit and wait for its end."""
+        order_id = self.order(OrderKind.UNIT, serial)
+        self.until(lambda: not self.registry.order_queue.progress(order_id).state.is_active, f"the run of {serial}")
 
     def verdict(self, serial: str) -> str | None:
         return {unit.serial: unit.verdict for unit in self.registry.units(LOT)}.get(serial)
@@ -38,8 +66,12 @@ class Line:
 def line(tmp_path_factory: pytest.TempPathFactory, serve: Callable, serve_station: Callable) -> Iterator[Line]:
     folder = tmp_path_factory.mktemp("line")
     url = f"sqlite:///{folder / 'line.db'}"
-    with serve_station(url, STATION, folder, *SHORT), serve(url) as screen, open_registry(url) as registry:
-        line = Line(registry, screen)
+    with (
+        serve_station(url, STATION, folder, *SHORT) as station,
+        serve(url) as screen,
+        open_registry(url) as registry,
+    ):
+        line = Line(registry, screen, station)
         source, deadline_s = line.order(OrderKind.SOURCE, "A0"), time.monotonic() + 120
         while (progress := registry.order_queue.progress(source)).state.is_active:
             assert time.monotonic() < deadline_s, progress
@@ -50,8 +82,18 @@ def line(tmp_path_factory: pytest.TempPathFactory, serve: Callable, serve_statio
 
 @pytest.fixture
 def panel(line: Line, page: Page) -> Page:
-    """The operator's screen, opened at its address."""
+    """The operator's screen, opened at its address, on a line that is free."""
+    line.clear()
     return opened(page, line)
+
+
+@pytest.fixture
+def judged(line: Line) -> str:
+    """A unit that has its verdict."""
+    line.clear()
+    if line.verdict("A1") is None:
+        line.press("A1")
+    return "A1"
 
 
 def card(page: Page, *states: str) -> Locator:
@@ -95,7 +137,7 @@ def press(page: Page, key: str, *states: str, serial: str = "") -> None:
 
 
 def verdict_of(page: Page, serial: str) -> str:
-    return str(shown(page, *VERDICTS, serial=serial).get_attribute("data-state"))
+    return str(shown(page, *VERDICTS, serial=serial, timeout_ms=120_000).get_attribute("data-state"))
 
 
 FOCUS = "(document.activeElement.shadowRoot?.activeElement ?? document.activeElement).tagName"
@@ -150,7 +192,9 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
     expect(panel.locator(".sc-chip").first).to_contain_text("STOPPED")
     scan(panel, "A5")
     panel.get_by_text("Press F4 or scan OK first").first.wait_for()
-    press(panel, "F4", "armed", serial="A4")
+    press(panel, "F4", "hand")
+    scan(panel, "A4")
+    shown(panel, "armed", serial="A4")
     press(panel, "F2", "running", serial="A4")
     verdicts["A4"] = verdict_of(panel, "A4")
 
@@ -159,14 +203,17 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
     panel.get_by_role("button", name="Start").click()
     shown(panel, "running", serial="A5")
     scan(panel, "A6")
-    panel.get_by_text("The scan was not taken").first.wait_for()
+    panel.get_by_text("A6 was not taken").first.wait_for()
     verdicts["A5"] = verdict_of(panel, "A5")
+    panel.get_by_text("A6 was scanned while A5 was pressed").first.wait_for()
     scan(panel, "A6")
     shown(panel, "armed", serial="A6")
     press(panel, "F2", "running", serial="A6")
     panel.locator("[data-testid=stEChartsChart] canvas").first.wait_for()  # It moves: now there is something to stop.
     press(panel, "F8", "stopped", serial="A6")
     scan(panel, "CMD:OK")
+    shown(panel, "hand")
+    scan(panel, "A6")
     shown(panel, "armed", serial="A6")
     press(panel, "F2", "running", serial="A6")
     verdicts["A6"] = verdict_of(panel, "A6")
@@ -176,12 +223,96 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
     expect(panel.locator(".sc-cells")).to_contain_text("6")
 
 
-def test_a_unit_scanned_twice_is_asked_for_and_the_old_result_stands_there(line: Line, panel: Page) -> None:
-    scan(panel, "A1")
+def test_a_unit_scanned_twice_is_asked_for_and_the_old_result_stands_there(judged: str, panel: Page) -> None:
+    scan(panel, judged)
     question = shown(panel, "ask")
     expect(question).to_contain_text("has a result already")
     panel.keyboard.press("F6")
-    shown(panel, *VERDICTS)
+    shown(panel, "hand")
+
+
+def test_a_unit_that_waits_stands_there_after_a_reload_a_restart_and_at_another_screen(
+    line: Line, judged: str, panel: Page, chromium: Browser
+) -> None:
+    scan(panel, "A7")
+    shown(panel, "armed", serial="A7")
+    panel.reload()
+    shown(panel, "armed", serial="A7")
+    line.screen.kill()
+    line.screen.start()
+    shown(panel, "armed", serial="A7")
+    context = chromium.new_context()
+    other = opened(context.new_page(), line)
+    shown(other, "armed", serial="A7")
+    scan(other, "A0")
+    shown(other, "hand")
+    shown(panel, "hand")
+    panel.keyboard.press("F2")
+    panel.get_by_text("Scan the unit in your hand first").first.wait_for()
+    assert line.facts.active is None
+    context.close()
+
+
+@pytest.mark.parametrize("apart_ms", [0, 50, 250, 500])
+def test_no_number_of_presses_that_acknowledge_a_stop_moves_the_stage(line: Line, panel: Page, apart_ms: int) -> None:
+    line.order(OrderKind.FAULT, reason="readout unplugged while pressing")
+    line.press("A8")
+    shown(panel, "stopped")
+    before = line.runs()
+    for key in ("F4",) * 6:
+        panel.keyboard.press(key)
+        panel.wait_for_timeout(apart_ms)  # What is tried is the time between two presses.
+    shown(panel, "hand")
+    panel.reload()
+    shown(panel, "hand")
+    panel.wait_for_function(f"{FOCUS} === 'INPUT'")  # It listens from here on.
+    for key in ("F4", "F4", "F2", "F2"):
+        panel.keyboard.press(key)
+        panel.wait_for_timeout(apart_ms)
+    panel.get_by_text("Scan the unit in your hand first").first.wait_for()
+    assert line.runs() == before and line.facts.active is None
+
+
+@pytest.mark.parametrize("apart_ms", [0, 100, 400])
+def test_a_key_pressed_again_and_again_presses_a_unit_once(line: Line, panel: Page, apart_ms: int) -> None:
+    before, serial = line.runs(), f"B{apart_ms:03d}"
+    scan(panel, serial)
+    shown(panel, "ask_new", serial=serial)
+    press(panel, "F4", "armed", serial=serial)
+    for key in ("F2", "F2", "F4", "F2"):
+        panel.keyboard.press(key)
+        panel.wait_for_timeout(apart_ms)
+    verdict_of(panel, serial)
+    for key in ("F4", "F2", "F4", "F2"):
+        panel.keyboard.press(key)
+        panel.wait_for_timeout(apart_ms)
+    panel.get_by_text("Scan the unit in your hand first").first.wait_for()
+    assert line.runs() == before + 1
+
+
+def test_a_server_that_is_gone_is_said_within_two_seconds_and_a_scan_is_refused_not_lost(
+    line: Line, panel: Page
+) -> None:
+    shown(panel, "hand", "ready", *VERDICTS)
+    line.screen.kill()
+    gone = panel.locator("#softcal-gone")
+    gone.filter(has_text="no connection to its server").wait_for(timeout=2_000)
+    panel.keyboard.press("F2")
+    scan(panel, "A8")
+    panel.get_by_role("alert").filter(has_text="Not taken").filter(has_text="A8").wait_for()
+    line.screen.start()
+    expect(gone).to_be_hidden(timeout=60_000)
+    assert line.facts.serial == "" and line.facts.active is None
+
+
+def test_a_station_that_is_gone_is_said_within_two_seconds(line: Line, panel: Page) -> None:
+    shown(panel, "hand", "ready", *VERDICTS)
+    line.station.kill()
+    try:
+        shown(panel, "silent", timeout_ms=2_000)
+    finally:
+        line.station.start()
+    shown(panel, "hand", "ready", *VERDICTS)
 
 
 def test_what_a_screen_reader_says_is_what_stands_there(panel: Page) -> None:
@@ -229,8 +360,10 @@ def test_a_small_panel_and_a_zoomed_one_show_it_all(
     context = chromium.new_context(viewport=size, device_scale_factor=zoom)
     page = context.new_page()
     opened(page, line)
+    line.clear()
     scan(page, "A" + "7" * 60)
-    shown(page, "armed")
+    shown(page, "ask_new")
+    press(page, "F4", "armed")
     found = page.evaluate(FIT)
     assert (found["wide"], found["cut"]) == (False, [])
     assert found["bottom"] <= size["height"]
@@ -267,7 +400,7 @@ CONTRAST = """() => {
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_every_word_stands_out_from_its_ground(line: Line, chromium: Browser, theme: Any) -> None:
+def test_every_word_stands_out_from_its_ground(line: Line, judged: str, chromium: Browser, theme: Any) -> None:
     context = chromium.new_context(viewport={"width": 1280, "height": 800}, color_scheme=theme)
     page = context.new_page()
     opened(page, line)
@@ -275,8 +408,8 @@ def test_every_word_stands_out_from_its_ground(line: Line, chromium: Browser, th
     scan(page, "LOT:nowhere")
     page.get_by_text("is not in the registry").first.wait_for()
     assert page.evaluate(CONTRAST) == []
-    scan(page, "A1")
-    page.get_by_role("button", name="Press again").wait_for()
+    scan(page, judged)
+    page.get_by_role("button", name="Yes, again").wait_for()
     assert page.evaluate(CONTRAST) == []
     page.keyboard.press("F6")
     context.close()

@@ -4,8 +4,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from softcal.app.line import line as workflow
-from softcal.app.ui import browser_memory, registry_of_server
+from softcal.app.line.line import Screen, take_scan
+from softcal.app.ui import registry_of_server
 from softcal.core.errors import RegistryError
 from softcal.core.orders import Heartbeat, OrderKind, StationState
 from softcal.db.connection import open_registry
@@ -31,9 +31,11 @@ def html_of(screen) -> str:
     return " ".join(element.proto.body for element in screen.get("html"))
 
 
-def scanned(screen, serial: str):
-    remembered = {"unit": f"{datetime.now(UTC).isoformat()} {serial}", "badge": "Kim"}
-    screen.session_state[browser_memory.STATE] = remembered
+def scanned(url: str, screen, *codes: str):
+    """Scan at another screen of the line, and draw this one."""
+    with open_registry(url) as registry:
+        for code in codes:
+            take_scan(registry, Screen(tab="scanner"), code)
     return screen.run()
 
 
@@ -43,17 +45,21 @@ def test_a_ready_line_asks_for_a_scan_and_shows_the_lot(station, open_page):
 
 
 def test_the_start_button_orders_the_scanned_unit_for_the_operator(station, open_page):
-    screen = scanned(open_page(station, _line_page), "A9")
+    screen = scanned(station, open_page(station, _line_page), "BADGE:Kim", "A9")
     assert 'data-state="armed"' in html_of(screen)
     screen.button(key="line-START").click().run()
     with open_registry(station) as registry:
         order, _ = registry.order_queue.active("line-1")
-    assert (order.kind, order.serial, order.lot_id, order.actor) == (OrderKind.UNIT, "A9", "small", "Kim")
+    assert (order.kind, order.serial, order.lot_id, order.actor) == (OrderKind.UNIT, "A9", "small", "Kim (badge)")
 
 
 def test_a_unit_with_a_result_is_asked_for(station, open_page):
-    screen = scanned(open_page(station, _line_page), "A1")
-    assert 'data-state="ask"' in html_of(screen) and screen.button(key="line-REPEAT")
+    screen = scanned(station, open_page(station, _line_page), "A1")
+    assert 'data-state="ask"' in html_of(screen)
+    screen.button(key="line-OK").click().run()
+    assert 'data-state="armed"' in html_of(screen)
+    with open_registry(station) as registry:
+        assert registry.order_queue.active("line-1") is None
 
 
 def test_the_line_speaks_korean(station, open_page):
@@ -73,4 +79,3 @@ def test_a_lost_registry_is_said_in_words(station, open_page, monkeypatch):
     monkeypatch.setattr(type(registry_of_server.registry()), "order_queue", property(away))
     screen.run()
     assert 'data-state="away"' in html_of(screen) and not screen.exception
-    assert workflow.SILENT_AFTER.seconds == 3

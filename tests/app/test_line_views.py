@@ -10,6 +10,7 @@ import pytest
 
 from softcal.app.charts import palette
 from softcal.app.line.line import LineFacts, LotAtLine
+from softcal.app.line.place import Note, Place
 from softcal.app.texts import catalogue as texts
 from softcal.app.ui.components import line_card
 from softcal.app.views import line as views_line
@@ -17,11 +18,13 @@ from softcal.app.views.line import ACTIONS, KEYS, TONES, away_view, line_view
 from softcal.core.lot import Lot
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.line_rules import LineRules
-from softcal.db.entries import RunEntry
+from softcal.db.entries import NetworkEntry, RunEntry
+from softcal.db.network_release import NetworkState
 from softcal.station.service import CODES
 
 NOW = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
-LOT = LotAtLine(Lot("L1", "A0", 50.0, "eGaIn pad"), LineRules(), True, {"pass": 3, "fail": 1, "none": 2})
+NETWORK = NetworkState(NetworkEntry("c" * 64, "L1", "", {}, {}, NOW), "released", NOW)
+LOT = LotAtLine(Lot("L1", "A0", 50.0, "eGaIn pad"), LineRules(), NETWORK, {"pass": 3, "fail": 1, "none": 2})
 SAY = partial(texts.text, "en")
 UNIT_DONE = Progress("o1", RunState.DONE, "done", 1.0, message="predicted RMSE 0.07 N; all is well", verdict="pass")
 
@@ -35,7 +38,12 @@ def run(progress: Progress = UNIT_DONE, kind: OrderKind = OrderKind.UNIT, serial
 
 
 def facts(**changes) -> LineFacts:
-    return replace(LineFacts(NOW, ("line-1",), heartbeat(), ("L1",), LOT), **changes)
+    return replace(LineFacts(NOW, ("line-1",), heartbeat(), lots=("L1",), lot=LOT), **changes)
+
+
+def waits(serial: str = "A1", run: str = "", **more) -> Place:
+    """A unit that was scanned after a run and waits."""
+    return Place(3, run, serial, **more)
 
 
 def result(verdict: str, times: int = 1) -> tuple[RunEntry, ...]:
@@ -52,9 +60,12 @@ SITUATIONS = {
     "silent": {"heartbeat": replace(heartbeat(), at=NOW - timedelta(seconds=4))},
     "no_lot": {"lot": None},
     "ready": {},
-    "armed": {"serial": "A1"},
-    "ask": {"serial": "A1", "results": result("pass")},
-    "used_up": {"serial": "A1", "results": result("fail", 2)},
+    "hand": {"place": Place(3, "o1"), "runs": (run(),)},
+    "armed": {"place": waits()},
+    "armed_golden": {"place": waits("G1", is_golden=True)},
+    "ask": {"place": waits(), "results": result("pass")},
+    "ask_new": {"place": waits("A123", is_new=True)},
+    "used_up": {"place": waits(), "results": result("fail", 2)},
     "closed": {"heartbeat": heartbeat(StationState.CLOSED, reasons=("no golden unit",))},
     "running": {"active": run(Progress("o1", RunState.RUNNING, "pressing", 0.4, 12.0))},
     "stopped": {"heartbeat": heartbeat(StationState.STOPPED, reasons=(ERROR.message,)), "runs": (run(ERROR),)},
@@ -87,14 +98,66 @@ def test_an_old_station_that_ended_in_good_order_is_not_there_either():
 
 def test_a_run_goes_before_a_scan_and_a_stop_before_both():
     running = SITUATIONS["running"]
-    assert shown(**running, serial="A2").state == "running"
-    assert shown(**SITUATIONS["stopped"], serial="A2").state == "stopped"
+    assert shown(**running, place=waits("A2", "o1")).state == "running"
+    assert shown(**SITUATIONS["stopped"], place=waits("A2", "o1")).state == "stopped"
 
 
 def test_a_golden_unit_may_be_pressed_while_the_gate_is_closed():
     closed = heartbeat(StationState.CLOSED)
-    assert shown(heartbeat=closed, serial="G1", is_golden=True).state == "armed"
-    assert shown(heartbeat=closed, serial="A1").state == "closed"
+    golden = shown(heartbeat=closed, place=waits("G1", is_golden=True))
+    assert golden.state == "armed_golden" and "no product" in golden.instruction
+    assert golden.tone != shown(place=waits()).tone
+    assert shown(heartbeat=closed, place=waits()).state == "closed"
+
+
+def test_a_unit_that_waits_stands_there_and_not_the_result_of_the_one_before():
+    assert shown(runs=(run(),), place=waits("A2", "o1")).serial == "A2"
+    assert shown(runs=(run(),), place=waits("A2", "an older run")).state == "pass"
+
+
+def test_no_unit_in_the_fixture_is_said_so():
+    message = "no contact down to 40 mm; is a unit in the fixture and connected?"
+    empty = replace(ERROR, code="E-SAFETY", message=message)
+    view = shown(heartbeat=heartbeat(StationState.STOPPED, reasons=(message,)), runs=(run(empty),))
+    assert view.instruction.startswith("No unit was found in the fixture") and "safety" not in view.instruction
+
+
+def test_a_good_unit_shows_its_error_and_nothing_of_how_the_limit_was_found():
+    message = (
+        "predicted RMSE 0.07 N (95 %: 0.05 to 0.1) is within the limit 0.2 N (no limit was stated: 3 x the source's"
+    )
+    runs = (run(replace(UNIT_DONE, message=message)),)
+    results = (replace(result("pass")[0], predicted_rmse=0.0712),)
+    assert shown(runs=runs, results=results).details == ("Its error is expected to be 0.0712 N.",)
+    limited = replace(LOT, lot=replace(LOT.lot, limit_rmse=0.2))
+    assert shown(runs=runs, results=results, lot=limited).details == (
+        "Its error is expected to be 0.0712 N; the limit of the lot is 0.2 N.",
+    )
+
+
+def test_another_network_is_told_until_a_unit_was_pressed_with_it():
+    released = replace(NETWORK, since=NOW, actor="Quinn", reason="half the error")
+    lot = replace(LOT, network=released)
+    assert "Quinn: half the error" in shown(lot=lot, runs=(run(),)).details[-1]
+    newer = replace(run()[0], created=NOW + timedelta(minutes=1)), UNIT_DONE
+    assert not any("Quinn" in line for line in shown(lot=lot, runs=(newer,)).details)
+
+
+def test_a_badge_is_marked_as_one_and_says_when_it_has_ended():
+    badged = Place(1, operator="Lee", badged_at=NOW)
+    here = facts(place=badged)
+    assert dict(line_view(here, "", SAY).cells)["Operator"] == "Lee · badge"
+    assert dict(line_view(here, "Quinn", SAY).cells)["Operator"] == "Quinn"
+    ended = replace(here, now=NOW + timedelta(hours=11), heartbeat=None)
+    assert "badge ended" in dict(line_view(ended, "", SAY).cells)["Operator"]
+
+
+def test_every_sentence_about_a_scan_ends_with_the_next_run():
+    said = Place(3, None, note=Note("scan_first", run="o1"))
+    assert views_line.note_said(facts(runs=(run(),), place=said), SAY) == (SAY("note.scan_first"), True)
+    assert views_line.note_said(facts(active=run(replace(UNIT_DONE, state=RunState.RUNNING)), place=said), SAY)
+    later = replace(run()[0], order_id="o2"), UNIT_DONE
+    assert views_line.note_said(facts(runs=(later, run()), place=said), SAY) is None
 
 
 def test_a_stop_names_what_happened_what_to_do_and_its_code():
@@ -180,7 +243,7 @@ def test_what_comes_from_outside_is_shown_as_text():
 
 
 def test_every_action_has_a_key_and_a_label():
-    assert {command for commands in ACTIONS.values() for command in commands} <= set(KEYS)
+    assert {command for commands in ACTIONS.values() for command in commands} == set(KEYS)
     assert all(f"line.action.{command}" in texts.catalogue()["en"] for command in KEYS)
 
 

@@ -1,11 +1,16 @@
 """What a scan does to the rows of the registry; the station is played by its rows alone."""
 
+import os
+import socket
+import subprocess
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from softcal.app.line.line import Choice, read_line, take_scan
+from softcal.app.line.line import Screen, read_line, take_scan
+from softcal.app.line.place import is_alive
+from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.line_rules import LineRules
@@ -13,26 +18,27 @@ from softcal.core.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 
-NOBODY = Choice()
+HERE = Screen(tab="here")
+OTHER_TAB = Screen(tab="other")
 
 
 class Line:
     """A registry with one lot and one station that says it is there."""
 
     def __init__(self, registry):
-        self.registry, self.queue, self.choice = registry, registry.order_queue, NOBODY
+        self.registry, self.queue = registry, registry.order_queue
         registry.add_lot(Lot("L1", "A0", 50.0))
         self.beat()
 
-    def beat(self, state=StationState.READY, age_s=-60.0, reasons=()):
+    def beat(self, state=StationState.READY, age_s=-60.0, reasons=(), process="host:1"):
         # A minute ahead unless told otherwise: a slow machine must not let it grow silent meanwhile.
         at = datetime.now(UTC) - timedelta(seconds=age_s)
-        self.queue.beat(Heartbeat("line-1", state, at, reasons, "host:1"))
+        self.queue.beat(Heartbeat("line-1", state, at, reasons, process))
 
-    def scan(self, text):
-        answer = take_scan(self.registry, self.choice, text, "kim")
-        self.choice = answer.choice
-        return answer.note.key if answer.note else None
+    def scan(self, text, screen=HERE):
+        """Scan, and return the key of what is said then."""
+        note = take_scan(self.registry, screen, text, "kim").note
+        return note.key if note else None
 
     def orders(self):
         return [(order.kind, order.serial, order.reason) for order, _ in self.queue.runs("line-1")]
@@ -47,7 +53,7 @@ class Line:
 
     @property
     def facts(self):
-        return read_line(self.registry, self.choice)
+        return read_line(self.registry, HERE)
 
 
 @pytest.fixture
@@ -65,12 +71,12 @@ def test_a_scan_moves_nothing_until_somebody_starts(line):
     assert (order.lot_id, order.actor) == ("L1", "kim")
 
 
-def test_an_ordered_unit_is_no_longer_waited_for_in_another_tab_either(line):
+def test_a_unit_waits_at_every_screen_and_an_ordered_one_at_none(line):
     line.scan("A1")
-    other_tab = line.choice
+    assert read_line(line.registry, OTHER_TAB).serial == "A1"
     line.scan("CMD:START")
     line.end(verdict="pass")
-    assert read_line(line.registry, other_tab).serial == ""
+    assert read_line(line.registry, OTHER_TAB).serial == ""
 
 
 @pytest.mark.parametrize(
@@ -81,7 +87,7 @@ def test_an_ordered_unit_is_no_longer_waited_for_in_another_tab_either(line):
         ("not a serial!", "bad_serial"),
         ("http://x.y", "unreadable"),
         ("CMD:START", "scan_first"),
-        ("CMD:REPEAT", "scan_first"),
+        ("CMD:REPEAT", "nothing_to_confirm"),
         ("CMD:STOP", "nothing_runs"),
         ("CMD:OK", "nothing_to_confirm"),
         ("(21)A1(10)L9", "other_lot"),
@@ -99,6 +105,7 @@ def test_a_unit_of_another_lot_is_refused_by_its_row_and_by_its_pattern(line):
     line.registry.set_line_rules("L2", LineRules(r"B\d+", "upper"), reason="drawing")
     line.scan("LOT:l1")
     assert [line.scan(code) for code in ("X7", "b3", "C1", "a1")] == ["other_lot", "other_lot", "bad_serial", None]
+    assert line.facts.serial == "A1"
 
 
 def test_two_lots_ask_for_the_lot_first_and_remember_the_one_pressed_last(line):
@@ -108,14 +115,28 @@ def test_two_lots_ask_for_the_lot_first_and_remember_the_one_pressed_last(line):
     line.scan("B1")
     line.scan("CMD:START")
     line.end(verdict="fail", code="")
-    assert read_line(line.registry, NOBODY).lot.id == "L2"
+    assert line.facts.lot.id == "L2"
 
 
 def test_scans_during_a_run_are_refused(line):
     line.scan("A1")
     line.scan("CMD:START")
-    assert [line.scan(code) for code in ("A2", "CMD:START", "CMD:REPEAT")] == ["busy"] * 3
+    assert [line.scan(code) for code in ("A2", "CMD:START", "CMD:OK")] == ["busy", "busy_key", "busy_key"]
     assert len(line.orders()) == 1
+
+
+def test_what_was_refused_in_a_run_is_said_after_it_and_a_useless_key_is_not(line):
+    line.scan("A1")
+    line.scan("CMD:START")
+    line.scan("A2")
+    line.end(verdict="pass")
+    note = line.facts.note
+    assert (note.key, note.values["scanned"], note.values["serial"]) == ("meanwhile", "A2", "A1")
+    line.scan("A3")
+    line.scan("CMD:START")
+    line.scan("CMD:START")
+    line.end(verdict="pass")
+    assert line.facts.note is None
 
 
 def test_a_stop_is_ordered_in_mid_run(line):
@@ -126,41 +147,83 @@ def test_a_stop_is_ordered_in_mid_run(line):
     assert line.queue.take("line-1").kind is OrderKind.STOP
 
 
-def test_after_a_stop_nothing_goes_on_until_it_was_read_and_then_the_unit_is_asked_for_again(line):
+def test_after_a_stop_nothing_goes_on_until_it_was_read_and_then_the_unit_is_scanned_again(line):
     line.scan("A1")
     line.scan("CMD:START")
     line.end(RunState.ERROR, code="E-SILENT", message="gone")
     line.beat(StationState.STOPPED, reasons=("gone",))
     assert line.scan("A2") == "acknowledge_first"
-    line.scan("CMD:OK")
+    assert line.scan("CMD:OK") == "acknowledged"
     assert line.end().kind is OrderKind.ACKNOWLEDGE
     line.beat()
-    assert line.facts.serial == "A1"
+    assert line.facts.serial == "" and line.facts.is_in_doubt
+    assert line.scan("CMD:START") == "scan_first"
+    line.scan("A1")
     line.scan("CMD:START")
     assert line.queue.active("line-1")[0].serial == "A1"
 
 
-def test_a_unit_with_a_result_is_only_pressed_again_by_repeat_and_as_often_as_the_rules_allow(line):
+@pytest.mark.parametrize("refused", ["A0", "X7", "not a serial!", "http://x.y", "LOT:nowhere"])
+def test_a_refused_scan_takes_the_unit_before_it_off_the_screen(line, refused):
+    line.registry.add_lot(Lot("L2", "B0", 50.0))
+    line.registry.add_unit("L2", "X7")
+    line.scan("LOT:L1")
+    line.scan("A1")
+    assert line.facts.serial == "A1" and line.scan(refused) is not None
+    assert line.facts.serial == "" and line.scan("CMD:START") == "scan_first"
+    assert line.orders() == []
+
+
+@pytest.mark.parametrize("key", ["CMD:OK", "CMD:REPEAT", "CMD:CANCEL", "CMD:STOP"])
+def test_no_key_but_the_one_that_starts_ever_presses(line, key):
+    line.scan("A1")
+    for _ in range(3):
+        line.scan(key)
+    assert [order for order in line.orders() if order[0].is_run] == []
+
+
+def test_a_unit_is_scanned_again_after_the_station_s_service_was_started_again(line):
+    line.scan("A1")
+    line.beat(age_s=-120.0, process="host:1")
+    assert line.facts.serial == "A1"
+    line.beat(StationState.OFF, age_s=-180.0)
+    line.beat(age_s=-240.0, process="host:2")
+    assert line.facts.serial == "" and line.scan("CMD:START") == "scan_first"
+
+
+def test_a_key_at_a_screen_that_showed_something_else_presses_nothing(line):
+    seen = replace(OTHER_TAB, seen=line.facts.place.version)
+    line.scan("A2")
+    assert line.scan("CMD:START", seen) == "look_again"
+    assert line.orders() == []
+    assert line.scan("CMD:START", replace(OTHER_TAB, seen=line.facts.place.version)) is None
+    assert line.orders() == [(OrderKind.UNIT, "A2", "")]
+
+
+def test_a_unit_with_a_result_is_only_pressed_once_that_was_read_and_as_often_as_the_rules_allow(line):
     line.registry.set_line_rules("L1", LineRules(retests={"fail": 1}), reason="customer")
     line.scan("A1")
     line.scan("CMD:START")
     line.end(verdict="fail")
-    assert line.scan("CMD:REPEAT") == "scan_first"
+    assert line.scan("CMD:OK") == "nothing_to_confirm"
     line.scan("A1")
     assert line.facts.retests_left == 1
-    assert line.scan("CMD:START") == "repeat_instead"
-    assert line.scan("CMD:REPEAT") is None
+    assert line.scan("CMD:START") == "ask_first"
+    assert line.scan("CMD:OK") is None and line.scan("CMD:OK") == "nothing_to_confirm"
+    assert line.scan("CMD:START") is None
     line.end(verdict="fail")
     line.scan("A1")
-    assert line.scan("CMD:REPEAT") == "no_retest"
+    assert [line.scan("CMD:OK"), line.scan("CMD:START")] == ["used_up_first"] * 2
     assert line.orders() == [(OrderKind.UNIT, "A1", "re-test after fail"), (OrderKind.UNIT, "A1", "")]
 
 
-def test_a_recording_that_cannot_be_used_is_repeated_without_a_scan(line):
+def test_a_recording_that_cannot_be_used_is_repeated_after_a_scan_without_a_question(line):
     line.scan("A1")
     line.scan("CMD:START")
     line.end(verdict="retest")
-    assert line.scan("CMD:REPEAT") is None
+    assert line.scan("CMD:START") == "scan_first"
+    line.scan("A1")
+    assert line.scan("CMD:START") is None
     assert line.queue.active("line-1")[0].reason == "re-test after retest"
 
 
@@ -168,9 +231,32 @@ def test_a_run_that_broke_is_no_test(line):
     line.registry.set_line_rules("L1", LineRules(retests={}), reason="strict")
     for _ in range(3):
         line.scan("A1")
-        line.scan("CMD:START")
+        assert line.scan("CMD:START") is None
         line.end(RunState.ERROR, code="E-INTERRUPTED")
-    assert line.scan("CMD:REPEAT") is None
+
+
+def test_a_serial_unlike_any_of_the_lot_becomes_a_unit_only_once_that_was_read(line):
+    line.scan("A12")
+    assert line.facts.open_question == "ask_new" and line.scan("CMD:START") == "ask_new_first"
+    line.scan("CMD:OK")
+    assert line.scan("CMD:START") is None
+    line.end(verdict="pass")
+    line.scan("A13")
+    assert line.facts.open_question == ""
+
+
+def test_where_units_were_registered_by_name_every_other_one_is_asked_for(line):
+    line.registry.add_unit("L1", "A1")
+    line.scan("A2")
+    assert line.facts.open_question == "ask_new"
+    line.scan("A1")
+    assert line.facts.open_question == ""
+
+
+def test_a_rule_of_the_lot_says_which_serials_are_its_own(line):
+    line.registry.set_line_rules("L1", LineRules(r"A\d+", "upper"), reason="drawing")
+    line.scan("A12")
+    assert line.facts.open_question == ""
 
 
 def test_nothing_is_ordered_from_a_station_that_is_not_there_or_may_not_run(line):
@@ -193,24 +279,74 @@ def test_a_golden_unit_is_known_by_its_label_and_later_by_its_serial(line):
     assert line.facts.is_golden
 
 
-def test_a_badge_names_the_operator(line):
-    answer = take_scan(line.registry, NOBODY, "BADGE:Kim", "")
-    assert (answer.badge, answer.note.key) == ("Kim", "badge")
-    assert take_scan(line.registry, NOBODY, "BADGE:", "").badge == ""
+def badged(line, text):
+    return take_scan(line.registry, HERE, text)
+
+
+def test_a_badge_names_the_operator_at_every_screen_and_orders_say_that_it_was_a_badge(line):
+    assert badged(line, "BADGE:Kim").note.key == "badge"
+    assert read_line(line.registry, OTHER_TAB).operator == "Kim"
+    badged(line, "A1")
+    badged(line, "CMD:START")
+    assert line.queue.active("line-1")[0].actor == "Kim (badge)"
+    assert badged(line, "BADGE:").operator == ""
+
+
+def test_a_badge_ends_with_the_shift_and_that_is_seen(line):
+    facts = badged(line, "BADGE:Kim")
+    later = replace(facts, now=facts.now + timedelta(hours=11))
+    assert later.operator == "" and later.place.operator == "Kim"
+
+
+def test_a_name_that_opens_more_than_the_line_is_not_taken_from_a_badge(line):
+    line.registry.set_user("Quinn", "quality", "7391", actor="test")
+    assert badged(line, "BADGE:quinn").note.key == "badge_needs_pin"
+    assert line.facts.operator == ""
 
 
 def test_a_chosen_station_is_one_of_several(line):
     line.queue.beat(Heartbeat("line-2", StationState.READY, datetime.now(UTC)))
     assert line.facts.station == ""
-    line.choice = replace(NOBODY, station="line-2")
-    assert line.facts.station == "line-2"
+    assert read_line(line.registry, replace(HERE, station="line-2")).station == "line-2"
+    with pytest.raises(InputError, match="no station is chosen"):
+        line.scan("A1")
 
 
 def test_a_start_from_two_tabs_is_one_run(line):
     line.scan("A1")
-    both = line.choice
-    first = take_scan(line.registry, both, "CMD:START", "kim")
-    line.queue.place(Order("x", "line-2", OrderKind.UNIT, "A9", "L1"))
-    second = take_scan(line.registry, both, "CMD:START", "lee")
-    assert first.note is None and second.note.key == "busy"
+    assert [line.scan("CMD:START"), line.scan("CMD:START", OTHER_TAB)] == [None, "busy_key"]
     assert len(line.orders()) == 1
+
+
+def test_an_order_of_somebody_else_in_the_same_moment_leaves_the_unit_to_be_scanned_again(line, monkeypatch):
+    line.scan("A1")
+    place = type(line.queue).place
+
+    def late(queue, order):
+        monkeypatch.undo()
+        queue.place(Order("x", "line-1", OrderKind.CHECK))
+        place(queue, order)
+
+    monkeypatch.setattr(type(line.queue), "place", late)
+    assert line.scan("CMD:START") == "busy_key"
+    assert line.facts.serial == "" and line.orders() == [(OrderKind.CHECK, "", "")]
+
+
+def test_a_service_whose_process_is_gone_is_gone_at_once_and_one_that_lives_may_be_late(line):
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    beat, here = line.facts.heartbeat, socket.gethostname()
+    assert [is_alive(f"{here}:{gone.pid}"), is_alive(f"{here}:{os.getpid()}"), is_alive("host:1")] == [
+        False,
+        True,
+        None,
+    ]
+    for lives, age_s, is_there in (
+        (False, 0, False),
+        (True, 8, True),
+        (True, 20, False),
+        (None, 2, True),
+        (None, 4, False),
+    ):
+        facts = replace(line.facts, is_alive=lives, heartbeat=beat, now=beat.at + timedelta(seconds=age_s))
+        assert facts.is_answering is is_there, (lives, age_s)

@@ -7,6 +7,8 @@ import pytest
 from softcal.app.texts.catalogue import catalogue
 from softcal.app.ui import account as identity
 from softcal.app.ui.pages import PAGES, pages_for
+from softcal.app.ui.pins import FREE_FAILURES, Pauses
+from softcal.core.errors import InputError
 from softcal.db.connection import open_registry
 from softcal.db.entries import User
 
@@ -43,14 +45,63 @@ def _people_page() -> None:
     people.render()
 
 
-def test_the_first_person_becomes_quality(new_registry, open_page) -> None:
+def first_person(screen, code: str, pin: str = "7391", again: str = "7391"):
+    for key, value in (("code", code), ("name", "Quinn"), ("pin", pin), ("again", again)):
+        screen.text_input(key=f"first-{key}").set_value(value)
+    return screen.button[0].click().run()
+
+
+def people_of(url: str) -> list[tuple[str, str]]:
+    with open_registry(url) as registry:
+        return [(user.name, user.role) for user in registry.users()]
+
+
+def test_the_first_person_becomes_quality_by_the_code_that_the_server_printed(new_registry, open_page, capfd) -> None:
+    identity.first_code.clear()
     screen = open_page(new_registry, _sign_in_page)
-    screen.text_input(key="first-name").set_value("Quinn")
-    screen.text_input(key="first-pin").set_value("7777")
-    screen.button[0].click().run()
+    code = identity.first_code()
+    assert capfd.readouterr().out.count(code) == 1
+    first_person(screen, code.replace("-", " "))
     assert any("<h1>Quinn</h1>" in block.proto.body for block in screen.get("html"))
-    with open_registry(new_registry) as registry:
-        assert [(user.name, user.role) for user in registry.users()] == [("Quinn", "quality")]
+    assert people_of(new_registry) == [("Quinn", "quality")]
+
+
+def test_nobody_becomes_the_first_person_without_the_code(new_registry, open_page) -> None:
+    identity._pauses.clear()
+    screen = open_page(new_registry, _sign_in_page)
+    for _ in range(FREE_FAILURES + 1):
+        assert "not the code" in first_person(screen, "0000-000").error[0].value
+    assert "wait" in first_person(screen, identity.first_code()).error[0].value
+    assert people_of(new_registry) == []
+    identity._pauses.clear()
+
+
+@pytest.mark.parametrize(
+    ("pin", "again"), [("7391", "7392"), ("0000", "0000"), ("1234", "1234"), ("8765", "8765"), ("1212", "1212")]
+)
+def test_a_pin_that_was_mistyped_or_is_soon_guessed_makes_nobody(new_registry, open_page, pin, again) -> None:
+    screen = first_person(open_page(new_registry, _sign_in_page), identity.first_code(), pin, again)
+    assert len(screen.error) == 1 and people_of(new_registry) == []
+
+
+@pytest.mark.parametrize("name", ["kim", "nobody has this name"])
+def test_guessing_waits_longer_each_time_whether_the_name_exists_or_not(name) -> None:
+    now = [datetime(2026, 3, 2, tzinfo=UTC)]
+    pauses, waits = Pauses(lambda: now[0]), []
+    for _ in range(FREE_FAILURES + 9):
+        pauses.failed(name.upper())
+        began = now[0]
+        while True:
+            try:
+                pauses.check(name)
+                break
+            except InputError:
+                now[0] += timedelta(seconds=1)
+        waits.append((now[0] - began).total_seconds())
+    assert waits == [0] * FREE_FAILURES + [2, 4, 8, 16, 32, 64, 128, 256, 300]
+    pauses.succeeded(name)
+    pauses.failed(name)
+    pauses.check(name)
 
 
 def test_a_wrong_pin_is_refused_in_words(calibrated, open_page, add_everybody) -> None:

@@ -1,7 +1,9 @@
 """The desk's pages, drawn in process from a registry: what they say, when there is nothing, and in two languages."""
 
+from dataclasses import replace
 from pathlib import Path
 
+from softcal.app.cli.main import main
 from softcal.app.texts import catalogue as texts
 from softcal.app.views.lot import lot_view
 from softcal.core.reason import plain
@@ -97,3 +99,43 @@ def _lot_page() -> None:
     from softcal.app.ui.app_pages import lot
 
     lot.render()
+
+
+def _long_term_page() -> None:
+    from softcal.app.ui.app_pages import long_term
+
+    long_term.render()
+
+
+def test_a_unit_whose_stream_has_ended_stands_among_the_units_in_use(
+    calibrated: str, small_calibrated: Path, tmp_path: Path, open_page
+) -> None:
+    stream = small_calibrated.parent / "lot/units/A1.csv"
+    assert (
+        main(["adapt", "--registry", calibrated, "--serial", "A1", str(stream), "--out", str(tmp_path / "o.csv")]) == 0
+    )
+    screen = open_page(calibrated, _long_term_page)
+    assert not screen.error, screen.error[0].value
+    assert any("A1" in table.value.to_string() for table in [*screen.dataframe, *screen.table])
+
+
+def _networks_page() -> None:
+    from softcal.app.ui.app_pages import networks
+
+    networks.render()
+
+
+def test_a_trained_network_is_a_draft_until_somebody_releases_it_with_a_reason(calibrated: str, open_page) -> None:
+    with open_registry(calibrated) as registry:
+        first = registry.released_network("small").network
+        other = replace(registry.network(first.id), output_mean=0.61)
+        trial = registry.add_network("small", other, {"validation_rmse": 0.05}, {}, "b" * 64, actor="Erin")
+    screen = open_page(calibrated, _networks_page, role="engineer")
+    states = screen.table[0].value["State"].tolist()
+    assert states == ["draft", "in use at the line"]
+    screen.text_input(key=f"reason-text-release-{trial[:12]}-draft").set_value("half the error")
+    next(button for button in screen.button if button.label == "Release to the line").click().run()
+    assert not screen.exception and "uses" in screen.success[0].value
+    with open_registry(calibrated) as registry:
+        state = registry.released_network("small")
+        assert (state.network.id, state.actor, state.reason) == (trial, "Erin", "half the error")

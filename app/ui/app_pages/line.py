@@ -5,17 +5,17 @@ from functools import partial
 import streamlit as st
 
 from softcal.app.charts.live import live_signal
-from softcal.app.line.line import Answer, Note, read_line, take_scan
-from softcal.app.ui.account import actor, person
+from softcal.app.line.line import read_line, take_scan
+from softcal.app.ui.account import is_signed_in, person
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.line_setup import line_setup
 from softcal.app.ui.components.scan_field import scan_field
-from softcal.app.ui.desk import colours, registry, words
-from softcal.app.ui.line_memory import choice, kept_runs, lot_at_line, note, remember_answer
-from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, away_view, line_view
-from softcal.core.errors import RegistryError
+from softcal.app.ui.desk import colours, in_words, registry, words
+from softcal.app.ui.line_memory import kept_runs, lot_at_line, refusal, remember_refusal, screen
+from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, away_view, line_view, note_said
+from softcal.core.errors import InputError, RegistryError
 
-BUSY_S, IDLE_S = 0.5, 2.0
+BUSY_S, IDLE_S = 0.5, 1.0
 """Between two looks: during a run, and else; an idle screen looks too, since another one may have started a run."""
 
 IS_BUSY = "line-is-busy"
@@ -32,52 +32,61 @@ def render() -> None:
 
 
 def _screen() -> None:
-    view = _look()
+    view, note = _look()
     with st.container(key="line-screen"):
         st.html(line_card.cells_html(view))
         st.html(line_card.card_html(view))
-        said = _note()
+        if note is not None:
+            st.html(line_card.note_html(*note))
         with st.container(key="line-actions", horizontal=True):
             _actions(view)
-            texts = {"label": words()("line.scan"), "placeholder": words()("line.scan.hint")}
-            scan_field(texts | {"spoken": said or view.spoken}, COMMAND_OF_KEY, _on_scan)
+            _field(view, note[0] if note else "")
         _below(view)
     if view.is_busy != bool(st.session_state.get(IS_BUSY)):
         st.session_state[IS_BUSY] = view.is_busy
         st.rerun()
 
 
-def _look() -> LineView:
+def _look() -> tuple[LineView, tuple[str, bool] | None]:
+    """Return what the screen shows and the sentence about the last scan."""
+    why = refusal()
+    refused = (words()("note.refused", why=why), True) if why else None
     try:
-        facts = read_line(registry(), choice(), lot_at_line)
+        facts = read_line(registry(), screen(), lot_at_line)
     except RegistryError:
-        return away_view(kept_runs(), person().name, words())
-    return line_view(facts, person().name, words())
+        return away_view(kept_runs(), _signed_in(), words()), refused
+    return line_view(facts, _signed_in(), words()), refused or note_said(facts, words())
 
 
-def _on_scan(text: str) -> None:
+def _signed_in() -> str:
+    """Return who has shown who they are at this screen; a badge is no proof and stands at the line."""
+    return person().name if is_signed_in() else ""
+
+
+def _on_scan(text: str, seen: int | None) -> None:
     try:
-        answer = take_scan(registry(), choice(), text, actor())
+        take_scan(registry(), screen(seen), text, _signed_in())
     except RegistryError:
-        answer = Answer(choice(), Note("away"))
-    remember_answer(answer)
+        remember_refusal(words()("line.away"))
+    except InputError as error:
+        remember_refusal(in_words(error))
+    else:
+        remember_refusal("")
+
+
+def _field(view: LineView, note: str) -> None:
+    say = words()
+    texts = {"label": say("line.scan"), "placeholder": say("line.scan.hint"), "late": say("line.scan.late")}
+    scan_field(texts | {"spoken": note or view.spoken}, view.seen, COMMAND_OF_KEY, _on_scan)
 
 
 def _actions(view: LineView) -> None:
+    say = words()
     for number, command in enumerate(view.actions):
-        label = f"{words()(f'line.action.{command}')} · {KEYS[command]}"
-        draw = partial(st.button, label, key=f"line-{command}", on_click=_on_scan, args=(f"CMD:{command}",))
-        draw(type="primary" if number == 0 else "secondary")
-
-
-def _note() -> str:
-    """Show the sentence about the last scan; it stays until the next one."""
-    found = note()
-    if found is None:
-        return ""
-    said = words()(f"note.{found.key}", **found.values)
-    st.html(line_card.note_html(said, found.is_refusal))
-    return said
+        asks = command == "OK" and view.state in ("ask", "ask_new")
+        label = say(f"line.action.OK.{view.state}") if asks else say(f"line.action.{command}")
+        draw = partial(st.button, f"{label} · {KEYS[command]}", key=f"line-{command}", on_click=_on_scan)
+        draw(args=(f"CMD:{command}", view.seen), type="primary" if number == 0 else "secondary")
 
 
 def _below(view: LineView) -> None:

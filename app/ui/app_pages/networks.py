@@ -1,6 +1,7 @@
 """The shared networks of a lot: train one with the loss live, and compare networks and map families on its units."""
 
 from softcal.app.ui.components.network_panels import comparison, training
+from softcal.app.ui.components.network_release import release
 from softcal.app.ui.desk import empty, errors_in_words, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import lot_heading, table
@@ -24,6 +25,8 @@ def render() -> None:
             empty(say("networks.none"), say("networks.none.how"))
         if not rest_may_follow():
             return
+        if rows:
+            release(lot, rows)
         training(lot)
         if rows:
             comparison(lot, rows)
@@ -33,6 +36,8 @@ def _row(row: NetworkRow, unit: str) -> dict[str, object]:
     say = words()
     return {
         say("column.network"): row.id[:12],
+        say("networks.state"): say("networks.in_use") if row.is_in_use else say(f"networks.state.{row.state}"),
+        say("networks.decided"): row.decided,
         say("column.made"): instant(row.added_at),
         say("networks.hidden"): row.layers,
         say("networks.members"): row.members,

@@ -6,6 +6,7 @@ from softcal.app.ui.account import actor
 from softcal.app.ui.desk import ask_reason, in_words, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
+from softcal.app.ui.pins import check_pin
 from softcal.core.errors import InputError
 from softcal.db.entries import User
 from softcal.db.people import ROLES
@@ -49,11 +50,16 @@ def _change(people: list[User]) -> None:
     )
     pin_label = say("sign_in.new_pin") if user is NEW else say("people.pin")
     pin = st.text_input(pin_label, type="password", key=f"people-pin-{mark}", autocomplete="new-password")
+    again = st.text_input(
+        say("sign_in.pin_again"), type="password", key=f"people-again-{mark}", autocomplete="new-password"
+    )
     is_active = st.checkbox(say("people.may_sign_in"), user.is_active, key=f"people-active-{mark}")
     reason = ask_reason(f"people-{mark}", say("people.save"), "people")
     if reason is None:
         return
     try:
+        if pin:
+            check_pin(pin, again)
         registry().set_user(
             name, role, pin or None, actor=actor(), reason=reason, is_active=is_active, version=user.version
         )

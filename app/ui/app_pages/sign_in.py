@@ -7,14 +7,17 @@ import streamlit as st
 
 from softcal.app.ui.account import (
     account_without_role,
+    first_code,
     has_company_accounts,
     is_signed_in,
+    make_first_account,
     person,
     role_claim,
     sign_in,
     sign_out,
 )
 from softcal.app.ui.desk import choose_language, in_words, registry, words
+from softcal.app.ui.pins import check_pin
 from softcal.core.errors import InputError
 
 
@@ -78,16 +81,19 @@ def _by_pin() -> None:
 
 def _first_person() -> None:
     say = words()
+    first_code()
     st.title(say("sign_in.first"))
     st.caption(say("sign_in.first.why"))
     with st.form("first-person"):
+        code = st.text_input(say("sign_in.first.code"), key="first-code", autocomplete="off")
         name = st.text_input(say("sign_in.name"), key="first-name").strip()
         pin = st.text_input(say("sign_in.new_pin"), key="first-pin", type="password", autocomplete="new-password")
+        again = st.text_input(say("sign_in.pin_again"), key="first-again", type="password", autocomplete="new-password")
         if not st.form_submit_button(say("sign_in.first.enter"), type="primary", width="stretch"):
             return
     try:
-        registry().set_user(name, "quality", pin, actor=name, reason=say("sign_in.first"))
-        sign_in(name, pin)
+        check_pin(pin, again)
+        make_first_account(name, pin, code)
     except InputError as error:
         st.error(in_words(error), icon=":material/error:")
     else:

@@ -2,10 +2,11 @@
 
 import streamlit as st
 
+from softcal.app.line.line import read_line, take_scan
 from softcal.app.ui.browser_memory import remember
 from softcal.app.ui.desk import choose_language, in_words, registry, words
-from softcal.app.ui.line_memory import choice
-from softcal.core.errors import RegistryError
+from softcal.app.ui.line_memory import screen
+from softcal.core.errors import InputError, RegistryError
 
 
 def line_setup() -> None:
@@ -13,18 +14,23 @@ def line_setup() -> None:
     say = words()
     choose_language()
     try:
-        stations = [beat.station for beat in registry().order_queue.stations()]
-        _choose(say("line.setup.station"), "station", stations, choice().station)
-        _choose(say("line.setup.lot"), "lot", registry().lot_ids(), choice().lot_id)
-    except RegistryError as error:
+        facts = read_line(registry(), screen())
+        station = _choose(say("line.setup.station"), "station", list(facts.stations), facts.station)
+        if station:
+            remember("station", station)
+            st.rerun()
+        lot = _choose(say("line.setup.lot"), "lot", list(facts.lots), facts.lot.id if facts.lot else "")
+        if lot:
+            take_scan(registry(), screen(), f"LOT:{lot}")
+            st.rerun()
+    except (RegistryError, InputError) as error:
         st.caption(in_words(error))
     st.caption(say("line.setup.codes"))
 
 
-def _choose(label: str, name: str, names: list[str], now: str) -> None:
+def _choose(label: str, name: str, names: list[str], now: str) -> str:
+    """Return what a person chose instead of what holds now, "" where nothing was."""
     # The key carries what is chosen now: a scan may have changed it since.
     index = names.index(now) if now in names else None
     chosen = st.selectbox(label, names, index, key=f"line-{name}-{now}", placeholder="–")
-    if chosen and chosen != now:
-        remember(name, str(chosen))
-        st.rerun()
+    return str(chosen) if chosen and chosen != now else ""

@@ -2,9 +2,10 @@
 const KEYSTROKE_MS = 45
 const SILENCE_MS = 300
 const SHORTEST = 2
-// A scan that the server has not taken is sent again, but never so late that it would surprise anybody.
+// A scan that the server has not taken is sent again, but never so late that it would surprise anybody: then it is
+// said that it was not taken. A key is late soonest, since something moves by it.
 const AGAIN_MS = 1000
-const TOO_LATE_MS = 5000
+const TOO_LATE_MS = { command: 2500, scan: 10000 }
 const waiting = []
 let timer
 
@@ -15,17 +16,29 @@ export default function ({ data, parentElement, setTriggerValue }) {
   field.placeholder = data.placeholder
   if (live.textContent !== data.spoken) live.textContent = data.spoken
 
+  document.softcalDrawn = Date.now()
+  document.softcalShown = data.seen
+  const late = parentElement.querySelector("[role=alert]")
+  const say = (text) => {
+    late.hidden = !text
+    late.textContent = text
+  }
   const hand = () => {
     clearTimeout(timer)
-    const isDue = (scan) => scan.id > data.taken && Date.now() - scan.id < TOO_LATE_MS
-    waiting.splice(0, waiting.length, ...waiting.filter(isDue))
+    const isOld = (scan) =>
+      Date.now() - scan.id > (scan.text.startsWith("CMD:") ? TOO_LATE_MS.command : TOO_LATE_MS.scan)
+    const open = waiting.filter((scan) => scan.id > data.taken)
+    const lost = open.filter(isOld)
+    if (lost.length) say(data.late.replace("%", lost.map((scan) => scan.text).join(", ")))
+    waiting.splice(0, waiting.length, ...open.filter((scan) => !isOld(scan)))
     if (!waiting.length) return
     setTriggerValue("scan", [...waiting])
     timer = setTimeout(() => document.softcalHand(), AGAIN_MS)
   }
   document.softcalHand = hand
   const take = (text) => {
-    waiting.push({ id: Math.max(Date.now(), (waiting.at(-1)?.id ?? 0) + 1), text })
+    say("")
+    waiting.push({ id: Math.max(Date.now(), (waiting.at(-1)?.id ?? 0) + 1), text, seen: document.softcalShown })
     hand()
   }
   const send = () => {
@@ -66,6 +79,10 @@ export default function ({ data, parentElement, setTriggerValue }) {
     "keydown",
     (event) => {
       const command = data.keys[event.key]
+      if (command && event.repeat) {
+        event.preventDefault() // A key that is held down was pressed once.
+        return
+      }
       if (command && !event.ctrlKey && !event.altKey && !event.metaKey) {
         event.preventDefault()
         take(`CMD:${command}`)

@@ -1,5 +1,6 @@
 """The field every scan goes into: focus is always there, F-keys are commands, and it tells screen readers the state."""
 
+import time
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
@@ -15,17 +16,22 @@ HTML = """
   <span></span>
   <input type="text" inputmode="none" autocomplete="off" autocapitalize="off" spellcheck="false">
 </label>
+<p role="alert" hidden></p>
 <div role="status" aria-live="assertive"></div>
 """
 
 
-def scan_field(texts: Mapping[str, str], keys: Mapping[str, str], on_scan: Callable[[str], None]) -> None:
+def scan_field(
+    texts: Mapping[str, str], seen: int, keys: Mapping[str, str], on_scan: Callable[[str, int | None], None]
+) -> None:
     """Draw the field.
 
     Args:
-        texts: `label`, `placeholder`, and `spoken`: what screen readers say when it changes.
+        texts: `label`, `placeholder`, `late`: said of a scan (`%`) that the server did not take in time, and `spoken`:
+            what screen readers say when it changes.
+        seen: names what is shown; every scan comes back with what was seen when it was made.
         keys: function key → command; a press is the same as a scan of `CMD:COMMAND`.
-        on_scan: takes what was scanned, before the page is drawn again.
+        on_scan: takes what was scanned and what was seen, before the page is drawn again.
     """
 
     def hand_on() -> None:
@@ -33,12 +39,14 @@ def scan_field(texts: Mapping[str, str], keys: Mapping[str, str], on_scan: Calla
             # The browser sends a scan again until it hears that it was taken.
             if scan["id"] > st.session_state.get(TAKEN, 0):
                 st.session_state[TAKEN] = scan["id"]
-                on_scan(str(scan["text"]))
+                on_scan(str(scan["text"]), int(scan["seen"]))
 
     # Registered here because a component needs a running server; the same again changes nothing.
     draw = st.components.v2.component("softcal_scan", html=HTML, css=_beside(".css"), js=_beside(".js"))
     taken = st.session_state.get(TAKEN, 0)
-    draw(data={**texts, "keys": dict(keys), "taken": taken}, key=KEY, on_scan_change=hand_on)
+    # The instant makes every drawing another one: the browser sees by it that the screen is not left behind.
+    data = {**texts, "keys": dict(keys), "taken": taken, "seen": seen, "at": time.time()}
+    draw(data=data, key=KEY, on_scan_change=hand_on)
 
 
 @cache

@@ -1,0 +1,44 @@
+"""Whether a serial may be a slip of the hand: the lot has not planned it, and no unit of the lot looks like it."""
+
+import re
+from collections.abc import Set
+
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+from softcal.core.quality.line_rules import LineRules
+from softcal.db.lot_pages import UnitFilter
+from softcal.db.registry import Registry
+
+
+def is_unheard_of(registry: Registry, lot: Lot, rules: LineRules, serial: str, pressed: Set[str]) -> bool:
+    """Whether a person should be asked before a serial becomes a unit of a lot.
+
+    A unit that the lot knows is not asked for. Where the lot's units were registered by name, every other one is. Else
+    it must fit the lot's rule or, where nobody set one, look like the source or like a unit pressed of late.
+
+    Args:
+        pressed: serials pressed of late in this lot.
+    """
+    if _is_of_lot(registry, lot, serial):
+        return False
+    if _is_planned_by_name(registry, lot):
+        return True
+    return not rules.serial_pattern and shape(serial) not in {shape(known) for known in {lot.source, *pressed}}
+
+
+def shape(serial: str) -> str:
+    """Return a serial with every digit as 0: `EG-0017` looks like `EG-0000`."""
+    return re.sub(r"\d", "0", serial)
+
+
+def _is_of_lot(registry: Registry, lot: Lot, serial: str) -> bool:
+    try:
+        return any(unit.lot_id == lot.id for unit in registry.units(serial=serial))
+    except InputError:
+        return False
+
+
+def _is_planned_by_name(registry: Registry, lot: Lot) -> bool:
+    """Whether the lot holds a unit that was registered and never recorded."""
+    waiting = registry.unit_page(lot.id, UnitFilter(verdicts=("none",)), size=1).units
+    return any(not registry.recordings(lot.id, unit.serial) for unit in waiting)

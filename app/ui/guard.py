@@ -1,0 +1,98 @@
+"""What the server refuses before any page: other names than its own, frames, scripts from elsewhere, its own metrics.
+
+A page of a stranger can make a browser resolve the stranger's name to this machine (DNS rebinding) and would then speak
+to it as if it were the stranger's: so a name that is not this server's is refused, of a WebSocket too. An address in
+numbers cannot be rebound and is taken.
+"""
+
+import ipaddress
+import os
+import re
+import socket
+from collections.abc import Iterable
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+HOSTS_VARIABLE = "SOFTCAL_HOSTS"
+"""Environment variable: other names, with commas between, under which browsers reach this server."""
+
+CLOSED = ("/_stcore/metrics", "/_stcore/script-health-check")
+POLICY = (
+    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
+    "style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; font-src 'self' data:; worker-src 'self' blob:; connect-src 'self' data: blob:; "
+    "media-src 'self' data: blob:; object-src 'none'; base-uri 'self'; form-action 'self'; frame-ancestors 'none'"
+)
+"""Streamlit's own scripts build functions and styles at run time; nothing comes from, or goes to, another machine."""
+
+HEADERS = (
+    (b"content-security-policy", POLICY.encode()),
+    (b"x-frame-options", b"DENY"),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"same-origin"),
+)
+HOST = re.compile(r"(?:\[(?P<six>[0-9A-Fa-f:.]+)\]|(?P<name>[A-Za-z0-9._-]+))(?::\d{1,5})?")
+
+REFUSAL = (
+    b"This server is not known under this name. Open it by its address in numbers, "
+    b"or start `softcal ui` with --host NAME."
+)
+
+
+def own_names(more: Iterable[str] = ()) -> frozenset[str]:
+    """Return the names under which this server may be reached, beside addresses in numbers."""
+    own = socket.gethostname().lower()
+    return frozenset({"localhost", own, f"{own}.local", *(name.strip().lower() for name in more if name.strip())})
+
+
+def is_own(host: str, names: frozenset[str]) -> bool:
+    """Whether a request's Host names this server: one of its names, or any address in numbers, with any port."""
+    parts = HOST.fullmatch(host)
+    if parts is None:
+        return False
+    bare = (parts["six"] or parts["name"]).rstrip(".").lower()
+    try:
+        ipaddress.ip_address(bare)
+    except ValueError:
+        return bare in names
+    return True
+
+
+class Guard:
+    """ASGI middleware around the application."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+        self._names = own_names(os.environ.get(HOSTS_VARIABLE, "").split(","))
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse, or hand on and add the headers."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
+        if len(hosts) != 1 or not is_own(hosts[0], self._names):
+            await _refuse(scope, receive, send, 421, REFUSAL)
+        elif scope["path"].rstrip("/").endswith(CLOSED):
+            await _refuse(scope, receive, send, 404, b"")
+        else:
+            await self._app(scope, receive, _with_headers(send))
+
+
+def _with_headers(send: Send) -> Send:
+    async def sent(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message = {**message, "headers": [*message.get("headers", ()), *HEADERS]}
+        await send(message)
+
+    return sent
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, said: bytes) -> None:
+    if scope["type"] == "websocket":
+        await receive()
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    headers = [(b"content-type", b"text/plain; charset=utf-8"), *HEADERS]
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": said})

@@ -1,0 +1,83 @@
+"""Which PINs are too easy, how long guessing has to wait, and the code that proves the first account. No Streamlit.
+
+The pause is the same for a name that nobody has: else its length would tell which names there are.
+"""
+
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+from softcal.core.errors import InputError
+
+FREE_FAILURES = 2
+FIRST_PAUSE, LONGEST_PAUSE = timedelta(seconds=2), timedelta(minutes=5)
+MOST_NAMES = 10_000
+"""So many names are remembered; whoever invents more does not fill the memory."""
+
+CODE_DIGITS = 8
+
+
+def check_pin(pin: str, again: str) -> None:
+    """Refuse a PIN that was typed differently twice, or that is among the first anybody would guess.
+
+    Raises:
+        InputError: not equal, all digits equal, a run such as 1234 or 9876, or one pair repeated.
+    """
+    if pin != again:
+        raise InputError("the two PINs differ; type the same one twice")
+    steps = {(int(b) - int(a)) % 10 for a, b in zip(pin, pin[1:], strict=False) if a.isdecimal() and b.isdecimal()}
+    is_run = pin.isdecimal() and len(steps) == 1 and steps <= {0, 1, 9}
+    is_pair = len(pin) >= 4 and len(pin) % 2 == 0 and pin == pin[:2] * (len(pin) // 2)
+    if is_run or is_pair:
+        raise InputError("this PIN is among the first that anybody would guess; choose another one")
+
+
+@dataclass(frozen=True)
+class _Failures:
+    count: int
+    until: datetime
+
+
+class Pauses:
+    """Wrong tries of each name at this server, and how long the next one waits: 2 s, then twice as long each time."""
+
+    def __init__(self, clock: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
+        self._clock = clock
+        self._failures: dict[str, _Failures] = {}
+
+    def check(self, name: str) -> None:
+        """Raise `InputError` while a name has to wait."""
+        known = self._failures.get(_key(name))
+        left = known.until - self._clock() if known else timedelta(0)
+        if left > timedelta(0):
+            raise InputError(f"too many wrong tries; wait {max(1, round(left.total_seconds()))} s")
+
+    def failed(self, name: str) -> None:
+        """Count a wrong try."""
+        known = self._failures.pop(_key(name), None)
+        count = (known.count if known else 0) + 1
+        pause = FIRST_PAUSE * 2 ** min(count - FREE_FAILURES - 1, 20) if count > FREE_FAILURES else timedelta(0)
+        if len(self._failures) >= MOST_NAMES:
+            del self._failures[next(iter(self._failures))]
+        self._failures[_key(name)] = _Failures(count, self._clock() + min(pause, LONGEST_PAUSE))
+
+    def succeeded(self, name: str) -> None:
+        """Forget the wrong tries of a name."""
+        self._failures.pop(_key(name), None)
+
+
+def new_code() -> str:
+    """Return a code that nobody can guess, in two halves to be read out."""
+    digits = "".join(secrets.choice("0123456789") for _ in range(CODE_DIGITS))
+    return f"{digits[:4]}-{digits[4:]}"
+
+
+def is_code(typed: str, code: str) -> bool:
+    """Whether somebody typed a code; spaces and the dash are no matter."""
+    plain = [text.replace("-", "").replace(" ", "").encode() for text in (typed, code)]
+    return secrets.compare_digest(*plain)
+
+
+def _key(name: str) -> str:
+    return name.strip().lower()[:120]

@@ -1,0 +1,321 @@
+"""The line as a model: every event in every state that can be reached, and four properties that hold in all of them.
+
+The use cases and the view are the product's own. The registry and the station are played by one frozen value, so that a
+state can be kept and gone on from in several ways. SOFTCAL_LINE_WORLDS sets how many states are gone through.
+"""
+
+import os
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from softcal.app.line import line as use_cases
+from softcal.app.line.line import Screen, read_line, take_scan
+from softcal.app.line.place import read_place
+from softcal.app.texts import catalogue as texts
+from softcal.app.views.line import BEFORE_RUN, LineView, line_view
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
+from softcal.core.quality.line_rules import LineRules
+from softcal.db.entries import RunEntry
+
+NOW = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
+SAY = partial(texts.text, "en")
+LOTS = {"L1": Lot("L1", "A0", 50.0), "L2": Lot("L2", "B0", 50.0)}
+RULES = LineRules(retests={"fail": 1, "retest": 1})
+RESULTS = ("pass", "conditional", "fail", "retest", "recorded", "retest_used_up", "golden_pass", "golden_fail")
+REFUSED = ("A0", "X7", "not a serial!", "http://x", "LOT:L9")
+SCANS = ("A1", "A123", *REFUSED, "LOT:L1", "GOLDEN:G1", "BADGE:Kim")
+KEYS = ("CMD:START", "CMD:OK", "CMD:REPEAT", "CMD:CANCEL", "CMD:STOP")
+STATION = ("take", "pass", "fail", "retest", "break", "cut off", "restart", "restart stopped", "close", "open", "go")
+TABS = ("left", "right")
+
+
+@dataclass(frozen=True)
+class World:
+    """Registry, station and two screens at one moment.
+
+    Args:
+        place: values of the line's row, as the registry keeps them.
+        orders: runs, newest first, as (id, kind, serial, state, verdict); the newest two matter.
+        results: (serial, verdict) in the lot, at most two of a serial.
+        station, process: of the heartbeat; `silent` gives none.
+        is_read: whether somebody has acknowledged the stop.
+        shown: what each screen showed last: version of the place and serial it would press.
+    """
+
+    place: tuple[int, Any] = (0, None)
+    orders: tuple[tuple[str, OrderKind, str, RunState, str], ...] = ()
+    results: tuple[tuple[str, str], ...] = ()
+    station: StationState = StationState.READY
+    process: int = 0
+    is_read: bool = False
+    shown: tuple[tuple[int, str], ...] = ((0, ""), (0, ""))
+
+
+@dataclass
+class Played:
+    """What the use cases need of a registry, played on a world; it counts what was ordered."""
+
+    world: World
+    ordered: list[Order] = field(default_factory=list)
+
+    @property
+    def order_queue(self) -> "Played":
+        return self
+
+    @property
+    def line_places(self) -> "Played":
+        return self
+
+    def stations(self) -> list[Heartbeat]:
+        if self.world.station is StationState.OFF:
+            return [Heartbeat("line-1", StationState.OFF, datetime.now(UTC), process=f"elsewhere:{self.world.process}")]
+        return [Heartbeat("line-1", self.world.station, datetime.now(UTC), process=f"elsewhere:{self.world.process}")]
+
+    def runs(self, station: str, count: Any = None) -> Any:
+        if station in LOTS:
+            return [
+                RunEntry(serial, NOW, verdict, ("because",))
+                for serial, verdict in self.world.results
+                if serial == count
+            ]
+        return [_run(values) for values in self.world.orders]
+
+    def active(self, station: str) -> Any:
+        return next((run for run in self.runs(station) if run[1].state.is_active), None)
+
+    def place(self, order: Order) -> None:
+        self.ordered.append(order)
+        if order.kind.is_run:
+            if self.active("line-1"):
+                raise InputError("busy")
+            values = (order.order_id, order.kind, order.serial, RunState.QUEUED, "")
+            self.world = replace(self.world, orders=(values, *self.world.orders[:1]))
+        elif order.kind is OrderKind.ACKNOWLEDGE:
+            self.world = replace(self.world, is_read=True)
+
+    def read(self, station: str) -> Any:
+        version, values = self.world.place
+        return version, dict(values) if values else {}
+
+    def write(self, station: str, seen_version: int, place: Any) -> bool:
+        assert seen_version == self.world.place[0]
+        frozen = tuple((key, place[key]) for key in sorted(place))
+        self.world = replace(self.world, place=(seen_version + 1, frozen))
+        return True
+
+    def lot_ids(self) -> list[str]:
+        return list(LOTS)
+
+    def lot(self, lot_id: str) -> Lot:
+        return LOTS[lot_id]
+
+    def lots(self) -> list[Lot]:
+        return list(LOTS.values())
+
+    def line_rules(self, lot: Lot) -> LineRules:
+        return RULES
+
+    def released_network(self, lot_id: str) -> None:
+        return None
+
+    def verdict_counts(self, lot_id: str) -> dict[str, int]:
+        return {}
+
+    def golden_runs(self, station: str) -> list[Any]:
+        return []
+
+    def users(self) -> list[Any]:
+        return []
+
+    def unit_page(self, *_: Any, **__: Any) -> Any:
+        return SimpleNamespace(units=())
+
+    def units(self, serial: str) -> list[Any]:
+        known = {"X7": "L2", **{one: "L1" for one, _ in self.world.results}}
+        if serial not in known:
+            raise InputError("not in the registry")
+        return [SimpleNamespace(lot_id=known[serial])]
+
+
+def _run(values: tuple[str, OrderKind, str, RunState, str]) -> tuple[Order, Progress]:
+    order_id, kind, serial, state, verdict = values
+    message = "gone" if state is RunState.ERROR else ""
+    progress = Progress(order_id, state, code="E-SILENT" if message else "", message=message, verdict=verdict)
+    return Order(order_id, "line-1", kind, serial, "L1", "kim", created=NOW), progress
+
+
+def played_station(world: World, event: str) -> World | None:
+    """Return the world after something at the station, None where it cannot happen."""
+    newest = world.orders[0] if world.orders else None
+    state = newest[3] if newest else None
+    if event == "take":
+        return _ended(world, RunState.RUNNING) if state is RunState.QUEUED else None
+    if event in ("pass", "fail", "retest"):
+        if state is not RunState.RUNNING or newest is None:
+            return None
+        ended = _ended(
+            world, RunState.DONE, event if newest[1] is not OrderKind.GOLDEN or event != "retest" else "fail"
+        )
+        own = [entry for entry in world.results if entry[0] == newest[2]][-1:]
+        others = [entry for entry in world.results if entry[0] != newest[2]]
+        is_unit = newest[1] is OrderKind.UNIT
+        own = [(newest[2], event)] if own else []  # Which verdict came first changes nothing.
+        return replace(ended, results=tuple(sorted([*others, *own, (newest[2], event)]))) if is_unit else ended
+    if event == "break":
+        broken = _ended(world, RunState.ERROR) if state is RunState.RUNNING else world
+        return replace(broken, station=StationState.STOPPED, is_read=False)
+    if event == "cut off":
+        return _ended(world, RunState.ERROR) if state in (RunState.RUNNING, RunState.QUEUED) else None
+    if event in ("restart", "restart stopped"):
+        cut = _ended(world, RunState.ERROR) if state in (RunState.RUNNING, RunState.QUEUED) else world
+        after = StationState.READY if event == "restart" else StationState.STOPPED
+        return replace(cut, process=1 - world.process, station=after, is_read=False)
+    if event == "close":
+        return replace(world, station=StationState.CLOSED) if world.station is StationState.READY else None
+    if event == "open":
+        if world.station is StationState.STOPPED and not world.is_read:
+            return None
+        return replace(world, station=StationState.READY, is_read=False)
+    return replace(world, station=StationState.OFF) if state not in (RunState.RUNNING, RunState.QUEUED) else None
+
+
+def _ended(world: World, state: RunState, verdict: str = "") -> World:
+    order_id, kind, serial, _, _ = world.orders[0]
+    return replace(world, orders=((order_id, kind, serial, state, verdict), *world.orders[1:]))
+
+
+def drawn(registry: Any, tab: str) -> LineView:
+    return line_view(read_line(registry, Screen(tab=tab)), "", SAY)
+
+
+def pressable(view: LineView) -> str:
+    return view.serial if view.state in ("armed", "armed_golden") else ""
+
+
+def plain(world: World) -> tuple[Any, ...]:
+    """Return what tells worlds apart by what can follow: notes and badges lead nowhere."""
+    version, values = world.place
+    place = dict(values or ())
+    newest = world.orders[0] if world.orders else ("", None, "", None, "")
+    is_in_doubt = place.get("after_run") == newest[0]
+    serial = place.get("serial", "") if is_in_doubt else ""
+    waits = (serial, place["process"] == f"elsewhere:{world.process}") if serial else ()
+    asked = (place["is_new"], place["is_confirmed"], place["tab"]) if serial else ()
+    screens = tuple((seen == version, shown) for seen, shown in world.shown)
+    return (
+        place.get("lot_id", ""),
+        is_in_doubt,
+        waits,
+        asked,
+        newest[1:],
+        world.results,
+        world.station,
+        world.is_read,
+        screens,
+    )
+
+
+@dataclass
+class Broken(AssertionError):
+    """A property does not hold."""
+
+    what: str
+    trail: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"{self.what} after {' → '.join(self.trail)}"
+
+
+def events() -> Iterator[tuple[str, str]]:
+    yield from (("station", event) for event in STATION)
+    yield from (("left", code) for code in (*SCANS, *KEYS, "look"))
+    # The screens are alike: one of them does everything, the other one holds a stale picture and starts from it.
+    yield from (("right", code) for code in ("CMD:START", "look"))
+
+
+def after(world: World, who: str, event: str, trail: tuple[str, ...]) -> World | None:
+    """Return the world after one event, and check that nothing moved that should not."""
+    if who == "station":
+        return played_station(world, event)
+    registry, at = Played(world), TABS.index(who)
+    if event != "look":
+        before = drawn(registry, who)
+        seen, serial = world.shown[at]
+        take_scan(registry, Screen(tab=who, seen=seen), event)
+        moved = [order for order in registry.ordered if order.kind.is_run]
+        if moved and event != "CMD:START":
+            raise Broken(f"{event} moved the stage", trail)
+        if moved and pressable(before) != moved[0].serial:
+            raise Broken(f"{moved[0].serial} was pressed under a card of {before.state} {before.serial}", trail)
+        scanned_here = dict(world.place[1] or ()).get("tab") == who
+        if moved and moved[0].serial != serial and not scanned_here:
+            raise Broken(f"{moved[0].serial} was pressed at a screen that showed {serial or 'no unit'}", trail)
+    view = drawn(registry, who)
+    shown = list(registry.world.shown)
+    shown[at] = (view.seen, pressable(view))
+    return replace(registry.world, shown=tuple(shown))
+
+
+def check_card(world: World, who: str, event: str, before: LineView, trail: tuple[str, ...]) -> LineView:
+    """Check what stands there after an event; return it."""
+    view, other = drawn(Played(world), "left"), drawn(Played(world), "a new one")
+    if view != other:
+        raise Broken("two screens show different things", trail)
+    newest = world.orders[0] if world.orders else None
+    if view.state in RESULTS and (newest is None or newest[3] is not RunState.DONE or newest[2] != view.serial):
+        raise Broken(f"{view.state} of {view.serial} though the newest run is {newest}", trail)
+    place = read_place(Played(world), "line-1")  # type: ignore[arg-type]
+    if view.state in RESULTS and newest is not None and place.after_run == newest[0]:
+        raise Broken(f"{view.state} of {view.serial} though another unit may be in the hand", trail)
+    if view.state in BEFORE_RUN and view.serial and view.serial != place.serial:
+        raise Broken(f"{view.serial} stands there, {place.serial} was scanned", trail)
+    irregular = who != "station" and before.state not in ("running", "stopped") and event in REFUSED
+    if irregular and view.state not in ("hand", "closed", "silent", "no_lot"):
+        raise Broken(f"{view.state} of {view.serial} after a refused scan", trail)
+    return view
+
+
+def test_all_events_in_all_states_keep_the_four_properties(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    ids = iter(range(10**9))
+    monkeypatch.setattr(use_cases.uuid, "uuid4", lambda: SimpleNamespace(hex=f"order-{next(ids)}"))
+    first = World()
+    known, steps, states = {plain(first)}, 0, set()
+    open_worlds: deque[tuple[World, tuple[str, ...]]] = deque([(first, ())])
+    while open_worlds:
+        world, trail = open_worlds.popleft()
+        before = drawn(Played(world), "left")
+        for who, event in events():
+            told = (*trail, f"{who}: {event}")
+            then = after(world, who, event, told)
+            if then is None:
+                continue
+            steps += 1
+            states.add(check_card(then, who, event, before, told).state)
+            if plain(then) not in known and len(known) < int(os.environ.get("SOFTCAL_LINE_WORLDS", MOST_WORLDS)):
+                known.add(plain(then))
+                open_worlds.append((then, told))
+    with capsys.disabled():
+        print(f"\nline model: {len(known)} worlds, {steps} events, {len(states)} cards: {', '.join(sorted(states))}")
+    assert states >= {
+        "armed",
+        "armed_golden",
+        "ask",
+        "ask_new",
+        "used_up",
+        "hand",
+        "stopped",
+        "broken",
+        *RESULTS[:4],
+    } - {"conditional"}
+
+
+MOST_WORLDS = 800

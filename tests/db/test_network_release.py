@@ -1,0 +1,71 @@
+"""Which network of a lot the line uses: the first, until somebody releases another one with a reason."""
+
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.network.network import Network
+from softcal.db.network_release import DRAFT, RELEASED, WITHDRAWN
+
+
+@pytest.fixture
+def trial(factory, network) -> str:
+    """A second network of the lot, trained on trial."""
+    other = Network(network.weights, network.biases, 0.6, 0.1, 1.0, 2.0)
+    return factory.registry.add_network("L1", other, {}, {}, "b" * 64, actor="Erin")
+
+
+def in_use(factory) -> str | None:
+    state = factory.registry.released_network("L1")
+    return state and state.network.id
+
+
+def states(factory) -> list[str]:
+    return [state.state for state in factory.registry.network_states("L1")]
+
+
+def test_the_first_network_of_a_lot_is_in_use_and_a_trial_is_not(factory, trial):
+    assert (in_use(factory), states(factory)) == (factory.network_id, [RELEASED, DRAFT])
+
+
+def test_a_released_network_is_used_and_a_withdrawn_one_gives_way_to_the_one_before(factory, trial):
+    factory.registry.release_network(trial, reason="half the error", actor="Quinn")
+    state = factory.registry.released_network("L1")
+    assert (state.network.id, state.actor, state.reason) == (trial, "Quinn", "half the error")
+    factory.registry.withdraw_network(trial, reason="drifts")
+    assert (in_use(factory), states(factory)) == (factory.network_id, [RELEASED, WITHDRAWN])
+    factory.registry.withdraw_network(factory.network_id, reason="so does this")
+    assert in_use(factory) is None
+
+
+def test_an_earlier_network_can_be_released_again(factory, trial):
+    factory.registry.release_network(trial, reason="better")
+    factory.registry.release_network(factory.network_id, reason="it was not")
+    assert in_use(factory) == factory.network_id
+
+
+def test_nothing_is_decided_without_a_reason_or_twice(factory, trial):
+    for decide, refusal in (
+        (lambda: factory.registry.release_network(trial, reason=" "), "reason"),
+        (lambda: factory.registry.release_network(factory.network_id, reason="so"), "in use"),
+        (lambda: factory.registry.withdraw_network(trial, reason="so"), "draft"),
+        (lambda: factory.registry.release_network("f" * 64, reason="so"), "not in the registry"),
+    ):
+        with pytest.raises(InputError, match=refusal):
+            decide()
+    assert states(factory) == [RELEASED, DRAFT]
+
+
+def test_a_decision_is_in_the_audit_trail_and_changes_the_marker(factory, trial):
+    before = factory.registry.change_marker("L1")
+    factory.registry.release_network(trial, reason="half the error", actor="Quinn")
+    row = factory.registry.audit_rows()[-1]
+    assert (row.action, row.entity, row.actor, row.reason) == ("release", "network_releases", "Quinn", "half the error")
+    assert factory.registry.change_marker("L1") != before and factory.registry.verify() == []
+
+
+def test_of_two_screens_that_change_a_line_at_once_one_is_told(registry):
+    places = registry.line_places
+    assert places.read("line-1") == (0, {})
+    assert [places.write("line-1", 0, {"serial": "A1"}), places.write("line-1", 0, {"serial": "A2"})] == [True, False]
+    assert places.read("line-1") == (1, {"serial": "A1"})
+    assert [places.write("line-1", 1, {}), places.write("line-1", 1, {"serial": "A3"})] == [True, False]
