@@ -24,7 +24,9 @@ from softcal.core.unit.calibrate import calibrate_unit
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.verdict import DEFAULT_FACTOR
 
-UNITS = 14
+UNITS, MANY, MANY_EVERY = 14, 26, 6
+"""Units of a lot; every sixth seed has lots large enough for twenty audits."""
+
 SPREAD, DAY = LineEffects(load_spread=0.12), LineEffects(day_gain=0.08, day_zero=0.03)
 OWN = "own programme"
 LEVELS = np.linspace(0, 1, 101)
@@ -75,32 +77,38 @@ class RawLot:
     units: tuple[RawUnit, ...]
 
 
-DESIGNS: Mapping[str, LotDesign] = {
-    "in step": LotDesign(UNITS),
-    "own programme": LotDesign(UNITS, shift=OWN),
-    "stage known, own programme": LotDesign(UNITS, shift=OWN, has_stage=True),
-    "planted bad units": LotDesign(UNITS - 3, {"extra creep": 1, "other sensor": 1, "saturated": 1}),
-    "load spread 12 %, in step": LotDesign(UNITS, line=SPREAD),
-    "load spread 12 %, own programme": LotDesign(UNITS, shift=OWN, line=SPREAD),
-    "load spread 12 %, stage known": LotDesign(UNITS, shift=OWN, has_stage=True, line=SPREAD),
-    "another day, in step": LotDesign(UNITS, line=DAY),
-    "another day, own programme": LotDesign(UNITS, shift=OWN, line=DAY),
-    "below half the range": LotDesign(UNITS, shift="below half"),
-}
+def designs(units: int) -> dict[str, LotDesign]:
+    """Return the kinds of lot on the twin, by name."""
+    bad = {"extra creep": 1, "other sensor": 1, "saturated": 1}
+    return {
+        "in step": LotDesign(units),
+        "own programme": LotDesign(units, shift=OWN),
+        "stage known, own programme": LotDesign(units, shift=OWN, has_stage=True),
+        "planted bad units": LotDesign(units - 3, bad),
+        "load spread 12 %, in step": LotDesign(units, line=SPREAD),
+        "load spread 12 %, own programme": LotDesign(units, shift=OWN, line=SPREAD),
+        "load spread 12 %, stage known": LotDesign(units, shift=OWN, has_stage=True, line=SPREAD),
+        "another day, in step": LotDesign(units, line=DAY),
+        "another day, own programme": LotDesign(units, shift=OWN, line=DAY),
+        "below half the range": LotDesign(units, shift="below half"),
+    }
+
+
 SEALED = {"twin's effects": "pair", "effects of other form": "form", "effects outside the catalogue": "outside"}
-SIMULATED = (*DESIGNS, *SEALED)
-"""Every kind of drawn lot. A sealed rig is the challenge's own simulator, not the twin the method was set on."""
-GOOD = SIMULATED[:4]
-"""Lots whose good units ought to be released."""
+"""Lots on sealed rigs: the challenge's own simulator, not the twin the method was set on."""
+
+GOOD = ("in step", "stage known, own programme", "planted bad units")
+"""Kinds of lot whose good units ought to be released."""
 
 
 def drawn_lots(seed: int) -> Iterator[RawLot]:
     """Yield one lot of every drawn kind. Those on the twin share a source, so that one network serves them."""
-    for kind, design in DESIGNS.items():
+    count = MANY if seed % MANY_EVERY == MANY_EVERY - 1 else UNITS
+    for kind, design in designs(count).items():
         lot = simulate_lot(seed, design)
         yield RawLot(kind, f"{kind} {seed}", lot.source, tuple(RawUnit(u.recording, u.audit) for u in lot.units))
     for kind, line in SEALED.items():
-        runs = list(press_lot(draw_case(seed, "lot", line), UNITS))
+        runs = list(press_lot(draw_case(seed, "lot", line), count))
         units, audits = ([_labelled(r.serial, r.measured) for r in runs if r.place == p] for p in ("units", "audit"))
         source = next(_labelled(r.serial, r.measured) for r in runs if r.place == "source")
         pairs = zip(units, audits, strict=True)

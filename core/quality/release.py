@@ -19,6 +19,9 @@ from softcal.core.unit.verdict import Limit
 LEAST_SPREAD = 0.10
 """A standard deviation of log(measured / forecast) from unit to unit that a few audits cannot prove to be smaller."""
 
+LEAST_AUDITS = 5
+"""The spread of fewer audits than this is a guess, whatever risk is asked for."""
+
 LEAST_PART = 0.5
 """A lot is released by sample where at least this part of it passes; the few best of a poor lot are picked by luck."""
 
@@ -83,7 +86,7 @@ class Ratios:
         (ISO 16269-6, the method of ISO 3951), and the largest ratio seen, which one unit in audits + 1 exceeds whatever
         form the ratios have. Infinite where the audits are too few.
         """
-        if self.audits < 2 or (self.lots > 1 and self.lots < LEAST_LOTS):
+        if self.audits < LEAST_AUDITS or (self.lots > 1 and self.lots < LEAST_LOTS):
             return float("inf")
         factor = tolerance_factor(self.count, self.degrees, promise)
         return float(np.exp(max(self.largest, self.centre + factor * max(self.spread, LEAST_SPREAD))))
