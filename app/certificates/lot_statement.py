@@ -12,7 +12,7 @@ from softcal.app.certificates.fonts import BOLD, marked_up
 from softcal.app.certificates.parts import WIDTH, document_pdf, facts_table, grid, paragraph, section, style
 
 GIVEN, NOT_GIVEN = "#1b7f3b", "#b3261e"
-MOST_AUDITS, MOST_SERIALS = 18, 40
+MOST_AUDITS, MOST_SERIALS = 14, 30
 """Rows and serials that fit one page; the rest stand in the registry, and the page says how many."""
 
 MEANING = (
