@@ -57,8 +57,8 @@ def trim(problem: FitProblem, unit_map: UnitMap, loads: Anchors) -> Trimmed:
     after = _error(network, found, loads)
     if after > before:
         raise InputError(
-            f"no gain and offset read these loads better: RMSE {before:.3g} {network.reference_unit} before, {after:.3g} "
-            f"after; they contradict one another or are of another unit; {NOTHING}"
+            f"no gain and offset read these loads better: RMSE {before:.3g}, then {after:.3g} "
+            f"{network.reference_unit}; they contradict one another or are of another unit; {NOTHING}"
         )
     return Trimmed(_joined(found), before, after)
 
