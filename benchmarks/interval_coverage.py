@@ -12,7 +12,7 @@ from simulated_cases import Case, cases, coverage
 
 from softcal.core.estimate import estimate
 from softcal.core.simulated_lot import GOOD
-from softcal.core.unit.forecast import INTERVAL_SHARE, INTERVAL_SHARE_ON_STAGE
+from softcal.core.unit.knowledge import KnowledgeTable
 from softcal.core.unit.uncertainty import DIRECTIONS
 
 SHARES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.1, 1.25)
@@ -65,7 +65,8 @@ def print_shares(name: str, group: list[Case]) -> None:
 
 def with_share(case: Case, share: float) -> float:
     """Return the coverage had this share of the map's variance been used."""
-    used = INTERVAL_SHARE_ON_STAGE if case.has_stage else INTERVAL_SHARE
+    kinds = KnowledgeTable()
+    used = (kinds.stage if case.has_stage else kinds.blind).interval_share
     added = case.calibration.interval.half_width**2 - case.source_half_width**2
     half_width = np.sqrt(case.source_half_width**2 + added * share / used)
     calibration = replace(case.calibration, interval=replace(case.calibration.interval, half_width=half_width))

@@ -3,6 +3,7 @@
 import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ import ot
 import pandas as pd
 
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.choose import MapConfig, choose_map
+from softcal.core.maps.choose import choose_map
+from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
@@ -66,7 +68,7 @@ def one_family(name: str) -> Method:
 
     def method(problem: FitProblem, test: LabelledRecording) -> Array:
         try:
-            unit_map = choose_map(problem, MapConfig(name)).unit_map
+            unit_map = choose_map(replace(problem, config=MapConfig(name))).unit_map
         except UnitRefused:
             return np.full(len(test.windows), np.nan)
         return problem.network.evaluate(unit_map.apply(test.windows))

@@ -19,7 +19,7 @@ from softcal.core.errors import UnitRefused
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.training import NetworkConfig, fit_network
-from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.verdict import VERDICTS
 
@@ -85,7 +85,7 @@ def run(source: str, programme: str, step: int, methods: Sequence[str], seeds: i
 def verdict_word(problem: FitProblem, model: SourceModel) -> str:
     """Verdict on the unit against the default limit, made without a label of it."""
     try:
-        return calibrate_unit(problem, source_model=model).verdict.word
+        return calibrate(UnitProblem(model, problem.target, anchors=problem.anchors)).decision.verdict
     except UnitRefused:
         return "refused"
 

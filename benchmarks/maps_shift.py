@@ -14,7 +14,7 @@ from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.simulated_lot import SHIFTS, LotDesign, simulate_lot
-from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.source_model import SourceModel, make_source_model
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, batch=128)
@@ -59,7 +59,7 @@ def line(shift: str, has_stage: bool, lots: int) -> list[str]:
 
 def _word(problem: FitProblem, model: SourceModel) -> str:
     try:
-        return calibrate_unit(problem, source_model=model).verdict.word
+        return calibrate(UnitProblem(model, problem.target, anchors=problem.anchors)).decision.verdict
     except UnitRefused:
         return "refused"
 

@@ -81,7 +81,7 @@ def pairs(problem: FitProblem) -> go.Figure:
             ("output of the unit, V", "load, N"),
         ),
     )
-    source_rows, target_rows = paired_by_stage(problem.source.unlabelled, problem.target)
+    source_rows, target_rows = paired_by_stage(problem.source.unlabelled, problem.target, problem.config)
     thin = slice(None, None, max(1, len(target_rows) // 1500))
     of_unit = problem.target.windows[target_rows[thin]].mean(axis=1)
     of_source = problem.source.windows[source_rows[thin]].mean(axis=1)

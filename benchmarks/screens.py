@@ -29,11 +29,10 @@ from screenshots_desk import NAME, PIN, QUALITY, QUALITY_PIN, sign_in
 from softcal.app.views.lot import lot_view
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
-from softcal.core.maps.interface import FitProblem
 from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.simulated_lot import LotDesign, simulate_lot
-from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.source_model import make_source_model
 from softcal.db.connection import open_registry
@@ -112,7 +111,7 @@ def add_simulated_unit(registry: Registry) -> CalibrationRecord:
     recording = sim.units[0].recording
     sha256 = registry.add_recording(LOT, recording, "unit")
     model = make_source_model(sim.source, trained.network)
-    found = calibrate_unit(FitProblem(sim.source, trained.network, recording, None), None, source_model=model)
+    found = calibrate(UnitProblem(model, recording))
     return found.to_record(input_sha256="e" * 64, recording_sha256=sha256)
 
 

@@ -13,7 +13,7 @@ from softcal.core.network.network import Network
 from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.simulated_lot import FAULTS, SHIFTS, LotDesign, SimulatedUnit, simulate_lot
-from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.source_model import SourceModel, make_source_model
 
@@ -118,7 +118,7 @@ def judged(seed: int, design: LotDesign, unit: SimulatedUnit, own: float, networ
 
 def _calibrate(problem: FitProblem, model: SourceModel) -> Calibration | None:
     try:
-        return calibrate_unit(problem, source_model=model)
+        return calibrate(UnitProblem(model, problem.target, anchors=problem.anchors))
     except UnitRefused:
         return None
 

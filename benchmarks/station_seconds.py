@@ -11,12 +11,11 @@ import numpy as np
 
 from softcal.app.line.rig import PressedLot, PressTimes, press_simulated_lot
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.interface import FitProblem
 from softcal.core.network.network import Network
 from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.simulated_lot import draw_twins
-from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.scoring import score_map
 from softcal.core.unit.source_model import SourceModel, make_source_model
 
@@ -45,13 +44,13 @@ def main() -> None:
         for serial, unit in lot.units.items():
             cut = unit.part(0, int(seconds * unit.sample_rate_Hz))
             try:
-                calibration = calibrate_unit(FitProblem(lot.source, network, cut), None, source_model=model)
+                calibration = calibrate(UnitProblem(model, cut))
             except UnitRefused:
                 ratios.append(float("nan"))
                 continue
             after = score_map(network, calibration.unit_map, lot.audits[serial], None).after
             ratios.append(after / own[serial])
-            passed += calibration.verdict.word == "pass"
+            passed += calibration.decision.verdict == "pass"
         presses = np.median([_compressions(u.part(0, int(seconds * u.sample_rate_Hz))) for u in lot.units.values()])
         each = " ".join(f"{ratio:.2f}" for ratio in ratios)
         all_s = seconds + BESIDE_S
@@ -64,7 +63,7 @@ def main() -> None:
 
 def _own_error(lot: PressedLot, network: Network, model: SourceModel, serial: str, config: NetworkConfig) -> float:
     """Error of a calibration of the unit's own, on the rows that score its maps."""
-    calibration = calibrate_unit(FitProblem(lot.source, network, lot.units[serial]), None, source_model=model)
+    calibration = calibrate(UnitProblem(model, lot.units[serial]))
     return float(score_map(network, calibration.unit_map, lot.audits[serial], config).own or np.nan)
 
 

@@ -14,9 +14,9 @@ from scipy.stats import spearmanr
 from simulated_cases import Case, cases, coverage, roc_auc
 
 from softcal.core.simulated_lot import GOOD, OPPOSITE_DIRECTION
-from softcal.core.unit.forecast import SENSITIVITY, SENSITIVITY_ON_STAGE
-from softcal.core.unit.own_forecast import OWN, OWN_ON_STAGE, OWN_PAIRED
-from softcal.core.unit.verdict import DEFAULT_FACTOR, VERDICTS
+from softcal.core.unit.knowledge import KnowledgeTable
+from softcal.core.unit.method import DecisionConfig
+from softcal.core.unit.verdict import VERDICTS
 
 LARGEST, LARGEST_OWN = np.log(1.5), np.log(2.0)
 """Coefficients stay near what their terms mean: no term is blown up to stand for another."""
@@ -89,13 +89,13 @@ def group_row(name: str, group: list[Case]) -> str:
 
 
 def kind_row(kind: str, group: list[Case]) -> str:
-    words = Counter(c.calibration.verdict.word for c in group if c.calibration is not None)
+    words = Counter(c.calibration.decision.verdict for c in group if c.calibration is not None)
     refused = sum(c.calibration is None for c in group)
     ratios = [c.after / c.own for c in group if c.calibration is not None]
-    passed = [c for c in group if c.calibration is not None and c.calibration.verdict.word == "pass"]
+    passed = [c for c in group if c.calibration is not None and c.calibration.decision.verdict == "pass"]
     harms = (
         sum(c.is_bad for c in passed),
-        sum(c.after > DEFAULT_FACTOR * c.source_rmse for c in passed),
+        sum(c.after > DecisionConfig().default_factor * c.source_rmse for c in passed),
         sum(c.after > c.before for c in passed),
     )
     median = f"{np.median(ratios):.2f}" if ratios else "-"
@@ -111,20 +111,25 @@ def print_fit(units: list[Case]) -> None:
     mapped = [c for c in units if c.calibration is not None and c.kind != OPPOSITE_DIRECTION]
     unplaced = [c for c in mapped if not c.has_stage and not is_paired(c)]
     on_stage = [c for c in mapped if c.has_stage and not is_paired(c)]
-    for suffix, names, group in (("", SENSITIVITY, unplaced), ("_ON_STAGE", SENSITIVITY_ON_STAGE, on_stage)):
+    kinds = KnowledgeTable()
+    for name, names, group in (
+        ("blind", dict(kinds.blind.sensitivity), unplaced),
+        ("stage", dict(kinds.stage.sensitivity), on_stage),
+    ):
         # Good units stand near the limit, where the forecast decides; planted ones need only be far beyond it.
         weight = np.where([c.kind == GOOD for c in group], 3.0, 1.0)
         after = np.array([c.after for c in group])
         found, residual = fit(values(group, "u_model"), values(group, *(f"u_{n}" for n in names)), after, weight)
-        print(f"SENSITIVITY{suffix} = {listed(names, found)}")
+        print(f"{name}.sensitivity = {listed(names, found)}")
         low, high = np.quantile(residual[[c.kind == GOOD for c in group]], (0.025, 0.975))
-        print(f"LOG_ERROR{suffix} = ({low:.2f}, {high:.2f})  # {len(group)} units, SD of all {np.std(residual):.2f}")
+        print(f"{name}.log_error = ({low:.2f}, {high:.2f})  # {len(group)} units, SD of all {np.std(residual):.2f}")
     paired = [c for c in mapped if is_paired(c)]
-    regimes = (("", OWN, unplaced), ("_ON_STAGE", OWN_ON_STAGE, on_stage), ("_PAIRED", OWN_PAIRED, paired))
-    for suffix, names, group in regimes:
+    regimes = (("blind", kinds.blind, unplaced), ("stage", kinds.stage, on_stage), ("paired", kinds.paired, paired))
+    for name, config, group in regimes:
+        names = dict(config.own)
         terms, own = values(group, *(f"own_{n}" for n in names)), np.array([c.own for c in group])
         found, residual = fit(np.zeros((len(group), 1)), terms, own, np.ones(len(group)), LARGEST_OWN)
-        print(f"OWN{suffix} = {listed(names, found)}  # {len(group)} units, SD of all {np.std(residual):.2f}")
+        print(f"{name}.own = {listed(names, found)}  # {len(group)} units, SD of all {np.std(residual):.2f}")
 
 
 def is_paired(case: Case) -> bool:

@@ -13,6 +13,8 @@ SoftcalError
 Wrong arguments inside the program stay ValueError.
 """
 
+from softcal.core.reason import Reason
+
 
 class SoftcalError(Exception):
     """Something a person can act on; its text is one clear line.
@@ -53,4 +55,12 @@ class RegistryError(SoftcalError):
 
 
 class UnitRefused(SoftcalError):
-    """This unit cannot be calibrated from this recording; the lot goes on without it."""
+    """This unit cannot be calibrated from this recording; the lot goes on without it.
+
+    Args:
+        why: the reason, with its code and values; a plain sentence where it is about a file of one export.
+    """
+
+    def __init__(self, why: Reason | str) -> None:
+        self.reason = Reason.of(why)
+        super().__init__(str(self.reason))

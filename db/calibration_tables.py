@@ -7,6 +7,7 @@ from sqlalchemy import Connection, RowMapping, bindparam, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
+from softcal.core.reason import Reason, to_kept
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.db.arrays import get_arrays, put_arrays
 from softcal.db.entries import MadeCalibration, StoredCalibration
@@ -58,7 +59,7 @@ class CalibrationTables(RegistryBase):
             values = {field: getattr(record, field) for field in PLAIN_FIELDS} | {
                 "lot_id": lot_id,
                 "settings": dict(record.settings),
-                "reasons": list(record.reasons),
+                "reasons": [to_kept(why) for why in record.reasons],
                 "evidence": dict(record.evidence),
                 "blob_sha256": put_arrays(connection, record.arrays),
                 "rolled_back_to": None,
@@ -106,10 +107,11 @@ class CalibrationTables(RegistryBase):
         """Return what is known of every calibration this registry made in a lot, without its arrays, by serial and
         revision."""
         c = calibrations.c
-        columns = [c[name] for name in MadeCalibration.__dataclass_fields__ if name in c] + [c.evidence]
+        columns = [c[field] for field in PLAIN_FIELDS] + [c.revision, c.settings, c.reasons, c.evidence]
         query = select(*columns).where(c.lot_id == lot_id, c.origin == self.origin)
         with self.database.reading() as connection:
-            made = [MadeCalibration.of(dict(row)) for row in connection.execute(query).mappings()]
+            rows = connection.execute(query).mappings()
+            made = [MadeCalibration.of(_record(row, {}, row["settings"]), row["revision"]) for row in rows]
         return {(entry.serial, entry.revision): entry for entry in made}
 
     def calibration(self, serial: str, revision: int | None = None) -> StoredCalibration:
@@ -134,7 +136,7 @@ class CalibrationTables(RegistryBase):
             return [self._stored(connection, row) for row in reversed(rows)]
 
     def add_refusal(
-        self, lot_id: str, serial: str, verdict: str, reasons: tuple[str, ...], *, actor: str | None = None
+        self, lot_id: str, serial: str, verdict: str, reasons: tuple[Reason, ...], *, actor: str | None = None
     ) -> None:
         """Register that a unit got no map (`UnitRefused`, unreadable recording); its verdict is fail or retest.
 
@@ -153,7 +155,7 @@ class CalibrationTables(RegistryBase):
                 "origin": self.origin,
                 "actor": self._actor(actor),
                 "verdict": verdict,
-                "reasons": list(reasons),
+                "reasons": [to_kept(why) for why in reasons],
             }
             self._store(connection, refusals, values, "refuse", actor)
 
@@ -207,6 +209,6 @@ def _record(row: RowMapping, arrays: Mapping[str, Any], settings: Settings) -> C
         **{field: row[field] for field in PLAIN_FIELDS},
         arrays=arrays,
         settings=settings,
-        reasons=tuple(row["reasons"]),
+        reasons=tuple(map(Reason.of, row["reasons"])),
         evidence=row["evidence"],
     )

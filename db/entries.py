@@ -3,11 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import date, datetime
-from typing import Any
 
 from softcal.core.errors import InputError
 from softcal.core.quality.line_rules import LineRules
+from softcal.core.reason import Reason
 from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.verdict import Decision
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class UnitEntry:
     serial: str
     role: str
     verdict: str | None = None
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[Reason, ...] = ()
     revision: int | None = None
     family: str | None = None
     map_sha256: str | None = None
@@ -48,7 +49,7 @@ class RunEntry:
     serial: str
     made_at: datetime
     verdict: str
-    reasons: tuple[str, ...]
+    reasons: tuple[Reason, ...]
     predicted_rmse: float | None = None
 
 
@@ -84,7 +85,11 @@ class StoredCalibration:
         return self.record.serial
 
 
-AUDITED_FACTS = ("audited_verdict", "audited_reasons")
+REPORTED = (
+    *("serial", "verdict", "reasons", "family", "map_sha256", "predicted_rmse", "before_rmse", "after_rmse"),
+    *("own_rmse", "fit_s", "decision", "method_id"),
+)
+"""Fields of `MadeCalibration` that `CalibrationRecord` has under the same name."""
 
 
 @dataclass(frozen=True)
@@ -97,13 +102,15 @@ class MadeCalibration:
         family, map_sha256: the map.
         predicted_rmse, before_rmse, after_rmse, own_rmse: in the lot's reference unit; None where there is none.
         fit_s: seconds the fit took.
-        audited_verdict, audited_reasons: what would be decided on its audit; None without one.
+        knowledge: how its loads are known.
+        decision: what was predicted and what was measured.
+        method_id: the method it was made with; empty where an older version kept none.
     """
 
     serial: str
     revision: int
     verdict: str
-    reasons: tuple[str, ...]
+    reasons: tuple[Reason, ...]
     family: str
     map_sha256: str
     predicted_rmse: float | None
@@ -111,15 +118,20 @@ class MadeCalibration:
     after_rmse: float | None
     own_rmse: float | None
     fit_s: float | None
-    audited_verdict: str | None
-    audited_reasons: str | None
+    knowledge: str
+    decision: Decision
+    method_id: str
 
     @classmethod
-    def of(cls, facts: Mapping[str, Any]) -> "MadeCalibration":
-        """Return what a report needs of the facts of a calibration, among them its `evidence`."""
-        audited = {name: facts["evidence"].get(name) for name in AUDITED_FACTS}
-        plain = {name: facts[name] for name in cls.__dataclass_fields__ if name not in AUDITED_FACTS}
-        return cls(**{**plain, **audited, "reasons": tuple(facts["reasons"])})
+    def of(cls, record: CalibrationRecord, revision: int) -> "MadeCalibration":
+        """Return what a report needs of a calibration."""
+        plain = {name: getattr(record, name) for name in REPORTED}
+        return cls(**plain, revision=revision, knowledge=str(record.knowledge))
+
+    @property
+    def is_audited(self) -> bool:
+        """Whether its error was measured."""
+        return self.decision.is_audited
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 from sqlalchemy import ColumnElement, RowMapping, Subquery, Table, and_, case, func, or_, select, tuple_
 
 from softcal.core.errors import InputError
+from softcal.core.reason import Reason
+from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import UnitEntry
 from softcal.db.registry_base import RegistryBase
 from softcal.db.tables import calibrations, golden_runs, limits, line_rules, networks, refusals, units
@@ -13,7 +15,7 @@ from softcal.db.tables import calibrations, golden_runs, limits, line_rules, net
 ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
 MADE_FIELDS = ("revision", "family", "map_sha256", *ERRORS)
-SEVERITY = {"fail": 0, "retest": 1, "conditional": 2, "pass": 3}
+SEVERITY = {str(verdict): -verdict.severity for verdict in sorted(Verdict, key=lambda v: -v.severity)}
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,7 @@ def _condition(table: Subquery, wanted: UnitFilter) -> ColumnElement[bool]:
 
 def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
     if wanted.sort == "severity":
-        severity = case(SEVERITY, value=table.c.verdict, else_=len(SEVERITY))
+        severity = case(SEVERITY, value=table.c.verdict, else_=1)
         return [severity, table.c.predicted_rmse.desc().nulls_last(), table.c.serial]
     column = table.c[wanted.sort]
     first = (column.desc() if wanted.is_descending else column.asc()).nulls_last()
@@ -168,4 +170,4 @@ def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
 
 def _entry(lot_id: str, row: RowMapping) -> UnitEntry:
     facts = {name: value for name, value in row.items() if name != "reasons"}
-    return UnitEntry(lot_id=lot_id, role="target", reasons=tuple(row["reasons"] or ()), **facts)
+    return UnitEntry(lot_id=lot_id, role="target", reasons=tuple(map(Reason.of, row["reasons"] or ())), **facts)

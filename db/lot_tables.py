@@ -7,6 +7,7 @@ from sqlalchemy import Connection, RowMapping, Select, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.reason import Reason
 from softcal.db.entries import LimitEntry, RunEntry, UnitEntry
 from softcal.db.registry_base import RegistryBase
 from softcal.db.tables import calibrations, limits, lots, refusals, units
@@ -100,7 +101,7 @@ class LotTables(RegistryBase):
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
             rows = [dict(row) for query in queries for row in connection.execute(query).mappings()]
-        runs = [RunEntry(**row | {"reasons": tuple(row["reasons"])}) for row in rows]
+        runs = [RunEntry(**row | {"reasons": tuple(map(Reason.of, row["reasons"]))}) for row in rows]
         return sorted(runs, key=lambda run: (run.made_at, run.serial))
 
     def limit(self, lot_id: str) -> LimitEntry | None:
@@ -170,7 +171,9 @@ def unit_entries(connection: Connection, lot_id: str | None, serial: str | None)
         entry = entries[row["lot_id"], row["serial"]]
         if "made_at" not in entry or row["made_at"] > entry["made_at"]:
             entry |= {field: row[field] for field in ("verdict", "reasons", "made_at")}
-    made = (UnitEntry(**entry | {"reasons": tuple(entry.get("reasons", ()))}) for entry in entries.values())
+    made = (
+        UnitEntry(**entry | {"reasons": tuple(map(Reason.of, entry.get("reasons", ())))}) for entry in entries.values()
+    )
     return sorted(made, key=lambda unit: (unit.lot_id, unit.serial))
 
 

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 
 from softcal.core.errors import InputError
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
+from softcal.core.reason import plain
 from softcal.core.unit.verdict import Limit
 from softcal.db.entries import UnitEntry
 from softcal.db.registry import Registry
@@ -59,7 +60,7 @@ def draw_plan(
         "plan": plan.settings(),
         "config": asdict(config),
         "forecasts": {serial: accepted[serial] for serial in plan.serials},
-        "limit": asdict(_limit(registry, lot_id)),
+        "limit": _limit(registry, lot_id).to_json(),
     }
     registry.add_event("draw", PLAN, (lot_id,), facts, reason=reason, actor=actor)
     return _standing(registry, lot_id, facts)
@@ -130,7 +131,7 @@ def _holds(audit: LotAudit, serial: str) -> bool:
 
 def _standing(registry: Registry, lot_id: str, facts: Mapping[str, object]) -> LotAudit:
     settings = json.loads(json.dumps(facts))
-    plan, limit = AuditPlan.from_settings(settings["plan"]), Limit(**settings["limit"])
+    plan, limit = AuditPlan.from_settings(settings["plan"]), Limit.of(settings["limit"])
     errors = {unit.serial: unit.after_rmse for unit in _targets(registry, lot_id)}
     measured = {s: float(e) for s in plan.serials if (e := errors.get(s)) is not None}
     is_complete = len(measured) == len(plan.serials)
@@ -154,4 +155,4 @@ def _limit(registry: Registry, lot_id: str) -> Limit:
         return Limit(lot.reference_unit, lot.limit_rmse)
     serial = next(iter(_accepted(registry, lot_id)))
     evidence = registry.calibration(serial).record.evidence
-    return Limit(lot.reference_unit, float(str(evidence["limit_rmse"])), str(evidence["limit_origin"]))
+    return Limit(lot.reference_unit, float(str(evidence["limit_rmse"])), plain(str(evidence["limit_origin"])))

@@ -8,9 +8,8 @@ from softcal.app.batch.report import BatchReport
 from softcal.app.batch.train import train_or_find
 from softcal.app.batch.unit_work import SharedWork
 from softcal.app.files.lot_folder import LotFolder
-from softcal.core.lot import Lot
 from softcal.core.unit.source_model import make_source_model
-from softcal.core.unit.verdict import Limit
+from softcal.core.unit.verdict import stated_limit
 from softcal.db.registry import Registry
 
 
@@ -27,14 +26,11 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     source = folder.read_source()
     trained = train_or_find(folder.lot, source, registry, config.network, config.actor, watch.on_epoch)
     own = config.network if config.score_own else None
-    model = make_source_model(source, trained.network)
-    shared = SharedWork(folder.lot, model, config.calibration, own, _limit(registry.lot(folder.lot.id)))
+    model = make_source_model(source, trained.network, method=config.method)
+    lot = registry.lot(folder.lot.id)
+    shared = SharedWork(folder.lot, model, own, stated_limit(lot.reference_unit, lot.limit_rmse))
     watch.on_start(len(folder.unit_paths))
     results = LotWork(folder, registry, shared, config, watch).results()
     ordered = tuple(results[serial] for serial in folder.unit_paths)
     audit = update_lot(registry, folder.lot.id, config.actor)
-    return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit)
-
-
-def _limit(lot: Lot) -> Limit | None:
-    return None if lot.limit_rmse is None else Limit(lot.reference_unit, lot.limit_rmse)
+    return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit, config.release)

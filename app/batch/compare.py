@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from softcal.app.batch.source import source_model, unlabelled
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.choose import MapConfig
-from softcal.core.maps.interface import FitProblem
+from softcal.core.maps.config import MapConfig
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.calibrate import CalibrationConfig, calibrate_unit
-from softcal.core.unit.scoring import score_map
-from softcal.core.unit.source_model import SourceModel, make_source_model
-from softcal.core.unit.verdict import Limit
+from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.method import Method
+from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.verdict import Limit, Verdict, stated_limit
 from softcal.db.registry import Registry
 
 Tell = Callable[[float, str], None]
@@ -38,21 +38,14 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
     """
     lot = registry.lot(request["lot"])
     units = _units(registry, lot.id, int(request["units"]))
-    limit = None if lot.limit_rmse is None else Limit(lot.reference_unit, lot.limit_rmse)
+    limit = stated_limit(lot.reference_unit, lot.limit_rmse)
     pairs = [(network, family) for network in request["networks"] for family in request["families"]]
-    rows, models = [], {name: _model(registry, name) for name in dict.fromkeys(request["networks"])}
+    rows = []
     for k, (network_id, family) in enumerate(pairs):
         tell(k / len(pairs), f"{network_id[:12]}, {family}")
-        rows.append({"network": network_id, "family": family, **_row(models[network_id], units, family, limit)})
+        model = source_model(registry, network_id, Method(map=MapConfig(family)))
+        rows.append({"network": network_id, "family": family, **_row(model, units, limit)})
     return rows
-
-
-def _model(registry: Registry, network_id: str) -> SourceModel:
-    sha256 = str(registry.network_entry(network_id).training["source_recording_sha256"])
-    source = registry.recording(sha256)
-    if not isinstance(source, LabelledRecording):
-        raise ValueError("a source recording without reference")
-    return make_source_model(source, registry.network(network_id))
 
 
 def _units(registry: Registry, lot_id: str, most: int) -> list[_Unit]:
@@ -60,12 +53,10 @@ def _units(registry: Registry, lot_id: str, most: int) -> list[_Unit]:
     newest = {entry.serial: entry.sha256 for entry in registry.recordings(lot_id, kind="unit")}
     audits = {entry.serial: entry.sha256 for entry in registry.recordings(lot_id, kind="audit")}
     chosen = sorted(newest, key=lambda serial: (serial not in audits, serial))[:most]
-    return [_Unit(_output(registry, newest[serial]), _labelled(registry, audits.get(serial))) for serial in chosen]
-
-
-def _output(registry: Registry, sha256: str) -> OutputRecording:
-    found = registry.recording(sha256)
-    return found.unlabelled if isinstance(found, LabelledRecording) else found
+    return [
+        _Unit(unlabelled(registry.recording(newest[serial])), _labelled(registry, audits.get(serial)))
+        for serial in chosen
+    ]
 
 
 def _labelled(registry: Registry, sha256: str | None) -> LabelledRecording | None:
@@ -73,24 +64,22 @@ def _labelled(registry: Registry, sha256: str | None) -> LabelledRecording | Non
     return found if isinstance(found, LabelledRecording) else None
 
 
-def _row(model: SourceModel, units: Sequence[_Unit], family: str, limit: Limit | None) -> dict[str, object]:
+def _row(model: SourceModel, units: Sequence[_Unit], limit: Limit | None) -> dict[str, object]:
     predicted: list[float] = []
     before: list[float] = []
     after: list[float] = []
     passed = refused = 0
     for unit in units:
         try:
-            problem = FitProblem(model.source, model.network, unit.recording, None)
-            found = calibrate_unit(problem, limit, CalibrationConfig(MapConfig(family)), model)
+            found = calibrate(UnitProblem(model, unit.recording, limit, audit=unit.audit))
         except UnitRefused:
             refused += 1
             continue
-        passed += found.verdict.word == "pass"
+        passed += found.decision.verdict is Verdict.PASS
         predicted += [] if found.predicted_rmse is None else [found.predicted_rmse]
-        if unit.audit is not None:
-            scores = score_map(model.network, found.unit_map, unit.audit, None)
-            before.append(scores.before)
-            after.append(scores.after)
+        if found.scores is not None:
+            before.append(found.scores.before)
+            after.append(found.scores.after)
     return {
         "units": len(units),
         "passed": passed,

@@ -45,14 +45,17 @@ def why_page(view: UnitView, script: bool | str) -> str:
 
 def why_json(view: UnitView) -> dict[str, object]:
     """Return the numbers behind the verdict as JSON values: schema `softcal.explain/1`."""
-    found, verdict = view.explanation, view.calibration.verdict
+    found, decision, method = view.explanation, view.calibration.decision, view.calibration.method
     return {
         "schema": "softcal.explain/1",
         "serial": view.calibration.serial,
         "revision": view.stored.revision,
-        "verdict": verdict.word,
-        "four_word": verdict.four_word,
-        "reasons": list(verdict.reasons),
+        "verdict": str(decision.verdict),
+        "predicted": decision.predicted.to_json(),
+        "measured": None if decision.measured is None else decision.measured.to_json(),
+        "reasons": [str(why) for why in decision.reasons],
+        "knowledge": str(view.calibration.knowledge),
+        "method": None if method is None else {"id": method.id, "numbers": dict(method.to_json())},
         "predicted_rmse": None if found.forecast is None else found.forecast[1],
         "predicted_interval": None if found.forecast is None else [found.forecast[0], found.forecast[2]],
         "limit_rmse": found.limit,

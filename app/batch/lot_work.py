@@ -15,6 +15,7 @@ from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
 
+from softcal.app.batch.calibrating import Refusal
 from softcal.app.batch.claims import Claims
 from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.batch.report import UnitResult
@@ -23,7 +24,6 @@ from softcal.app.batch.unit_work import (
     ChunkOutcome,
     FileContent,
     Known,
-    Refusal,
     SharedWork,
     UnitOutcome,
     UnitTask,
@@ -36,7 +36,9 @@ from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.training import EpochReport, NetworkConfig
-from softcal.core.unit.calibrate import CalibrationConfig
+from softcal.core.reason import Reason, plain
+from softcal.core.unit.method import Method
+from softcal.core.unit.verdict import Release, Verdict
 from softcal.db.entries import MadeCalibration
 from softcal.db.registry import Registry
 from softcal.db.work_queue import WorkItem, WorkSet
@@ -56,21 +58,23 @@ class BatchConfig:
 
     Args:
         network: how f is built and trained.
-        calibration: how maps are chosen and judged.
+        method: every number of the calibration.
         engine: where the fits run.
         chunk: units that go to a worker together; None lets the time they take decide.
         score_own: whether own calibrations are trained on audit recordings, for comparison.
         refit: whether units are fitted again although the registry has their result.
+        release: which verdicts release files.
         anchors: known loads by serial, where someone took them.
         actor: who asks, for the audit trail; None is the user the registry was opened by.
     """
 
     network: NetworkConfig = NetworkConfig()
-    calibration: CalibrationConfig = CalibrationConfig()
+    method: Method = Method()
     engine: EngineChoice = EngineChoice()
     chunk: int | None = None
     score_own: bool = True
     refit: bool = False
+    release: Release = Release.PASS
     anchors: Mapping[str, Anchors] = field(default_factory=dict)
     actor: str | None = None
 
@@ -211,16 +215,16 @@ class LotWork:
             if recording is not None:
                 registry.add_recording(lot_id, recording, kind, actor=actor)
         if isinstance(unit.result, Refusal):
-            reasons = (unit.result.reason,)
-            registry.add_refusal(lot_id, unit.serial, unit.result.verdict, reasons, actor=actor)
-            return UnitResult(unit.serial, unit.result.verdict, reasons)
+            word, reasons = str(unit.result.verdict), (unit.result.reason,)
+            registry.add_refusal(lot_id, unit.serial, word, reasons, actor=actor)
+            return UnitResult(unit.serial, word, reasons)
         if isinstance(unit.result, Known):
             stored = registry.find_calibration(unit.serial, unit.result.input_sha256, lot_id=lot_id)
             if stored is None:
                 raise InputError(f"{unit.serial}: its calibration vanished from the registry; run `registry verify`")
-            return _of_made(MadeCalibration.of({**vars(stored.record), "revision": stored.revision}), is_new=False)
+            return _of_made(MadeCalibration.of(stored.record, stored.revision), is_new=False)
         revision = registry.add_calibration(lot_id, unit.result, actor=actor, reason="batch")
-        return _of_made(MadeCalibration.of({**vars(unit.result), "revision": revision}), is_new=True)
+        return _of_made(MadeCalibration.of(unit.result, revision), is_new=True)
 
     def _from_queue(self, claims: Claims, inputs: Mapping[str, str]) -> dict[str, UnitResult]:
         """Return the results that were there before, or that another batch made."""
@@ -235,9 +239,9 @@ def _settings_sha256(shared: SharedWork, is_refit: bool) -> str:
     settings = {
         "lot": {name: value for name, value in shared.lot.settings().items() if name != "limit_rmse"},
         "network": shared.source.network.id,
-        "calibration": asdict(shared.calibration),
+        "method": shared.source.method.id,
         "own": None if shared.own is None else asdict(shared.own),
-        "limit": None if shared.limit is None else asdict(shared.limit),
+        "limit": None if shared.limit is None else shared.limit.to_json(),
         # A newer version may read what an older one refused.
         "version": version("softcal"),
         "refit": uuid.uuid4().hex if is_refit else None,
@@ -259,13 +263,14 @@ def _of_made(made: MadeCalibration, *, is_new: bool) -> UnitResult:
 def _result_text(result: UnitResult) -> str:
     if result.made is not None:
         return json.dumps({"revision": result.made.revision})
-    return json.dumps({"verdict": result.verdict, "reasons": result.reasons})
+    return json.dumps({"verdict": result.verdict, "reasons": [why.to_json() for why in result.reasons]})
 
 
 def _result(item: WorkItem, made: Mapping[tuple[str, int], MadeCalibration]) -> UnitResult:
     if item.state == "failed":
-        return UnitResult(item.serial, "retest", (f"not calibrated: {item.result}; run the batch again",), is_new=False)
+        why = plain(f"not calibrated: {item.result}; run the batch again")
+        return UnitResult(item.serial, Verdict.RETEST, (why,), is_new=False)
     facts = json.loads(item.result or "{}")
     if "revision" in facts:
         return _of_made(made[item.serial, facts["revision"]], is_new=False)
-    return UnitResult(item.serial, facts["verdict"], tuple(facts["reasons"]), is_new=False)
+    return UnitResult(item.serial, facts["verdict"], tuple(map(Reason.of, facts["reasons"])), is_new=False)

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from softcal.app.batch.audit import LotAudit, audit_json, audit_line
 from softcal.app.batch.train import TrainedOrFound
+from softcal.core.reason import Reason
+from softcal.core.unit.verdict import VERDICTS, Release
 from softcal.db.entries import MadeCalibration
 
 TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", "after/own", "fit_s", "map")
@@ -23,26 +25,31 @@ class UnitResult:
 
     serial: str
     verdict: str
-    reasons: tuple[str, ...]
+    reasons: tuple[Reason, ...]
     made: MadeCalibration | None = None
     is_new: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class BatchReport:
-    """What a batch did; `audit` is where the lot's audit stands, where one was planned."""
+    """What a batch did; `audit` is where the lot's audit stands, where one was planned; `release` is what was asked."""
 
     lot_id: str
     network: TrainedOrFound
     units: tuple[UnitResult, ...]
     wall_s: float
     audit: LotAudit | None = None
+    release: Release = Release.PASS
 
     @property
     def counts(self) -> dict[str, int]:
         """Units by verdict."""
         words = [unit.verdict for unit in self.units]
-        return {word: words.count(word) for word in ("pass", "conditional", "fail", "retest")}
+        return {str(word): words.count(word) for word in VERDICTS}
+
+    def releases(self, unit: UnitResult) -> bool:
+        """Whether files of this unit are written: by its verdict alone."""
+        return unit.made is not None and self.release.releases(unit.verdict)
 
 
 def report_json(report: BatchReport) -> dict[str, object]:
@@ -56,11 +63,11 @@ def report_json(report: BatchReport) -> dict[str, object]:
         "wall_s": report.wall_s,
         "counts": report.counts,
         "audit": None if report.audit is None else audit_json(report.audit),
-        "units": [_unit_json(unit) for unit in report.units],
+        "units": [_unit_json(report, unit) for unit in report.units],
     }
 
 
-def _unit_json(unit: UnitResult) -> dict[str, object]:
+def _unit_json(report: BatchReport, unit: UnitResult) -> dict[str, object]:
     made = unit.made
     errors = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse", "fit_s")
     unit_map = None
@@ -69,10 +76,15 @@ def _unit_json(unit: UnitResult) -> dict[str, object]:
     return {
         "serial": unit.serial,
         "verdict": unit.verdict,
-        "reasons": list(unit.reasons),
+        "reasons": [str(why) for why in unit.reasons],
+        "reason_codes": [why.code for why in unit.reasons],
         **{name: getattr(made, name, None) for name in errors},
         "map": unit_map,
-        "audited_verdict": getattr(made, "audited_verdict", None),
+        "audited": made is not None and made.is_audited,
+        "predicted_verdict": None if made is None else str(made.decision.predicted.verdict),
+        "knowledge": None if made is None else made.knowledge,
+        "released": report.releases(unit),
+        "method": None if made is None else made.method_id,
         "is_new": unit.is_new,
     }
 
@@ -92,6 +104,6 @@ def audit_lines(report: BatchReport) -> list[str]:
     lines = []
     for unit in report.units:
         made = unit.made
-        if made is not None and made.audited_verdict in ("fail", "conditional") and unit.verdict == "pass":
-            lines.append(f"{unit.serial} audited {made.audited_verdict}: {made.audited_reasons}")
+        if made is not None and made.is_audited and made.decision.predicted.verdict != unit.verdict:
+            lines.append(f"{unit.serial} audited: {unit.verdict}, was predicted {made.decision.predicted.verdict}")
     return lines if report.audit is None else [*lines, audit_line(report.audit)]

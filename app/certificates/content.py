@@ -10,6 +10,7 @@ from softcal.app.certificates.laboratory import Laboratory, read_laboratory
 from softcal.app.export.calibrated_unit import CalibratedUnit
 from softcal.core.estimate import Estimate, estimate
 from softcal.core.recording import Array
+from softcal.core.unit.verdict import Verdict
 
 BANDS = 4
 """The range of the reference is told in this many equal bands."""
@@ -138,9 +139,9 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         expected_interval=None if forecast is None else (forecast.lower, forecast.upper),
         limit=float(limit) if isinstance(limit, int | float) else None,
         limit_origin=str(record.evidence.get("limit_origin") or ""),
-        conformity=unit.calibration.verdict.four_word,
+        conformity=Verdict(record.verdict).conformity,
         verdict=record.verdict,
-        reasons=tuple(record.reasons),
+        reasons=tuple(map(str, record.reasons)),
         before=record.before_rmse,
         measured=record.after_rmse,
         map_family=record.family,

@@ -49,8 +49,8 @@ def why_figure(view: UnitView, colours: Palette, words: Words) -> go.Figure:
 
 
 def _head(view: UnitView, colours: Palette, words: Words) -> str:
-    verdict, reasons = view.calibration.verdict, view.calibration.verdict.reasons
-    badge = f"<b style='color:{colours.verdict[verdict.word]}'>{words(f'verdict.{verdict.word}')}</b>"
+    verdict, reasons = view.calibration.decision.verdict, view.calibration.decision.reasons
+    badge = f"<b style='color:{colours.verdict[verdict]}'>{words(f'verdict.{verdict}')}</b>"
     head = f"<b>{view.calibration.serial}</b>  {badge}  {view.calibration.unit_map.family}"
     lines = [line for reason in reasons[:MOST_REASONS] for line in textwrap.wrap(f"• {said(reason, words)}", WIDTH)]
     return "<br>".join([head, *lines])

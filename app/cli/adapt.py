@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json, add_registry, registry_of
+from softcal.app.cli.options import add_json, add_registry, registry_of, say_caution
 from softcal.app.cli.output import Progress, say, write_json
 
 if TYPE_CHECKING:
@@ -71,6 +71,7 @@ def run(options: argparse.Namespace) -> int:
     adapt = AdaptOptions(AdaptConfig(options.mode), options.revision, options.stream, options.resume)
     with registry_of(options, create=False) as registry:
         report = _follow(registry, options, adapt)
+        say_caution(registry, report.serial, report.revision, "adapt")
         _report(registry, options, report)
     return 0
 

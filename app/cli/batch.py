@@ -2,9 +2,14 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_json, add_network, add_registry, batch_watch, network_config, registry_of
 from softcal.app.cli.output import print_table, say, write_json
+
+if TYPE_CHECKING:
+    from softcal.app.batch.report import BatchReport
+    from softcal.db.registry import Registry
 
 EXAMPLES = """examples:
   softcal batch lot-1
@@ -27,7 +32,13 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     parser.add_argument("lot", type=Path, metavar="LOT", help="lot folder")
     add_registry(parser)
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write calibration files of the passed units here")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write calibration files of the released units here")
+    parser.add_argument(
+        "--release",
+        choices=("pass", "conditional"),
+        default="pass",
+        help="which verdicts release files: pass (default), or conditional too, whose error is within the limit",
+    )
     parser.add_argument("--plots", type=Path, metavar="DIR", help="write a figure per unit: why its verdict")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes (default 1)")
     parser.add_argument("--engine", choices=("local", "dask"), default="local")
@@ -48,6 +59,8 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.batch.report import TABLE_HEADER, audit_lines, report_json, table_row
     from softcal.app.files.anchors import read_anchors
     from softcal.app.files.lot_folder import open_lot_folder
+    from softcal.core.reason import joined
+    from softcal.core.unit.verdict import Release, Verdict, worst_of
 
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:
@@ -59,15 +72,12 @@ def run(options: argparse.Namespace) -> int:
         engine=EngineChoice(options.engine, options.jobs, options.scheduler),
         score_own=not options.no_own,
         refit=options.refit,
+        release=Release(options.release),
     )
     with registry_of(options) as registry:
         report = run_batch(folder, registry, config, batch_watch(folder.lot.reference_unit))
         if options.out is not None:
-            from softcal.app.export.export import export_units
-
-            passed = [u.serial for u in report.units if u.verdict in ("pass", "conditional")]
-            export_units(registry, passed, ("json",), options.out)
-            say(f"{options.out}: calibration files of {len(passed)} units")
+            _write_files(registry, report, options.out)
         if options.plots is not None:
             from softcal.app.batch.explain import explain_units
 
@@ -77,13 +87,26 @@ def run(options: argparse.Namespace) -> int:
     print_table(TABLE_HEADER, [table_row(unit) for unit in report.units])
     for unit in report.units:
         if unit.verdict != "pass":
-            print(f"{unit.serial} {unit.verdict}: {'; '.join(unit.reasons)}")
+            print(f"{unit.serial} {unit.verdict}: {joined(unit.reasons)}")
     for line in audit_lines(report):
         print(line)
     print(_summary(report.counts, folder.lot.reference_unit, report.wall_s))
     if options.json:
         write_json(options.json, report_json(report))
-    return 0 if report.counts["pass"] == len(report.units) else 1
+    return 0 if worst_of(unit.verdict for unit in report.units) is Verdict.PASS else 1
+
+
+def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None:
+    """Write the files of released units, and take back what an earlier, better verdict left there."""
+    from softcal.app.export.calibrated_unit import ExportOptions
+    from softcal.app.export.export import export_units
+    from softcal.app.export.withdraw import withdraw_units
+
+    released = [unit.serial for unit in report.units if report.releases(unit)]
+    for serial in withdraw_units(out, released, {unit.serial: unit.verdict for unit in report.units}):
+        say(f"{out}: files of {serial} were taken back; its verdict no longer releases them")
+    export_units(registry, released, ("json",), out, ExportOptions(release=report.release))
+    say(f"{out}: calibration files of {len(released)} units")
 
 
 def _summary(counts: dict[str, int], unit: str, wall_s: float) -> str:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_registry, registry_of
+from softcal.app.cli.options import add_json, add_registry, registry_of, say_caution
 from softcal.app.cli.output import say, write_json
 
 EXAMPLES = """examples:
@@ -38,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
 
     with registry_of(options, create=False) as registry:
         result = estimate_file(registry, options.serial, options.recording, options.out, options.revision)
+        say_caution(registry, options.serial, options.revision, "estimate")
     flags = [flag for flag in result.flag if flag]
     counts = {flag: flags.count(flag) for flag in sorted(set(flags))}
     said = ", ".join(f"{count} {flag}" for flag, count in counts.items()) or "no row flagged"

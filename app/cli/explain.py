@@ -9,6 +9,7 @@ from softcal.app.cli.output import print_table, say, write_json
 EXAMPLES = """examples:
   softcal explain --serial A1
   softcal explain --serial A1 --out why-A1.html       the same as a figure, to open in a browser
+  softcal explain --serial A1 --method                every number it was calibrated with, and where each comes from
   softcal batch lot-1 --plots why                     a figure of every unit
 """
 
@@ -24,6 +25,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     parser.add_argument("--serial", required=True, metavar="S")
     parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
+    parser.add_argument("--method", action="store_true", help="print every number of the method, with its origin")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the figure as a page (.html)")
     add_registry(parser)
     add_json(parser)
@@ -34,6 +36,10 @@ def run(options: argparse.Namespace) -> int:
     """Print reasons and budget, write the figure."""
     from softcal.app.batch.explain import explain_unit, why_json
     from softcal.app.views.unit import unit_view
+    from softcal.core.reason import joined
+
+    if options.method:
+        return _print_method(options)
 
     with registry_of(options, create=False) as registry:
         if options.out is None:
@@ -45,7 +51,33 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         write_json(options.json, facts)
     if options.json != "-":
-        print(f"{options.serial} {view.calibration.verdict.word}: {'; '.join(view.calibration.verdict.reasons)}")
+        decision = view.calibration.decision
+        print(f"{options.serial} {decision.verdict} ({view.calibration.knowledge}): {joined(decision.reasons)}")
         rows = [[name, value] for name, value in view.explanation.contributions.items()]
         print_table(("part of the predicted error", view.lot.reference_unit), rows)
+    return 0
+
+
+def _print_method(options: argparse.Namespace) -> int:
+    """Print the method of one calibration: every number, its origin, and what this version would use instead."""
+    from softcal.core.errors import InputError
+    from softcal.core.unit.method import Method
+
+    with registry_of(options, create=False) as registry:
+        record = registry.calibration(options.serial, options.revision).record
+    method, ours = record.method, Method()
+    if method is None:
+        raise InputError(f"{options.serial}: calibrated by a version that kept no method; run the batch again")
+    here = {name: value for name, value, _ in ours.numbers()}
+    rows = [
+        (name, value, "" if here.get(name) == value else here.get(name), origin)
+        for name, value, origin in method.numbers()
+    ]
+    if options.json:
+        facts = {"schema": "softcal.method/1", "id": method.id, "numbers": dict(method.to_json())}
+        write_json(options.json, facts)
+    if options.json != "-":
+        stale = "" if method == ours else ", stale: this version uses another"
+        print(f"{options.serial}: method {method.id[:12]}{stale}")
+        print_table(("number", "value", "this version", "origin"), rows)
     return 0

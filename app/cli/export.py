@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json, add_registry, registry_of
+from softcal.app.cli.options import add_json, add_registry, registry_of, say_caution
 from softcal.app.cli.output import Progress, print_table, say, write_json
 
 if TYPE_CHECKING:
@@ -25,7 +25,8 @@ formats:
   hex   the same two as Intel HEX at an address           onnx  f and map in one model, for PCs
   pdf   calibration certificate                           dcc   Digital Calibration Certificate (PTB, XML)
 
-A unit that failed gets json, pdf and dcc, which say so, but no file that gives numbers unless --failed-too is given.
+A unit that did not pass gets pdf and dcc, which say so, but no device file: a conditional one only with
+--release conditional, a failed one only with --failed-too, for the laboratory.
 Every folder has a manifest.json with the SHA-256 of every file. The table shows what the device form changes: `map` by
 its small curve, `error` in all, both as changes of the estimate on the unit's own recording.
 """
@@ -42,9 +43,15 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     units = parser.add_argument_group("which units")
     units.add_argument("--serial", action="append", default=[], metavar="S", help="a unit; may be repeated")
-    units.add_argument("--lot", metavar="ID", help="every unit of a lot that passed, conditionally or not")
+    units.add_argument("--lot", metavar="ID", help="every unit of a lot that is released")
     units.add_argument("--revision", type=int, metavar="N", help="an older calibration; default: the one in use")
-    units.add_argument("--failed-too", action="store_true", help="device files also of units that did not pass")
+    units.add_argument(
+        "--release",
+        choices=("pass", "conditional"),
+        default="pass",
+        help="which verdicts release device files: pass (default), or conditional too, whose error is within the limit",
+    )
+    units.add_argument("--failed-too", action="store_true", help="device files of every unit, for the laboratory")
     parser.add_argument("--format", action="append", default=[], choices=FORMATS, help="may be repeated")
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder to write into or to check")
     parser.add_argument("--check", action="store_true", help="read everything back: hashes, CRCs, self-tests, twins")
@@ -109,12 +116,14 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
     from softcal.core.errors import UnitRefused
 
     with registry_of(options, create=False) as registry:
-        serials = [*options.serial, *(lot_serials(registry, options.lot, options.failed_too) if options.lot else ())]
+        choices = _options(options)
+        serials = [*options.serial, *(lot_serials(registry, options.lot, choices) if options.lot else ())]
         progress = Progress("units exported", len(serials))
         formats = options.format or ["json"]
-        units = export_units(
-            registry, serials, formats, options.out, _options(options), lambda unit: progress.step(unit.serial)
-        )
+        units = export_units(registry, serials, formats, options.out, choices, lambda unit: progress.step(unit.serial))
+        for unit in units:
+            if unit.files:
+                say_caution(registry, unit.serial, options.revision, "export")
     refused = [unit for unit in units if unit.refusal]
     if len(units) == 1 and refused:
         raise UnitRefused(f"{refused[0].refusal}; written: {', '.join(refused[0].files) or 'nothing'}")
@@ -148,6 +157,7 @@ def _options(options: argparse.Namespace) -> "ExportOptions":
     from softcal.app.export.calibrated_unit import ExportOptions
     from softcal.core.errors import InputError
     from softcal.core.export.device import DeviceOptions
+    from softcal.core.unit.verdict import Release
 
     for name in ("max_deviation", "adapt_offset", "adapt_gain"):
         if not 0 <= getattr(options, name) <= 0.5:
@@ -158,6 +168,7 @@ def _options(options: argparse.Namespace) -> "ExportOptions":
         device=DeviceOptions(None, options.max_deviation, options.adapt_gain, options.adapt_offset),
         unit_address=options.unit_address,
         network_address=options.network_address,
+        release=Release(options.release),
         failed_too=options.failed_too,
         revision=options.revision,
         signing_key=options.sign,

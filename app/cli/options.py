@@ -71,6 +71,14 @@ def registry_of(options: argparse.Namespace, *, create: bool = True) -> "Iterato
         yield registry
 
 
+def say_caution(registry: "Registry", serial: str, revision: int | None, action: str) -> None:
+    """Warn in one line, and record in the audit trail, where the unit that is used did not pass."""
+    from softcal.app.registry.caution import caution
+
+    if warning := caution(registry, registry.calibration(serial, revision), action):
+        say(warning)
+
+
 def say_epoch(report: "EpochReport", unit: str) -> None:
     """Print every 20th epoch of a training as one line of progress."""
     if report.epoch % 20 == 0:

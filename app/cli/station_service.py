@@ -13,6 +13,7 @@ from softcal.app.cli.options import add_json, add_network, add_registry, network
 from softcal.app.cli.output import print_table, say, write_json
 from softcal.core.errors import DeviceError, InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState
+from softcal.core.reason import joined, unpacked
 
 if TYPE_CHECKING:
     from softcal.core.orders import Heartbeat
@@ -217,7 +218,8 @@ def run_order(options: argparse.Namespace) -> int:
             progress = _followed(registry, options.name, order_id)
     if options.json:
         write_json(options.json, _order_json(options, progress))
-    say(f"{f'{kind} {options.serial}'.strip()}: {progress.verdict or progress.state}: {progress.message}")
+    said = joined(unpacked(progress.message))
+    say(f"{f'{kind} {options.serial}'.strip()}: {progress.verdict or progress.state}: {said}")
     if progress.state is not RunState.DONE:
         return 2 if progress.code == "E-ORDER" else 3
     return 0 if progress.verdict in ("", "pass") else 1

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+from softcal.app.batch.source import source_recording, source_sha256, unlabelled
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.estimate import estimate
 from softcal.core.export.blob import NetworkFile
@@ -13,10 +14,9 @@ from softcal.core.lot import Lot
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.verdict import Release, Verdict
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
-
-REFUSED_VERDICTS = ("fail", "retest")
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,8 @@ class ExportOptions:
             unit; None covers the unit's output with a round full scale.
         device: limits of the device form.
         unit_address, network_address: where `hex` places the files.
-        failed_too: write device files also of units whose verdict is fail or retest; the file says so.
+        release: which verdicts release device files.
+        failed_too: write device files of every unit, for the laboratory; each file says its verdict.
         revision: an older calibration; None is the one in use.
         signing_key: Ed25519 private key (PEM) that signs the manifest.
         laboratory: TOML with laboratory, customer, responsible person and load cell, for certificates.
@@ -39,10 +40,15 @@ class ExportOptions:
     device: DeviceOptions = DeviceOptions()
     unit_address: int = 0x3FF00
     network_address: int = 0x38000
+    release: Release = Release.PASS
     failed_too: bool = False
     revision: int | None = None
     signing_key: Path | None = None
     laboratory: Path | None = None
+
+    def releases(self, verdict: str) -> bool:
+        """Whether device files of a unit with this verdict are written."""
+        return self.failed_too or self.release.releases(verdict)
 
     @property
     def scaled_device(self) -> DeviceOptions:
@@ -118,11 +124,12 @@ class CalibratedUnit:
     def check_usable(self) -> None:
         """Raise `UnitRefused` where this unit's verdict forbids files that give numbers."""
         record = self.stored.record
-        if record.verdict in REFUSED_VERDICTS and not self.options.failed_too:
+        if not self.options.releases(record.verdict):
             why = record.reasons[0] if record.reasons else "no reason is stored"
+            asked = "--release conditional" if record.verdict == Verdict.CONDITIONAL else "--failed-too"
             raise UnitRefused(
                 f"unit {self.serial} has the verdict {record.verdict} ({why}); its device files are not written "
-                "unless --failed-too is given"
+                f"unless {asked} is given"
             )
 
     @cached_property
@@ -143,17 +150,13 @@ class UnitLoader:
     def load(self, serial: str) -> CalibratedUnit:
         """Read one unit; `InputError` where the registry does not know it."""
         stored = self.registry.calibration(serial, self.options.revision)
-        recording = self.registry.recording(stored.record.recording_sha256)
-        unlabelled = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
+        recording = unlabelled(self.registry.recording(stored.record.recording_sha256))
         lot = self.registry.lot(stored.lot_id)
-        return CalibratedUnit(stored, lot, self._shared(stored), unlabelled, self.options)
+        return CalibratedUnit(stored, lot, self._shared(stored), recording, self.options)
 
     def _shared(self, stored: StoredCalibration) -> SharedNetwork:
         network_id = stored.record.network_id
         if network_id not in self._networks:
-            sha256 = str(self.registry.network_entry(network_id).training["source_recording_sha256"])
-            source = self.registry.recording(sha256)
-            if not isinstance(source, LabelledRecording):
-                raise InputError(f"the source recording of network {network_id[:12]} has no reference")
+            sha256, source = source_sha256(self.registry, network_id), source_recording(self.registry, network_id)
             self._networks[network_id] = SharedNetwork(self.registry.network(network_id), source, sha256)
         return self._networks[network_id]

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from softcal.app.export.calibrated_unit import REFUSED_VERDICTS, CalibratedUnit, ExportOptions, UnitLoader
+from softcal.app.export.calibrated_unit import CalibratedUnit, ExportOptions, UnitLoader
 from softcal.app.export.formats import WRITERS, Writer, device_summary
 from softcal.app.export.manifest import FileEntry, Manifest, read_manifest, write_manifest
 from softcal.app.files.atomic import write_bytes
@@ -79,16 +79,16 @@ def export_units(
     return exported
 
 
-def lot_serials(registry: Registry, lot_id: str, failed_too: bool = False) -> list[str]:
-    """Return the calibrated units of a lot whose newest result lets them out; all of them with `failed_too`.
+def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list[str]:
+    """Return the calibrated units of a lot that are released.
 
     Raises:
         InputError: no such lot, or no such unit in it.
     """
     units = [unit for unit in registry.units(lot_id) if unit.revision is not None]
-    serials = [unit.serial for unit in units if failed_too or unit.verdict not in REFUSED_VERDICTS]
+    serials = [unit.serial for unit in units if unit.verdict and options.releases(unit.verdict)]
     if not serials:
-        raise InputError(f"lot {lot_id!r} has no unit to export: {len(units)} are calibrated, none of them passed")
+        raise InputError(f"lot {lot_id!r} has no unit to export: {len(units)} are calibrated, none of them is released")
     return serials
 
 

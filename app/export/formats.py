@@ -58,7 +58,7 @@ def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
         "revision": unit.stored.revision,
         "made_at": unit.stored.made_at.isoformat(),
         "verdict": record.verdict,
-        "reasons": list(record.reasons),
+        "reasons": [str(why) for why in record.reasons],
         **{name: getattr(record, name) for name in names},
         "recording_sha256": record.recording_sha256,
         "input_sha256": record.input_sha256,

@@ -1,20 +1,22 @@
 """What becomes of a run that went through: a recording, and with it a trained network, a verdict or a golden check."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 
+from softcal.app.batch.calibrating import Refusal, calibrated
+from softcal.app.batch.source import source_model
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import check_golden, quarantine
-from softcal.core.errors import InputError, UnitRefused
-from softcal.core.identity import content_sha256
+from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
-from softcal.core.maps.interface import FitProblem
 from softcal.core.network.training import EpochReport, NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress, RunState
-from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.calibrate import CalibrationConfig, calibrate_unit
-from softcal.core.unit.source_model import SourceModel, make_source_model
-from softcal.core.unit.verdict import Limit
+from softcal.core.reason import Reason, packed
+from softcal.core.recording import OutputRecording
+from softcal.core.unit.calibrate import UnitProblem
+from softcal.core.unit.method import Method
+from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.verdict import Verdict, stated_limit
 from softcal.db.entries import NetworkEntry
 from softcal.db.registry import Registry
 from softcal.station.recording import StationRecording
@@ -23,20 +25,8 @@ Tell = Callable[[Progress], None]
 
 TRAINING, CALIBRATING = "training the shared network", "calibrating"
 
-WORST_FIRST = ("fail", "retest", "conditional", "pass")
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What one unit got.
-
-    Args:
-        word: pass, conditional, fail or retest.
-        reasons: why, most important first.
-    """
-
-    word: str
-    reasons: tuple[str, ...]
+Outcome = tuple[str, tuple[Reason, ...]]
+"""Verdict of one unit, and why."""
 
 
 class RunKeeper:
@@ -46,7 +36,7 @@ class RunKeeper:
         registry: where recordings, networks and verdicts go.
         station: name of the station.
         network: how f is trained from a source's recording.
-        calibration: how units are calibrated.
+        method: every number of the calibration.
     """
 
     def __init__(
@@ -54,10 +44,10 @@ class RunKeeper:
         registry: Registry,
         station: str,
         network: NetworkConfig = NetworkConfig(),  # noqa: B008 - frozen
-        calibration: CalibrationConfig = CalibrationConfig(),  # noqa: B008 - frozen
+        method: Method = Method(),  # noqa: B008 - frozen
     ) -> None:
         self._registry, self._station = registry, station
-        self._network, self._calibration = network, calibration
+        self._network, self._method = network, method
         self._source: tuple[str, SourceModel] | None = None
 
     def check(self, order: Order) -> None:
@@ -104,8 +94,8 @@ class RunKeeper:
         if not verdicts:
             message = f"recorded; lot {order.lot_id} has no shared network yet: press its source unit, or train one"
             return replace(done, message=message, recording_sha256=sha256)
-        worst = min(verdicts, key=lambda verdict: WORST_FIRST.index(verdict.word))
-        return replace(done, message="; ".join(worst.reasons), recording_sha256=sha256, verdict=worst.word)
+        word, reasons = max(verdicts, key=lambda verdict: Verdict(verdict[0]).severity)
+        return replace(done, message=packed(reasons), recording_sha256=sha256, verdict=word)
 
     def _keep_golden(self, order: Order, recording: StationRecording, done: Progress) -> Progress:
         labelled = recording.labelled_recording()
@@ -135,39 +125,28 @@ class RunKeeper:
         message = f"source recorded, shared network trained: {rmse:.3g} {lot.reference_unit} on held-out blocks"
         return replace(done, message=message, recording_sha256=source.sha256)
 
-    def _keep_unit(self, order: Order, unit: OutputRecording) -> tuple[str, Verdict | None]:
-        registry, actor = self._registry, order.actor or None
-        sha256 = registry.add_recording(order.lot_id, unit, "unit", actor=actor)
+    def _keep_unit(self, order: Order, unit: OutputRecording) -> tuple[str, Outcome | None]:
+        registry = self._registry
+        sha256 = registry.add_recording(order.lot_id, unit, "unit", actor=order.actor or None)
         entry = newest_network(registry, order.lot_id)
         if entry is None:
             return sha256, None
         lot = registry.lot(order.lot_id)
-        limit = None if lot.limit_rmse is None else Limit(lot.reference_unit, lot.limit_rmse)
-        settings = {
-            "recording": sha256,
-            "network": entry.id,
-            "calibration": asdict(self._calibration),
-            "limit": None if limit is None else asdict(limit),
-        }
-        input_sha256 = content_sha256({}, settings)
-        known = registry.find_calibration(unit.serial, input_sha256)
+        limit = stated_limit(lot.reference_unit, lot.limit_rmse)
+        problem = UnitProblem(self._source_model(entry), unit, limit)
+        known = registry.find_calibration(unit.serial, problem.input_sha256, lot_id=lot.id)
         if known is not None:
-            return sha256, Verdict(known.record.verdict, known.record.reasons)
-        return sha256, self._calibrate(lot, unit, limit, entry, input_sha256, order)
+            return sha256, (known.record.verdict, known.record.reasons)
+        return sha256, self._calibrate(lot, problem, order)
 
-    def _calibrate(
-        self, lot: Lot, unit: OutputRecording, limit: Limit | None, entry: NetworkEntry, input_sha256: str, order: Order
-    ) -> Verdict:
-        registry, actor = self._registry, order.actor or None
-        model = self._source_model(entry)
-        try:
-            calibration = calibrate_unit(FitProblem(model.source, model.network, unit), limit, self._calibration, model)
-        except UnitRefused as error:
-            registry.add_refusal(lot.id, unit.serial, "fail", (str(error),), actor=actor)
-            return Verdict("fail", (str(error),))
-        record = calibration.to_record(input_sha256=input_sha256, recording_sha256=unit.sha256, fit_s=0.0)
-        registry.add_calibration(lot.id, record, actor=actor, reason=order.reason or f"pressed on {self._station}")
-        return Verdict(record.verdict, record.reasons)
+    def _calibrate(self, lot: Lot, problem: UnitProblem, order: Order) -> Outcome:
+        registry, actor, serial = self._registry, order.actor or None, problem.recording.serial
+        made = calibrated(problem)
+        if isinstance(made, Refusal):
+            registry.add_refusal(lot.id, serial, str(made.verdict), (made.reason,), actor=actor)
+            return str(made.verdict), (made.reason,)
+        registry.add_calibration(lot.id, made, actor=actor, reason=order.reason or f"pressed on {self._station}")
+        return made.verdict, made.reasons
 
     def _known_lot(self, lot_id: str) -> Lot | None:
         return next((lot for lot in self._registry.lots() if lot.id == lot_id), None)
@@ -175,10 +154,7 @@ class RunKeeper:
     def _source_model(self, entry: NetworkEntry) -> SourceModel:
         """Return what is known of the lot's source, made once for all its units."""
         if self._source is None or self._source[0] != entry.id:
-            source = self._registry.recording(str(entry.training["source_recording_sha256"]))
-            if not isinstance(source, LabelledRecording):
-                raise InputError(f"network {entry.id[:12]}: its source recording has no reference; train it again")
-            self._source = entry.id, make_source_model(source, self._registry.network(entry.id))
+            self._source = entry.id, source_model(self._registry, entry.id, self._method)
         return self._source[1]
 
 

@@ -106,7 +106,7 @@ def synchronise_with(registry: Registry, other_url: str) -> SyncReport:
 def unit_row(unit: UnitEntry) -> list[object]:
     """Return one row of the table under `UNIT_HEADER`."""
     remark = "calibrated by two registries under one revision; see history" if unit.is_conflict else ""
-    reason = "; ".join(filter(None, (remark, *unit.reasons)))[:100]
+    reason = "; ".join(filter(None, (remark, *map(str, unit.reasons))))[:100]
     errors = [unit.predicted_rmse, unit.before_rmse, unit.after_rmse, unit.own_rmse]
     made = unit.made_at and f"{unit.made_at:%Y-%m-%d %H:%M}"
     return [unit.lot_id, unit.serial, unit.role, unit.verdict, unit.revision, unit.family, *errors, made, reason]
@@ -114,7 +114,10 @@ def unit_row(unit: UnitEntry) -> list[object]:
 
 def unit_json(unit: UnitEntry) -> dict[str, object]:
     """Return a unit as JSON values."""
-    return vars(unit) | {"reasons": list(unit.reasons), "made_at": unit.made_at and unit.made_at.isoformat()}
+    return vars(unit) | {
+        "reasons": [str(why) for why in unit.reasons],
+        "made_at": unit.made_at and unit.made_at.isoformat(),
+    }
 
 
 def history_row(stored: StoredCalibration) -> list[object]:
@@ -143,5 +146,5 @@ def history_json(stored: StoredCalibration) -> dict[str, object]:
     """Return a revision as JSON values, without its arrays."""
     facts = {name: value for name, value in vars(stored).items() if name != "record"}
     record = {name: value for name, value in vars(stored.record).items() if name not in ("arrays", "settings")}
-    texts = {"reasons": list(stored.record.reasons), "evidence": dict(stored.record.evidence)}
+    texts = {"reasons": [str(why) for why in stored.record.reasons], "evidence": dict(stored.record.evidence)}
     return facts | record | texts | {"made_at": stored.made_at.isoformat()}

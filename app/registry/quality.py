@@ -10,7 +10,7 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.quality.control_chart import Capability, ControlChart, capability, control_chart
 from softcal.core.quality.gauge_study import GaugeStudy, study_by_anova, study_by_ranges
-from softcal.core.quality.yields import Run, Share, Yields, yields
+from softcal.core.quality.yields import Run, Share, Yields, kind, yields
 from softcal.core.recording import Array
 from softcal.db.registry import Registry
 
@@ -107,7 +107,10 @@ def chart_json(chart: ControlChart) -> dict[str, object]:
 
 def yields_json(found: Yields) -> dict[str, object]:
     """Return yields as JSON values."""
-    return {**{name: share_json(share) for name, share in named_shares(found)}, "reasons": dict(found.reasons)}
+    return {
+        **{name: share_json(share) for name, share in named_shares(found)},
+        "reasons": {kind(why): count for why, count in found.reasons},
+    }
 
 
 def named_shares(found: Yields) -> list[tuple[str, Share]]:

@@ -4,13 +4,17 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
+from softcal.core.reason import ENGLISH
+
 LANGUAGES = {"en": "English", "ko": "한국어"}
 
 
 @cache
 def catalogue() -> dict[str, dict[str, str]]:
-    """Return every text by language and key."""
-    return tomllib.loads(Path(__file__).with_name("texts.toml").read_text(encoding="utf-8"))
+    """Return every text by language and key; what the numerics say is English in `core.reason`."""
+    texts: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_name("texts.toml").read_text(encoding="utf-8"))
+    texts["en"] |= {f"reason.{code}": sentence for code, sentence in ENGLISH.items()}
+    return texts
 
 
 def text(language: str, key: str, **values: object) -> str:

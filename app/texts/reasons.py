@@ -1,10 +1,10 @@
 """What the numerics and the station say, in the language of a screen.
 
-The registry keeps the reason of a verdict, a condition of the gate and the message of a stop as the sentence they were
-made as, in English, since a record must say the same for good. Each kind of sentence stands in the catalogue of texts
-with its values in braces: `reason.CODE` of a verdict, `message.CODE` of the station, a clause between two semicolons
-each; `reason.part.CODE` and `message.part.CODE` are phrases that are such values. Here a stored sentence is found by
-the English one and said again with its values. What stands in no catalogue stays as it is.
+A reason of a verdict has its code and its values: it is said from the text `reason.CODE` of the language. A condition
+of the gate and the message of a stop are kept as the English sentence they were made as. Each kind of them stands in
+the catalogue with its values in braces: `message.CODE`, a clause between two semicolons each; `message.part.CODE` are
+phrases that are such values. A kept sentence is found by the English one and said again with its values. What stands in
+no catalogue stays as it is, so does a reason that an older version kept as a sentence.
 """
 
 import re
@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import cache, lru_cache
 
 from softcal.app.texts.catalogue import catalogue
+from softcal.core.reason import PLAIN, Reason, unpacked
 
 Words = Callable[..., str]
 
@@ -20,8 +21,16 @@ BETWEEN = "; "
 REMEMBERED = 2048
 
 
-def said(reason: str, words: Words) -> str:
-    """Return one reason, or a phrase within one, in the language of `words`."""
+def said(reason: str | Reason, words: Words) -> str:
+    """Return one reason, or a phrase within one, in the language of `words`.
+
+    A reason has its code and values; a message of the station is still found by its English sentence.
+    """
+    if isinstance(reason, Reason):
+        if reason.code == PLAIN:
+            return said(str(reason), words)
+        told = {name: said(v, words) if isinstance(v, Reason) else v for name, v in reason.values.items()}
+        return words(f"{PREFIX}{reason.code}", **told)
     found = _found(reason)
     if found is None:
         return reason
@@ -29,7 +38,7 @@ def said(reason: str, words: Words) -> str:
     return words(key, **{name: said(value, words) for name, value in values.items()})
 
 
-def all_said(reasons: Iterable[str], words: Words) -> str:
+def all_said(reasons: Iterable[str | Reason], words: Words) -> str:
     """Return several reasons as one line."""
     return BETWEEN.join(said(reason, words) for reason in reasons)
 
@@ -39,9 +48,13 @@ def told(message: str, words: Words) -> str:
     return all_said(parted(message), words)
 
 
-def parted(message: str) -> list[str]:
+def parted(message: str) -> list[str | Reason]:
     """Return the reasons that were joined into one message; a reason may hold the mark between two itself."""
-    rest, reasons = message.split(BETWEEN), []
+    found = unpacked(message)
+    if found and found[0].code != PLAIN:
+        return list(found)
+    rest = message.split(BETWEEN)
+    reasons: list[str | Reason] = []
     while rest:
         lengths = range(len(rest), 0, -1)
         length = next((n for n in lengths if _found(BETWEEN.join(rest[:n]))), 1)
@@ -61,7 +74,7 @@ def _found(reason: str) -> tuple[str, Mapping[str, str]] | None:
 
 @cache
 def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
-    texts = [(key, text) for key, text in catalogue()["en"].items() if key.startswith((PREFIX, MESSAGE))]
+    texts = [(key, text) for key, text in catalogue()["en"].items() if key.startswith(MESSAGE)]
     # A text that begins with a value fits the most: it is tried last.
     texts.sort(key=lambda entry: entry[1].startswith("{"))
     return tuple((key, re.compile(_expression(text))) for key, text in texts)

@@ -1,8 +1,8 @@
 """The pages of the application, each declared once with who may open it.
 
 To add a page: write `app/ui/app_pages/NAME.py` with a function `render()` that draws it, add one line to `PAGES` and
-the text `page.NAME` in every language of texts.toml. A page that a role may not open is not in that session's list, so that
-its address answers as if it did not exist. What a page writes asks `identity.permit` again.
+the text `page.NAME` in every language of texts.toml. A page that a role may not open is not in that session's list, so
+that its address answers as if it did not exist. What a page writes asks `account.permit` again.
 """
 
 import importlib

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from softcal.app.batch.source import source_recording, unlabelled
 from softcal.app.charts.adaptation import adaptation_figure
 from softcal.app.files.atomic import write_text
 from softcal.app.files.stream_file import estimate_writer, read_stream
@@ -17,12 +18,14 @@ from softcal.core.estimate import Estimate
 from softcal.core.lot import Lot
 from softcal.core.maps.affine import AffineMap
 from softcal.core.network.network import Network
+from softcal.core.reason import plain
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.health import output_limits
+from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Verdict
+from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.adapter import AdaptConfig, Adapter, MapUpdate
 from softcal.db.registry import Registry
 
@@ -57,8 +60,7 @@ def unit_in_use(registry: Registry, serial: str, revision: int | None = None) ->
     if revision is None and not _has_calibration(registry, serial):
         _register_source(registry, serial)
     stored = registry.calibration(serial, revision)
-    recording = registry.recording(stored.record.recording_sha256)
-    output = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
+    output = unlabelled(registry.recording(stored.record.recording_sha256))
     network = registry.network(stored.record.network_id)
     calibration = Calibration.from_record(stored.record)
     return UnitInUse(registry.lot(stored.lot_id), stored.revision, network, calibration, output)
@@ -76,9 +78,7 @@ def _register_source(registry: Registry, serial: str) -> None:
     if not trained:
         return
     network = trained[-1]
-    source = registry.recording(str(network.training["source_recording_sha256"]))
-    if not isinstance(source, LabelledRecording):
-        raise InputError(f"the source recording of {serial} has no reference; run `softcal batch` again")
+    source = source_recording(registry, network.id)
     calibration = source_calibration(source, registry.network(network.id))
     record = calibration.to_record(input_sha256=network.input_sha256, recording_sha256=source.sha256)
     registry.add_calibration(sources[source.sha256], record, reason=REASON)
@@ -87,17 +87,18 @@ def _register_source(registry: Registry, serial: str) -> None:
 def source_calibration(source: LabelledRecording, network: Network) -> Calibration:
     """Return the calibration of the source unit itself."""
     model = make_source_model(source, network)
-    error = model.held_out_rmse
+    error, known = model.held_out_rmse, source.unlabelled
     return Calibration(
         serial=source.serial,
         network_id=network.id,
         unit_map=AffineMap(1.0, 0.0, "identity"),
         interval=model.interval,
-        output_limits=output_limits(source.unlabelled, source.unlabelled, model.interval.slope_limit > 0),
+        output_limits=output_limits(known, known, model.interval.slope_limit > 0, model.method.health),
         forecast=ErrorForecast(error, error, error),
-        verdict=Verdict("pass", "pass", (REASON,)),
+        decision=Decision(Judgement(Verdict.PASS, (plain(REASON),))),
+        knowledge=known_by({}, model.method.knowledge),
         evidence={},
-        config={},
+        method=model.method,
     )
 
 

@@ -1,7 +1,6 @@
 """A lot at a glance: yields, errors, the process behind them and the units that need a look. No Streamlit."""
 
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
@@ -12,6 +11,7 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.control_chart import Capability, ControlChart, capability, control_chart
 from softcal.core.quality.yields import Run, Yields, yields
+from softcal.core.reason import Reason
 from softcal.core.recording import Array
 from softcal.db.entries import RunEntry, UnitEntry
 from softcal.db.lot_pages import UnitErrors, UnitFilter
@@ -77,7 +77,7 @@ class LotView:
     counts: Mapping[str, int]
     errors: tuple[UnitErrors, ...]
     yields: Yields
-    reasons: tuple[tuple[str, int], ...]
+    reasons: tuple[tuple[Reason, int], ...]
     process: ProcessView
     looks: tuple[UnitEntry, ...]
 
@@ -134,7 +134,7 @@ def lot_view(registry: Registry, lot_id: str) -> LotView:
         registry.verdict_counts(lot_id),
         tuple(registry.lot_errors(lot_id)),
         found,
-        _by_kind(found.reasons),
+        found.reasons,
         process_view(runs, lot.limit_rmse),
         looks.units,
     )
@@ -166,15 +166,6 @@ def _by_unit(runs: Sequence[RunEntry]) -> dict[str, list[Run]]:
     for run in runs:
         by_unit.setdefault(run.serial, []).append(Run(run.verdict, run.reasons))
     return by_unit
-
-
-def _by_kind(reasons: Sequence[tuple[str, int]]) -> tuple[tuple[str, int], ...]:
-    kinds: Counter[str] = Counter()
-    example: dict[str, str] = {}
-    for reason, count in reasons:
-        kinds[reason_kind(reason)] += count
-        example.setdefault(reason_kind(reason), reason)
-    return tuple((example[kind], count) for kind, count in kinds.most_common())
 
 
 def _broken(chart: ControlChart, serials: Sequence[str]) -> tuple[RuleBroken, ...]:

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.errors import InputError
+from softcal.app.batch.source import source_model, unlabelled
 from softcal.core.estimate import Estimate, estimate
 from softcal.core.lot import Lot
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.explanation import Explanation, explain
-from softcal.core.unit.source_model import make_source_model
+from softcal.core.unit.method import Method
 from softcal.core.windows import resting
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
@@ -66,20 +66,14 @@ def unit_view(registry: Registry, serial: str, revision: int | None = None) -> U
     stored = registry.calibration(serial, revision)
     calibration = Calibration.from_record(stored.record)
     network = registry.network(stored.record.network_id)
-    recording = registry.recording(stored.record.recording_sha256)
-    unlabelled = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
-    sources = registry.recordings(stored.lot_id, kind="source")
-    if not sources:
-        raise InputError(f"lot {stored.lot_id} has no source recording here; the maps of its units cannot be shown")
-    source = registry.recording(sources[-1].sha256)
-    if not isinstance(source, LabelledRecording):
-        raise ValueError("a source recording without reference")
+    recording = unlabelled(registry.recording(stored.record.recording_sha256))
+    model = source_model(registry, network.id, calibration.method or Method())
     return UnitView(
         stored,
         calibration,
         registry.lot(stored.lot_id),
-        source,
-        unlabelled,
-        estimate(network, calibration, unlabelled),
-        explain(make_source_model(source, network), calibration, unlabelled),
+        model.source,
+        recording,
+        estimate(network, calibration, recording),
+        explain(model, calibration, recording),
     )

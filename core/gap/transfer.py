@@ -7,14 +7,13 @@ import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.estimate import estimate
-from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LotDesign
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.core.twin.spread import LotSpread, draw_lot
-from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.source_model import make_source_model
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)
@@ -146,7 +145,7 @@ def lot_errors(lot: PressedLot) -> LotErrors:
         before = rmse(trained.network.evaluate(test.windows), test.window_reference)
         after = before
         try:
-            found = calibrate_unit(FitProblem(model.source, trained.network, unit.recording), source_model=model)
+            found = calibrate(UnitProblem(model, unit.recording))
             after = rmse(estimate(trained.network, found, test.unlabelled).estimate, test.reference)
         except UnitRefused:
             # A unit without a map goes on as it is.

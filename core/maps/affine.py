@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import FitProblem
+from softcal.core.reason import reason
 from softcal.core.recording import Array
 from softcal.core.windows import windows
-
-EXTREMES = (0.02, 0.99)
-"""Quantiles both units share: rest below, the hardest presses above. Robust to a few outlying samples."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +57,11 @@ class Affine:
         Raises:
             UnitRefused: the target's output does not move between its extremes.
         """
-        low, high = np.quantile(problem.target.output, EXTREMES)
-        source_low, source_high = np.quantile(problem.source.unlabelled.output, EXTREMES)
+        extremes = problem.config.choice.extremes
+        low, high = np.quantile(problem.target.output, extremes)
+        source_low, source_high = np.quantile(problem.source.unlabelled.output, extremes)
         if high <= low:
-            raise UnitRefused(
-                f"output stays at {low:.6g} {problem.target.output_unit}; press the unit and record again"
-            )
+            raise UnitRefused(reason("still", level=float(low), unit=problem.target.output_unit))
         gain = float((source_high - source_low) / (high - low))
         return AffineMap(gain, float(source_low - gain * low))
 

@@ -7,19 +7,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from softcal.core.identity import Settings
-from softcal.core.maps.crossing import ROBUST_RANGE
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.recording import Array
 from softcal.core.windows import resting
-
-GAIN_SPREAD = 0.1
-"""How far the gain of a map may be off before any anchor is seen (one standard deviation)."""
-
-LEVEL_SPREAD = 0.03
-"""The same for its level at rest, as a share of the source's output range."""
-
-LOAD_ERROR = 0.01
-"""Error of f at rest under a known load, as a share of the reference's spread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,22 +50,23 @@ class AnchoredMap:
 def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> AnchoredMap:
     """Correct gain and level of a map so that f reads the known loads.
 
-    Minimises sum ((f(window at rest under load k) - load_k) / sigma)^2 + (dgain / 0.1)^2 + (dlevel / 0.03 range)^2:
-    one anchor moves what it can see, several fix both numbers. The gain turns about the source's rest level.
+    Minimises sum ((f(window at rest under load k) - load_k) / sigma)^2 + (dgain / gain_spread)^2 + (dlevel /
+    level_spread range)^2, with the spreads of `AnchorConfig`. One anchor moves what it can see, several fix both
+    numbers. The gain turns about the source's rest level.
 
     Args:
         problem: source and network.
         unit_map: fitted without anchors.
         anchors: outputs at rest under known loads.
     """
-    network = problem.network
-    low, high = np.quantile(problem.source.unlabelled.output, ROBUST_RANGE)
-    sigma = LOAD_ERROR * network.reference_scale
+    network, config = problem.network, problem.config.anchors
+    low, high = np.quantile(problem.source.unlabelled.output, problem.config.crossing.robust_range)
+    sigma = config.load_error * network.reference_scale
     loaded = unit_map.apply(resting(np.asarray(anchors.output, np.float64)))
 
     def corrected(theta: Array) -> tuple[float, float]:
-        gain = 1.0 + GAIN_SPREAD * float(theta[0])
-        return gain, float(low * (1.0 - gain) + LEVEL_SPREAD * (high - low) * theta[1])
+        gain = 1.0 + config.gain_spread * float(theta[0])
+        return gain, float(low * (1.0 - gain) + config.level_spread * (high - low) * theta[1])
 
     def residuals(theta: Array) -> Array:
         gain, offset = corrected(theta)
@@ -85,8 +76,8 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> Anchored
     def jacobian(theta: Array) -> Array:
         gain, offset = corrected(theta)
         slope = network.gradient(offset + gain * loaded)[1] / sigma
-        by_gain = GAIN_SPREAD * np.sum(slope * (loaded - low), axis=1)
-        by_level = LEVEL_SPREAD * (high - low) * slope.sum(axis=1)
+        by_gain = config.gain_spread * np.sum(slope * (loaded - low), axis=1)
+        by_level = config.level_spread * (high - low) * slope.sum(axis=1)
         return np.concatenate([np.stack([by_gain, by_level], axis=1), np.eye(2)])
 
     gain, offset = corrected(least_squares(residuals, np.zeros(2), jacobian).x)

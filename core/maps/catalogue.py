@@ -9,6 +9,7 @@ from softcal.core.errors import InputError
 from softcal.core.identity import Settings
 from softcal.core.maps.affine import Affine, Identity
 from softcal.core.maps.anchors import AnchoredMap
+from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.exact import Exact
 from softcal.core.maps.interface import MapFamily, UnitMap
 from softcal.core.maps.joint import Joint
@@ -29,9 +30,6 @@ _LISTED: tuple[MapFamily, ...] = (
 )
 
 FAMILIES: Mapping[str, MapFamily] = {family.name: family for family in _LISTED}
-
-DEFAULT = "auto"
-"""Let the evidence of each unit choose (`choose.py`)."""
 
 
 def family(name: str) -> MapFamily:

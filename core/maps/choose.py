@@ -7,39 +7,14 @@ import numpy as np
 
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.anchors import refine
-from softcal.core.maps.catalogue import DEFAULT, family
+from softcal.core.maps.catalogue import family
+from softcal.core.maps.config import DEFAULT, CrossingConfig
 from softcal.core.maps.crossing import averaging_length, level_path
 from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem, UnitMap
 from softcal.core.maps.label_shift import level_weights
 from softcal.core.maps.synchrony import Synchrony
 from softcal.core.recording import OutputRecording
-
-SAME_PROGRAMME = 0.03
-"""Units that spend their time alike up to this total variation distance ran one programme: samples can be matched.
-
-Random presses drawn from one distribution differ by 0.05 to 0.1 over a minute; matching their samples would copy that.
-"""
-
-UNLIKE_RATE = 6.0
-"""A unit that swings this many times more often per second than the source shows noise or another use."""
-
-CLEAR = 2.0
-"""A gain or level this many standard errors from the source's is worth correcting."""
-
-SHARP = 0.06
-"""Only a recording that fixes the gain this well can show that there is nothing to correct."""
-
-
-@dataclass(frozen=True)
-class MapConfig:
-    """How a unit's map is chosen; one configuration for every sensor and data set.
-
-    Args:
-        family: a name of the catalogue to force one family, or "auto".
-    """
-
-    family: str = DEFAULT
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +36,7 @@ class ChosenMap:
         return self.unit_map.family
 
 
-def choose_map(problem: FitProblem, config: MapConfig = MapConfig()) -> ChosenMap:  # noqa: B008 - frozen
+def choose_map(problem: FitProblem) -> ChosenMap:
     """Fit the candidates, take the one the evidence supports, and refine it by anchors where there are any.
 
     Order of trust: pairs under one load at equal time, then pairs at equal stage position, then pairs of an opening
@@ -72,9 +47,10 @@ def choose_map(problem: FitProblem, config: MapConfig = MapConfig()) -> ChosenMa
         UnitRefused: the recording allows no map; the message says why.
     """
     evidence: Mapping[str, float | str]
-    if config.family != DEFAULT:
-        candidates = {config.family: family(config.family).fit(problem)} | _fitted(problem, ("identity", "label_shift"))
-        name, evidence = config.family, {"decision": f"{config.family}, as configured"}
+    forced = problem.config.family
+    if forced != DEFAULT:
+        candidates = {forced: family(forced).fit(problem)} | _fitted(problem, ("identity", "label_shift"))
+        name, evidence = forced, {"decision": f"{forced}, as configured"}
     else:
         candidates = _fitted(problem, ("identity", "affine", "label_shift", "monotone"))
         name, evidence = _decide(problem, candidates)
@@ -129,10 +105,14 @@ def _shared(synchrony: Synchrony) -> dict[str, float | str]:
 
 
 def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, dict[str, float | str]]:
-    match = match_ends(problem.source, problem.target)
-    rate = _swing_rate(problem.target) / max(_swing_rate(problem.source.unlabelled), 1e-9)
+    config = problem.config.choice
+    match = match_ends(problem.source, problem.target, problem.config)
+    target_rate, source_rate = (
+        _swing_rate(recording, problem.config.crossing) for recording in (problem.target, problem.source.unlabelled)
+    )
+    rate = target_rate / max(source_rate, 1e-9)
     mapped = candidates["label_shift"].apply(problem.target.windows)
-    dwell, _ = level_weights(problem.source.windows, mapped)
+    dwell, _ = level_weights(problem.source.windows, mapped, config.dwell_cells)
     numbers: dict[str, float | str] = {
         "swing_rate_ratio": rate,
         "gain": match.gain,
@@ -140,18 +120,19 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
         "rest_error": match.rest_error,
         "dwell_distance": dwell,
     }
-    if rate > UNLIKE_RATE:
+    if rate > config.unlike_rate:
         why = "swings far more often than the source: only rest level and hardest presses are matched; abstain"
         return "label_shift", numbers | {"decision": why}
-    is_alike = abs(np.log(match.gain)) < CLEAR * match.gain_error and abs(match.rest_shift) < CLEAR * match.rest_error
-    if match.gain_error < SHARP and is_alike:
+    is_same_gain = abs(np.log(match.gain)) < config.clear * match.gain_error
+    is_same_rest = abs(match.rest_shift) < config.clear * match.rest_error
+    if match.gain_error < config.sharp and is_same_gain and is_same_rest:
         return "identity", numbers | {"decision": "no difference from the source that the recording could show"}
-    if dwell < SAME_PROGRAMME:
+    if dwell < config.same_programme:
         return "monotone", numbers | {"decision": "time is spent as in the source: sample quantiles matched"}
     why = f"shift estimated: {dwell:.0%} of the time is spent at other loads; rest and hardest presses matched instead"
     return "label_shift", numbers | {"decision": why}
 
 
-def _swing_rate(recording: OutputRecording) -> float:
-    path = level_path(recording, averaging_length(recording))
+def _swing_rate(recording: OutputRecording, config: CrossingConfig) -> float:
+    path = level_path(recording, averaging_length(recording, config), config)
     return 0.0 if path is None else path.swings / len(recording)

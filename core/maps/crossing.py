@@ -9,16 +9,8 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from softcal.core.maps.config import CrossingConfig
 from softcal.core.recording import Array, Indices, OutputRecording
-
-THRESHOLD = 0.1
-"""Smallest swing that counts, as a share of the robust range: noise and ripple make no turning points."""
-
-AVERAGES = (1, 3, 5, 9, 15, 27, 51)
-PRESS_SHARE = 0.3
-"""The median swing of presses spans at least this share of the robust range."""
-
-ROBUST_RANGE = (0.02, 0.99)
 
 KEPT = 32
 """Results kept per recording: every unit of a lot is compared with one and the same source."""
@@ -66,14 +58,15 @@ class LevelPath:
 
 
 @lru_cache(maxsize=KEPT)
-def level_path(recording: OutputRecording, average: int) -> LevelPath | None:
+def level_path(recording: OutputRecording, average: int, config: CrossingConfig) -> LevelPath | None:
     """Reduce a recording to its swings; None where its output makes none.
 
     Args:
         recording: the unit's output.
         average: samples averaged against noise before turning points are sought (`averaging_length`).
+        config: what counts as a swing.
     """
-    threshold = THRESHOLD * robust_range(recording.output)
+    threshold = config.threshold * robust_range(recording.output, config)
     step, levels, turns = max(1, average // 3), [], []
     for part in recording.segments:
         signal = moving_mean(recording.output[part], average)[::step]
@@ -122,22 +115,22 @@ def _local_extremes(signal: Array) -> Indices:
 
 
 @lru_cache(maxsize=KEPT)
-def averaging_length(recording: OutputRecording) -> int:
+def averaging_length(recording: OutputRecording, config: CrossingConfig) -> int:
     """Return the fewest samples to average so that presses, not noise, make the turning points.
 
     Swings of noise stand just above the threshold; those of presses span a good part of the range.
     """
-    spread = robust_range(recording.output)
-    for average in AVERAGES:
-        path = level_path(recording, average)
-        if path is not None and np.median(path.high - path.low) >= PRESS_SHARE * spread:
+    spread = robust_range(recording.output, config)
+    for average in config.averages:
+        path = level_path(recording, average, config)
+        if path is not None and np.median(path.high - path.low) >= config.press_share * spread:
             return average
-    return AVERAGES[-1]
+    return config.averages[-1]
 
 
-def robust_range(values: Array) -> float:
+def robust_range(values: Array, config: CrossingConfig) -> float:
     """Return the span between the level at rest and the level of the hardest presses."""
-    low, high = np.quantile(values, ROBUST_RANGE)
+    low, high = np.quantile(values, config.robust_range)
     return float(high - low)
 
 

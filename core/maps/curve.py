@@ -7,17 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.identity import Settings
+from softcal.core.maps.config import CurveConfig
 from softcal.core.recording import Array
 from softcal.core.windows import windows
-
-GAIN_PRIOR = 0.5
-"""Units of one kind differ in gain by about this much (standard deviation of its logarithm)."""
-
-BLIND_SPREAD = 0.5
-"""How far the slope of a curve may change over a range that was not seen, in the same terms."""
-
-FAR = 10.0
-"""The far knots of a continued curve lie this many spans beyond its ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +56,7 @@ class CurveMap:
         return cls(np.asarray(arrays["knots"], np.float64), np.asarray(arrays["values"], np.float64), family)
 
 
-def continued(curve: CurveMap, source_span: float) -> CurveMap:
+def continued(curve: CurveMap, source_span: float, config: CurveConfig) -> CurveMap:
     """Give a curve ends that go on sanely beyond what the unit's recording has shown.
 
     The slope beyond an end is the mean one of the outer third, held within a factor of two of the whole curve's gain,
@@ -74,6 +66,7 @@ def continued(curve: CurveMap, source_span: float) -> CurveMap:
     Args:
         curve: fitted to what was seen.
         source_span: robust range of the source's output, same unit as `curve.values`.
+        config: what is believed of a range that was not seen.
     """
     knots, values = curve.knots, curve.values
     if len(knots) < 2:
@@ -82,11 +75,12 @@ def continued(curve: CurveMap, source_span: float) -> CurveMap:
     thirds = np.interp(knots[0] + span * np.array([0.0, 1.0, 2.0, 3.0]) / 3, knots, values)
     gain = max(float(thirds[3] - thirds[0]) / span, 1e-6)
     covered = min(1.0, float(thirds[3] - thirds[0]) / max(source_span, 1e-300))
-    trust = GAIN_PRIOR**2 / (GAIN_PRIOR**2 + (BLIND_SPREAD * (1 - covered)) ** 2)
+    prior = config.gain_prior**2
+    trust = prior / (prior + (config.blind_spread * (1 - covered)) ** 2)
     outer = np.clip(np.array([thirds[1] - thirds[0], thirds[3] - thirds[2]]) * 3 / span, gain / 2, gain * 2)
-    below, above = np.exp(trust * np.log(outer)) * FAR * span
+    below, above = np.exp(trust * np.log(outer)) * config.far * span
     return CurveMap(
-        np.concatenate([[knots[0] - FAR * span], knots, [knots[-1] + FAR * span]]),
+        np.concatenate([[knots[0] - config.far * span], knots, [knots[-1] + config.far * span]]),
         np.concatenate([[values[0] - below], values, [values[-1] + above]]),
         curve.family,
     )

@@ -6,30 +6,10 @@ from functools import lru_cache
 import numpy as np
 
 from softcal.core.errors import UnitRefused
+from softcal.core.maps.config import MapConfig
 from softcal.core.maps.crossing import KEPT, LevelPath, averaging_length, level_path, moving_mean
-from softcal.core.maps.curve import GAIN_PRIOR
+from softcal.core.reason import reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.windows import TAPS
-
-REST_SHARE = 0.005
-"""Quantile of the samples that stands for the level at rest: robust to a few outlying samples."""
-
-PEAK_SHARES = np.array([0.99, 0.995, 1.0])
-"""Shares of the path whose mean level stands for the hardest presses, however short those were."""
-
-PATCH_PEAK_SHARE = 0.995
-PATCH = 10 * TAPS
-"""A recording in pieces shorter than this shows levels but no presses."""
-
-STRETCHES = 8
-ENOUGH_SWINGS = 10
-"""A recording as long as the source takes for this many swings has seen its hardest press."""
-
-CLEAR_OF_NOISE = 6.0
-"""A swing below this many standard deviations of the noise is none."""
-
-ROUNDING = 1e-9
-"""Averages of one and the same value differ by rounding; a swing below this share of the output is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +45,7 @@ class EndMatch:
     rest_error: float
 
 
-def match_ends(source: LabelledRecording, target: OutputRecording) -> EndMatch:
+def match_ends(source: LabelledRecording, target: OutputRecording, config: MapConfig) -> EndMatch:
     """Match rest and peak of a unit to those of source stretches as long as the unit's recording.
 
     A short recording has seen few presses, so it is set beside each of several source stretches of its own length. A
@@ -77,22 +57,27 @@ def match_ends(source: LabelledRecording, target: OutputRecording) -> EndMatch:
     """
     known = source.unlabelled
     sign = 1.0 if np.corrcoef(known.output, source.reference)[0, 1] >= 0 else -1.0
-    is_patchy = _is_patchy(target)
-    average = 5 if is_patchy else max(averaging_length(known), averaging_length(target))
-    shown = _whole(target, average, sign, is_patchy)
-    noise = output_noise(target)
-    if not shown.span[0] > max(CLEAR_OF_NOISE * noise, ROUNDING * float(np.abs(target.output).max())):
-        raise UnitRefused("output makes no swing that stands out of its noise; press the unit and record it again")
+    is_patchy, ends = _is_patchy(target, config), config.ends
     if is_patchy:
-        stretches = others = _patches(known, target, average, sign)
+        average = ends.patch_average
     else:
-        stretches, others = _stretches(known, len(target), average, sign)
-    return _matched(stretches, others, shown, sign, float(2 * noise / shown.span[0]))
+        average = max(averaging_length(recording, config.crossing) for recording in (known, target))
+    shown = _whole(target, average, sign, config)
+    noise = output_noise(target)
+    if not shown.span[0] > max(ends.clear_of_noise * noise, ends.rounding * float(np.abs(target.output).max())):
+        raise UnitRefused(reason("no_swing"))
+    if is_patchy:
+        stretches = others = _patches(known, target, average, sign, config)
+    else:
+        stretches, others = _stretches(known, len(target), average, sign, config)
+    return _matched(stretches, others, shown, sign, float(2 * noise / shown.span[0]), config.curve.gain_prior)
 
 
-def _matched(stretches: Ends, others: Ends, shown: Ends, sign: float, noise_share: float) -> EndMatch:
+def _matched(
+    stretches: Ends, others: Ends, shown: Ends, sign: float, noise_share: float, gain_prior: float
+) -> EndMatch:
     log_gain = np.log(np.maximum(stretches.span, 1e-6 * stretches.span.max()) / shown.span[0])
-    prior = GAIN_PRIOR**2
+    prior = gain_prior**2
     shrink = prior / (prior + noise_share**2)
     weight = np.exp(-0.5 * (log_gain**2 - np.min(log_gain**2)) / prior)
     weight /= weight.sum()
@@ -107,7 +92,7 @@ def _matched(stretches: Ends, others: Ends, shown: Ends, sign: float, noise_shar
     return EndMatch(
         gain=gain,
         offset=sign * offset,
-        gain_error=float(np.hypot(np.std(spread), (1 - shrink) * GAIN_PRIOR)),
+        gain_error=float(np.hypot(np.std(spread), (1 - shrink) * gain_prior)),
         rest_shift=sign * (offset + (gain - 1) * float(shown.rest[0])),
         rest_error=float(np.sqrt(rest_variance)),
     )
@@ -133,56 +118,61 @@ def output_noise(recording: OutputRecording) -> float:
     return max(noise, step / np.sqrt(12) if np.isfinite(step) else 0.0)
 
 
-def _is_patchy(recording: OutputRecording) -> bool:
-    return len(recording.segments) > 1 and float(np.median([s.stop - s.start for s in recording.segments])) < PATCH
+def _is_patchy(recording: OutputRecording, config: MapConfig) -> bool:
+    lengths = [segment.stop - segment.start for segment in recording.segments]
+    return len(lengths) > 1 and float(np.median(lengths)) < config.ends.patch
 
 
-def _whole(recording: OutputRecording, average: int, sign: float, is_patchy: bool) -> Ends:
-    if is_patchy:
-        return _patch_ends([sign * _smoothed(recording, average)])
-    return _stretch_ends(recording, average, sign, [(0, len(recording))])
+def _whole(recording: OutputRecording, average: int, sign: float, config: MapConfig) -> Ends:
+    if _is_patchy(recording, config):
+        return _patch_ends([sign * _smoothed(recording, average)], config)
+    return _stretch_ends(recording, average, sign, [(0, len(recording))], config)
 
 
 @lru_cache(maxsize=KEPT)
-def _stretches(source: OutputRecording, length: int, average: int, sign: float) -> tuple[Ends, Ends]:
+def _stretches(source: OutputRecording, length: int, average: int, sign: float, config: MapConfig) -> tuple[Ends, Ends]:
     """Return ends of the source that a recording so long has seen, and of stretches that show their scatter."""
-    path = level_path(source, average)
+    path = level_path(source, average, config.crossing)
     swings = 0.0 if path is None else path.swings * length / len(source)
-    if swings < ENOUGH_SWINGS:
-        placed = _placed(source, min(length, len(source)), average, sign)
+    if swings < config.ends.enough_swings:
+        placed = _placed(source, min(length, len(source)), average, sign, config)
         return placed, placed
-    whole = _stretch_ends(source, average, sign, [(0, len(source))])
-    return whole, _placed(source, min(length, len(source) // 2), average, sign)
+    whole = _stretch_ends(source, average, sign, [(0, len(source))], config)
+    return whole, _placed(source, min(length, len(source) // 2), average, sign, config)
 
 
-def _placed(source: OutputRecording, length: int, average: int, sign: float) -> Ends:
-    starts = np.linspace(0, len(source) - length, STRETCHES).astype(int)
-    return _stretch_ends(source, average, sign, [(start, start + length) for start in starts])
+def _placed(source: OutputRecording, length: int, average: int, sign: float, config: MapConfig) -> Ends:
+    starts = np.linspace(0, len(source) - length, config.ends.stretches).astype(int)
+    return _stretch_ends(source, average, sign, [(start, start + length) for start in starts], config)
 
 
-def _stretch_ends(recording: OutputRecording, average: int, sign: float, places: list[tuple[int, int]]) -> Ends:
-    level, path = sign * _smoothed(recording, average), level_path(recording, average)
-    rest = [float(np.quantile(level[start:stop], REST_SHARE)) for start, stop in places]
-    peak = [_peak(path, level, sign, start, stop) for start, stop in places]
+def _stretch_ends(
+    recording: OutputRecording, average: int, sign: float, places: list[tuple[int, int]], config: MapConfig
+) -> Ends:
+    level, path = sign * _smoothed(recording, average), level_path(recording, average, config.crossing)
+    rest = [float(np.quantile(level[start:stop], config.ends.rest_share)) for start, stop in places]
+    peak = [_peak(path, level[start:stop], sign, (start, stop), config) for start, stop in places]
     return Ends(np.array(rest), np.array(peak))
 
 
-def _peak(path: LevelPath | None, level: Array, sign: float, start: int, stop: int) -> float:
-    part = None if path is None else path.within(start, stop)
+def _peak(path: LevelPath | None, level: Array, sign: float, place: tuple[int, int], config: MapConfig) -> float:
+    part = None if path is None else path.within(*place)
     if part is None or not part.swings:
-        return float(np.quantile(level[start:stop], PATCH_PEAK_SHARE))
-    shares = PEAK_SHARES if sign > 0 else 1 - PEAK_SHARES
+        return float(np.quantile(level, config.ends.patch_peak_share))
+    upper = np.array(config.ends.peak_shares)
+    shares = upper if sign > 0 else 1 - upper
     return sign * float(part.quantiles(shares).mean())
 
 
-def _patches(source: OutputRecording, target: OutputRecording, average: int, sign: float) -> Ends:
+def _patches(source: OutputRecording, target: OutputRecording, average: int, sign: float, config: MapConfig) -> Ends:
     """Return the ends of as many and as long pieces of the source as the unit's recording consists of, drawn anew."""
     level, rng = sign * _smoothed(source, average), np.random.default_rng(0)
     pieces, length = len(target.segments), max(1, len(target) // len(target.segments))
-    starts = rng.integers(0, max(1, len(source) - length), (STRETCHES, pieces))
-    return _patch_ends([level[(row[:, None] + np.arange(length)).ravel()] for row in starts])
+    starts = rng.integers(0, max(1, len(source) - length), (config.ends.stretches, pieces))
+    return _patch_ends([level[(row[:, None] + np.arange(length)).ravel()] for row in starts], config)
 
 
-def _patch_ends(levels: list[Array]) -> Ends:
-    ends = np.array([np.quantile(level, (REST_SHARE, PATCH_PEAK_SHARE)) for level in levels])
+def _patch_ends(levels: list[Array], config: MapConfig) -> Ends:
+    shares = config.ends.rest_share, config.ends.patch_peak_share
+    ends = np.array([np.quantile(level, shares) for level in levels])
     return Ends(ends[:, 0], ends[:, 1])

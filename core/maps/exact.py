@@ -15,8 +15,8 @@ from softcal.core.maps.plan import TransportMap, barycentric, solve_exact, sprea
 class Exact:
     """Solve for the plan of least squared distance, then move each window to the mean of what it is coupled to.
 
-    Assumes that both units were pressed under one distribution of loads. Long recordings are thinned evenly to 1500
-    windows a side.
+    Assumes that both units were pressed under one distribution of loads. Long recordings are thinned evenly
+    (`PlanConfig.most_windows`).
     """
 
     name: str = "exact"
@@ -24,10 +24,11 @@ class Exact:
     def fit(self, problem: FitProblem) -> TransportMap:
         """Fit the map."""
         source, target = problem.source.windows, problem.target.windows
-        source, target = source[spread_rows(len(source))], target[spread_rows(len(target))]
+        config = problem.config.plan
+        source, target = (rows[spread_rows(len(rows), config.most_windows)] for rows in (source, target))
         plan = solve_exact(squared_distances(target, source))
-        return TransportMap(target, barycentric(plan, source) - target, self.name)
+        return TransportMap(target, barycentric(plan, source) - target, self.name, config.neighbours)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> TransportMap:
         """Rebuild a map from its arrays."""
-        return TransportMap.from_arrays(arrays, self.name)
+        return TransportMap.from_arrays(arrays, settings, self.name)

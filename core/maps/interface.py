@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.identity import Settings, content_sha256
+from softcal.core.maps.config import MapConfig
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -64,6 +65,7 @@ class FitProblem:
         network: the shared network f trained on it.
         target: unlabelled recording of the target unit.
         anchors: known loads of the target, where someone took them.
+        config: every number of the fit.
         seed: drives every random choice of the fit.
     """
 
@@ -71,12 +73,13 @@ class FitProblem:
     network: Network
     target: OutputRecording
     anchors: Anchors | None = None
+    config: MapConfig = MapConfig()  # noqa: RUF009 - frozen
     seed: int = 0
 
     @cached_property
     def synchrony(self) -> Synchrony:
         """What the two outputs say about a common load; found once for all who ask."""
-        return find_synchrony(self.source.unlabelled, self.target)
+        return find_synchrony(self.source.unlabelled, self.target, self.config)
 
 
 class MapFamily(Protocol):

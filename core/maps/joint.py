@@ -11,11 +11,6 @@ from softcal.core.maps.interface import FitProblem
 from softcal.core.maps.plan import TransportMap, barycentric, solve_exact, spread_rows, squared_distances
 from softcal.core.recording import Array
 
-MOST_WINDOWS = 1000
-ROUNDS = 5
-LABEL_WEIGHT = 1.0
-RIDGE = 1e-2
-
 
 @dataclass(frozen=True)
 class Joint:
@@ -31,38 +26,39 @@ class Joint:
 
     def fit(self, problem: FitProblem) -> TransportMap:
         """Fit the map."""
-        source_rows = spread_rows(len(problem.source.windows), MOST_WINDOWS)
+        config = problem.config.plan
+        source_rows = spread_rows(len(problem.source.windows), config.joint_windows)
         source = problem.source.windows[source_rows]
         label = problem.source.window_reference[source_rows] / problem.network.reference_scale
-        target = problem.target.windows[spread_rows(len(problem.target.windows), MOST_WINDOWS)]
+        target = problem.target.windows[spread_rows(len(problem.target.windows), config.joint_windows)]
         distance = squared_distances(target, source)
         distance /= float(np.mean(np.var(source, axis=0))) * source.shape[1]
         matched = (target - target.mean()) / max(float(target.std()), 1e-12) * source.std() + source.mean()
         estimate = problem.network.evaluate(matched) / problem.network.reference_scale
-        smoother = _Smoother(target)
+        smoother = _Smoother(target, config.ridge)
         plan, best = np.empty((0, 0)), np.inf
-        for _ in range(ROUNDS):
-            cost = distance + LABEL_WEIGHT * (estimate[:, None] - label[None, :]) ** 2
+        for _ in range(config.joint_rounds):
+            cost = distance + config.label_weight * (estimate[:, None] - label[None, :]) ** 2
             trial = solve_exact(cost)
             total = float(np.sum(trial * cost))
             if total >= best * (1 - 1e-4):
                 break
             plan, best = trial, total
             estimate = smoother(barycentric(plan, label[:, None])[:, 0])
-        return TransportMap(target, barycentric(plan, source) - target, self.name)
+        return TransportMap(target, barycentric(plan, source) - target, self.name, config.neighbours)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> TransportMap:
         """Rebuild a map from its arrays."""
-        return TransportMap.from_arrays(arrays, self.name)
+        return TransportMap.from_arrays(arrays, settings, self.name)
 
 
 class _Smoother:
     """Kernel ridge regression on fixed windows: labels in, fitted values out."""
 
-    def __init__(self, inputs: Array) -> None:
+    def __init__(self, inputs: Array, ridge: float) -> None:
         squared = squared_distances(inputs, inputs)
         kernel = np.exp(-squared / max(float(np.median(squared)), 1e-12))
-        regularised = kernel + RIDGE * len(inputs) / 100 * np.eye(len(inputs))
+        regularised = kernel + ridge * len(inputs) / 100 * np.eye(len(inputs))
         self._hat = np.linalg.solve(regularised, kernel)
 
     def __call__(self, labels: Array) -> Array:

@@ -31,7 +31,7 @@ class LabelShift:
         Raises:
             UnitRefused: the output makes no swing that stands out of its noise.
         """
-        match = match_ends(problem.source, problem.target)
+        match = match_ends(problem.source, problem.target, problem.config)
         return AffineMap(match.gain, match.offset, self.name)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> AffineMap:
@@ -39,7 +39,7 @@ class LabelShift:
         return AffineMap(float(arrays["gain"]), float(arrays["offset"]), self.name)
 
 
-def level_weights(source: Array, mapped_target: Array, cells: int = 20) -> tuple[float, Array]:
+def level_weights(source: Array, mapped_target: Array, cells: int) -> tuple[float, Array]:
     """Return how differently the two units spend their time, and the weights that make up for it.
 
     Args:

@@ -10,11 +10,8 @@ from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
 from softcal.core.maps.curve import CurveMap, continued, monotone_curve
 from softcal.core.maps.interface import FitProblem
+from softcal.core.reason import reason
 from softcal.core.recording import Array
-
-KNOTS = 33
-END_SHARE = 0.005
-"""Quantiles nearer to the ends than this are single samples, not a distribution."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +32,15 @@ class Monotone:
             UnitRefused: the target's output does not move.
         """
         # Chebyshev spacing: the ends, where rest and peak levels lie, are resolved best.
-        shares = END_SHARE + (1 - 2 * END_SHARE) * (1 - np.cos(np.linspace(0, np.pi, KNOTS))) / 2
+        config = problem.config.curve
+        spacing = (1 - np.cos(np.linspace(0, np.pi, config.knots))) / 2
+        shares = config.end_share + (1 - 2 * config.end_share) * spacing
         target = between_steps(problem.target.output, shares)
         if np.ptp(target) <= 0:
             level, unit = float(target[0]), problem.target.output_unit
-            raise UnitRefused(f"output stays at {level:.6g} {unit}; press the unit and record again")
+            raise UnitRefused(reason("still", level=level, unit=unit))
         source = between_steps(problem.source.unlabelled.output, shares)
-        return continued(monotone_curve(target, source, self.name), float(np.ptp(source)))
+        return continued(monotone_curve(target, source, self.name), float(np.ptp(source)), config)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> CurveMap:
         """Rebuild a curve from its arrays."""

@@ -19,39 +19,13 @@ from scipy.optimize import isotonic_regression
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
+from softcal.core.maps.config import PairConfig
 from softcal.core.maps.crossing import robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.interface import FitProblem
+from softcal.core.reason import reason
 from softcal.core.recording import Array, Indices
 from softcal.core.windows import TAPS, resting, windows
-
-KNOTS, FEWEST_KNOTS = 24, 3
-PAIRS_PER_KNOT = 10
-PAIRS = 4000
-"""Pairs used at most, spread over the recording: the cost of a fit does not grow with its length."""
-
-STIFFNESS = 2e-5
-"""Weight of the squared bend of f's answer along the curve, integrated over the unit's range (taken as 1): a unit
-answers smoothly to load, while its curve into the output of the source must follow every jump of the source's."""
-
-CURVE_STIFFNESS = 7e-8
-"""The same for the curve itself: it holds where f does not answer at all."""
-
-TETHER = 1e-3
-STEPS, ATTEMPTS = 40, 14
-DAMPING, LEAST_DAMPING = 1e-3, 1e-6
-SETTLED, IDLE_STEPS = 0.99, 3
-"""The descent ends after so many steps in a row that leave more than this share of the cost: f is made of flat pieces,
-and a step across an edge of them gains little before the next gains much."""
-
-BLOCKS = 32
-ENOUGH_FOR_DYNAMICS = 480
-"""Fewer pairs hold out too little to judge a dynamic part by."""
-
-SHAPES = ((1, 1.02), (5, 0.99), (TAPS, 0.97))
-"""Orthonormal window shapes a map may be made of (level; slope, curvature and two more beside it; all), and the share
-of the held-out error so far that it must stay below to be taken. Windows as they are come first; their level alone is
-taken where it is as good: what a slow load leaves to see in a window is noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,23 +91,23 @@ def fit_pairs(problem: FitProblem, source_rows: Indices, target_rows: Indices, f
         source_rows, target_rows: windows under equal load, in time order.
         family: name the map carries.
     """
-    rows = np.linspace(0, len(target_rows) - 1, min(PAIRS, len(target_rows))).astype(np.int64)
+    rows = np.linspace(0, len(target_rows) - 1, min(problem.config.pairs.pairs, len(target_rows))).astype(np.int64)
     fitted = _fit(_Pairs(problem, source_rows[rows], target_rows[rows], family))
-    span = robust_range(problem.source.unlabelled.output)
+    span = robust_range(problem.source.unlabelled.output, problem.config.crossing)
     if isinstance(fitted, DynamicMap):
-        return DynamicMap(continued(fitted.curve, span), fitted.mix, family)
-    return continued(fitted, span)
+        return DynamicMap(continued(fitted.curve, span, problem.config.curve), fitted.mix, family)
+    return continued(fitted, span, problem.config.curve)
 
 
 def _fit(pairs: "_Pairs") -> PairedMap:
     """Fit with the fewest window shapes that held-out stretches ask for."""
-    everything = np.arange(pairs.count)
-    if pairs.count < ENOUGH_FOR_DYNAMICS:
+    everything, config = np.arange(pairs.count), pairs.config
+    if pairs.count < config.enough_for_dynamics:
         return pairs.fit(everything, 0)
-    block = everything * BLOCKS // pairs.count
+    block = everything * config.blocks // pairs.count
     held, kept = np.flatnonzero(block % 4 == 1), np.flatnonzero(block % 4 != 1)
     shapes, least = 0, pairs.error(pairs.fit(kept, 0), held)
-    for more, needed in SHAPES:
+    for more, needed in config.shapes:
         error = pairs.error(pairs.fit(kept, more), held)
         if error < needed * least:
             shapes, least = more, error
@@ -145,17 +119,18 @@ class _Pairs:
 
     def __init__(self, problem: FitProblem, source_rows: Indices, target_rows: Indices, family: str) -> None:
         self.count = len(target_rows)
+        self.config = problem.config.pairs
         network = self._network = problem.network
         self._family = family
         self._target = target = problem.target.windows[target_rows]
         source = problem.source.windows[source_rows]
         label = (network.evaluate(source) + problem.source.window_reference[source_rows]) / 2
         self._label = label / network.reference_scale
-        self._knots = _knots(target)
+        self._knots = _knots(target, self.config)
         if self._knots[-1] <= self._knots[0]:
             level, unit = self._knots[0], problem.target.output_unit
-            raise UnitRefused(f"output stays at {level:.6g} {unit} under the loads it shares with the source")
-        self._start = _static_regression(target, source, self._knots)
+            raise UnitRefused(reason("still.shared", level=float(level), unit=unit))
+        self._start = _static_regression(target, source, self._knots, self.config.curve_stiffness)
         self._bend = _bend(len(self._knots))
 
     def error(self, unit_map: PairedMap, rows: Indices) -> float:
@@ -165,12 +140,12 @@ class _Pairs:
 
     def fit(self, rows: Indices, shapes: int) -> PairedMap:
         """Fit the curve, and the mix of `shapes` window shapes where it is not 0."""
-        theta = np.concatenate([self._start, np.eye(shapes).ravel()])
-        cost, damping, idle = self._cost(theta, rows, shapes), DAMPING, 0
-        for _ in range(STEPS):
+        theta, config = np.concatenate([self._start, np.eye(shapes).ravel()]), self.config
+        cost, damping, idle = self._cost(theta, rows, shapes), config.damping, 0
+        for _ in range(config.steps):
             hessian, descent = self._normal_equations(theta, rows, shapes)
             tried_first = damping
-            for _ in range(ATTEMPTS):
+            for _ in range(config.attempts):
                 damped = hessian + damping * np.diag(np.diag(hessian) + 1e-9)
                 trial = self._monotone(theta + np.linalg.solve(damped, descent))
                 trial_cost = self._cost(trial, rows, shapes)
@@ -179,10 +154,10 @@ class _Pairs:
                 damping *= 4
             else:
                 break
-            idle = idle + 1 if trial_cost > SETTLED * cost else 0
+            idle = idle + 1 if trial_cost > config.settled * cost else 0
             theta, cost = trial, trial_cost
-            damping = max(damping / (10 if damping == tried_first else 4), LEAST_DAMPING)
-            if idle == IDLE_STEPS:
+            damping = max(damping / (10 if damping == tried_first else 4), config.least_damping)
+            if idle == config.idle_steps:
                 break
         return self._map(theta, shapes)
 
@@ -204,9 +179,9 @@ class _Pairs:
         """Return what is asked of a map without any pair, as residuals whose squares are added, and their Jacobian."""
         count, network = len(self._knots), self._network
         estimate, slope = network.gradient(resting(theta[:count]))
-        of_answer = STIFFNESS**0.5 / network.reference_scale * self._bend
-        of_curve = CURVE_STIFFNESS**0.5 / network.output_scale * self._bend
-        of_mix = TETHER**0.5 * np.eye(shapes * shapes)
+        of_answer = self.config.stiffness**0.5 / network.reference_scale * self._bend
+        of_curve = self.config.curve_stiffness**0.5 / network.output_scale * self._bend
+        of_mix = self.config.tether**0.5 * np.eye(shapes * shapes)
         moved = theta[count:] - np.eye(shapes).ravel()
         residual = np.concatenate([of_answer @ estimate, of_curve @ theta[:count], of_mix @ moved])
         return residual, block_diag(np.vstack([of_answer * slope.sum(axis=1), of_curve]), of_mix)
@@ -231,9 +206,10 @@ class _Pairs:
         return hessian, -gradient
 
 
-def _knots(target: Array) -> Array:
+def _knots(target: Array, config: PairConfig) -> Array:
     low, high = np.quantile(target, [0.001, 0.999])
-    return np.linspace(low, high, int(np.clip(len(target) // PAIRS_PER_KNOT, FEWEST_KNOTS, KNOTS)))
+    count = np.clip(len(target) // config.pairs_per_knot, config.fewest_knots, config.knots)
+    return np.linspace(low, high, int(count))
 
 
 def _bend(count: int) -> Array:
@@ -256,13 +232,13 @@ def _hat_gradient(target: Array, knots: Array, per_sample: Array) -> Array:
     return np.asarray((left + right).reshape(len(target), len(knots)))
 
 
-def _static_regression(target: Array, source: Array, knots: Array) -> Array:
+def _static_regression(target: Array, source: Array, knots: Array, stiffness: float) -> Array:
     """Values at the knots that carry mean window levels onto mean window levels, smooth and monotone."""
     segment, share = _place(target.mean(axis=1), knots)
     hats = np.zeros((len(target), len(knots)))
     hats[np.arange(len(target)), segment] = 1 - share
     hats[np.arange(len(target)), segment + 1] += share
     bend = _bend(len(knots))
-    normal = hats.T @ hats / len(target) + CURVE_STIFFNESS * bend.T @ bend + 1e-9 * np.eye(len(knots))
+    normal = hats.T @ hats / len(target) + stiffness * bend.T @ bend + 1e-9 * np.eye(len(knots))
     values = np.linalg.solve(normal, hats.T @ source.mean(axis=1) / len(target))
     return np.asarray(isotonic_regression(values).x)

@@ -9,19 +9,11 @@ from scipy.spatial import cKDTree
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
+from softcal.core.maps.config import MapConfig, PhaseConfig
 from softcal.core.maps.interface import FitProblem
-from softcal.core.maps.paired import PAIRS, PairedMap, fit_pairs, paired_map_from_arrays
+from softcal.core.maps.paired import PairedMap, fit_pairs, paired_map_from_arrays
+from softcal.core.reason import reason
 from softcal.core.recording import Array, OutputRecording
-
-HISTORY = (0, 4, 14, 45, 150)
-"""Samples back at which the stage must have stood alike: position, direction, speed and what creep remembers."""
-
-HISTORY_WEIGHT = (1.0, 1.0, 0.5, 0.15, 0.05)
-NEAR_SHARE = 0.04
-"""Two stage histories are alike within this share of the travel."""
-
-MIN_PAIRS = 4
-"""Fewer windows fix no curve; so few fix little more than gain and offset."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +32,7 @@ class Phase:
             UnitRefused: a recording has no stage position, or the two share too few positions.
         """
         source, target = problem.source.unlabelled, problem.target
-        source_rows, target_rows = paired_by_stage(source, target)
+        source_rows, target_rows = paired_by_stage(source, target, problem.config)
         return fit_pairs(problem, source_rows, target_rows, self.name)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> PairedMap:
@@ -48,7 +40,9 @@ class Phase:
         return paired_map_from_arrays(arrays, self.name)
 
 
-def paired_by_stage(source: OutputRecording, target: OutputRecording) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def paired_by_stage(
+    source: OutputRecording, target: OutputRecording, config: MapConfig
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the windows of both recordings at equal stage position, direction and recent history.
 
     Returns:
@@ -58,36 +52,37 @@ def paired_by_stage(source: OutputRecording, target: OutputRecording) -> tuple[N
         UnitRefused: a recording has no stage position, or too few positions are shared.
     """
     if source.stage_mm is None or target.stage_mm is None:
-        raise UnitRefused("stage position is not in both recordings; windows cannot be paired by it")
-    known, asked = stage_histories(source, source.stage_mm), stage_histories(target, target.stage_mm)
+        raise UnitRefused(reason("no_position"))
+    phase = config.phase
+    known, asked = (stage_histories(r, r.stage_mm, phase) for r in (source, target) if r.stage_mm is not None)
     travel_mm = float(np.ptp(target.stage_mm))
-    rows = np.linspace(0, len(asked) - 1, min(2 * PAIRS, len(asked))).astype(np.int64)
+    rows = np.linspace(0, len(asked) - 1, min(2 * config.pairs.pairs, len(asked))).astype(np.int64)
     distance_mm, nearest = np.empty(len(rows)), np.empty(len(rows), np.int64)
-    seen = _seen_entries(target)[rows]
+    seen = _seen_entries(target, phase)[rows]
     for entries in np.unique(seen):
         group = seen == entries
         tree = cKDTree(known[:, :entries])
         distance_mm[group], nearest[group] = tree.query(asked[rows[group], :entries])
-    alike = distance_mm <= NEAR_SHARE * travel_mm
-    if travel_mm <= 0 or alike.sum() < MIN_PAIRS:
-        raise UnitRefused(f"{alike.sum()} windows at equal stage positions; at least {MIN_PAIRS} are needed")
+    alike = distance_mm <= phase.near_share * travel_mm
+    if travel_mm <= 0 or alike.sum() < phase.min_pairs:
+        raise UnitRefused(reason("few.positions", windows=int(alike.sum()), enough=phase.min_pairs))
     return nearest[alike].astype(np.int64), rows[alike]
 
 
-def stage_histories(recording: OutputRecording, stage_mm: Array) -> Array:
-    """Return where the stage stood now and before each full window, weighted: (m, len(HISTORY)) in mm."""
-    ago_s = np.array(HISTORY) / recording.sample_rate_Hz
+def stage_histories(recording: OutputRecording, stage_mm: Array, config: PhaseConfig) -> Array:
+    """Return where the stage stood now and before each full window, weighted: (m, len(config.history)) in mm."""
+    ago_s = np.array(config.history) / recording.sample_rate_Hz
     asked_s = recording.t_s[recording.window_rows][:, None] - ago_s[None, :]
-    return np.asarray(np.interp(asked_s, recording.t_s, stage_mm) * np.array(HISTORY_WEIGHT))
+    return np.asarray(np.interp(asked_s, recording.t_s, stage_mm) * np.array(config.history_weight))
 
 
-def _seen_entries(recording: OutputRecording) -> NDArray[np.int64]:
+def _seen_entries(recording: OutputRecording, config: PhaseConfig) -> NDArray[np.int64]:
     """Return how many entries of each full window's history were recorded: what lies before a gap is not known.
 
     Before a recording begins the stage is taken to have stood where it begins.
     """
     begins_s = np.concatenate([np.full(s.stop - s.start, recording.t_s[s.start]) for s in recording.segments])
     begins_s[recording.segments[0]] = -np.inf
-    ago_s = np.array(HISTORY) / recording.sample_rate_Hz
+    ago_s = np.array(config.history) / recording.sample_rate_Hz
     is_seen = recording.t_s[:, None] - ago_s >= begins_s[:, None] - 0.5 / recording.sample_rate_Hz
     return np.asarray(is_seen[recording.window_rows].sum(axis=1))

@@ -9,13 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from softcal.core.identity import Settings
+from softcal.core.maps.config import PlanConfig
 from softcal.core.recording import Array
 from softcal.core.windows import windows
-
-MOST_WINDOWS = 1500
-"""Windows per side of an exact plan; the cost matrix grows with their product, the solver faster still."""
-
-NEIGHBOURS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +25,13 @@ class TransportMap:
         stored: (m, taps) target windows of the plan.
         displacement: (m, taps) T(x_k) - x_k.
         family: name under which the catalogue rebuilds it.
+        neighbours: stored windows that an unseen one moves with.
     """
 
     stored: Array
     displacement: Array
     family: str
+    neighbours: int = PlanConfig.neighbours
 
     @cached_property
     def _tree(self) -> cKDTree:
@@ -41,7 +39,7 @@ class TransportMap:
 
     def apply(self, windows: Array) -> Array:
         """Carry (n, taps) target windows into the source's window space."""
-        distance, row = self._tree.query(windows, k=min(NEIGHBOURS, len(self.stored)))
+        distance, row = self._tree.query(windows, k=min(self.neighbours, len(self.stored)))
         distance, row = distance.reshape(len(windows), -1), row.reshape(len(windows), -1)
         closeness = 1.0 / (distance**2 + 1e-12 * (1.0 + float(np.ptp(self.stored)) ** 2))
         share = closeness / closeness.sum(axis=1, keepdims=True)
@@ -56,13 +54,15 @@ class TransportMap:
         return {"stored": self.stored, "displacement": self.displacement}
 
     def settings(self) -> Settings:
-        """Nothing beside the arrays."""
-        return {}
+        """Return how many neighbours an unseen window moves with."""
+        return {"neighbours": self.neighbours}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], family: str) -> "TransportMap":
-        """Rebuild a map from its arrays."""
-        return cls(np.asarray(arrays["stored"], np.float64), np.asarray(arrays["displacement"], np.float64), family)
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], settings: Settings, family: str) -> "TransportMap":
+        """Rebuild a map from its arrays and settings."""
+        neighbours = int(str(settings.get("neighbours", PlanConfig.neighbours)))
+        stored, displacement = (np.asarray(arrays[name], np.float64) for name in ("stored", "displacement"))
+        return cls(stored, displacement, family, neighbours)
 
 
 def solve_exact(cost: Array) -> Array:
@@ -90,6 +90,6 @@ def barycentric(plan: Array, source: Array) -> Array:
     return np.asarray(plan @ source / plan.sum(axis=1, keepdims=True))
 
 
-def spread_rows(count: int, most: int = MOST_WINDOWS) -> NDArray[np.int64]:
+def spread_rows(count: int, most: int) -> NDArray[np.int64]:
     """Return at most `most` row numbers spread evenly over `count`."""
     return np.linspace(0, count - 1, min(most, count)).astype(np.int64)

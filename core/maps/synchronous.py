@@ -11,8 +11,7 @@ from softcal.core.identity import Settings
 from softcal.core.maps.interface import FitProblem
 from softcal.core.maps.paired import PairedMap, fit_pairs, paired_map_from_arrays
 from softcal.core.maps.synchrony import paired_rows
-
-MIN_PAIRS = 12
+from softcal.core.reason import reason
 
 
 @dataclass(frozen=True)
@@ -29,13 +28,11 @@ class Synchronous:
         """
         synchrony = problem.synchrony
         if not synchrony.is_synchronous:
-            raise UnitRefused(
-                f"outputs of source and unit agree with rank correlation {synchrony.rank_correlation:.2f} at equal "
-                "time; they were not pressed by one load at once"
-            )
+            raise UnitRefused(reason("not_synchronous", correlation=synchrony.rank_correlation))
         source_rows, target_rows = paired_rows(problem.source.unlabelled, problem.target, synchrony)
-        if len(target_rows) < MIN_PAIRS:
-            raise UnitRefused(f"{len(target_rows)} windows at equal times; at least {MIN_PAIRS} are needed")
+        least = problem.config.synchrony.min_pairs
+        if len(target_rows) < least:
+            raise UnitRefused(reason("few.times", windows=len(target_rows), enough=least))
         return fit_pairs(problem, source_rows, target_rows, self.name)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> PairedMap:

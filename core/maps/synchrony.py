@@ -7,42 +7,9 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 from scipy.stats import rankdata
 
+from softcal.core.maps.config import MapConfig, SynchronyConfig
 from softcal.core.maps.crossing import moving_mean, robust_range, turning_points
 from softcal.core.recording import Array, Indices, OutputRecording
-
-MIN_RANK_CORRELATION = 0.95
-RANK_AVERAGE = 15
-"""Ranks are averaged over this many samples before they are compared: noise and spikes of a readout are not load."""
-
-PARTED = 10.0
-"""Loads part after an opening that leaves this many times less of the ranks unexplained than what follows."""
-
-MIN_DETAIL = 0.1
-MIN_SIGMA = 2.5
-"""A lag is believed where the fine structure agrees this many standard deviations better than at all others."""
-
-SAME_CURVE = 0.06
-SETTLED_S = 1.0
-"""Outputs under one load lie on one curve within this share of the source's range, averaged over so long, or ..."""
-OFF_CURVE = 3.0
-"""... within so many times what the opening itself shows: lags and loops differ from unit to unit."""
-
-GUARD_S = 2.0
-"""Loads that part slowly are alike for a while: so much of the opening's end is not used."""
-
-LEAST_SWINGS = 6
-"""Up and down three times alike is no chance; two slow rises are."""
-
-SWING = 0.2
-LEAST_SPAN = 0.75
-"""A swing of an opening, and the whole of it, as shares of the source's robust range."""
-
-MOST_STEPS = 20
-
-LONGEST_LAG_S = 1.0
-CLEAR_GAIN = 0.9
-SCALES = (5, 25, 50)
-"""Fine structure is what a mean over this many samples keeps and one over ten times as many does not."""
 
 
 @dataclass(frozen=True)
@@ -51,10 +18,11 @@ class Synchrony:
 
     Args:
         lag_s: seconds the target's clock is ahead of the source's.
-        rank_correlation: of the two outputs at equal time, averaged over `RANK_AVERAGE` samples.
+        rank_correlation: of the two outputs at equal time, averaged over a few samples.
         detail: correlation of their fine structure at that lag, on the scale that shows it best.
         sigma: how far that stands out of the same correlation at unrelated lags, in standard deviations.
         until_s: on the source's clock, where the common load ends; infinite where it lasts as long as both recordings.
+        is_synchronous: whether pairing windows at equal time is supported.
     """
 
     lag_s: float
@@ -62,21 +30,13 @@ class Synchrony:
     detail: float
     sigma: float
     until_s: float = np.inf
-
-    @property
-    def is_synchronous(self) -> bool:
-        """Whether pairing windows at equal time is supported."""
-        return self.rank_correlation >= MIN_RANK_CORRELATION
-
-
-def _stands_out(detail: float, sigma: float) -> bool:
-    return detail >= MIN_DETAIL and sigma >= MIN_SIGMA
+    is_synchronous: bool = False
 
 
 NONE = Synchrony(0.0, 0.0, 0.0, 0.0)
 
 
-def find_synchrony(source: OutputRecording, target: OutputRecording) -> Synchrony:
+def find_synchrony(source: OutputRecording, target: OutputRecording, config: MapConfig) -> Synchrony:
     """Compare two recordings on their common stretch of time.
 
     Ranks make the comparison blind to the static curves of the units. Fine structure that agrees at one lag and at no
@@ -84,75 +44,83 @@ def find_synchrony(source: OutputRecording, target: OutputRecording) -> Synchron
     line often runs one profile first and other loads after it. A long opening makes the whole agree too; what follows
     it tells.
     """
-    whole = _compared(source, target)
-    until_s = _opening_end(source, target)
+    whole = _compared(source, target, config.synchrony)
+    until_s = _opening_end(source, target, config)
     if until_s is None:
         return whole
-    opening = _compared(source, target, until_s=until_s)
+    opening = _compared(source, target, config.synchrony, until_s=until_s)
     if whole.is_synchronous:
         agrees_better = opening.rank_correlation > whole.rank_correlation
-        return opening if agrees_better and _parts_after(source, target, opening) else whole
+        return opening if agrees_better and _parts_after(source, target, opening, config.synchrony) else whole
     return opening if opening.is_synchronous else whole
 
 
-def _parts_after(source: OutputRecording, target: OutputRecording, opening: Synchrony) -> bool:
+def _parts_after(source: OutputRecording, target: OutputRecording, opening: Synchrony, config: SynchronyConfig) -> bool:
     """Tell whether the recordings go on under loads of their own; False where too little follows to tell."""
-    left = _compared(source, target, from_s=opening.until_s + GUARD_S)
+    left = _compared(source, target, config, from_s=opening.until_s + config.guard_s)
     if left is NONE or left.is_synchronous:
         return False
-    return 1 - left.rank_correlation > PARTED * (1 - opening.rank_correlation)
+    return 1 - left.rank_correlation > config.parted * (1 - opening.rank_correlation)
 
 
 def _compared(
-    source: OutputRecording, target: OutputRecording, from_s: float = -np.inf, until_s: float = np.inf
+    source: OutputRecording,
+    target: OutputRecording,
+    config: SynchronyConfig,
+    from_s: float = -np.inf,
+    until_s: float = np.inf,
 ) -> Synchrony:
     rate_Hz = source.sample_rate_Hz
     start, stop = max(source.t_s[0], target.t_s[0], from_s), min(source.t_s[-1], target.t_s[-1], until_s)
     time_s = np.arange(start, stop, 1.0 / rate_Hz)
-    if len(time_s) < 20 * min(SCALES) or abs(target.sample_rate_Hz / rate_Hz - 1) > 0.02:
+    if len(time_s) < 20 * min(config.scales) or abs(target.sample_rate_Hz / rate_Hz - 1) > 0.02:
         return NONE
     # What one recording missed the other must not show either: both are read at the same instants.
     seen = time_s[_covered(source, time_s) & _covered(target, time_s)]
-    if len(seen) < 2 * min(SCALES):
+    if len(seen) < 2 * min(config.scales):
         return NONE
     a = rankdata(np.interp(time_s, seen, np.interp(seen, source.t_s, source.output)))
     b = rankdata(np.interp(time_s, seen, np.interp(seen, target.t_s, target.output)))
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return NONE
-    found = [_detail(a, b, scale, rate_Hz) for scale in SCALES if 20 * scale <= len(time_s)]
+    found = [_detail(a, b, scale, rate_Hz, config) for scale in config.scales if 20 * scale <= len(time_s)]
     detail, sigma, lag = max(found, key=lambda item: item[1])
-    lag = lag if _stands_out(detail, sigma) else 0
-    a, b = moving_mean(a, RANK_AVERAGE), moving_mean(np.roll(b, lag), RANK_AVERAGE)
-    return Synchrony(-lag / rate_Hz, float(np.corrcoef(a, b)[0, 1]), detail, sigma, until_s)
+    stands_out = detail >= config.min_detail and sigma >= config.min_sigma
+    lag = lag if stands_out else 0
+    a, b = (moving_mean(ranks, config.rank_average) for ranks in (a, np.roll(b, lag)))
+    correlation = float(np.corrcoef(a, b)[0, 1])
+    is_synchronous = correlation >= config.min_rank_correlation
+    return Synchrony(-lag / rate_Hz, correlation, detail, sigma, until_s, is_synchronous)
 
 
-def _opening_end(source: OutputRecording, target: OutputRecording) -> float | None:
+def _opening_end(source: OutputRecording, target: OutputRecording, maps: MapConfig) -> float | None:
     """Return until when both recordings open with one load, on the common clock; None where they do not.
 
     A monotone curve carries the target's output onto the source's, from the first few presses on over as much as it
     holds for; where the recordings leave that curve, the opening has ended.
     """
-    rate_Hz = source.sample_rate_Hz
+    config, rate_Hz = maps.synchrony, source.sample_rate_Hz
     start, stop = max(source.t_s[0], target.t_s[0]), min(source.t_s[-1], target.t_s[-1])
     time_s = np.arange(start, stop, 1.0 / rate_Hz)
-    if len(time_s) <= RANK_AVERAGE or np.ptp(target.output) == 0:
+    if len(time_s) <= config.rank_average or np.ptp(target.output) == 0:
         return None
-    a, b = (moving_mean(np.interp(time_s, r.t_s, r.output), RANK_AVERAGE) for r in (source, target))
-    span, settled = robust_range(source.output), round(SETTLED_S * rate_Hz)
-    turns = turning_points(a, SWING * span)
-    if len(turns) <= LEAST_SWINGS:
+    a, b = (moving_mean(np.interp(time_s, r.t_s, r.output), config.rank_average) for r in (source, target))
+    span, settled = robust_range(source.output, maps.crossing), round(config.settled_s * rate_Hz)
+    turns = turning_points(a, config.swing * span)
+    if len(turns) <= config.least_swings:
         return None
-    first = known = int(turns[LEAST_SWINGS])
-    for _ in range(MOST_STEPS):
+    first = known = int(turns[config.least_swings])
+    for _ in range(config.most_steps):
         off = np.abs(moving_mean(_off_curve(a, b, known), settled)) / span
-        allowed = max(SAME_CURVE, OFF_CURVE * float(np.quantile(off[: max(known - settled, 1)], 0.9)))
+        shown = float(np.quantile(off[: max(known - settled, 1)], 0.9))
+        allowed = max(config.same_curve, config.off_curve * shown)
         left = np.flatnonzero(off[first:] > allowed)
         end = first + int(left[0]) if len(left) else len(a)
         if end == known:
             break
         known = end
-    end = known - round(GUARD_S * rate_Hz)
-    if end < first or robust_range(a[:end]) < LEAST_SPAN * span:
+    end = known - round(config.guard_s * rate_Hz)
+    if end < first or robust_range(a[:end], maps.crossing) < config.least_span * span:
         return None
     return float(time_s[end])
 
@@ -197,14 +165,14 @@ def _covered(recording: OutputRecording, time_s: Array) -> NDArray[np.bool_]:
     return inside
 
 
-def _detail(a: Array, b: Array, scale: int, rate_Hz: float) -> tuple[float, float, int]:
+def _detail(a: Array, b: Array, scale: int, rate_Hz: float, config: SynchronyConfig) -> tuple[float, float, int]:
     x, y = _band(a, scale), _band(b, scale)
     spectrum = np.fft.rfft(x) * np.conj(np.fft.rfft(y))
     every = np.fft.irfft(spectrum, len(x)) / (np.std(x) * np.std(y) * len(x) + 1e-300)
-    reach = min(len(x) // 4, round(LONGEST_LAG_S * rate_Hz))
+    reach = min(len(x) // 4, round(config.longest_lag_s * rate_Hz))
     near = np.concatenate([every[: reach + 1], every[-reach:]])
     # Slow loads leave the peak flat: without a clear gain the clocks are taken as equal.
-    best = 0 if near[0] >= CLEAR_GAIN * near.max() else int(np.argmax(near))
+    best = 0 if near[0] >= config.clear_gain * near.max() else int(np.argmax(near))
     lag = best if best <= reach else best - len(near)
     far = every[10 * scale : -10 * scale] if len(every) > 40 * scale else every
     # Periodic presses agree again one period later; the largest agreement elsewhere counts as much as the usual one.

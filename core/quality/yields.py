@@ -1,12 +1,15 @@
 """Yields of a lot from the order in which each unit got its verdicts."""
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from scipy import stats
+from scipy.stats import binomtest
 
-GOOD = frozenset({"pass"})
+from softcal.core.reason import PLAIN, Reason, plain
+from softcal.core.unit.verdict import Verdict
+
+GOOD = frozenset({Verdict.PASS})
 
 
 @dataclass(frozen=True)
@@ -25,11 +28,8 @@ class Share:
     def interval(self) -> tuple[float, float]:
         if not self.of:
             return 0.0, 1.0
-        z = float(stats.norm.ppf(0.975))
-        p, n = self.count / self.of, self.of
-        centre = (p + z**2 / (2 * n)) / (1 + z**2 / n)
-        half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-        return max(0.0, float(centre - half)), min(1.0, float(centre + half))
+        found = binomtest(self.count, self.of).proportion_ci(0.95, method="wilson")
+        return float(found.low), float(found.high)
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,15 @@ class Yields:
         second_pass: units good in their first or second run.
         last_pass: units whose newest verdict is good.
         runs: runs that were good, of all runs.
-        reasons: how often each reason stands first where the newest verdict is not good, most frequent first.
+        reasons: how often each kind of reason stands first where the newest verdict is not good, most frequent first;
+            each kind by the newest reason of it.
     """
 
     first_pass: Share
     second_pass: Share
     last_pass: Share
     runs: Share
-    reasons: tuple[tuple[str, int], ...]
+    reasons: tuple[tuple[Reason, int], ...]
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Run:
     """One verdict of one unit."""
 
     verdict: str
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[Reason, ...] = ()
 
 
 def yields(runs: Mapping[str, Sequence[Run]], golden: Collection[str] = (), good: Collection[str] = GOOD) -> Yields:
@@ -69,21 +70,24 @@ def yields(runs: Mapping[str, Sequence[Run]], golden: Collection[str] = (), good
     """
     kept = [unit for serial, unit in runs.items() if unit and serial not in golden]
     verdicts = [[run.verdict in good for run in unit] for unit in kept]
-    reasons: dict[str, int] = {}
-    for unit in kept:
-        if unit[-1].verdict not in good:
-            first = unit[-1].reasons[0] if unit[-1].reasons else "no reason given"
-            reasons[first] = reasons.get(first, 0) + 1
+    firsts = [
+        unit[-1].reasons[0] if unit[-1].reasons else plain("no reason given")
+        for unit in kept
+        if unit[-1].verdict not in good
+    ]
+    kinds = {kind(first): first for first in firsts}
+    counts = Counter(map(kind, firsts))
     return Yields(
         first_pass=Share(sum(unit[0] for unit in verdicts), len(kept)),
         second_pass=Share(sum(any(unit[:2]) for unit in verdicts), len(kept)),
         last_pass=Share(sum(unit[-1] for unit in verdicts), len(kept)),
         runs=Share(sum(sum(unit) for unit in verdicts), sum(map(len, verdicts))),
-        reasons=tuple(sorted(reasons.items(), key=lambda item: (-item[1], item[0]))),
+        reasons=tuple(
+            (kinds[name], count) for name, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+        ),
     )
 
 
-def rolled_throughput(shares: Sequence[Share]) -> float | None:
-    """Return the product of first-pass yields over processes in a row; None where one of them saw no unit."""
-    values = [share.value for share in shares]
-    return None if None in values else float(np.prod([value for value in values if value is not None]))
+def kind(why: Reason) -> str:
+    """Return what reasons are counted by: their code; the sentence itself where an older version kept no code."""
+    return str(why) if why.code == PLAIN else why.code

@@ -1,107 +1,164 @@
-"""One unit from its recording to map, interval, forecast error and verdict. No reference of the unit is ever seen."""
+"""Calibrate one unit: from its recording to map, interval, forecast and decision. The only place where that is done.
+
+The line, a batch, its workers, a watched folder and the screens all call `calibrate`, and all know a calibration again
+by `input_sha256`. No fit sees a reference of the unit; an audit, where there is one, only measures.
+"""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
+from softcal.core.identity import content_sha256
 from softcal.core.maps.affine import Identity
-from softcal.core.maps.choose import ChosenMap, MapConfig, choose_map
-from softcal.core.maps.interface import FitProblem, UnitMap
+from softcal.core.maps.choose import ChosenMap, choose_map
+from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.maps.paired import fit_pairs
 from softcal.core.maps.phase import Phase
 from softcal.core.maps.synchronous import Synchronous
 from softcal.core.maps.synchrony import paired_rows
-from softcal.core.recording import OutputRecording
+from softcal.core.network.training import NetworkConfig
+from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.findings import map_findings, opening_findings
 from softcal.core.unit.forecast import MapEvidence, Trial, forecast_error, gather_evidence, variance_table
-from softcal.core.unit.health import check_alive, health_findings, output_limits
+from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
+from softcal.core.unit.method import Method
 from softcal.core.unit.own_forecast import forecast_own, own_terms
-from softcal.core.unit.source_model import SourceModel, make_source_model
-from softcal.core.unit.verdict import Limit, decide, default_limit
+from softcal.core.unit.scoring import Scores, score_map
+from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.verdict import Decision, Finding, Judgement, Limit, decide, decide_audited, default_limit
 from softcal.core.windows import TAPS
 
-OPENING_PARTS = 4
-"""Parts of an opening, each left out once."""
 
-STRETCHES = 4
-"""Stretches of the recording per left-out share."""
-
-
-@dataclass(frozen=True)
-class CalibrationConfig:
-    """How a unit is calibrated; one configuration for every sensor and data set.
+@dataclass(frozen=True, eq=False)
+class UnitProblem:
+    """All that the calibration of one unit starts from.
 
     Args:
-        map: how the map is chosen.
-        parts: shares of the recording left out in turn while the chosen family is fitted again: how firm it stands.
-            Not done where the stage position or a common load is known, which tells more.
+        source: what `make_source_model` made of the lot's source with the method in force.
+        recording: unlabelled recording of the unit.
+        limit: tolerance limit of the lot; None derives one from the source's own error and says so.
+        anchors: known loads of the unit, where someone took them.
+        audit: labelled recording of the unit, which only measures; None where there is none.
+        own: how the unit's own calibration is trained on its audit, for comparison; None trains none.
     """
 
-    map: MapConfig = field(default_factory=MapConfig)
-    parts: int = 3
+    source: SourceModel
+    recording: OutputRecording
+    limit: Limit | None = None
+    anchors: Anchors | None = None
+    audit: LabelledRecording | None = None
+    own: NetworkConfig | None = None
+
+    @property
+    def input_sha256(self) -> str:
+        """Identity of the calibration this problem leads to."""
+        return input_sha256(self, self.source.method)
 
 
-def calibrate_unit(
-    problem: FitProblem,
-    limit: Limit | None = None,
-    config: CalibrationConfig = CalibrationConfig(),  # noqa: B008 - frozen
-    source_model: SourceModel | None = None,
-) -> Calibration:
-    """Fit the unit's map and say how far it can be trusted.
+def input_sha256(facts: UnitProblem, method: Method) -> str:
+    """Return the content hash of everything a calibration depends on: equal input, equal result.
 
     Args:
-        problem: source, network and the unit's unlabelled recording.
-        limit: tolerance limit of the lot; None derives one from the source's own error and says so.
-        config: method parameters.
-        source_model: what `make_source_model` made of the same source; made here when None. Make it once per lot.
+        facts: of the unit and its lot.
+        method: every number of the calibration.
+    """
+    anchors, audit = facts.anchors, facts.audit
+    settings = {
+        "recording": facts.recording.sha256,
+        "network": facts.source.network.id,
+        "method": method.id,
+        "limit": None if facts.limit is None else facts.limit.to_json(),
+        "anchors": None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()],
+        "audit": None if audit is None else audit.sha256,
+        # Without an audit no own calibration is trained, whatever was asked.
+        "own": None if audit is None or facts.own is None else asdict(facts.own),
+    }
+    return content_sha256({}, settings)
+
+
+def calibrate(problem: UnitProblem) -> Calibration:
+    """Fit the unit's map, say how far it can be trusted, and decide.
+
+    Args:
+        problem: the unit with its lot's source; the method is the one its source model was made with.
 
     Raises:
-        UnitRefused: the recording allows no map at all; the message says why and what to do.
+        UnitRefused: the recording allows no map at all; the reason says why and what to do.
         InputError: the limit is stated in another unit than the reference.
     """
-    model = source_model or make_source_model(problem.source, problem.network)
-    limit = limit or default_limit(problem.source.reference_unit, model.held_out_rmse)
-    if limit.unit != problem.source.reference_unit:
-        raise InputError(
-            f"limit is in {limit.unit}, the reference in {problem.source.reference_unit}; state it in that"
-        )
-    target, source = problem.target, problem.source.unlabelled
-    check_alive(target, source)
-    limits = output_limits(target, source, is_rising=model.interval.slope_limit > 0)
-    chosen = choose_map(problem, config.map)
-    trials = _trials(problem, chosen)
-    is_measured = bool(trials) or chosen.family == Phase.name
-    refitted = [] if is_measured else _refitted(problem, chosen, config.parts)
-    gain_error = float(chosen.evidence.get("gain_error", 0.0))
-    evidence = gather_evidence(model, target, chosen.unit_map, _rivals(chosen), refitted, limits, trials, gain_error)
-    forecast = forecast_error(evidence.budget)
-    own = own_terms(model, target, chosen.unit_map, evidence.budget)
+    model, target = problem.source, problem.recording
+    limit = _limit(problem)
+    method = model.method
+    known = model.source.unlabelled
+    check_alive(target, known, method.health)
+    limits = output_limits(target, known, is_rising=model.interval.slope_limit > 0, config=method.health)
+    fit = FitProblem(model.source, model.network, target, problem.anchors, method.map)
+    chosen = choose_map(fit)
+    evidence = _evidence(problem, fit, chosen, limits)
+    forecast = forecast_error(evidence.budget, evidence.knowledge)
     findings = (
-        *health_findings(target, source, limits),
+        *health_findings(target, known, limits, method.health),
         *map_findings(model, target, evidence),
-        *opening_findings(chosen.evidence),
+        *opening_findings(chosen.evidence, method.findings),
     )
+    scores = None if problem.audit is None else _scores(problem, chosen.unit_map, problem.audit)
     return Calibration(
         serial=target.serial,
-        network_id=problem.network.id,
+        network_id=model.network.id,
         unit_map=chosen.unit_map,
         interval=model.interval.widened(variance_table(model, evidence)),
         output_limits=limits,
         forecast=forecast,
-        verdict=decide(forecast, limit, findings),
-        evidence={
-            **_numbers(evidence, chosen, limit, tuple(f.kind for f in findings)),
-            **{f"own_{name}": value for name, value in own.items()},
-            "own_rmse_forecast": forecast_own(own, evidence.budget),
-        },
-        config=asdict(config),
+        decision=Decision(decide(forecast, limit, findings), _measured(problem, scores, limit)),
+        knowledge=evidence.knowledge,
+        evidence=_numbers(model, target, chosen, evidence, limit, findings),
+        method=method,
+        scores=scores,
     )
 
 
-def _trials(problem: FitProblem, chosen: ChosenMap) -> list[Trial]:
+def _limit(problem: UnitProblem) -> Limit:
+    model = problem.source
+    unit = model.source.reference_unit
+    limit = problem.limit or default_limit(unit, model.held_out_rmse, model.method.decision)
+    if limit.unit != unit:
+        raise InputError(f"limit is in {limit.unit}, the reference in {unit}; state it in that")
+    return limit
+
+
+def _scores(problem: UnitProblem, unit_map: UnitMap, audit: LabelledRecording) -> Scores:
+    return score_map(problem.source.network, unit_map, audit, problem.own, problem.source.method.decision)
+
+
+def _measured(problem: UnitProblem, scores: Scores | None, limit: Limit) -> Judgement | None:
+    if scores is None or problem.audit is None:
+        return None
+    config = problem.source.method.decision
+    return decide_audited(scores.before, scores.after, len(problem.audit.windows), limit, config)
+
+
+def _evidence(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap, limits: OutputLimits) -> MapEvidence:
+    """Look at the unit through its map, the maps it might have had, and maps fitted without a part of it."""
+    trials = _trials(problem, fit, chosen)
+    # Where the stage position or a common load is known, that tells more than leaving shares out.
+    is_measured = bool(trials) or chosen.family == Phase.name
+    return gather_evidence(
+        problem.source,
+        problem.recording,
+        chosen.unit_map,
+        alternatives=[other for name, other in chosen.alternatives.items() if name != Identity.name],
+        resampled=[] if is_measured else _refitted(fit, chosen, problem.source.method),
+        limits=limits,
+        trials=trials,
+        gain_error=float(chosen.evidence.get("gain_error", 0.0)),
+        is_anchored=problem.anchors is not None,
+    )
+
+
+def _trials(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap) -> list[Trial]:
     """Return maps with the windows under one load at once to judge them by, where the map rests on such windows.
 
     An opening holds few presses, which the map has been bent to: there, each map has not seen the windows it is
@@ -109,50 +166,55 @@ def _trials(problem: FitProblem, chosen: ChosenMap) -> list[Trial]:
     """
     if chosen.family != Synchronous.name:
         return []
-    synchrony = problem.synchrony
-    source_rows, target_rows = paired_rows(problem.source.unlabelled, problem.target, synchrony)
-    if not np.isfinite(synchrony.until_s):
+    source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony)
+    if not np.isfinite(fit.synchrony.until_s):
         return [Trial(chosen.unit_map, source_rows, target_rows)]
-    part = np.arange(len(target_rows)) * OPENING_PARTS // len(target_rows)
+    parts = problem.source.method.forecast.opening_parts
+    part = np.arange(len(target_rows)) * parts // len(target_rows)
     trials = []
-    for held in (part == k for k in range(OPENING_PARTS)):
-        unit_map = fit_pairs(problem, source_rows[~held], target_rows[~held], Synchronous.name)
+    for held in (part == k for k in range(parts)):
+        unit_map = fit_pairs(fit, source_rows[~held], target_rows[~held], Synchronous.name)
         trials.append(Trial(unit_map, source_rows[held], target_rows[held]))
     return trials
 
 
-def _rivals(chosen: ChosenMap) -> list[UnitMap]:
-    return [other for name, other in chosen.alternatives.items() if name != Identity.name]
-
-
-def _refitted(problem: FitProblem, chosen: ChosenMap, parts: int) -> list[UnitMap]:
+def _refitted(fit: FitProblem, chosen: ChosenMap, method: Method) -> list[UnitMap]:
     """Fit the chosen family again with one share of the recording left out at a time."""
-    refits = []
-    for part in range(parts):
-        target = _without_share(problem.target, part, parts)
+    config, refits = method.forecast, []
+    for part in range(config.parts):
+        target = _without_share(fit.target, part, config.parts, config.stretches)
+        again = replace(fit, target=target, config=replace(fit.config, family=chosen.family))
         try:
-            refits.append(choose_map(replace(problem, target=target), MapConfig(chosen.family)).unit_map)
+            refits.append(choose_map(again).unit_map)
         except UnitRefused:
             continue
     return refits
 
 
-def _without_share(target: OutputRecording, part: int, parts: int) -> OutputRecording:
+def _without_share(target: OutputRecording, part: int, parts: int, stretches: int) -> OutputRecording:
     """Leave out every parts-th of many stretches, so that what is left still covers the whole programme."""
-    length = max(len(target) // (parts * STRETCHES), TAPS)
+    length = max(len(target) // (parts * stretches), TAPS)
     keep = (np.arange(len(target)) // length) % parts != part
     stage_mm = None if target.stage_mm is None else target.stage_mm[keep]
     return replace(target, t_s=target.t_s[keep], output=target.output[keep], stage_mm=stage_mm)
 
 
 def _numbers(
-    evidence: MapEvidence, chosen: ChosenMap, limit: Limit, kinds: tuple[str, ...]
+    model: SourceModel,
+    target: OutputRecording,
+    chosen: ChosenMap,
+    evidence: MapEvidence,
+    limit: Limit,
+    findings: tuple[Finding, ...],
 ) -> Mapping[str, float | str | None]:
+    own = own_terms(model, target, chosen.unit_map, evidence)
     return {
         **{f"map_{name}": value for name, value in chosen.evidence.items()},
         **{f"u_{name}": value for name, value in evidence.budget.items()},
         "correction_rms": evidence.correction_rms,
         "limit_rmse": limit.maximum_rmse,
-        "limit_origin": limit.origin,
-        "findings": ", ".join(kinds),
+        "limit_origin": str(limit.origin),
+        "findings": ", ".join(finding.kind for finding in findings),
+        **{f"own_{name}": value for name, value in own.items()},
+        "own_rmse_forecast": forecast_own(own, evidence.knowledge),
     }

@@ -10,9 +10,13 @@ from numpy.typing import NDArray
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import UnitMap, map_sha256
 from softcal.core.metrics import finite_or_none
+from softcal.core.reason import Reason
 from softcal.core.unit.health import OutputLimits
+from softcal.core.unit.knowledge import LoadKnowledge, known_by
+from softcal.core.unit.method import Method
+from softcal.core.unit.scoring import Scores
 from softcal.core.unit.uncertainty import ErrorForecast, Interval
-from softcal.core.unit.verdict import VERDICTS, Verdict
+from softcal.core.unit.verdict import VERDICTS, Decision, Judgement, Verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +29,14 @@ class CalibrationRecord:
         family: family of the map γ (`maps.catalogue`).
         map_sha256: content hash of the map alone.
         arrays: parameters of the map (names `map.*`), of the interval and support model (names `interval.*`).
-        settings: JSON values beside the arrays, grouped as {"map": {...}, "interval": {...}, "config": {...}}.
+        settings: JSON values beside the arrays, grouped: `map`, `interval`, `forecast`, `decision` (what was predicted
+            and what was measured), `method` (every number of the method).
         predicted_rmse: forecast of the error against the reference, in the reference unit; None where none can be made.
         before_rmse, after_rmse, own_rmse: scores on an audit recording, in the reference unit; None without an audit.
         verdict: pass, conditional, fail or retest.
-        reasons: why, in words, most important first.
+        reasons: why, most important first.
         evidence: numbers the verdict rests on.
-        input_sha256: content hash of everything that went in (recording, network, configuration): equal input, equal
+        input_sha256: content hash of everything that went in (recording, network, method ...): equal input, equal
             result, so that finished work is found again.
         recording_sha256: content hash of the unit's recording.
         fit_s: seconds the fit took.
@@ -45,7 +50,7 @@ class CalibrationRecord:
     settings: Settings
     predicted_rmse: float | None
     verdict: str
-    reasons: tuple[str, ...]
+    reasons: tuple[Reason, ...]
     input_sha256: str
     recording_sha256: str
     before_rmse: float | None = None
@@ -53,6 +58,32 @@ class CalibrationRecord:
     own_rmse: float | None = None
     fit_s: float | None = None
     evidence: Mapping[str, float | str | None] = field(default_factory=dict)
+
+    @property
+    def method_id(self) -> str:
+        """Content hash of the method it was made with; empty in records of versions that kept none."""
+        return str(self.settings.get("method_id", ""))
+
+    @property
+    def method(self) -> Method | None:
+        """Every number it was made with; None in records of versions that kept none."""
+        kept = self.settings.get("method")
+        return None if kept is None else Method.of(kept)  # type: ignore[arg-type]
+
+    @property
+    def knowledge(self) -> LoadKnowledge:
+        """How the loads were known, by the terms of the error budget: each kind has one of its own."""
+        budget = {name.removeprefix("u_"): 1.0 for name in self.evidence if name.startswith("u_")}
+        kinds = (self.method or Method()).knowledge
+        return known_by(budget, kinds, "map_anchor_gain" in self.evidence)
+
+    @property
+    def decision(self) -> Decision:
+        """What was predicted and what was measured. Records of older versions kept the word alone."""
+        kept = self.settings.get("decision")
+        if kept is None:
+            return Decision(Judgement(Verdict(self.verdict), self.reasons))
+        return Decision.of(kept)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
@@ -70,9 +101,11 @@ class Calibration:
         interval: 90 % interval of its estimates.
         output_limits: where the raw output stops to be believable.
         forecast: error forecast without labels, in the reference unit; None where none can be made.
-        verdict: what was decided, and why.
+        decision: what was decided, on what, and why.
+        knowledge: how the loads on the unit are known.
         evidence: numbers and words behind it.
-        config: JSON settings of the method.
+        method: every number it was made with; None in records of versions that kept none.
+        scores: errors on the unit's audit; None without one.
     """
 
     serial: str
@@ -81,34 +114,29 @@ class Calibration:
     interval: Interval
     output_limits: OutputLimits
     forecast: ErrorForecast | None
-    verdict: Verdict
+    decision: Decision
+    knowledge: LoadKnowledge
     evidence: Mapping[str, float | str | None]
-    config: Settings
+    method: Method | None = None
+    scores: Scores | None = None
 
     @property
     def predicted_rmse(self) -> float | None:
         """Forecast of the error against a reference, in the reference unit."""
         return None if self.forecast is None else self.forecast.rmse
 
-    def to_record(
-        self,
-        input_sha256: str,
-        recording_sha256: str,
-        fit_s: float | None = None,
-        before_rmse: float | None = None,
-        after_rmse: float | None = None,
-        own_rmse: float | None = None,
-    ) -> CalibrationRecord:
-        """Return the calibration as plain values, with the identities and scores that the caller knows."""
+    def to_record(self, input_sha256: str, recording_sha256: str, fit_s: float | None = None) -> CalibrationRecord:
+        """Return the calibration as plain values, with the identities that the caller knows and the time it took."""
         arrays = {f"map.{name}": array for name, array in self.unit_map.arrays().items()}
         arrays |= {f"interval.{name}": array for name, array in self.interval.arrays().items()}
         limits = {name: finite_or_none(value) for name, value in vars(self.output_limits).items()}
         settings = {
             "map": dict(self.unit_map.settings()),
             "interval": {**self.interval.settings(), "output_limits": limits},
-            "config": dict(self.config),
             "forecast": None if self.forecast is None else vars(self.forecast),
-            "four_word": self.verdict.four_word,
+            "decision": self.decision.to_json(),
+            "method": None if self.method is None else dict(self.method.to_json()),
+            "method_id": "" if self.method is None else self.method.id,
         }
         return CalibrationRecord(
             serial=self.serial,
@@ -118,13 +146,13 @@ class Calibration:
             arrays=arrays,
             settings=settings,
             predicted_rmse=self.predicted_rmse,
-            verdict=self.verdict.word,
-            reasons=self.verdict.reasons,
+            verdict=str(self.decision.verdict),
+            reasons=self.decision.reasons,
             input_sha256=input_sha256,
             recording_sha256=recording_sha256,
-            before_rmse=before_rmse,
-            after_rmse=after_rmse,
-            own_rmse=own_rmse,
+            before_rmse=None if self.scores is None else self.scores.before,
+            after_rmse=None if self.scores is None else self.scores.after,
+            own_rmse=None if self.scores is None else self.scores.own,
             fit_s=fit_s,
             evidence=self.evidence,
         )
@@ -139,7 +167,7 @@ class Calibration:
         # The families bring solvers that take seconds to import; a registry that lists records needs none of them.
         from softcal.core.maps.catalogue import map_from_arrays
 
-        settings = {name: _mapping(record.settings, name) for name in ("map", "interval", "config")}
+        settings = {name: _mapping(record.settings, name) for name in ("map", "interval")}
         limits = _mapping(settings["interval"], "output_limits")
         forecast = record.settings["forecast"]
         return cls(
@@ -153,10 +181,18 @@ class Calibration:
                 stuck_samples=int(str(limits["stuck_samples"])),
             ),
             forecast=None if forecast is None else ErrorForecast(**_mapping(record.settings, "forecast")),
-            verdict=Verdict(record.verdict, str(record.settings["four_word"]), record.reasons),
+            decision=record.decision,
+            knowledge=record.knowledge,
             evidence=record.evidence,
-            config=settings["config"],
+            method=record.method,
+            scores=_scores(record),
         )
+
+
+def _scores(record: CalibrationRecord) -> Scores | None:
+    if record.before_rmse is None or record.after_rmse is None:
+        return None
+    return Scores(record.before_rmse, record.after_rmse, record.own_rmse)
 
 
 def _group(arrays: Mapping[str, NDArray[np.generic]], prefix: str) -> dict[str, NDArray[np.generic]]:

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softcal.core.reason import Reason
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
-from softcal.core.unit.forecast import UNSEEN, gather_evidence, sensitivity
+from softcal.core.unit.forecast import gather_evidence
+from softcal.core.unit.method import LEVELS
 from softcal.core.unit.source_model import SourceModel
-from softcal.core.unit.uncertainty import DIRECTIONS, LEVELS
+from softcal.core.unit.uncertainty import DIRECTIONS
 
 DENSITY_BINS = 48
 
@@ -29,7 +31,7 @@ class Explanation:
         forecast, limit: forecast RMSE with its 95 % interval, and the tolerance limit; None where there is none.
         t_s, estimate, distance: (n,) windows looked at: time, estimate, distance from the source's support.
         familiar_distance: distances above it are unfamiliar.
-        reasons: the verdict's own words.
+        reasons: why the verdict is what it is.
     """
 
     levels: Array
@@ -46,7 +48,7 @@ class Explanation:
     estimate: Array
     distance: Array
     familiar_distance: float
-    reasons: tuple[str, ...]
+    reasons: tuple[Reason, ...]
     directions: tuple[str, ...] = DIRECTIONS
 
 
@@ -78,7 +80,7 @@ def explain(model: SourceModel, calibration: Calibration, target: OutputRecordin
         estimate=evidence.estimate,
         distance=evidence.distance,
         familiar_distance=interval.familiar_distance,
-        reasons=calibration.verdict.reasons,
+        reasons=calibration.decision.reasons,
     )
 
 
@@ -86,10 +88,10 @@ def contributions(calibration: Calibration) -> dict[str, float]:
     """Return the contributions c_i u_i to the forecast error in the reference unit, largest first."""
     evidence = calibration.evidence
     budget = {name.removeprefix("u_"): float(str(u)) for name, u in evidence.items() if name.startswith("u_")}
-    base = {"paired": UNSEEN} if "paired" in budget else {"model": 1.0}
+    config = calibration.knowledge.config
+    weights = {config.base_term: config.base_factor, **calibration.knowledge.sensitivity}
     # A calibration of an older version may lack a term that came later.
-    coefficients = {name: c for name, c in sensitivity(budget).items() if name in budget}
-    parts = {name: c * budget[name] for name, c in {**base, **coefficients}.items()}
+    parts = {name: weight * budget[name] for name, weight in weights.items() if name in budget}
     return dict(sorted(parts.items(), key=lambda item: -item[1]))
 
 

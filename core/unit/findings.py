@@ -4,28 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from softcal.core.reason import Reason, reason
 from softcal.core.recording import Array, OutputRecording
-from softcal.core.unit.forecast import REACH, MapEvidence, is_placed, map_variance, rest_rows
+from softcal.core.unit.forecast import MapEvidence, map_variance, rest_rows
+from softcal.core.unit.method import FindingConfig
 from softcal.core.unit.source_model import SourceModel
-from softcal.core.unit.verdict import Finding
-
-UNFAMILIAR_SHARE = 0.05
-COVERED_SHARE = 0.75
-ENOUGH_OVERLAP = 0.6
-SPEED_FACTOR = 1.7
-OVERLAP_GAIN = 0.14
-"""Where before < after in simulated lots without positions, the map had raised the overlap by less than this."""
-
-DRIFT_FACTOR = 2.0
-"""Estimates at rest that move or scatter by this many times the source's own error are worth a word ..."""
-LATE_S = 0.05
-"""Units of one kind, started alike, follow each other within this; a third of a window is beyond it."""
-
-MISREAD_FACTOR = 0.5
-"""Estimates that stay off the source's loads for a second, at equal stage histories, by this many times its error."""
-
-CREEP_FACTOR = 1.0
-"""... scatter only where it exceeds the source's own scatter at rest by this many times that."""
+from softcal.core.unit.verdict import Finding, Verdict
 
 
 def map_findings(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> tuple[Finding, ...]:
@@ -35,101 +19,97 @@ def map_findings(model: SourceModel, target: OutputRecording, evidence: MapEvide
         reversed_wiring,
         _unfamiliar(model, evidence),
         # Turned upside down, the right programme looks wrong too.
-        _other_use(evidence) if reversed_wiring is None else None,
+        _other_use(evidence, model.method.findings) if reversed_wiring is None else None,
         _uncovered(model, target, evidence),
         _misread(model, evidence) or _restless(model, target, evidence),
-        _not_better(evidence),
+        _not_better(model, evidence),
     )
     return tuple(finding for finding in checks if finding is not None)
 
 
-def opening_findings(evidence: Mapping[str, float | str]) -> tuple[Finding, ...]:
+def opening_findings(evidence: Mapping[str, float | str], config: FindingConfig) -> tuple[Finding, ...]:
     """Return a finding where a unit follows the source late in an opening that both run from their own start.
 
     Args:
         evidence: of the chosen map (`ChosenMap.evidence`).
+        config: how late is too late.
     """
     lag_s = float(evidence.get("lag_s", 0.0))
-    if "shared_until_s" not in evidence or lag_s < LATE_S:
+    if "shared_until_s" not in evidence or lag_s < config.late_s:
         return ()
-    text = (
-        f"output follows the source's {lag_s:.2f} s late in the opening both share: slow readout, or another clock; "
-        "what happens faster than that is lost to the map"
-    )
-    return (Finding("late", text),)
+    return (Finding(reason("late", lag=lag_s)),)
 
 
 def _unfamiliar(model: SourceModel, evidence: MapEvidence) -> Finding | None:
     share = float(np.mean(evidence.distance > model.interval.familiar_distance))
-    if share <= UNFAMILIAR_SHARE:
+    config = model.method.findings
+    if share <= config.unfamiliar_share:
         return None
     limit = model.interval.support.roughness_limit
     rough = float(np.mean(evidence.shape.roughness > limit))
-    cause = (
-        "its fast movements are unlike the source's: other sensor type, readout or rate"
-        if rough > share / 2
-        else ("other loads or speeds than the source has seen: wrong programme, or another sensor type")
-    )
-    text = f"unfamiliar: {share:.0%} of the mapped windows lie outside what the source has shown; {cause}"
-    return Finding("unfamiliar", text, "fail" if share > 0.3 else "conditional")
+    cause = Reason("part.fast" if rough > share / 2 else "part.loads")
+    best = Verdict.FAIL if share > config.failing_share else Verdict.CONDITIONAL
+    return Finding(reason("unfamiliar", share=share, cause=cause), best)
 
 
 def _uncovered(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> Finding | None:
     """Return a finding where the unit was pressed over too little of the source's range: by position where known."""
-    source = model.source.unlabelled
+    source, shares = model.source.unlabelled, model.method.forecast.reach
     if target.stage_mm is not None and source.stage_mm is not None:
-        what, unit, reach, whole = "pressed", "mm", _reach(target.stage_mm), _reach(source.stage_mm)
+        what, unit = "part.pressed", "mm"
+        reach, whole = _reach(target.stage_mm, shares), _reach(source.stage_mm, shares)
     else:
-        what, unit = "loaded", model.network.reference_unit
-        reach, whole = _reach(evidence.estimate), (model.interval.low, model.interval.high)
+        what, unit = "part.loaded", model.network.reference_unit
+        reach, whole = _reach(evidence.estimate, shares), (model.interval.low, model.interval.high)
     share = (min(reach[1], whole[1]) - max(reach[0], whole[0])) / (whole[1] - whole[0])
-    if share >= COVERED_SHARE:
+    if share >= model.method.findings.covered_share:
         return None
-    text = (
-        f"profile not covered: the unit was {what} from {reach[0]:.3g} to {reach[1]:.3g} {unit}, {max(share, 0):.0%} "
-        f"of the source's {whole[0]:.3g} to {whole[1]:.3g} {unit}; loads beyond are extrapolated"
+    return Finding(
+        reason(
+            "not_covered",
+            what=Reason(what),
+            low=reach[0],
+            high=reach[1],
+            share=max(share, 0.0),
+            least=whole[0],
+            most=whole[1],
+            unit=unit,
+        )
     )
-    return Finding("not covered", text)
 
 
-def _reach(values: Array) -> tuple[float, float]:
-    low, high = np.quantile(values, REACH)
+def _reach(values: Array, shares: tuple[float, float]) -> tuple[float, float]:
+    low, high = np.quantile(values, shares)
     return float(low), float(high)
 
 
-def _other_use(evidence: MapEvidence) -> Finding | None:
+def _other_use(evidence: MapEvidence, config: FindingConfig) -> Finding | None:
     """Return a finding where the unit's mix of loads and speeds is not the source's.
 
     Where the stage position is known the map does not rest on that mix; else nothing firm can be said. Units under one
     load at once ran one programme.
     """
-    if "paired" in evidence.budget:
+    best = evidence.knowledge.config.other_use
+    is_alike = 1 / config.speed_factor <= evidence.speed <= config.speed_factor
+    if not best or (evidence.overlap >= config.enough_overlap and is_alike):
         return None
-    if evidence.overlap >= ENOUGH_OVERLAP and 1 / SPEED_FACTOR <= evidence.speed <= SPEED_FACTOR:
-        return None
-    text = (
-        f"wrong programme: the mix of loads and speeds overlaps the source's by {evidence.overlap:.0%}, fast movements "
-        f"are {evidence.speed:.2g} x as fast; press the unit as the source was pressed, or it behaves otherwise"
-    )
-    return Finding("wrong programme", text, "conditional" if is_placed(evidence.budget) else "retest")
+    return Finding(reason("wrong_programme", share=evidence.overlap, speed=evidence.speed), Verdict(best))
 
 
 def _misread(model: SourceModel, evidence: MapEvidence) -> Finding | None:
     """Return a finding where the unit reads other loads than the source did at equal stage histories, for long."""
-    slow = evidence.budget.get("slow", 0.0)
-    if "paired" in evidence.budget or slow <= MISREAD_FACTOR * model.held_out_rmse:
+    # Where unit and source were pressed by one load at once, equal positions say nothing more.
+    slow = evidence.budget.get("slow", 0.0) if "slow" in evidence.knowledge.sensitivity else 0.0
+    if slow <= model.method.findings.misread_factor * model.held_out_rmse:
         return None
-    text = (
-        f"reads other loads than the source at equal stage position and history, by {slow:.3g} "
-        f"{model.network.reference_unit} for a second and longer: strong creep, lag, clipping or another sensor type"
-    )
-    return Finding("misread", text)
+    return Finding(reason("misread", slow=slow, unit=model.network.reference_unit))
 
 
 def _restless(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> Finding | None:
     """Return a finding where estimates at rest wander: a trend over the recording is drift, else slow recovery."""
     spread = evidence.budget["rest"]
-    if spread < DRIFT_FACTOR * model.held_out_rmse:
+    config = model.method.findings
+    if spread < config.drift_factor * model.held_out_rmse:
         return None
     at_rest = rest_rows(model, evidence.estimate, evidence.shape)
     t_s = target.t_s[target.window_rows[evidence.rows]][at_rest]
@@ -137,15 +117,13 @@ def _restless(model: SourceModel, target: OutputRecording, evidence: MapEvidence
     trend = np.polyfit(t_s - t_s.mean(), value, 1)[0]
     explained = float(np.corrcoef(t_s, value)[0, 1] ** 2)
     unit = model.network.reference_unit
-    if explained > 0.5:
-        moved = float(trend * (t_s[-1] - t_s[0]))
-        text = f"drift inside the recording: estimates at rest move by {moved:+.3g} {unit}; warm up, record again"
-        return Finding("drift", text)
+    if explained > config.drift_explained:
+        return Finding(reason("drift", moved=float(trend * (t_s[-1] - t_s[0])), unit=unit))
     # Slow holds at low loads count as rest too, and recordings hold more or fewer of them.
-    if spread < CREEP_FACTOR * float(np.std(model.estimate[rest_rows(model, model.estimate, model.shape)])):
+    at_rest = rest_rows(model, model.estimate, model.shape)
+    if spread < config.creep_factor * float(np.std(model.estimate[at_rest])):
         return None
-    text = f"unsteady at rest: estimates scatter by {spread:.3g} {unit} between presses: strong creep or a loose mount"
-    return Finding("creep", text)
+    return Finding(reason("creep", spread=spread, unit=unit))
 
 
 def _reversed(model: SourceModel, target: OutputRecording) -> Finding | None:
@@ -153,15 +131,13 @@ def _reversed(model: SourceModel, target: OutputRecording) -> Finding | None:
     source = model.source.unlabelled
     if target.stage_mm is None or source.stage_mm is None:
         unit_sign, source_sign = _lean(target.output), _lean(source.output)
-        surely = min(abs(unit_sign), abs(source_sign)) > 0.3
     else:
         unit_sign = float(np.corrcoef(target.output, target.stage_mm)[0, 1])
         source_sign = float(np.corrcoef(source.output, source.stage_mm)[0, 1])
-        surely = min(abs(unit_sign), abs(source_sign)) > 0.3
-    if not surely or unit_sign * source_sign > 0:
+    is_sure = min(abs(unit_sign), abs(source_sign)) > model.method.findings.lean
+    if not is_sure or unit_sign * source_sign > 0:
         return None
-    text = "wrong wiring: the output moves against the source's direction; exchange the two leads or check the divider"
-    return Finding("reversed", text, "fail")
+    return Finding(reason("reversed"), Verdict.FAIL)
 
 
 def _lean(output: Array) -> float:
@@ -170,21 +146,21 @@ def _lean(output: Array) -> float:
     return float((high + low - 2 * middle) / (high - low))
 
 
-def _not_better(evidence: MapEvidence) -> Finding | None:
+def _not_better(model: SourceModel, evidence: MapEvidence) -> Finding | None:
     """Return a finding where the map may be worse than doing nothing.
 
     It corrects less than it is uncertain by; or, where no position speaks for it, it makes the unit hardly more like
     the source than it was. A map that changes next to nothing does no harm either way.
     """
-    doubt, correction = float(np.sqrt(map_variance(evidence.budget))), evidence.correction_rms
-    model = evidence.budget["model"]
-    is_blind = not is_placed(evidence.budget) and correction > 0.5 * model
+    config, unit = model.method.findings, model.network.reference_unit
+    doubt, correction = float(np.sqrt(map_variance(evidence.budget, evidence.knowledge))), evidence.correction_rms
+    harmless = config.blind_correction * evidence.budget["model"]
+    is_blind = not evidence.knowledge.is_placed and correction > harmless
     gained = evidence.overlap - evidence.unmapped_overlap
-    if doubt > max(correction, 0.5 * model):
-        why = f"is uncertain by {doubt:.3g}"
-    elif is_blind and gained < OVERLAP_GAIN:
-        why = f"brings the unit's use no nearer to the source's (overlap {gained:+.0%})"
+    if doubt > max(correction, harmless):
+        why = reason("part.uncertain", doubt=doubt, unit=unit)
+    elif is_blind and gained < config.overlap_gain:
+        why = reason("part.no_nearer", gained=gained)
     else:
         return None
-    text = f"the map changes the estimates by {correction:.3g} but {why}: it may be worse than doing nothing"
-    return Finding("not better", text)
+    return Finding(reason("not_better", correction=correction, unit=unit, why=why))

@@ -9,65 +9,12 @@ from numpy.typing import NDArray
 from softcal.core.maps.interface import UnitMap
 from softcal.core.recording import Array, Indices, OutputRecording
 from softcal.core.unit.health import OutputLimits, clipped_share
+from softcal.core.unit.knowledge import LoadKnowledge, known_by
+from softcal.core.unit.method import LEVELS
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.stage_check import unit_difference
 from softcal.core.unit.support import WindowShape
-from softcal.core.unit.uncertainty import DIRECTIONS, LEVELS, ErrorForecast
-
-ROWS = 8_000
-"""Windows looked at per unit, evenly spaced: enough for every number below, whatever the recording's length."""
-
-REACH = (0.005, 0.995)
-"""Quantiles between which a unit's recording is said to reach."""
-
-QUANTILES = np.linspace(0.005, 0.995, 100)
-
-SENSITIVITY = {
-    "disagreement": 0.07,
-    "stability": 0.31,
-    "support": 0.78,
-    "shift": 0.16,
-    "rest": 0.80,
-    "resolution": 1.5,
-    "clipping": 1.5,
-    "extrapolation": 0.16,
-    "overlap": 0.25,
-    "speed": 0.06,
-    "corners": 0.13,
-    "gain": 0.37,
-}
-"""Sensitivity coefficients c_i where nothing else speaks for the loads, from `benchmarks/verdict.py --fit`."""
-
-SENSITIVITY_ON_STAGE = {
-    "stage": 0.59,
-    "slow": 1.0,
-    "support": 0.16,
-    "clipping": 0.92,
-    "extrapolation": 0.08,
-    "resolution": 1.5,
-    "overlap": 0.05,
-}
-"""The same where source and unit carry the stage position: the load over position says more than all the rest."""
-
-SENSITIVITY_PAIRED = {"clipping": 0.84, "extrapolation": 0.16}
-"""The same where unit and source were pressed by one load at once: the source's reference has measured the rest."""
-
-MOST_GROWTH = 3.0
-"""No more than this is made of what a lightly pressed unit would misread under the source's loads."""
-
-UNSEEN = 1.1
-"""A map errs this much more on loads it was not fitted to than on its own pairs."""
-
-LOG_ERROR_PAIRED = (-0.35, 0.35)
-"""Set, not fitted: what errors of slow presses, alike for seconds, leave open on another stretch."""
-
-LOG_ERROR, LOG_ERROR_ON_STAGE = (-1.75, 0.78), (-0.41, 0.23)
-"""2.5 % and 97.5 % quantiles of log(true / forecast RMSE) over good units: from `--seeds 1003 1089 4`, lots in which
-mostly nothing speaks for the loads, and from the same command as the coefficients."""
-
-INTERVAL_SHARE, INTERVAL_SHARE_ON_STAGE = 1.1, 0.1
-"""Share of the map's variance that widens the interval, so that it covers 90 % of good units' samples: from
-`benchmarks/interval_coverage.py --fit`."""
+from softcal.core.unit.uncertainty import DIRECTIONS, ErrorForecast
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +31,9 @@ class MapEvidence:
         overlap, unmapped_overlap: of the unit's mix of loads and speeds with the source's, 0 to 1, with and without
             the map.
         speed: how fast the unit's fast movements are, over the source's.
-        budget: standard uncertainties in the reference unit: `model` and the names of `SENSITIVITY`, and `stage` and
-            `slow` where source and unit carry the stage position.
+        budget: standard uncertainties in the reference unit: `model`, the terms of every kind of knowledge
+            (`knowledge.py`), and `stage` and `slow` where source and unit carry the stage position.
+        knowledge: how the loads on this unit are known.
     """
 
     rows: Indices
@@ -98,6 +46,7 @@ class MapEvidence:
     unmapped_overlap: float
     speed: float
     budget: Mapping[str, float]
+    knowledge: LoadKnowledge
 
     @property
     def correction_rms(self) -> float:
@@ -128,6 +77,7 @@ def gather_evidence(
     limits: OutputLimits,
     trials: Sequence[Trial] = (),
     gain_error: float = 0.0,
+    is_anchored: bool = False,
 ) -> MapEvidence:
     """Look at one unit through its map and through the maps it might have had.
 
@@ -140,8 +90,11 @@ def gather_evidence(
         limits: rails of the raw output.
         trials: maps with windows under one load at once, where the unit was pressed so.
         gain_error: standard error of the logarithm of the map's gain, where it rests on matched levels.
+        is_anchored: whether known loads of the unit entered its map.
     """
-    rows = np.unique(np.linspace(0, len(target.windows) - 1, ROWS).astype(np.int64))
+    config = model.method.forecast
+    rows = np.unique(np.linspace(0, len(target.windows) - 1, config.rows).astype(np.int64))
+    quantiles = np.linspace(*config.reach, config.quantiles)
     raw = target.windows[rows]
     network, interval = model.network, model.interval
     mapped = unit_map.apply(raw)
@@ -157,7 +110,7 @@ def gather_evidence(
         "disagreement": _rms(disagreement),
         "stability": _rms(stability),
         "support": interval.sensitivity * _rms(distance),
-        "shift": _rms(np.quantile(estimate, QUANTILES) - np.quantile(model.estimate, QUANTILES)),
+        "shift": _rms(np.quantile(estimate, quantiles) - np.quantile(model.estimate, quantiles)),
         "rest": _rest_spread(model, estimate, shape),
         "resolution": _resolution(model, target, mapped, raw),
         "clipping": _clipping(model, target, limits),
@@ -182,41 +135,34 @@ def gather_evidence(
         unmapped_overlap=unmapped_overlap,
         speed=speed,
         budget=budget,
+        knowledge=known_by(budget, model.method.knowledge, is_anchored),
     )
 
 
-def forecast_error(budget: Mapping[str, float]) -> ErrorForecast:
-    """Combine a budget: u_c^2 = u_model^2 + sum (c_i u_i)^2 (GUM, JCGM 100:2008, eq. 10), with its own uncertainty.
+def forecast_error(budget: Mapping[str, float], knowledge: LoadKnowledge) -> ErrorForecast:
+    """Combine a budget: u_c^2 = u_base^2 + sum (c_i u_i)^2 (GUM, JCGM 100:2008, eq. 10), with its own uncertainty.
 
-    What was measured against the source's reference replaces the model's term: it holds that error already.
+    Args:
+        budget: standard uncertainties u by term, in the reference unit.
+        knowledge: how the loads are known: it names the base term and the coefficients c.
     """
-    base = UNSEEN * budget["paired"] if "paired" in budget else budget["model"]
-    rmse = float(np.sqrt(base**2 + _squares(budget)))
-    low, high = LOG_ERROR_PAIRED if "paired" in budget else LOG_ERROR_ON_STAGE if "stage" in budget else LOG_ERROR
+    rmse = float(np.sqrt(_base(budget, knowledge) ** 2 + _squares(budget, knowledge)))
+    low, high = knowledge.config.log_error
     return ErrorForecast(rmse, rmse * float(np.exp(low)), rmse * float(np.exp(high)))
 
 
-def sensitivity(budget: Mapping[str, float]) -> Mapping[str, float]:
-    """Return the coefficients c_i that hold for a budget, by what is known of the loads."""
-    if "paired" in budget:
-        return SENSITIVITY_PAIRED
-    return SENSITIVITY_ON_STAGE if "stage" in budget else SENSITIVITY
-
-
-def map_variance(budget: Mapping[str, float]) -> float:
+def map_variance(budget: Mapping[str, float], knowledge: LoadKnowledge) -> float:
     """Return the part of the forecast's variance that is the map's and the recording's, not the network's."""
-    if "paired" not in budget:
-        return _squares(budget)
-    return _squares(budget) + max((UNSEEN * budget["paired"]) ** 2 - budget["model"] ** 2, 0.0)
+    beyond_model = _base(budget, knowledge) ** 2 - budget["model"] ** 2
+    return _squares(budget, knowledge) + max(beyond_model, 0.0)
 
 
-def is_placed(budget: Mapping[str, float]) -> bool:
-    """Tell whether the loads are known otherwise than by how they are distributed: by position, or by the source's."""
-    return "paired" in budget or "stage" in budget
+def _base(budget: Mapping[str, float], knowledge: LoadKnowledge) -> float:
+    return knowledge.config.base_factor * budget[knowledge.config.base_term]
 
 
-def _squares(budget: Mapping[str, float]) -> float:
-    return float(sum((coefficient * budget[name]) ** 2 for name, coefficient in sensitivity(budget).items()))
+def _squares(budget: Mapping[str, float], knowledge: LoadKnowledge) -> float:
+    return float(sum((coefficient * budget[name]) ** 2 for name, coefficient in knowledge.sensitivity.items()))
 
 
 def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
@@ -225,15 +171,15 @@ def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
     Half of it all goes with the square of the load where the gain rests on matched levels alone: if that is wrong, the
     error grows with the load. What the unit has not shown of the source's loads counts there alone.
     """
-    budget = evidence.budget
-    share = INTERVAL_SHARE_ON_STAGE if "stage" in budget else INTERVAL_SHARE
-    share = 1.0 if "paired" in budget else share
-    unseen = sensitivity(budget)["extrapolation"]
+    budget, knowledge = evidence.budget, evidence.knowledge
+    unseen = knowledge.sensitivity["extrapolation"]
     pattern = 0.5 + 0.5 * _disagreement_pattern(model, evidence)
-    if not is_placed(budget) and budget["gain"]:
+    if not knowledge.is_placed and budget["gain"]:
         pattern = 0.5 * pattern + 0.5 * _load_pattern(model, evidence)
-    beyond = unseen * _beyond(_levels(model), evidence.estimate)
-    return share * (map_variance(budget) - (unseen * budget["extrapolation"]) ** 2) * pattern + beyond**2
+    reach = model.method.forecast.reach
+    beyond = unseen * _beyond(_levels(model), evidence.estimate, reach)
+    spread_out = map_variance(budget, knowledge) - (unseen * budget["extrapolation"]) ** 2
+    return knowledge.config.interval_share * spread_out * pattern + beyond**2
 
 
 def _levels(model: SourceModel) -> Array:
@@ -323,29 +269,31 @@ def _stage_terms(model: SourceModel, target: OutputRecording, unit_map: UnitMap)
     if model.stage_floor is None:
         return {}
     estimate = model.network.evaluate(unit_map.apply(target.windows))
-    difference = unit_difference(model.source, target, estimate)
+    difference = unit_difference(model.source, target, estimate, model.method)
     if difference is None:
         return {}
     beyond = difference.beyond(model.stage_floor)
-    growth = float(np.clip(_load(model.estimate) / max(_load(estimate), 1e-12), 1.0, MOST_GROWTH))
+    most = model.method.forecast.most_growth
+    growth = float(np.clip(_load(model.estimate) / max(_load(estimate), 1e-12), 1.0, most))
     return {"stage": growth * beyond.rms, "slow": growth * beyond.slow_rms}
 
 
 def _misread(model: SourceModel, target: OutputRecording, trial: Trial) -> Array:
     """Return the differences of the unit's estimates from the source's reference at the same instants."""
-    spread = np.linspace(0, len(trial.source_rows) - 1, min(ROWS, len(trial.source_rows))).astype(np.int64)
+    count = min(model.method.forecast.rows, len(trial.source_rows))
+    spread = np.linspace(0, len(trial.source_rows) - 1, count).astype(np.int64)
     estimate = model.network.evaluate(trial.unit_map.apply(target.windows[trial.target_rows[spread]]))
     return np.asarray(estimate - model.source.window_reference[trial.source_rows[spread]])
 
 
 def _extrapolation(model: SourceModel, estimate: Array) -> float:
     """Return the RMS distance of the source's loads from the range of loads this unit has shown."""
-    return _rms(_beyond(model.estimate, estimate))
+    return _rms(_beyond(model.estimate, estimate, model.method.forecast.reach))
 
 
-def _beyond(load: Array, estimate: Array) -> Array:
+def _beyond(load: Array, estimate: Array, shares: tuple[float, float]) -> Array:
     """Return how far loads lie outside the range that a unit's estimates reach."""
-    low, high = np.quantile(estimate, REACH)
+    low, high = np.quantile(estimate, shares)
     return np.asarray(np.maximum(np.maximum(low - load, load - high), 0.0))
 
 
@@ -354,7 +302,7 @@ def use_overlap(model: SourceModel, shape: WindowShape) -> float:
 
     The grid is coarse enough for short recordings.
     """
-    low, high = np.quantile(model.shape.level, REACH)
+    low, high = np.quantile(model.shape.level, model.method.forecast.reach)
     levels = np.linspace(low, high, 11)
     slopes = np.linspace(-1, 1, 8) * np.quantile(np.abs(model.shape.slope), 0.98)
     source, unit = (_use(part, levels, slopes) for part in (model.shape, shape))

@@ -5,25 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import UnitRefused
+from softcal.core.reason import Reason, reason
 from softcal.core.recording import Array, Indices, OutputRecording
-from softcal.core.unit.verdict import Finding
-
-RAIL_RUN = 5
-"""Samples in a row at the very end of the range that count as flat."""
-
-PILE = 3.0
-"""Samples of a press at the rail over its samples beside it; a triangle leaves about as many in both."""
-
-VISITS = 0.2
-"""Share of presses that end at a rail, beyond what the source shows at the same end, that is clipping."""
-
-STUCK_S = 2.0
-"""A reading that does not move for less than this is never called stuck."""
-
-NOISE_RATIO = 0.5
-"""Variance of the steps over twice the variance of the samples: 1 for white noise, near 0 for a pressed sensor."""
-
-FEW_WINDOWS, FEW_PRESSES = 500, 3
+from softcal.core.unit.method import HealthConfig
+from softcal.core.unit.verdict import Finding, Verdict
 
 
 @dataclass(frozen=True)
@@ -61,27 +46,28 @@ class Rail:
     visits: float
     count: int
 
-    def is_clipped(self, source: "Rail") -> bool:
+    def is_clipped(self, source: "Rail", config: HealthConfig) -> bool:
         """Tell whether the readout clips here: presses of different depth all end flat at one level.
 
         Holds at one same depth end flat too, but then they do so in the source.
         """
-        return self.count >= 3 and self.visits > source.visits + VISITS
+        return self.count >= config.least_presses and self.visits > source.visits + config.visits
 
 
-def rail(output: Array, is_upper: bool) -> Rail:
+def rail(output: Array, is_upper: bool, config: HealthConfig) -> Rail:
     """Describe the upper or lower end of an output's range."""
     rising = output if is_upper else -output
-    band = noise_band(output)
+    band = noise_band(output, config)
     top, span = float(rising.max()), float(np.ptp(rising))
     in_band, beside = rising > top - band, (rising <= top - band) & (rising > top - 2 * band)
     pressed = rising >= top - max(0.1 * span, 2 * band)
     # Number 0 is what the recording begins with: nobody saw that press rise.
     press = np.cumsum(np.concatenate([[False], pressed[1:] & ~pressed[:-1]]))
-    ran = np.bincount(press[in_band & (run_lengths(in_band.astype(np.float64)) == RAIL_RUN)], minlength=press[-1] + 1)
+    is_flat_run = in_band & (run_lengths(in_band.astype(np.float64)) == config.rail_run)
+    ran = np.bincount(press[is_flat_run], minlength=press[-1] + 1)
     inside, next_inside = (np.bincount(press[rows], minlength=press[-1] + 1) for rows in (in_band, beside))
     # Each press for itself: one long hold must not make flat ends of the tips of others as deep.
-    is_flat = (ran > 0) & (inside >= PILE * np.maximum(next_inside, 1))
+    is_flat = (ran > 0) & (inside >= config.pile * np.maximum(next_inside, 1))
     count = int(np.count_nonzero(is_flat[1:]))
     return Rail(
         level=(top - band) * (1 if is_upper else -1),
@@ -90,52 +76,50 @@ def rail(output: Array, is_upper: bool) -> Rail:
     )
 
 
-def noise_band(output: Array) -> float:
+def noise_band(output: Array, config: HealthConfig) -> float:
     """Return the width of a flat stretch: six standard deviations of the noise, at least one and a half ADC steps.
 
     The noise comes from second differences, which a slow signal leaves small (median absolute value / 0.6745 / √6).
     """
     noise = float(np.median(np.abs(np.diff(output, 2)))) / 0.6745 / np.sqrt(6)
     step = float(np.min(np.diff(np.unique(output)), initial=np.inf))
-    return float(max(6 * noise, 1.5 * step, 1e-3 * float(np.ptp(output))))
+    return float(max(config.noise_steps * noise, config.adc_steps * step, config.least_band * float(np.ptp(output))))
 
 
-def check_alive(target: OutputRecording, source: OutputRecording) -> None:
+def check_alive(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> None:
     """Refuse a channel that carries no signal.
 
     Raises:
-        UnitRefused: the output is constant, noise alone, or moves by less than a fiftieth of the source's.
+        UnitRefused: the output is constant, noise alone, or moves by too small a share of the source's.
     """
     output, unit = target.output, target.output_unit
-    cure = "check cable and contact, press the unit and record it again"
+    cure = Reason("part.check_cable")
     if np.ptp(output) == 0:
-        raise UnitRefused(
-            f"dead channel: output is constant at {output[0]:.6g} {unit} in all {len(output)} samples; {cure}"
-        )
+        raise UnitRefused(reason("dead.constant", level=float(output[0]), unit=unit, count=len(output), cure=cure))
     spread = float(np.std(output))
-    if np.var(np.diff(output)) > NOISE_RATIO * 2 * spread**2:
-        raise UnitRefused(f"dead channel: output is noise alone (SD {spread:.3g} {unit}); {cure}")
+    if np.var(np.diff(output)) > config.noise_ratio * 2 * spread**2:
+        raise UnitRefused(reason("dead.noise", spread=spread, unit=unit, cure=cure))
     span, source_span = (float(np.ptp(np.quantile(x, (0.01, 0.99)))) for x in (output, source.output))
-    if span < 0.02 * source_span:
-        raise UnitRefused(
-            f"dead channel: output moves by {span:.3g} {unit}, the source's by {source_span:.3g} {unit}; {cure}"
-        )
+    if span < config.dead_share * source_span:
+        raise UnitRefused(reason("dead.small", span=span, source_span=source_span, unit=unit, cure=cure))
 
 
-def output_limits(target: OutputRecording, source: OutputRecording, is_rising: bool) -> OutputLimits:
+def output_limits(
+    target: OutputRecording, source: OutputRecording, is_rising: bool, config: HealthConfig
+) -> OutputLimits:
     """Find the rail of the unit's readout and the longest stillness it shows in good order.
 
     Args:
         target, source: the unit's recording and the source's.
         is_rising: the output rises with the load. Only its loaded end is looked at: at rest every unit is flat.
     """
-    end = rail(target.output, is_rising)
-    clipped = end.level if end.is_clipped(rail(source.output, is_rising)) else None
+    end, known = (rail(recording.output, is_rising, config) for recording in (target, source))
+    clipped = end.level if end.is_clipped(known, config) else None
     longest = int(max(run_lengths(target.output).max(), run_lengths(source.output).max()))
     return OutputLimits(
         rail_low=-np.inf if clipped is None or is_rising else clipped,
         rail_high=np.inf if clipped is None or not is_rising else clipped,
-        stuck_samples=max(2 * longest, round(STUCK_S * target.sample_rate_Hz)),
+        stuck_samples=max(2 * longest, round(config.stuck_s * target.sample_rate_Hz)),
     )
 
 
@@ -144,32 +128,32 @@ def clipped_share(output: Array, limits: OutputLimits) -> float:
     return float(np.mean((output <= limits.rail_low) | (output >= limits.rail_high)))
 
 
-def health_findings(target: OutputRecording, source: OutputRecording, limits: OutputLimits) -> tuple[Finding, ...]:
+def health_findings(
+    target: OutputRecording, source: OutputRecording, limits: OutputLimits, config: HealthConfig
+) -> tuple[Finding, ...]:
     """Say in words what is wrong with the raw output, if anything."""
-    return (*_clipped(target, limits), *_frozen(target, source), *_short(target, source))
+    return (*_clipped(target, limits, config), *_frozen(target, source, config), *_short(target, source, config))
 
 
-def _clipped(target: OutputRecording, limits: OutputLimits) -> list[Finding]:
+def _clipped(target: OutputRecording, limits: OutputLimits, config: HealthConfig) -> list[Finding]:
     share = clipped_share(target.output, limits)
     if share == 0:
         return []
-    levels = [
-        f"{level:.6g} {target.output_unit}" for level in (limits.rail_low, limits.rail_high) if np.isfinite(level)
-    ]
-    text = (
-        f"clipped range: presses end flat at {' and '.join(levels)}, {share:.1%} of the samples; "
-        "check gain and supply of the readout"
+    rails, unit = [level for level in (limits.rail_low, limits.rail_high) if np.isfinite(level)], target.output_unit
+    level = (
+        reason("part.level", level=rails[0], unit=unit)
+        if len(rails) == 1
+        else reason("part.levels", low=rails[0], high=rails[1], unit=unit)
     )
-    return [Finding("saturated", text, "fail" if share > 0.05 else "conditional")]
+    best = Verdict.FAIL if share > config.failing_share else Verdict.CONDITIONAL
+    return [Finding(reason("saturated", level=level, share=share), best)]
 
 
-def _frozen(target: OutputRecording, source: OutputRecording) -> list[Finding]:
+def _frozen(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> list[Finding]:
     longest, allowed = (_longest_inner_run(recording.output) for recording in (target, source))
-    if longest <= max(10 * allowed, STUCK_S * target.sample_rate_Hz):
+    if longest <= max(config.stuck_factor * allowed, config.stuck_s * target.sample_rate_Hz):
         return []
-    still_s = longest / target.sample_rate_Hz
-    text = f"frozen reading: output does not move for {still_s:.1f} s in mid-range; check the cable"
-    return [Finding("stuck", text, "retest")]
+    return [Finding(reason("stuck", seconds=longest / target.sample_rate_Hz), Verdict.RETEST)]
 
 
 def _longest_inner_run(output: Array) -> int:
@@ -178,17 +162,14 @@ def _longest_inner_run(output: Array) -> int:
     return int(np.max(run_lengths(output)[inner], initial=0))
 
 
-def _short(target: OutputRecording, source: OutputRecording) -> list[Finding]:
+def _short(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> list[Finding]:
     windows, presses = len(target.window_rows), count_presses(target.output)
     # A slow programme may have but two presses in the source too.
-    enough = min(FEW_PRESSES, count_presses(source.output))
-    if windows >= FEW_WINDOWS and presses >= enough:
+    enough = min(config.few_presses, count_presses(source.output))
+    if windows >= config.few_windows and presses >= enough:
         return []
-    text = (
-        f"too little data: {windows} windows and {presses} presses; "
-        f"at least {FEW_WINDOWS} windows and {enough} presses are needed for a firm verdict"
-    )
-    return [Finding("too little data", text)]
+    seen = {"windows": windows, "presses": presses}
+    return [Finding(reason("too_little_data", **seen, enough_windows=config.few_windows, enough_presses=enough))]
 
 
 def count_presses(output: Array) -> int:

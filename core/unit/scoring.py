@@ -8,12 +8,7 @@ from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
 from softcal.core.network.training import NetworkConfig, fit_network
 from softcal.core.recording import LabelledRecording
-
-TEST_SHARE = 0.25
-"""The last quarter of an audit by time is tested; own calibration trains on what comes before it."""
-
-MIN_OWN_WINDOWS = 400
-"""With fewer training windows a network of one's own says little; `own_rmse` is then None."""
+from softcal.core.unit.method import DecisionConfig
 
 
 @dataclass(frozen=True)
@@ -31,7 +26,13 @@ class Scores:
     own: float | None
 
 
-def score_map(network: Network, unit_map: UnitMap, audit: LabelledRecording, own: NetworkConfig | None) -> Scores:
+def score_map(
+    network: Network,
+    unit_map: UnitMap,
+    audit: LabelledRecording,
+    own: NetworkConfig | None,
+    config: DecisionConfig = DecisionConfig(),  # noqa: B008 - frozen
+) -> Scores:
     """Score a unit on the last quarter of its audit recording, by time (Kim et al. 2020, Table 1).
 
     Args:
@@ -39,20 +40,21 @@ def score_map(network: Network, unit_map: UnitMap, audit: LabelledRecording, own
         unit_map: the unit's map.
         audit: labelled recording of the unit that no fit has seen.
         own: how to train the unit's own calibration on the first three quarters; None leaves it out.
+        config: which share is tested.
     """
-    split = round(len(audit) * (1 - TEST_SHARE))
+    split = round(len(audit) * (1 - config.test_share))
     test = audit.part(split, len(audit))
     truth = test.window_reference
     return Scores(
         before=rmse(network.evaluate(test.windows), truth),
         after=rmse(network.evaluate(unit_map.apply(test.windows)), truth),
-        own=None if own is None else _own_rmse(audit.part(0, split), test, own),
+        own=None if own is None else _own_rmse(audit.part(0, split), test, own, config.least_own_windows),
     )
 
 
-def _own_rmse(train: LabelledRecording, test: LabelledRecording, config: NetworkConfig) -> float | None:
+def _own_rmse(train: LabelledRecording, test: LabelledRecording, config: NetworkConfig, least: int) -> float | None:
     try:
-        if len(train.windows) < MIN_OWN_WINDOWS:
+        if len(train.windows) < least:
             return None
         trained = fit_network(train, config)
     except (UnitRefused, InputError):

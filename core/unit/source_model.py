@@ -1,12 +1,13 @@
 """Everything about the source unit that the calibration of its lot needs, computed once."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from softcal.core.network.network import Network
 from softcal.core.network.training import NetworkConfig, validation_blocks
 from softcal.core.recording import Array, Indices, LabelledRecording
+from softcal.core.unit.method import Method
 from softcal.core.unit.stage_check import StageDifference, source_difference
 from softcal.core.unit.support import WindowShape
 from softcal.core.unit.uncertainty import Interval, SourceResiduals, source_residuals
@@ -23,6 +24,7 @@ class SourceModel:
         shape: of the source's windows.
         estimate: (n,) f on the source's windows.
         stage_floor: its own difference at equal stage histories, None where the stage position is unknown.
+        method: the method all of this was computed with; the units of the lot are calibrated with it.
     """
 
     source: LabelledRecording
@@ -31,6 +33,7 @@ class SourceModel:
     shape: WindowShape
     estimate: Array
     stage_floor: StageDifference | None
+    method: Method = field(default_factory=Method)
 
     @property
     def interval(self) -> Interval:
@@ -43,7 +46,12 @@ class SourceModel:
         return self.residuals.held_out_rmse
 
 
-def make_source_model(source: LabelledRecording, network: Network, held_out: Indices | None = None) -> SourceModel:
+def make_source_model(
+    source: LabelledRecording,
+    network: Network,
+    held_out: Indices | None = None,
+    method: Method = Method(),  # noqa: B008 - frozen
+) -> SourceModel:
     """Compare the source with itself once for the whole lot.
 
     Args:
@@ -51,11 +59,13 @@ def make_source_model(source: LabelledRecording, network: Network, held_out: Ind
         network: the shared network f trained on it.
         held_out: indices of the windows kept out of the training (`TrainedNetwork.validation_rows`); by default those
             that the default training keeps out of this recording.
+        method: the method in force.
     """
     windows = source.windows
     if held_out is None:
         held_out = np.flatnonzero(validation_blocks(len(windows), NetworkConfig().validation_share))
-    residuals = source_residuals(network, windows, source.window_reference, held_out)
+    residuals = source_residuals(network, windows, source.window_reference, held_out, method.source)
     shape = residuals.interval.support.shape(windows)
     estimate = network.evaluate(windows)
-    return SourceModel(source, network, residuals, shape, estimate, source_difference(source, estimate))
+    floor = source_difference(source, estimate, method)
+    return SourceModel(source, network, residuals, shape, estimate, floor, method)

@@ -6,15 +6,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.phase import NEAR_SHARE, paired_by_stage, stage_histories
+from softcal.core.maps.phase import paired_by_stage, stage_histories
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-
-BLOCKS = 8
-APART_S = 2.0
-"""The source is compared with itself at least this long before and after."""
-
-SLOW_S = 1.0
-"""Differences that survive a mean over this long are no noise and no timing: they are creep, drift or a wrong curve."""
+from softcal.core.unit.method import Method
 
 
 @dataclass(frozen=True)
@@ -23,7 +17,7 @@ class StageDifference:
 
     Args:
         rms: of all windows.
-        slow_rms: of its means over `SLOW_S`.
+        slow_rms: of its means over a second or so (`StageCheckConfig.slow_s`).
     """
 
     rms: float
@@ -37,7 +31,9 @@ class StageDifference:
         )
 
 
-def unit_difference(source: LabelledRecording, target: OutputRecording, estimate: Array) -> StageDifference | None:
+def unit_difference(
+    source: LabelledRecording, target: OutputRecording, estimate: Array, method: Method
+) -> StageDifference | None:
     """Compare a unit with its source; None where no stage position or too few shared ones are known.
 
     Args:
@@ -46,28 +42,30 @@ def unit_difference(source: LabelledRecording, target: OutputRecording, estimate
         estimate: (m,) of the unit, one per full window.
     """
     try:
-        source_rows, target_rows = paired_by_stage(source.unlabelled, target)
+        source_rows, target_rows = paired_by_stage(source.unlabelled, target, method.map)
     except UnitRefused:
         return None
     difference = estimate[target_rows] - source.window_reference[source_rows]
-    return _summed_up(difference, target.t_s[target.window_rows[target_rows]])
+    return _summed_up(difference, target.t_s[target.window_rows[target_rows]], method.stage_check.slow_s)
 
 
-def source_difference(source: LabelledRecording, estimate: Array) -> StageDifference | None:
+def source_difference(source: LabelledRecording, estimate: Array, method: Method) -> StageDifference | None:
     """Compare the source with itself at other times: what is left is no fault of a unit.
 
     Args:
         source: labelled recording of the source.
         estimate: (n,) f on its own windows.
     """
-    recording = source.unlabelled
+    recording, config = source.unlabelled, method.stage_check
     if recording.stage_mm is None or np.ptp(recording.stage_mm) == 0:
         return None
-    histories, t_s = stage_histories(recording, recording.stage_mm), recording.t_s[recording.window_rows]
-    near = NEAR_SHARE * float(np.ptp(recording.stage_mm))
+    histories = stage_histories(recording, recording.stage_mm, method.map.phase)
+    t_s = recording.t_s[recording.window_rows]
+    near = method.map.phase.near_share * float(np.ptp(recording.stage_mm))
     differences, times = [], []
-    for block in np.array_split(np.arange(len(t_s)), BLOCKS):
-        others = np.flatnonzero((t_s < t_s[block[0]] - APART_S) | (t_s > t_s[block[-1]] + APART_S))
+    for block in np.array_split(np.arange(len(t_s)), config.blocks):
+        first_s, last_s = t_s[block[0]] - config.apart_s, t_s[block[-1]] + config.apart_s
+        others = np.flatnonzero((t_s < first_s) | (t_s > last_s))
         if not len(others):
             continue
         distance, nearest = cKDTree(histories[others]).query(histories[block])
@@ -76,11 +74,11 @@ def source_difference(source: LabelledRecording, estimate: Array) -> StageDiffer
         times.append(t_s[block][alike])
     if not sum(map(len, differences)):
         return None
-    return _summed_up(np.concatenate(differences), np.concatenate(times))
+    return _summed_up(np.concatenate(differences), np.concatenate(times), config.slow_s)
 
 
-def _summed_up(difference: Array, t_s: Array) -> StageDifference:
-    _, second = np.unique((t_s // SLOW_S).astype(np.int64), return_inverse=True)
+def _summed_up(difference: Array, t_s: Array, slow_s: float) -> StageDifference:
+    _, second = np.unique((t_s // slow_s).astype(np.int64), return_inverse=True)
     counts = np.bincount(second)
     means = np.bincount(second, difference) / counts
     return StageDifference(float(np.sqrt(np.mean(difference**2))), float(np.sqrt(np.average(means**2, weights=counts))))

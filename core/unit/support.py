@@ -5,19 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from softcal.core.identity import Settings
 from softcal.core.network.network import CHUNK
 from softcal.core.recording import Array, Indices
+from softcal.core.unit.method import SourceConfig
 from softcal.core.windows import TAPS
-
-LEVEL_CELLS, SLOPE_CELLS = 96, 64
-MARGIN = 0.5
-"""The grid reaches this share of the source's span beyond it on every side."""
-
-TAIL = 0.999
-"""Bend and roughness beyond this quantile of the source, and half as much again, are unfamiliar."""
 
 
 def _polynomials() -> Array:
@@ -54,7 +47,7 @@ class Support:
     Args:
         output_mean, output_scale: standardise windows in the source's space, as the network does.
         origin, step: (2,) lower edge and cell size of the grid over (level, slope).
-        distance_grid: (LEVEL_CELLS, SLOPE_CELLS) distance of each cell to the nearest visited one; 0 where visited.
+        distance_grid: (levels, slopes) distance of each cell to the nearest visited one; 0 where visited.
         bend_limit, roughness_limit: largest familiar values.
     """
 
@@ -120,24 +113,28 @@ def _cell(value: Array, origin: float, step: float, cells: int) -> tuple[Indices
     return inside.astype(np.int64), np.abs(position - inside) * step
 
 
-def fit_support(windows: Array, output_mean: float, output_scale: float) -> Support:
+def fit_support(windows: Array, output_mean: float, output_scale: float, config: SourceConfig) -> Support:
     """Find the support of the source's windows.
 
     Args:
         windows: (n, TAPS) of the source, newest sample last.
         output_mean, output_scale: standardisation of the network.
+        config: grid and margins.
     """
     blank = Support(output_mean, output_scale, np.zeros(2), np.ones(2), np.zeros((1, 1)), np.inf, np.inf)
     shape = blank.shape(windows)
     position = np.stack([shape.level, shape.slope], axis=1)
     low, span = position.min(axis=0), np.maximum(np.ptp(position, axis=0), 1e-6)
-    origin, cells = low - MARGIN * span, np.array([LEVEL_CELLS, SLOPE_CELLS])
-    step = (1 + 2 * MARGIN) * span / cells
+    origin, cells = low - config.margin * span, np.array([config.level_cells, config.slope_cells])
+    step = (1 + 2 * config.margin) * span / cells
     index = ((position - origin) / step).astype(np.int64)
     empty = np.ones(cells, dtype=bool)
     empty[index[:, 0], index[:, 1]] = False
-    # Two cells of slack: neighbouring presses leave gaps between their traces.
-    distance = np.maximum(distance_transform_edt(empty, sampling=step) - 2 * float(step.max()), 0)
-    bend_limit = 1.5 * float(np.quantile(np.abs(shape.bend), TAIL))
-    roughness_limit = 1.5 * float(np.quantile(shape.roughness, TAIL))
+    # scipy.ndimage takes a second to load: a registry that lists calibrations needs none of it.
+    from scipy.ndimage import distance_transform_edt
+
+    slack = config.slack_cells * float(step.max())
+    distance = np.maximum(distance_transform_edt(empty, sampling=step) - slack, 0)
+    bend_limit = config.tail_factor * float(np.quantile(np.abs(shape.bend), config.tail))
+    roughness_limit = config.tail_factor * float(np.quantile(shape.roughness, config.tail))
     return Support(output_mean, output_scale, origin, step, distance, bend_limit, roughness_limit)

@@ -1,6 +1,6 @@
 """How wrong an estimate may be: the source's residuals by load band and direction, widened by the map's doubt."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,17 +9,13 @@ from numpy.typing import NDArray
 from softcal.core.identity import Settings
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, Indices
+from softcal.core.unit.method import CONFIDENCE, LEVELS, SourceConfig
 from softcal.core.unit.support import Support, WindowShape, fit_support
 
-CONFIDENCE = 0.90
 NORMAL_90 = 1.645
 """Half-width of a 90 % interval in standard deviations of a normal distribution."""
 
-LEVELS = 64
-BANDS = 8
 DIRECTIONS = ("unloading", "hold", "loading")
-CELL_PRIOR = 50.0
-"""A cell of band and direction with this many windows counts half, the band or the whole recording the other half."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +111,9 @@ class SourceResiduals:
     held_out_rmse: float
 
 
-def source_residuals(network: Network, windows: Array, reference: Array, held_out: Indices) -> SourceResiduals:
+def source_residuals(
+    network: Network, windows: Array, reference: Array, held_out: Indices, config: SourceConfig
+) -> SourceResiduals:
     """Tabulate the residuals of f on its source.
 
     All windows give the pattern over bands and directions, the held-out ones alone its size.
@@ -125,23 +123,24 @@ def source_residuals(network: Network, windows: Array, reference: Array, held_ou
         windows: (n, TAPS) of the source.
         reference: (n,) beside them.
         held_out: indices of windows kept out of the training.
+        config: how residuals are tabulated.
     """
     estimate = network.evaluate(windows)
     residual = estimate - reference
-    support = fit_support(windows, network.output_mean, network.output_scale)
+    support = fit_support(windows, network.output_mean, network.output_scale, config)
     shape = support.shape(windows)
     blank = Interval(
         support,
         np.zeros((len(DIRECTIONS), LEVELS)),
         float(reference.min()),
         float(reference.max()),
-        slope_limit=_slope_limit(shape, reference),
-        sensitivity=_sensitivity(network, windows),
+        slope_limit=_slope_limit(shape, reference, config),
+        sensitivity=_sensitivity(network, windows, config.step),
         familiar_distance=float(support.step.max()),
     )
     cells = blank.direction(shape), blank.column(estimate)
-    rmse_table = np.sqrt(_tabulate(residual**2, *cells, np.mean))
-    spread = _tabulate(np.abs(residual), *cells, lambda values: np.quantile(values, CONFIDENCE))
+    rmse_table = np.sqrt(_tabulate(residual**2, *cells, np.mean, config))
+    spread = _tabulate(np.abs(residual), *cells, lambda values: float(np.quantile(values, CONFIDENCE)), config)
     held_direction, held_column = cells[0][held_out], cells[1][held_out]
     scores = np.abs(residual[held_out]) / spread[held_direction, held_column]
     held_rmse = float(np.sqrt(np.mean(residual[held_out] ** 2)))
@@ -159,34 +158,37 @@ def conformal_quantile(scores: Array) -> float:
     return float(np.sort(scores)[rank - 1])
 
 
-def _slope_limit(shape: WindowShape, reference: Array) -> float:
+def _slope_limit(shape: WindowShape, reference: Array, config: SourceConfig) -> float:
     sign = 1.0 if np.corrcoef(shape.level, reference)[0, 1] >= 0 else -1.0
-    return sign * max(0.15 * float(np.quantile(np.abs(shape.slope), 0.9)), 1e-9)
+    return sign * max(config.slope_share * float(np.quantile(np.abs(shape.slope), config.slope_quantile)), 1e-9)
 
 
-def _sensitivity(network: Network, windows: Array) -> float:
-    step = 0.05 * network.output_scale
+def _sensitivity(network: Network, windows: Array, share: float) -> float:
+    step = share * network.output_scale
     rise = network.evaluate(windows + step) - network.evaluate(windows - step)
-    return float(np.sqrt(np.mean((rise / 0.1) ** 2)))
+    return float(np.sqrt(np.mean((rise / (2 * share)) ** 2)))
 
 
-def _tabulate(values: Array, direction: Indices, column: Indices, statistic) -> Array:  # type: ignore[no-untyped-def]
+def _tabulate(
+    values: Array, direction: Indices, column: Indices, statistic: Callable[[Array], float], config: SourceConfig
+) -> Array:
     """Return the statistic per direction and band on the (3, LEVELS) grid, sparse cells drawn to their neighbours."""
-    band = column * BANDS // LEVELS
+    bands, prior = config.bands, config.cell_prior
+    band = column * bands // LEVELS
     whole = float(statistic(values))
-    table = np.empty((len(DIRECTIONS), BANDS))
-    for b in range(BANDS):
+    table = np.empty((len(DIRECTIONS), bands))
+    for b in range(bands):
         in_band = band == b
-        level = _shrunk(values[in_band], whole, statistic)
+        level = _shrunk(values[in_band], whole, statistic, prior)
         for d in range(len(DIRECTIONS)):
-            table[d, b] = _shrunk(values[in_band & (direction == d)], level, statistic)
-    centres = (np.arange(BANDS) + 0.5) * LEVELS / BANDS
+            table[d, b] = _shrunk(values[in_band & (direction == d)], level, statistic, prior)
+    centres = (np.arange(bands) + 0.5) * LEVELS / bands
     return np.stack(
         [np.interp(np.arange(LEVELS) + 0.5, centres, row) for row in np.maximum(table, 1e-3 * whole + 1e-12)]
     )
 
 
-def _shrunk(values: Array, prior: float, statistic) -> float:  # type: ignore[no-untyped-def]
+def _shrunk(values: Array, expected: float, statistic: Callable[[Array], float], prior: float) -> float:
     if not len(values):
-        return prior
-    return float((len(values) * statistic(values) + CELL_PRIOR * prior) / (len(values) + CELL_PRIOR))
+        return expected
+    return float((len(values) * statistic(values) + prior * expected) / (len(values) + prior))

@@ -1,23 +1,70 @@
-"""The decision on one unit: a limit agreed before measuring, guard bands after ILAC-G8:09/2019, reasons in words."""
+"""The decision on one unit: the only owner of the four words, their order, and what they release.
 
+A limit is agreed before measuring; the guard bands follow ILAC-G8:09/2019. What was measured outranks a forecast.
+"""
+
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
 from softcal.core.errors import InputError
+from softcal.core.reason import Reason, reason
+from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.windows import TAPS
 
-VERDICTS = ("pass", "conditional", "fail", "retest")
-"""From best to worst; a retest outranks a fail because nothing can be said about the unit yet."""
 
-FOUR_WORDS = ("pass", "conditional pass", "conditional fail", "fail")
-"""The non-binary statement of ILAC-G8:09/2019, section 4.2.3."""
+class Verdict(StrEnum):
+    """The word on a unit, from best to worst.
 
-DEFAULT_FACTOR = 3.0
-"""A lot that states no limit gets this factor times the source's own held-out RMSE."""
+    A retest outranks a fail: nothing can be said about the unit yet, so nothing may be held against it either.
+    """
 
-CONTRACT_WORD = {"pass": "pass", "conditional pass": "conditional", "conditional fail": "conditional", "fail": "fail"}
+    PASS = "pass"
+    CONDITIONAL = "conditional"
+    FAIL = "fail"
+    RETEST = "retest"
+
+    @property
+    def severity(self) -> int:
+        """0 for the best word, more for worse ones."""
+        return VERDICTS.index(self)
+
+    @property
+    def conformity(self) -> str:
+        """The statement on a certificate (ILAC-G8:09/2019, section 4.2.3); empty where none may be made."""
+        return _CONFORMITY[self]
+
+
+VERDICTS = tuple(Verdict)
+
+_CONFORMITY = {
+    Verdict.PASS: "pass",
+    Verdict.CONDITIONAL: "conditional pass",
+    Verdict.FAIL: "fail",
+    Verdict.RETEST: "",
+}
+
+
+def worst_of(verdicts: Iterable[str]) -> Verdict:
+    """Return the most severe of several verdicts; pass where there is none."""
+    return max(map(Verdict, verdicts), key=VERDICTS.index, default=Verdict.PASS)
+
+
+class Release(StrEnum):
+    """Which verdicts release a unit's files: those that pass, or conditional ones too where somebody asked for it."""
+
+    PASS = "pass"
+    CONDITIONAL = "conditional"
+
+    def releases(self, verdict: str) -> bool:
+        """Whether files of a unit with this verdict are written.
+
+        A conditional verdict always has its error, forecast or measured, within the limit: beyond it the word is fail.
+        """
+        return verdict == Verdict.PASS or (self is Release.CONDITIONAL and verdict == Verdict.CONDITIONAL)
 
 
 @dataclass(frozen=True)
@@ -27,7 +74,7 @@ class Limit:
     Args:
         unit: physical unit of the reference.
         maximum_rmse: tolerance limit for the RMSE against the reference, in `unit`.
-        origin: where the number comes from, printed with every verdict.
+        origin: where the number comes from, said with every verdict.
 
     Raises:
         InputError: the limit is not a positive number.
@@ -35,17 +82,31 @@ class Limit:
 
     unit: str
     maximum_rmse: float
-    origin: str = "stated for the lot"
+    origin: Reason = Reason("part.stated")
 
     def __post_init__(self) -> None:
         if not 0 < self.maximum_rmse < float("inf"):
             raise InputError(f"limit maximum_rmse = {self.maximum_rmse} {self.unit}; a positive number was expected")
 
+    def to_json(self) -> dict[str, object]:
+        """Return it as JSON values."""
+        return {"unit": self.unit, "maximum_rmse": self.maximum_rmse, "origin": self.origin.to_json()}
 
-def default_limit(unit: str, source_rmse: float) -> Limit:
-    """Return the limit of a lot that states none: `DEFAULT_FACTOR` times the source's held-out RMSE."""
-    origin = f"no limit was stated: {DEFAULT_FACTOR:g} x the source's own held-out RMSE of {source_rmse:.3g} {unit}"
-    return Limit(unit, DEFAULT_FACTOR * source_rmse, origin)
+    @classmethod
+    def of(cls, kept: Mapping[str, object]) -> "Limit":
+        """Read what `to_json` wrote; older versions kept the origin as a sentence."""
+        return cls(str(kept["unit"]), float(str(kept["maximum_rmse"])), Reason.of(kept["origin"]))
+
+
+def stated_limit(unit: str, rmse: float | None) -> Limit | None:
+    """Return the limit a lot states; None where it leaves it to the source's own error."""
+    return None if rmse is None else Limit(unit, rmse)
+
+
+def default_limit(unit: str, source_rmse: float, config: DecisionConfig = DecisionConfig()) -> Limit:  # noqa: B008 - frozen
+    """Return the limit of a lot that states none: a multiple of the source's held-out RMSE."""
+    origin = reason("part.automatic", factor=config.default_factor, rmse=source_rmse, unit=unit)
+    return Limit(unit, config.default_factor * source_rmse, origin)
 
 
 @dataclass(frozen=True)
@@ -53,86 +114,165 @@ class Finding:
     """Something seen on a recording or a map that bears on the verdict.
 
     Args:
-        kind: short name, for example `saturated`.
-        text: the same in a sentence a line operator can act on.
-        worst_word: the best verdict word a unit with this finding can still get.
+        reason: what was seen, in a sentence a line operator can act on.
+        best: the best verdict a unit with this finding can still get.
     """
 
-    kind: str
-    text: str
-    worst_word: str = "conditional"
+    reason: Reason
+    best: Verdict = Verdict.CONDITIONAL
+
+    @property
+    def kind(self) -> str:
+        """Short name, for example `too little data`."""
+        return self.reason.code.replace("_", " ")
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What is decided on one unit.
+class Judgement:
+    """What one error, forecast or measured, says together with what was found.
 
     Args:
-        word: pass, conditional, fail or retest.
-        four_word: pass, conditional pass, conditional fail or fail (ILAC-G8); empty where no error could be forecast.
-        reasons: why, in words, most important first.
+        verdict: the word.
+        reasons: why, most important first.
     """
 
-    word: str
-    four_word: str
-    reasons: tuple[str, ...]
+    verdict: Verdict
+    reasons: tuple[Reason, ...]
+
+    def to_json(self) -> dict[str, object]:
+        """Return it as JSON values."""
+        return {"verdict": str(self.verdict), "reasons": [one.to_json() for one in self.reasons]}
+
+    @classmethod
+    def of(cls, kept: Mapping[str, object]) -> "Judgement":
+        """Read what `to_json` wrote."""
+        reasons: Iterable[object] = kept["reasons"]  # type: ignore[assignment]
+        return cls(Verdict(str(kept["verdict"])), tuple(map(Reason.of, reasons)))
 
 
-def four_word(forecast: ErrorForecast, limit: Limit) -> str:
-    """Place a forecast error against the limit with guard band w = U (95 %, k = 2), ILAC-G8:09/2019 section 4.2.3.
+@dataclass(frozen=True)
+class Decision:
+    """What is decided on one unit, and on what.
 
-    Pass: upper <= TL, so the probability of a false accept is below 2.5 %. Conditional pass: the forecast itself is
-    within TL. Conditional fail: lower <= TL. Fail: even the lower end is above TL.
+    Args:
+        predicted: from the forecast and the findings.
+        measured: from an audit; it counts wherever there is one.
     """
-    if forecast.upper <= limit.maximum_rmse:
+
+    predicted: Judgement
+    measured: Judgement | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """The word that counts."""
+        return (self.measured or self.predicted).verdict
+
+    @property
+    def is_audited(self) -> bool:
+        return self.measured is not None
+
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        """Why, most important first; where an audit changed the word, what was predicted stands behind it."""
+        if self.measured is None or self.measured.verdict == self.predicted.verdict:
+            return (self.measured or self.predicted).reasons
+        why = self.predicted.reasons[0]
+        told = reason("predicted_otherwise", verdict=str(self.predicted.verdict), why=why)
+        return (*self.measured.reasons, told)
+
+    def to_json(self) -> dict[str, object]:
+        """Return it as JSON values."""
+        measured = None if self.measured is None else self.measured.to_json()
+        return {"predicted": self.predicted.to_json(), "measured": measured}
+
+    @classmethod
+    def of(cls, kept: Mapping[str, object]) -> "Decision":
+        """Read what `to_json` wrote."""
+        predicted, measured = kept["predicted"], kept["measured"]
+        return cls(
+            Judgement.of(predicted),  # type: ignore[arg-type]
+            None if measured is None else Judgement.of(measured),  # type: ignore[arg-type]
+        )
+
+
+_RELATION = {
+    "pass": "part.within",
+    "conditional pass": "part.within_close",
+    "conditional fail": "part.above_close",
+    "fail": "part.above",
+}
+
+_WORD = {
+    "pass": Verdict.PASS,
+    "conditional pass": Verdict.CONDITIONAL,
+    "conditional fail": Verdict.FAIL,
+    "fail": Verdict.FAIL,
+}
+
+
+def statement(error: ErrorForecast, limit: Limit) -> str:
+    """Place an error against the limit with guard band w = U (95 %, k = 2), ILAC-G8:09/2019 section 4.2.3.
+
+    Pass: upper <= TL, so the probability of a false accept is below 2.5 %. Conditional pass: the error itself is within
+    TL. Conditional fail: lower <= TL. Fail: even the lower end is above TL.
+    """
+    if error.upper <= limit.maximum_rmse:
         return "pass"
-    if forecast.rmse <= limit.maximum_rmse:
+    if error.rmse <= limit.maximum_rmse:
         return "conditional pass"
-    return "conditional fail" if forecast.lower <= limit.maximum_rmse else "fail"
+    return "conditional fail" if error.lower <= limit.maximum_rmse else "fail"
 
 
 def decide(
-    forecast: ErrorForecast, limit: Limit, findings: tuple[Finding, ...] = (), source: str = "predicted"
-) -> Verdict:
-    """Combine an error, forecast or measured, with what was found; the worse of the two words stands."""
-    statement = four_word(forecast, limit)
-    words = [CONTRACT_WORD[statement], *(f.worst_word for f in findings)]
-    word = max(words, key=VERDICTS.index)
-    ordered = sorted(findings, key=lambda f: -VERDICTS.index(f.worst_word))
-    return Verdict(word, statement, (*(f.text for f in ordered), _statement_text(forecast, limit, statement, source)))
+    error: ErrorForecast, limit: Limit, findings: tuple[Finding, ...] = (), source: str = "predicted"
+) -> Judgement:
+    """Combine an error with what was found; the worse of the words stands.
+
+    Args:
+        error: forecast or measured, in the limit's unit.
+        limit: tolerance limit.
+        findings: each with the best word it still allows.
+        source: `predicted` or `measured`.
+    """
+    stated = statement(error, limit)
+    ordered = sorted(findings, key=lambda finding: -finding.best.severity)
+    said = reason(
+        "statement",
+        source=Reason(f"part.{source}"),
+        rmse=error.rmse,
+        lower=error.lower,
+        upper=error.upper,
+        unit=limit.unit,
+        relation=Reason(_RELATION[stated]),
+        limit=limit.maximum_rmse,
+        origin=limit.origin,
+    )
+    word = worst_of([_WORD[stated], *(finding.best for finding in findings)])
+    # An error beyond the limit is the first thing to say; else what was found is.
+    seen = [finding.reason for finding in ordered]
+    return Judgement(word, (said, *seen) if _WORD[stated] is Verdict.FAIL and word is Verdict.FAIL else (*seen, said))
 
 
-def refuse(finding: Finding) -> Verdict:
-    """Return the verdict on a unit for which no map can be made at all."""
-    return Verdict(finding.worst_word, "", (finding.text,))
-
-
-def decide_audited(before: float, after: float, windows: int, limit: Limit) -> Verdict:
+def decide_audited(
+    before: float,
+    after: float,
+    windows: int,
+    limit: Limit,
+    config: DecisionConfig = DecisionConfig(),  # noqa: B008 - frozen
+) -> Judgement:
     """Decide on a unit whose error was measured against the reference.
 
     Args:
         before, after: RMSE of f on raw and on mapped windows of the audit, in the limit's unit.
         windows: number of windows behind them.
         limit: tolerance limit.
+        config: how wide the guard band is.
 
     The standard deviation of an RMSE from n independent errors is RMSE / sqrt(2 n); errors of neighbouring windows are
     alike, so n is the number of windows that do not overlap.
     """
-    uncertainty = after / np.sqrt(2 * max(windows / TAPS, 1.0))
-    measured = ErrorForecast(after, after - 2 * uncertainty, after + 2 * uncertainty)
-    harm = f"worse than doing nothing: RMSE {after:.3g} {limit.unit} with the map, {before:.3g} without it"
-    findings = (Finding("harmful", harm, "fail"),) if after > before else ()
+    guard = config.coverage_factor * after / float(np.sqrt(2 * max(windows / TAPS, 1.0)))
+    measured = ErrorForecast(after, after - guard, after + guard)
+    harm = reason("harmful", after=after, before=before, unit=limit.unit)
+    findings = (Finding(harm, Verdict.FAIL),) if after > before else ()
     return decide(measured, limit, findings, source="measured")
-
-
-def _statement_text(forecast: ErrorForecast, limit: Limit, statement: str, source: str) -> str:
-    relation = {
-        "pass": "within",
-        "conditional pass": "within, but closer than its uncertainty to",
-        "conditional fail": "above, but closer than its uncertainty to",
-        "fail": "above",
-    }[statement]
-    return (
-        f"{source} RMSE {forecast.rmse:.3g} {limit.unit} (95 %: {forecast.lower:.3g} to {forecast.upper:.3g}) is "
-        f"{relation} the limit {limit.maximum_rmse:.3g} {limit.unit} ({limit.origin})"
-    )

@@ -49,7 +49,7 @@ def test_figure_shows_forecast_against_limit_and_all_panels(lot_folder: Path, re
     assert diamond.x[0] == pytest.approx(view.calibration.predicted_rmse)
     assert [line.x0 for line in figure.layout.shapes] == [view.explanation.limit]
     assert {trace.xaxis for trace in figure.data} == {"x", "x2", "x3", "x4"}
-    assert view.calibration.verdict.reasons[0][:40] in figure.layout.title.text
+    assert str(view.calibration.decision.reasons[0])[:40] in figure.layout.title.text
 
 
 def test_a_figure_file_that_is_no_page_is_refused(

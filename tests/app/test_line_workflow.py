@@ -9,6 +9,7 @@ from softcal.app.line.line import Choice, read_line, take_scan
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.line_rules import LineRules
+from softcal.core.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 
@@ -40,7 +41,7 @@ class Line:
         """The station takes the order in progress and ends it."""
         order = self.queue.take("line-1")
         if facts.get("verdict") in ("fail", "retest"):
-            self.registry.add_refusal("L1", order.serial, facts["verdict"], (f"{datetime.now(UTC)}",))
+            self.registry.add_refusal("L1", order.serial, facts["verdict"], (plain(f"{datetime.now(UTC)}"),))
         self.queue.report(Progress(order.order_id, state, **facts))
         return order
 

@@ -15,6 +15,7 @@ from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
+from softcal.core.reason import plain
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.db.connection import open_registry
 
@@ -46,7 +47,7 @@ def url(tmp_path, monkeypatch):
                 sha256,
             )
             registry.add_calibration("L1", record, actor="kim")
-        registry.add_refusal("L1", "B1", "retest", ("=cmd|calc",))
+        registry.add_refusal("L1", "B1", "retest", (plain("=cmd|calc"),))
     return url
 
 

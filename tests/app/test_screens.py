@@ -4,6 +4,7 @@ from pathlib import Path
 
 from softcal.app.texts import catalogue as texts
 from softcal.app.views.lot import lot_view
+from softcal.core.reason import plain
 from softcal.db.connection import open_registry
 
 
@@ -83,7 +84,7 @@ def test_reasons_are_said_in_korean(calibrated: str, open_page) -> None:
 def test_a_filter_that_leaves_fewer_pages_goes_back_to_the_first(calibrated: str, open_page) -> None:
     with open_registry(calibrated) as registry:
         for k in range(60):
-            registry.add_refusal("small", f"B{k:02d}", "retest", ("cable",))
+            registry.add_refusal("small", f"B{k:02d}", "retest", (plain("cable"),))
     screen = open_page(calibrated, _lot_page)
     screen.session_state["units-page-small"] = 2
     screen.run()

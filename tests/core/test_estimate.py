@@ -11,7 +11,7 @@ from softcal.core.estimate import StreamingEstimator, estimate
 from softcal.core.maps.affine import AffineMap
 from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import OutputRecording
-from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.health import OutputLimits
 from softcal.core.windows import TAPS
@@ -21,7 +21,7 @@ from softcal.core.windows import TAPS
 def calibration(source_model, linear_network, press) -> Calibration:
     unit = press(2, gain=1.3, offset_V=0.05).unlabelled
     problem = FitProblem(source_model.source, linear_network, unit)
-    made = calibrate_unit(problem, source_model=source_model)
+    made = calibrate(UnitProblem(source_model, problem.target, anchors=problem.anchors))
     exact = AffineMap(gain=1 / 1.3, offset=-0.05 / 1.3)
     return replace(made, unit_map=exact, output_limits=OutputLimits(-np.inf, np.inf, stuck_samples=100))
 

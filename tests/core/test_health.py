@@ -7,6 +7,9 @@ import pytest
 
 from softcal.core.errors import UnitRefused
 from softcal.core.unit.health import check_alive, count_presses, health_findings, output_limits, run_lengths
+from softcal.core.unit.method import HealthConfig
+
+HEALTH = HealthConfig()
 
 
 @pytest.fixture
@@ -15,7 +18,8 @@ def source(press):
 
 
 def kinds(target, source):
-    return [f.kind for f in health_findings(target, source, output_limits(target, source, is_rising=True))]
+    limits = output_limits(target, source, is_rising=True, config=HEALTH)
+    return [f.kind for f in health_findings(target, source, limits, HEALTH)]
 
 
 def test_run_lengths_count_equal_samples():
@@ -43,7 +47,7 @@ def test_a_clipped_range_is_found_with_its_rail(press, source):
     unit = press(2).unlabelled
     clipped = replace(unit, output=np.minimum(unit.output, 0.65))
     assert "saturated" in kinds(clipped, source)
-    assert output_limits(clipped, source, is_rising=True).rail_high == pytest.approx(0.65, abs=0.02)
+    assert output_limits(clipped, source, is_rising=True, config=HEALTH).rail_high == pytest.approx(0.65, abs=0.02)
 
 
 def test_a_noisy_clip_is_found_too(press, source, rng):
@@ -65,35 +69,36 @@ def test_a_falling_output_is_clipped_at_its_lower_end(press, source):
     falling_source = replace(source, output=1.0 - source.output)
     unit = press(2).unlabelled
     clipped = replace(unit, output=np.maximum(1.0 - unit.output, 0.35))
-    assert output_limits(clipped, falling_source, is_rising=False).rail_low == pytest.approx(0.35, abs=0.02)
+    assert output_limits(clipped, falling_source, is_rising=False, config=HEALTH).rail_low == pytest.approx(
+        0.35, abs=0.02
+    )
 
 
 def test_a_constant_output_is_refused_with_its_value(press, source):
     unit = press(2).unlabelled
     with pytest.raises(UnitRefused, match=r"dead channel: output is constant at 0\.5 V"):
-        check_alive(replace(unit, output=np.full(len(unit), 0.5)), source)
+        check_alive(replace(unit, output=np.full(len(unit), 0.5)), source, HEALTH)
 
 
 def test_noise_alone_is_refused(press, source, rng):
     unit = press(2).unlabelled
     with pytest.raises(UnitRefused, match="noise alone"):
-        check_alive(replace(unit, output=0.5 + rng.normal(0, 0.1, len(unit))), source)
+        check_alive(replace(unit, output=0.5 + rng.normal(0, 0.1, len(unit))), source, HEALTH)
 
 
 def test_an_output_that_hardly_moves_is_refused(press, source):
     unit = press(2).unlabelled
     with pytest.raises(UnitRefused, match="the source's by"):
-        check_alive(replace(unit, output=0.5 + 0.001 * (unit.output - 0.5)), source)
+        check_alive(replace(unit, output=0.5 + 0.001 * (unit.output - 0.5)), source, HEALTH)
 
 
 def test_a_reading_that_freezes_in_mid_range_asks_for_a_retest(press, source):
     output = press(2).unlabelled.output.copy()
     start = int(np.flatnonzero(np.abs(output - 0.65) < 0.01)[0])
     output[start : start + 400] = output[start]
-    found = health_findings(
-        *(t := (replace(press(2).unlabelled, output=output), source)), output_limits(*t, is_rising=True)
-    )
-    assert [f.worst_word for f in found if f.kind == "stuck"] == ["retest"]
+    pair = replace(press(2).unlabelled, output=output), source
+    found = health_findings(*pair, output_limits(*pair, is_rising=True, config=HEALTH), HEALTH)
+    assert [f.best for f in found if f.kind == "stuck"] == ["retest"]
 
 
 def test_a_short_recording_says_how_much_is_needed(press, source):

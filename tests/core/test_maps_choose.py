@@ -11,7 +11,8 @@ from scipy.stats import rankdata
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.catalogue import map_from_arrays
-from softcal.core.maps.choose import MapConfig, choose_map
+from softcal.core.maps.choose import choose_map
+from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.maps.synchrony import find_synchrony
 from softcal.core.metrics import rmse
@@ -76,7 +77,7 @@ def test_one_load_at_once_is_found_and_paired(source: LabelledRecording, trained
 
 def test_late_clock_is_found_and_undone(source: LabelledRecording, trained: TrainedNetwork) -> None:
     late = unit(source, trained, np.concatenate([np.zeros(12), source.reference[:-12]])).target
-    assert find_synchrony(source.unlabelled, late).lag_s == pytest.approx(0.24, abs=0.011)
+    assert find_synchrony(source.unlabelled, late, MapConfig()).lag_s == pytest.approx(0.24, abs=0.011)
 
 
 def test_opening_that_both_recordings_share_is_paired_and_the_rest_is_not(
@@ -98,7 +99,7 @@ def test_a_long_opening_does_not_make_the_whole_one_load(source: LabelledRecordi
     load_N = np.concatenate([source.reference[:parts_at], rest])
     ranks = (rankdata(load) for load in (load_N, source.reference[:3000]))
     assert np.corrcoef(*ranks)[0, 1] > 0.95
-    synchrony = find_synchrony(source.unlabelled, unit(source, trained, load_N).target)
+    synchrony = find_synchrony(source.unlabelled, unit(source, trained, load_N).target, MapConfig())
     assert synchrony.is_synchronous and synchrony.until_s < parts_at / 50.0
 
 
@@ -108,7 +109,7 @@ def test_one_slow_rise_alike_is_no_opening(source: LabelledRecording, trained: T
         recording("S", np.concatenate([rise, presses(3, 1500)])), np.concatenate([rise, presses(3, 1500)])
     )
     target = recording("T", np.concatenate([rise, presses(4, 1500)]), GAIN, OFFSET, 9)
-    assert not find_synchrony(known.unlabelled, target).is_synchronous
+    assert not find_synchrony(known.unlabelled, target, MapConfig()).is_synchronous
 
 
 def test_stage_position_pairs_another_programme(source: LabelledRecording, trained: TrainedNetwork) -> None:
@@ -183,7 +184,7 @@ def test_equal_input_gives_equal_maps_and_later_labels_change_nothing(
 
 
 def test_configured_family_is_obeyed(source: LabelledRecording, trained: TrainedNetwork) -> None:
-    chosen = choose_map(unit(source, trained, presses(4, 2000)), MapConfig("monotone"))
+    chosen = choose_map(replace(unit(source, trained, presses(4, 2000)), config=MapConfig("monotone")))
     assert chosen.family == "monotone" and "as configured" in str(chosen.evidence["decision"])
 
 
@@ -219,5 +220,5 @@ def test_measured_taxels_under_one_pressure_are_found_synchronous_and_other_days
 
     source = taxel(day, "taxel_001")
     for name in ("taxel_030", "taxel_060"):
-        assert find_synchrony(source, taxel(day, name)).is_synchronous
-        assert not find_synchrony(source, taxel(other, name)).is_synchronous
+        assert find_synchrony(source, taxel(day, name), MapConfig()).is_synchronous
+        assert not find_synchrony(source, taxel(other, name), MapConfig()).is_synchronous

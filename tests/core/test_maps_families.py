@@ -10,6 +10,7 @@ from scipy.stats import wasserstein_distance
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.affine import AffineMap
 from softcal.core.maps.catalogue import FAMILIES, family, map_from_arrays
+from softcal.core.maps.config import MapConfig
 from softcal.core.maps.crossing import level_path, turning_points
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.ends import match_ends
@@ -22,6 +23,7 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.windows import windows
 
 GAIN, OFFSET = 1.3, 0.04
+MAPS = MapConfig()
 
 
 def presses(seed: int, count: int = 1500, dwell: float = 0.0) -> np.ndarray:
@@ -114,8 +116,8 @@ def test_crossings_do_not_see_how_long_the_unit_rests() -> None:
 
 def test_weights_show_where_time_is_spent_differently() -> None:
     source, lazy = source_output(presses(1, 4000)), source_output(presses(2, 4000, dwell=80.0))
-    equal, _ = level_weights(windows(source), windows(source))
-    apart, weights = level_weights(windows(source), windows(lazy))
+    equal, _ = level_weights(windows(source), windows(source), 20)
+    apart, weights = level_weights(windows(source), windows(lazy), 20)
     assert equal == 0.0 and apart > 0.3
     resting = windows(source)[:, -1] < 0.52
     assert weights[resting].mean() > 2 * weights[~resting].mean()
@@ -130,7 +132,7 @@ def test_turning_points_of_a_sampled_triangle_are_its_corners() -> None:
 
 
 def test_path_quantiles_of_a_triangle_are_uniform() -> None:
-    path = level_path(recording("T", np.abs((np.arange(400) % 100) - 50.0)), 1)
+    path = level_path(recording("T", np.abs((np.arange(400) % 100) - 50.0)), 1, MAPS.crossing)
     assert path is not None
     assert np.allclose(path.quantiles(np.array([0.25, 0.5, 0.75])), [12.5, 25.0, 37.5], atol=0.6)
 
@@ -169,7 +171,7 @@ def test_curve_goes_straight_on_beyond_its_knots() -> None:
 
 def test_continued_curve_is_the_same_inside_and_bounded_beyond() -> None:
     curve = CurveMap(np.array([0.0, 1.0, 2.0, 2.1]), np.array([0.0, 1.0, 2.0, 4.0]), "monotone")
-    longer = continued(curve, source_span=4.0)
+    longer = continued(curve, 4.0, MAPS.curve)
     inside = np.linspace(0.0, 2.1, 50)
     assert np.allclose(longer(inside), curve(inside))
     overall = 4.0 / 2.1
@@ -180,16 +182,16 @@ def test_continued_curve_is_the_same_inside_and_bounded_beyond() -> None:
 
 def test_slope_beyond_a_glimpse_is_drawn_to_one() -> None:
     glimpse = CurveMap(np.array([0.0, 0.1]), np.array([0.0, 0.3]), "monotone")
-    seen_whole, seen_little = (continued(glimpse, span)(np.array([1.1])) - 0.3 for span in (0.3, 30.0))
+    seen_whole, seen_little = (continued(glimpse, span, MAPS.curve)(np.array([1.1])) - 0.3 for span in (0.3, 30.0))
     assert seen_whole[0] == pytest.approx(3.0)
     assert 1.0 < seen_little[0] < 2.0
 
 
 def test_ends_match_a_short_recording_to_stretches_as_short() -> None:
     lot = problem(presses(1, 6000), presses(2, 250))
-    match = match_ends(lot.source, lot.target)
+    match = match_ends(lot.source, lot.target, MAPS)
     assert match.gain == pytest.approx(GAIN, rel=0.25)
-    assert match.gain_error > 3 * match_ends(lot.source, problem(presses(1), presses(2, 6000)).target).gain_error
+    assert match.gain_error > 3 * match_ends(lot.source, problem(presses(1), presses(2, 6000)).target, MAPS).gain_error
 
 
 @pytest.mark.parametrize("output_V", [0.5, 0.1])
@@ -228,7 +230,7 @@ def test_positions_beyond_a_gap_do_not_mislead_the_pairs() -> None:
     target, stage_mm = whole.target, whole.target.stage_mm
     assert stage_mm is not None
     holed = replace(target, t_s=target.t_s[kept], output=target.output[kept], stage_mm=stage_mm[kept])
-    source_rows, target_rows = paired_by_stage(whole.source.unlabelled, holed)
+    source_rows, target_rows = paired_by_stage(whole.source.unlabelled, holed, MAPS)
     assert len(target_rows) == len(holed.windows)
     # Both ran one profile, so that every window has its like in the source.
     at_mm = load_N[whole.source.unlabelled.window_rows[source_rows]]

@@ -6,25 +6,25 @@ import numpy as np
 import pytest
 
 from softcal.core.maps.ends import output_noise
-from softcal.core.maps.interface import FitProblem
-from softcal.core.unit.calibrate import calibrate_unit
-from softcal.core.unit.own_forecast import OWN, noise_error
+from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.knowledge import BlindConfig
+from softcal.core.unit.own_forecast import noise_error
 
 
 def own_forecast(model, network, unit):
-    calibration = calibrate_unit(FitProblem(model.source, network, unit), source_model=model)
+    calibration = calibrate(UnitProblem(model, unit))
     return float(str(calibration.evidence["own_rmse_forecast"]))
 
 
 def test_noise_is_carried_through_the_slope_of_the_network(linear_network, press):
     unit = press(2, seconds=120.0).unlabelled
     # 10 N/V on the newest sample alone; 2,000 draws know a standard deviation within 1.6 % (one sigma).
-    assert noise_error(linear_network, unit) == pytest.approx(10 * output_noise(unit), rel=0.06)
+    assert noise_error(linear_network, unit, 2000) == pytest.approx(10 * output_noise(unit), rel=0.06)
 
 
 def test_a_quiet_good_unit_is_forecast_near_its_source(source_model, linear_network, press):
     forecast = own_forecast(source_model, linear_network, press(2, gain=1.3, seconds=120.0).unlabelled)
-    assert forecast == pytest.approx(OWN["floor"] * source_model.held_out_rmse, rel=0.25)
+    assert forecast == pytest.approx(BlindConfig().own[0][1] * source_model.held_out_rmse, rel=0.25)
 
 
 def test_a_clipped_unit_would_read_badly_with_its_own_calibration_too(source_model, linear_network, press):

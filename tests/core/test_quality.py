@@ -7,7 +7,8 @@ from scipy import stats
 from softcal.core.errors import InputError
 from softcal.core.quality.control_chart import RULES, capability, control_chart
 from softcal.core.quality.gauge_study import study_by_anova, study_by_ranges
-from softcal.core.quality.yields import Run, Share, rolled_throughput, yields
+from softcal.core.quality.yields import Run, Share, yields
+from softcal.core.reason import Reason, reason
 
 # AIAG, Measurement Systems Analysis, 4th edition, chapter III section B: 3 appraisers, 3 trials, 10 parts.
 AIAG = """
@@ -153,19 +154,24 @@ def test_a_chart_of_too_few_or_broken_values_is_refused():
 
 
 def test_yields_count_each_unit_once_and_leave_golden_units_out():
-    good, bad, again = Run("pass"), Run("fail", ("dead",)), Run("retest", ("short",))
+    short = reason("too_little_data", windows=3, presses=1, enough_windows=500, enough_presses=3)
+    good, bad, again = Run("pass"), Run("fail", (Reason("reversed"),)), Run("retest", (short,))
     found = yields({"A": [good], "B": [bad, good], "C": [again, bad], "D": [], "G": [bad]}, golden={"G"})
     assert (found.first_pass.count, found.second_pass.count, found.last_pass.count) == (1, 2, 2)
     assert found.first_pass.of == 3 and (found.runs.count, found.runs.of) == (2, 5)
-    assert found.reasons == (("dead", 1),)
+    assert found.reasons == ((Reason("reversed"), 1),)
+
+
+def test_reasons_are_counted_by_their_kind_whatever_their_numbers():
+    runs = {f"U{k}": [Run("conditional", (reason("drift", moved=0.1 * k, unit="N"),))] for k in range(3)}
+    ((newest, count),) = yields(runs).reasons
+    assert (newest.code, count) == ("drift", 3)
 
 
 def test_the_interval_of_a_share_is_wilson_s():
-    expected = stats.binomtest(18, 20).proportion_ci(method="wilson")
-    assert Share(18, 20).interval == pytest.approx((expected.low, expected.high))
+    # (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n), Wilson 1927
+    z, p, n = 1.959964, 0.9, 20
+    half = z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    expected = [(p + z**2 / (2 * n) + sign * half) / (1 + z**2 / n) for sign in (-1, 1)]
+    assert Share(18, 20).interval == pytest.approx(tuple(expected), rel=1e-6)
     assert Share(0, 0).value is None
-
-
-def test_rolled_throughput_is_the_product():
-    assert rolled_throughput([Share(9, 10), Share(8, 10)]) == pytest.approx(0.72)
-    assert rolled_throughput([Share(9, 10), Share(0, 0)]) is None

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 from softcal.core.maps.affine import AffineMap
-from softcal.core.unit.forecast import SENSITIVITY, forecast_error, gather_evidence, variance_table
+from softcal.core.unit.forecast import forecast_error, gather_evidence, variance_table
 from softcal.core.unit.health import output_limits
+from softcal.core.unit.knowledge import known_by
+from softcal.core.unit.method import Method
 from softcal.core.unit.support import fit_support
 from softcal.core.unit.uncertainty import Interval, conformal_quantile, source_residuals
 from softcal.core.windows import TAPS, windows
+
+METHOD = Method()
+BLIND = known_by({}, METHOD.knowledge)
 
 
 def half_widths(interval, network, mapped):
@@ -41,7 +46,9 @@ def test_the_interval_follows_the_band_where_the_noise_is(linear_network, press,
     clean = press(4, seconds=120.0)
     reference = clean.reference + np.where(clean.reference > 1.5, rng.normal(0, 0.2, len(clean)), 0)
     noisy = replace(clean, reference=reference)
-    residuals = source_residuals(linear_network, noisy.windows, noisy.window_reference, np.arange(0, 5000, 3))
+    residuals = source_residuals(
+        linear_network, noisy.windows, noisy.window_reference, np.arange(0, 5000, 3), METHOD.source
+    )
     low, high = (residuals.interval.half_width[1][residuals.interval.column(np.array([v]))] for v in (0.5, 2.5))
     assert high > 4 * low
 
@@ -76,7 +83,7 @@ def test_interval_survives_storage_bit_by_bit(source_model, linear_network, pres
 
 def test_window_shape_is_a_least_squares_parabola(rng):
     signals = rng.normal(size=(40, TAPS))
-    shape = fit_support(signals, 0.0, 1.0).shape(signals)
+    shape = fit_support(signals, 0.0, 1.0, METHOD.source).shape(signals)
     abscissa = np.linspace(-1, 1, TAPS)
     for k in range(40):
         coefficients = np.polyfit(abscissa, signals[k], 2)
@@ -97,17 +104,17 @@ def test_the_sources_own_windows_are_familiar_and_distance_is_euclidean_outside(
 
 
 def test_a_forecast_is_the_root_of_the_sum_of_squares():
-    budget = dict.fromkeys(SENSITIVITY, 0.0)
-    alone = forecast_error({"model": 0.3, **budget})
+    budget = dict.fromkeys(BLIND.sensitivity, 0.0)
+    alone = forecast_error({"model": 0.3, **budget}, BLIND)
     assert alone.rmse == pytest.approx(0.3) and alone.lower < 0.3 < alone.upper
-    both = forecast_error({"model": 0.3, **budget, "rest": 0.4})
-    assert both.rmse == pytest.approx(np.hypot(0.3, 0.4 * SENSITIVITY["rest"]))
+    both = forecast_error({"model": 0.3, **budget, "rest": 0.4}, BLIND)
+    assert both.rmse == pytest.approx(np.hypot(0.3, 0.4 * BLIND.sensitivity["rest"]))
 
 
 def test_a_gain_from_matched_levels_widens_with_the_square_of_the_load(source_model, linear_network, press):
     # Rests as the source does and reaches beyond its loads: nothing of them is unseen.
     unit = press(3, gain=1.2, offset_V=-0.1, seconds=120.0).unlabelled
-    limits = output_limits(unit, source_model.source.unlabelled, is_rising=True)
+    limits = output_limits(unit, source_model.source.unlabelled, is_rising=True, config=METHOD.health)
     evidence = gather_evidence(source_model, unit, AffineMap(1.0, 0.0, "identity"), (), (), limits, gain_error=0.1)
     row = variance_table(source_model, evidence)[1]
     even = variance_table(source_model, replace(evidence, budget={**evidence.budget, "gain": 0.0}))[1]
@@ -122,10 +129,10 @@ def test_a_gain_from_matched_levels_widens_with_the_square_of_the_load(source_mo
 def test_loads_the_unit_has_not_shown_are_uncertain_there_alone(source_model, linear_network, press):
     unit = press(3, seconds=120.0).unlabelled
     half = replace(unit, output=0.5 + 0.5 * (unit.output - 0.5))
-    limits = output_limits(half, source_model.source.unlabelled, is_rising=True)
+    limits = output_limits(half, source_model.source.unlabelled, is_rising=True, config=METHOD.health)
     evidence = gather_evidence(source_model, half, AffineMap(1.0, 0.0, "identity"), (), (), limits)
     row, reach = variance_table(source_model, evidence)[1], np.quantile(evidence.estimate, 0.995)
     level = source_model.interval.low + (np.arange(len(row)) + 0.5) * np.ptp(source_model.source.reference) / len(row)
     shown = row[level < reach - 0.1]
     np.testing.assert_allclose(shown, shown[0])
-    np.testing.assert_allclose(row[-1] - shown[0], (SENSITIVITY["extrapolation"] * (level[-1] - reach)) ** 2)
+    np.testing.assert_allclose(row[-1] - shown[0], (BLIND.sensitivity["extrapolation"] * (level[-1] - reach)) ** 2)

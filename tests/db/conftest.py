@@ -16,6 +16,7 @@ from sqlalchemy.pool import NullPool
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
+from softcal.core.reason import plain
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.db.connection import open_registry
@@ -160,7 +161,7 @@ class Factory:
             settings={"map": {"order": 1}},
             predicted_rmse=0.1 * number,
             verdict=verdict,
-            reasons=("as expected",),
+            reasons=(plain("as expected"),),
             input_sha256=content_sha256({}, {"serial": serial, "number": number}),
             recording_sha256=output_recording(serial).sha256,
             fit_s=0.25,

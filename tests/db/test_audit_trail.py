@@ -11,6 +11,7 @@ from sqlalchemy.pool import NullPool
 
 from softcal.core.errors import RegistryError
 from softcal.core.quality.line_rules import LineRules
+from softcal.core.reason import plain
 from softcal.db.arrays import get_arrays, parts_of, put_arrays
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.sync import synchronise
@@ -40,7 +41,7 @@ def filled(factory, recording_of):
     factory.registry.add_recording("L1", recording_of("A1"), "unit")
     factory.calibrate("A1", 1)
     factory.calibrate("A1", 2)
-    factory.registry.add_refusal("L1", "A2", "fail", ("constant",))
+    factory.registry.add_refusal("L1", "A2", "fail", (plain("constant"),))
     factory.registry.set_line_rules("L1", LineRules(), reason="first lot")
     factory.registry.add_adaptation("A1", 1, {"stream": "s", "sample": 3, "gain": 1.5})
     factory.registry.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, 6, tzinfo=UTC), 0.01, "N", True))

@@ -5,6 +5,7 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.line_rules import LineRules
+from softcal.core.reason import plain
 
 LOT = Lot("L1", "A0", 50.0)
 
@@ -53,5 +54,5 @@ def test_senseless_rules_are_refused(facts):
 
 def test_the_results_of_one_unit_are_read_alone(registry, lot):
     for serial, verdict in (("A1", "retest"), ("A2", "fail"), ("A1", "fail")):
-        registry.add_refusal("L1", serial, verdict, (f"{serial} {verdict}",))
+        registry.add_refusal("L1", serial, verdict, (plain(f"{serial} {verdict}"),))
     assert [run.verdict for run in registry.runs("L1", "A1")] == ["retest", "fail"]

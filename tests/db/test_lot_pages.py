@@ -7,6 +7,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.quality.line_rules import LineRules
+from softcal.core.reason import plain
 from softcal.db.entries import GoldenRun
 from softcal.db.lot_pages import UnitFilter
 
@@ -19,9 +20,9 @@ def lot(factory):
         verdict = ("pass", "fail", "conditional")[k % 3]
         registry.add_calibration("L1", factory.record(f"A{k}", k + 1, verdict))
     registry.add_calibration("L1", replace(factory.record("A1", 9), before_rmse=0.9, after_rmse=0.4, own_rmse=0.3))
-    registry.add_refusal("L1", "A2", "retest", ("cable",))
-    registry.add_refusal("L1", "B1", "fail", ("dead",))
-    registry.add_refusal("L1", "B2", "retest", ("noise",))
+    registry.add_refusal("L1", "A2", "retest", (plain("cable"),))
+    registry.add_refusal("L1", "B1", "fail", (plain("dead"),))
+    registry.add_refusal("L1", "B2", "retest", (plain("noise"),))
     registry.add_calibration("L1", factory.record("B2", 2))
     registry.add_unit("L1", "C%1")
     return registry
@@ -48,7 +49,7 @@ def test_a_filter_takes_verdicts_and_text_as_it_is_written(lot):
 
 def test_the_worst_come_first_and_units_without_a_value_last(lot):
     worst = [unit.verdict for unit in lot.unit_page("L1", UnitFilter(sort="severity")).units]
-    assert worst == ["fail", "fail", "retest", "conditional", "pass", "pass", "pass", "pass", None]
+    assert worst == ["retest", "fail", "fail", "conditional", "pass", "pass", "pass", "pass", None]
     by_error = lot.unit_page("L1", UnitFilter(sort="predicted_rmse", is_descending=True)).units
     errors = [unit.predicted_rmse for unit in by_error]
     assert errors[:7] == sorted(errors[:7], reverse=True) and errors[7:] == [None, None]
@@ -63,7 +64,7 @@ def test_the_marker_changes_with_whatever_is_added_to_a_lot(lot, factory):
     golden = GoldenRun("line-1", "G1", datetime.now(UTC), 0.1, "N", True, (), "Oh")
     changes = (
         lambda: factory.calibrate("A1", 12),
-        lambda: lot.add_refusal("L1", "A1", "retest", ("dead",)),
+        lambda: lot.add_refusal("L1", "A1", "retest", (plain("dead"),)),
         lambda: lot.add_unit("L1", "A77"),
         lambda: lot.set_limit("L1", 0.3, reason="drawing"),
         lambda: lot.set_line_rules("L1", LineRules(target=9), reason="order"),

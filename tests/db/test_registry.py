@@ -7,6 +7,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.reason import plain
 from softcal.core.recording import OutputRecording
 from softcal.db.connection import open_registry
 from softcal.db.registry_base import RegistrySettings
@@ -124,17 +125,17 @@ def test_finished_work_is_found_by_its_input(factory):
 def test_units_show_their_newest_result(factory):
     factory.calibrate("A2", 1)
     factory.calibrate("A2", 2)
-    factory.registry.add_refusal("L1", "A1", "retest", ("t_s goes backward",))
+    factory.registry.add_refusal("L1", "A1", "retest", (plain("t_s goes backward"),))
     units = {unit.serial: unit for unit in factory.registry.units("L1")}
     assert list(units) == ["A1", "A2", "S0"]
     assert (units["A2"].verdict, units["A2"].revision, units["A2"].predicted_rmse) == ("pass", 2, 0.2)
-    assert (units["A1"].verdict, units["A1"].reasons) == ("retest", ("t_s goes backward",))
+    assert (units["A1"].verdict, units["A1"].reasons) == ("retest", (plain("t_s goes backward"),))
     assert (units["S0"].role, units["S0"].verdict) == ("source", None)
 
 
 def test_a_refusal_after_a_good_map_shows_but_keeps_the_map(factory):
     factory.calibrate("A1", 1)
-    factory.registry.add_refusal("L1", "A1", "fail", ("constant output",))
+    factory.registry.add_refusal("L1", "A1", "fail", (plain("constant output"),))
     (unit,) = factory.registry.units(serial="A1")
     assert (unit.verdict, unit.revision) == ("fail", 1)
     assert factory.registry.calibration("A1").revision == 1
@@ -142,7 +143,7 @@ def test_a_refusal_after_a_good_map_shows_but_keeps_the_map(factory):
 
 def test_the_same_refusal_is_written_once(factory):
     for _ in range(2):
-        factory.registry.add_refusal("L1", "A1", "fail", ("constant output",))
+        factory.registry.add_refusal("L1", "A1", "fail", (plain("constant output"),))
     assert sum(row.action == "refuse" for row in factory.registry.audit_rows()) == 1
 
 

@@ -13,6 +13,7 @@ from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
+from softcal.core.reason import plain
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.db.backup import back_up, restore
@@ -59,7 +60,7 @@ class RegistryMachine(RuleBasedStateMachine):
 
     @rule(lot_id=LOTS, serial=SERIALS)
     def refuse(self, lot_id: str, serial: str) -> None:
-        self.registry.add_refusal(lot_id, serial, "retest", ("constant",))
+        self.registry.add_refusal(lot_id, serial, "retest", (plain("constant"),))
         self.units[lot_id].add(serial)
         self.verdicts[lot_id, serial] = "retest"
 

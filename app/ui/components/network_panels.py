@@ -14,7 +14,8 @@ from softcal.app.views.common import number
 from softcal.app.views.network import NetworkRow, hidden_widths, loss_spec
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.core.maps.catalogue import DEFAULT, FAMILIES
+from softcal.core.maps.catalogue import FAMILIES
+from softcal.core.maps.config import DEFAULT
 from softcal.core.network.training import NetworkConfig
 from softcal.db.job_board import Job
 from softcal.db.people import may

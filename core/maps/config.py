@@ -1,0 +1,253 @@
+"""Every number that decides about a map γ, each with its origin. Part of `softcal.core.unit.method.Method`."""
+
+from dataclasses import dataclass, field
+
+from softcal.core.settings import setting
+
+DEFAULT = "auto"
+"""Let the evidence of each unit choose (`choose.py`)."""
+
+PAIRS_CHOSEN = "benchmarks/maps_pairs.py: paired fits on blocks 0 and 2 of 8 of the insole's calibration file"
+"""Origin of what was chosen on measured pairs; results are reported on the last quarter, which is blocks 6 and 7."""
+
+
+@dataclass(frozen=True)
+class CrossingConfig:
+    """Turning points and level crossings (`crossing.py`).
+
+    Args:
+        threshold: smallest swing that counts, as a share of the robust range: noise and ripple make no turning points.
+        averages: lengths of the moving mean that are tried, shortest first, in samples.
+        press_share: the median swing of presses spans at least this share of the robust range.
+        robust_range: quantiles between the level at rest and the level of the hardest presses.
+    """
+
+    threshold: float = setting(0.1)
+    averages: tuple[int, ...] = setting((1, 3, 5, 9, 15, 27, 51))
+    press_share: float = setting(0.3)
+    robust_range: tuple[float, float] = setting((0.02, 0.99))
+
+
+@dataclass(frozen=True)
+class EndConfig:
+    """Rest and peak (`ends.py`).
+
+    Args:
+        rest_share: quantile of the samples that stands for the level at rest: robust to a few outlying samples.
+        peak_shares: shares of the path whose mean level stands for the hardest presses, however short those were.
+        patch_peak_share: the same for a recording in pieces, which has no path.
+        patch: a recording in pieces shorter than this many samples shows levels but no presses.
+        patch_average: samples that are averaged in such pieces.
+        stretches: stretches of the source that are looked at.
+        enough_swings: a recording as long as the source takes for this many swings has seen its hardest press.
+        clear_of_noise: a swing below this many standard deviations of the noise is none.
+        rounding: averages of one and the same value differ by rounding; a swing below this share of the output is none.
+    """
+
+    rest_share: float = setting(0.005)
+    peak_shares: tuple[float, ...] = setting((0.99, 0.995, 1.0))
+    patch_peak_share: float = setting(0.995)
+    patch: int = setting(150)
+    patch_average: int = setting(5)
+    stretches: int = setting(8)
+    enough_swings: float = setting(10.0)
+    clear_of_noise: float = setting(6.0)
+    rounding: float = setting(1e-9)
+
+
+@dataclass(frozen=True)
+class CurveConfig:
+    """Monotone curves and how they go on beyond what was seen (`curve.py`, `monotone.py`).
+
+    Args:
+        gain_prior: units of one kind differ in gain by about this much (standard deviation of its logarithm).
+        blind_spread: how far the slope of a curve may change over a range that was not seen, in the same terms.
+        far: the far knots of a continued curve lie this many spans beyond its ends.
+        knots: of a curve between two distributions.
+        end_share: quantiles nearer to the ends than this are single samples, not a distribution.
+    """
+
+    gain_prior: float = setting(0.5)
+    blind_spread: float = setting(0.5)
+    far: float = setting(10.0)
+    knots: int = setting(33)
+    end_share: float = setting(0.005)
+
+
+@dataclass(frozen=True)
+class SynchronyConfig:
+    """Whether two units were pressed by one load at once (`synchrony.py`).
+
+    Args:
+        min_rank_correlation: of the outputs at equal time, from which pairing in time is supported.
+        rank_average: ranks are averaged over this many samples first: noise and spikes of a readout are not load.
+        parted: loads part after an opening that leaves this many times less of the ranks unexplained than what follows.
+        min_detail, min_sigma: a lag is believed where the fine structure correlates at least so well, and so many
+            standard deviations better than at all other lags.
+        same_curve: outputs under one load lie on one curve within this share of the source's range ...
+        settled_s: ... averaged over so long, or ...
+        off_curve: ... within so many times what the opening itself shows: lags and loops differ from unit to unit.
+        guard_s: loads that part slowly are alike for a while: so much of the opening's end is not used.
+        least_swings: up and down three times alike is no chance; two slow rises are.
+        swing, least_span: a swing of an opening, and the whole of it, as shares of the source's robust range.
+        most_steps: rounds in which an opening is lengthened.
+        longest_lag_s: clocks further apart are not looked for.
+        clear_gain: slow loads leave the peak of the correlation flat: lag 0 is kept where it reaches this share.
+        scales: fine structure is what a mean over this many samples keeps and one over ten times as many does not.
+        min_pairs: fewer windows at equal times fix no map.
+    """
+
+    min_rank_correlation: float = setting(0.95)
+    rank_average: int = setting(15)
+    parted: float = setting(10.0)
+    min_detail: float = setting(0.1)
+    min_sigma: float = setting(2.5)
+    same_curve: float = setting(0.06)
+    settled_s: float = setting(1.0)
+    off_curve: float = setting(3.0)
+    guard_s: float = setting(2.0)
+    least_swings: int = setting(6)
+    swing: float = setting(0.2)
+    least_span: float = setting(0.75)
+    most_steps: int = setting(20)
+    longest_lag_s: float = setting(1.0)
+    clear_gain: float = setting(0.9)
+    scales: tuple[int, ...] = setting((5, 25, 50))
+    min_pairs: int = setting(12)
+
+
+@dataclass(frozen=True)
+class PhaseConfig:
+    """Pairs at equal stage position (`phase.py`).
+
+    Args:
+        history: samples back at which the stage must have stood alike: position, direction, speed, what creep keeps.
+        history_weight: of each of them in the distance between two histories.
+        near_share: two stage histories are alike within this share of the travel.
+        min_pairs: fewer windows fix no curve; so few fix little more than gain and offset.
+    """
+
+    history: tuple[int, ...] = setting((0, 4, 14, 45, 150))
+    history_weight: tuple[float, ...] = setting((1.0, 1.0, 0.5, 0.15, 0.05))
+    near_share: float = setting(0.04)
+    min_pairs: int = setting(4)
+
+
+@dataclass(frozen=True)
+class PairConfig:
+    """The regression on pairs (`paired.py`).
+
+    Args:
+        knots, fewest_knots, pairs_per_knot: of the curve.
+        pairs: used at most, spread over the recording: the cost of a fit does not grow with its length.
+        stiffness: weight of the squared bend of f's answer along the curve, integrated over the unit's range (taken as
+            1): a unit answers smoothly to load, while its curve into the source's output must follow every jump of the
+            source's.
+        curve_stiffness: the same for the curve itself: it holds where f does not answer at all.
+        tether: weight of the squared change of the window's shapes.
+        steps, attempts: of the descent at most, and of the damping within one.
+        damping, least_damping: Marquardt's, at the start and at least.
+        settled, idle_steps: the descent ends after so many steps in a row that leave more than this share of the cost:
+            f is made of flat pieces, and a step across an edge of them gains little before the next gains much.
+        blocks: stretches of which every fourth is held out to judge the window shapes by.
+        enough_for_dynamics: fewer pairs hold out too little to judge a dynamic part by.
+        shapes: orthonormal window shapes a map may be made of (level; slope, curvature and two more; all), and the
+            share of the held-out error so far that it must stay below to be taken. Windows as they are come first;
+            their level alone is taken where it is as good: what a slow load leaves to see in a window is noise.
+    """
+
+    knots: int = setting(24, PAIRS_CHOSEN)
+    fewest_knots: int = setting(3)
+    pairs_per_knot: int = setting(10)
+    pairs: int = setting(4000)
+    stiffness: float = setting(2e-5, PAIRS_CHOSEN)
+    curve_stiffness: float = setting(7e-8, PAIRS_CHOSEN)
+    tether: float = setting(1e-3)
+    steps: int = setting(40)
+    attempts: int = setting(14)
+    damping: float = setting(1e-3)
+    least_damping: float = setting(1e-6)
+    settled: float = setting(0.99)
+    idle_steps: int = setting(3)
+    blocks: int = setting(32)
+    enough_for_dynamics: int = setting(480)
+    shapes: tuple[tuple[int, float], ...] = setting(((1, 1.02), (5, 0.99), (15, 0.97)), PAIRS_CHOSEN)
+
+
+@dataclass(frozen=True)
+class PlanConfig:
+    """Discrete transport plans, exact and joint (`plan.py`, `exact.py`, `joint.py`).
+
+    Args:
+        most_windows: per side of an exact plan; the cost matrix grows with their product, the solver faster still.
+        neighbours: stored windows that an unseen one moves with.
+        joint_windows: the same for the joint problem, which solves several plans.
+        joint_rounds: of the block coordinate descent at most.
+        label_weight: of the labels in the joint cost.
+        ridge: of the kernel ridge regression.
+    """
+
+    most_windows: int = setting(1500)
+    neighbours: int = setting(8)
+    joint_windows: int = setting(1000)
+    joint_rounds: int = setting(5)
+    label_weight: float = setting(1.0)
+    ridge: float = setting(1e-2)
+
+
+@dataclass(frozen=True)
+class AnchorConfig:
+    """A few known loads (`anchors.py`).
+
+    Args:
+        gain_spread: how far the gain of a map may be off before any anchor is seen (one standard deviation).
+        level_spread: the same for its level at rest, as a share of the source's output range.
+        load_error: error of f at rest under a known load, as a share of the reference's spread.
+    """
+
+    gain_spread: float = setting(0.1)
+    level_spread: float = setting(0.03)
+    load_error: float = setting(0.01)
+
+
+@dataclass(frozen=True)
+class ChoiceConfig:
+    """Which family a unit gets (`choose.py`).
+
+    Args:
+        same_programme: units that spend their time alike up to this total variation distance ran one programme: samples
+            can be matched. Random presses drawn from one distribution differ by 0.05 to 0.1 over a minute; matching
+            their samples would copy that.
+        dwell_cells: levels over which the time spent is compared.
+        unlike_rate: a unit that swings this many times more often than the source shows noise or another use.
+        clear: a gain or level this many standard errors from the source's is worth correcting.
+        sharp: only a recording that fixes the gain this well can show that there is nothing to correct.
+        extremes: quantiles both units share, for the affine family: rest below, the hardest presses above.
+    """
+
+    same_programme: float = setting(0.03)
+    dwell_cells: int = setting(20)
+    unlike_rate: float = setting(6.0)
+    clear: float = setting(2.0)
+    sharp: float = setting(0.06)
+    extremes: tuple[float, float] = setting((0.02, 0.99))
+
+
+@dataclass(frozen=True)
+class MapConfig:
+    """How a unit's map is chosen and fitted; one configuration for every sensor and data set.
+
+    Args:
+        family: a name of the catalogue to force one family, or "auto".
+    """
+
+    family: str = setting(DEFAULT, "the default lets each unit's evidence choose")
+    choice: ChoiceConfig = field(default_factory=ChoiceConfig)
+    crossing: CrossingConfig = field(default_factory=CrossingConfig)
+    ends: EndConfig = field(default_factory=EndConfig)
+    curve: CurveConfig = field(default_factory=CurveConfig)
+    synchrony: SynchronyConfig = field(default_factory=SynchronyConfig)
+    phase: PhaseConfig = field(default_factory=PhaseConfig)
+    pairs: PairConfig = field(default_factory=PairConfig)
+    plan: PlanConfig = field(default_factory=PlanConfig)
+    anchors: AnchorConfig = field(default_factory=AnchorConfig)

@@ -1,0 +1,189 @@
+"""Why a unit got its verdict: a code with typed values. English stands here, other languages in app/texts."""
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Union
+
+Value = Union[str, float, int, "Reason"]
+
+PLAIN = "plain"
+"""Code of a sentence that was kept as a sentence: by an older version, or quoted from a file or device."""
+
+ENGLISH: Mapping[str, str] = {
+    PLAIN: "{text}",
+    # The statement on an error, forecast or measured.
+    "statement": (
+        "{source} RMSE {rmse:.3g} {unit} (95 %: {lower:.3g} to {upper:.3g}) is {relation} the limit {limit:.3g} {unit} "
+        "({origin})"
+    ),
+    "part.predicted": "predicted",
+    "part.measured": "measured",
+    "part.within": "within",
+    "part.within_close": "within, but closer than its uncertainty to",
+    "part.above": "above",
+    "part.above_close": "above, but closer than its uncertainty to",
+    "part.stated": "stated for the lot",
+    "part.automatic": "no limit was stated: {factor:g} x the source's own held-out RMSE of {rmse:.3g} {unit}",
+    "harmful": "worse than doing nothing: RMSE {after:.3g} {unit} with the map, {before:.3g} {unit} without it",
+    "predicted_otherwise": "before the audit it was predicted {verdict}: {why}",
+    # What the raw output shows.
+    "dead.constant": "dead channel: output is constant at {level:.6g} {unit} in all {count} samples; {cure}",
+    "dead.noise": "dead channel: output is noise alone (SD {spread:.3g} {unit}); {cure}",
+    "dead.small": "dead channel: output moves by {span:.3g} {unit}, the source's by {source_span:.3g} {unit}; {cure}",
+    "part.check_cable": "check cable and contact, press the unit and record it again",
+    "saturated": (
+        "clipped range: presses end flat at {level}, {share:.1%} of the samples; check gain and supply of the readout"
+    ),
+    "part.level": "{level:.6g} {unit}",
+    "part.levels": "{low:.6g} {unit} and {high:.6g} {unit}",
+    "stuck": "frozen reading: output does not move for {seconds:.1f} s in mid-range; check the cable",
+    "too_little_data": (
+        "too little data: {windows} windows and {presses} presses; at least {enough_windows} windows and "
+        "{enough_presses} presses are needed for a firm verdict"
+    ),
+    # What the map shows.
+    "unfamiliar": ("unfamiliar: {share:.0%} of the mapped windows lie outside what the source has shown; {cause}"),
+    "part.fast": "its fast movements are unlike the source's: other sensor type, readout or rate",
+    "part.loads": "other loads or speeds than the source has seen: wrong programme, or another sensor type",
+    "not_covered": (
+        "profile not covered: the unit was {what} from {low:.3g} to {high:.3g} {unit}, {share:.0%} of the source's "
+        "{least:.3g} to {most:.3g} {unit}; loads beyond are extrapolated"
+    ),
+    "part.pressed": "pressed",
+    "part.loaded": "loaded",
+    "wrong_programme": (
+        "wrong programme: the mix of loads and speeds overlaps the source's by {share:.0%}, fast movements are "
+        "{speed:.2g} x as fast; press the unit as the source was pressed, or it behaves otherwise"
+    ),
+    "misread": (
+        "reads other loads than the source at equal stage position and history, by {slow:.3g} {unit} for a second and "
+        "longer: strong creep, lag, clipping or another sensor type"
+    ),
+    "drift": ("drift inside the recording: estimates at rest move by {moved:+.3g} {unit}; warm up, record again"),
+    "creep": (
+        "unsteady at rest: estimates scatter by {spread:.3g} {unit} between presses: strong creep or a loose mount"
+    ),
+    "late": (
+        "output follows the source's {lag:.2f} s late in the opening both share: slow readout, or another clock; what "
+        "happens faster than that is lost to the map"
+    ),
+    "reversed": (
+        "wrong wiring: the output moves against the source's direction; exchange the two leads or check the divider"
+    ),
+    "not_better": (
+        "the map changes the estimates by {correction:.3g} {unit} but {why}: it may be worse than doing nothing"
+    ),
+    "part.uncertain": "is uncertain by {doubt:.3g} {unit}",
+    "part.no_nearer": "brings the unit's use no nearer to the source's (overlap {gained:+.0%})",
+    # Why there is no map at all.
+    "no_swing": "output makes no swing that stands out of its noise; press the unit and record it again",
+    "still": "output stays at {level:.6g} {unit}; press the unit and record again",
+    "still.shared": "output stays at {level:.6g} {unit} under the loads it shares with the source",
+    "not_synchronous": (
+        "outputs of source and unit agree with rank correlation {correlation:.2f} at equal time; they were not pressed "
+        "by one load at once"
+    ),
+    "few.times": "{windows} windows at equal times; at least {enough} are needed",
+    "few.positions": "{windows} windows at equal stage positions; at least {enough} are needed",
+    "no_position": "stage position is not in both recordings; windows cannot be paired by it",
+    "unreadable": "recording not readable: {error}",
+    "worker_died": "the process that fitted it died; run the batch again with --jobs 1 to see why",
+    "defect": "softcal could not calibrate it ({error}); this is a defect of softcal, the log has the details",
+}
+"""One sentence a code. Values stand in braces with their format; a value that is a reason is a phrase of its own."""
+
+
+@dataclass(frozen=True)
+class Reason:
+    """One thing that bears on a verdict.
+
+    Args:
+        code: which sentence of `ENGLISH`.
+        values: its numbers (with the physical unit beside them as `unit`), names and phrases.
+    """
+
+    code: str
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.code not in ENGLISH:
+            raise ValueError(f"reason {self.code!r} is none of {', '.join(ENGLISH)}")
+
+    def __hash__(self) -> int:
+        return hash((self.code, tuple(sorted(self.values.items(), key=lambda item: item[0]))))
+
+    def __str__(self) -> str:
+        return self.said(ENGLISH)
+
+    def said(self, sentences: Mapping[str, str]) -> str:
+        """Return the sentence in one language.
+
+        Args:
+            sentences: by code, as `ENGLISH`; what a language lacks is said in English.
+        """
+        values = {name: v.said(sentences) if isinstance(v, Reason) else v for name, v in self.values.items()}
+        return sentences.get(self.code, ENGLISH[self.code]).format(**values)
+
+    def to_json(self) -> dict[str, object]:
+        """Return it as JSON values; `of` reads it back."""
+        values = {name: v.to_json() if isinstance(v, Reason) else v for name, v in self.values.items()}
+        return {"code": self.code, "values": values}
+
+    @classmethod
+    def of(cls, kept: object) -> "Reason":
+        """Read a reason that was kept: `to_json`, or the sentence an older version kept.
+
+        A code this version does not know stays readable as its own name.
+        """
+        if isinstance(kept, Reason):
+            return kept
+        if not isinstance(kept, Mapping):
+            return plain(str(kept))
+        code, values = str(kept["code"]), kept["values"]
+        if code not in ENGLISH:
+            return plain(" ".join([code, *(f"{name} {value}" for name, value in values.items())]))
+        return cls(code, {name: cls.of(v) if isinstance(v, Mapping) else v for name, v in values.items()})
+
+
+def reason(code: str, **values: Value) -> Reason:
+    """Return the reason of a code; NumPy numbers become plain ones, so that the reason can be kept as JSON."""
+    return Reason(code, {name: _plain_value(value) for name, value in values.items()})
+
+
+def plain(text: str) -> Reason:
+    """Return a sentence as it stands: of an older version, or quoted from a file or a device."""
+    return Reason(PLAIN, {"text": text})
+
+
+def to_kept(why: Reason | str) -> object:
+    """Return what a table keeps of a reason: its code and values, or the sentence where it is one."""
+    found = Reason.of(why)
+    return str(found) if found.code == PLAIN else found.to_json()
+
+
+def packed(reasons: Iterable[Reason]) -> str:
+    """Return reasons as one text for a column that holds messages; `unpacked` reads them back."""
+    return json.dumps([why.to_json() for why in reasons], ensure_ascii=False)
+
+
+def unpacked(message: str) -> tuple[Reason, ...]:
+    """Return the reasons that a message was packed from; another message is one sentence."""
+    if not message.startswith('[{"code"'):
+        return (plain(message),) if message else ()
+    return tuple(map(Reason.of, json.loads(message)))
+
+
+def joined(reasons: Iterable[Reason]) -> str:
+    """Return several reasons as one English line."""
+    return "; ".join(str(one) for one in reasons)
+
+
+def _plain_value(value: Value) -> Value:
+    if isinstance(value, str | Reason):
+        return value
+    number = value.item() if hasattr(value, "item") else value
+    if isinstance(number, float) and not math.isfinite(number):
+        raise ValueError(f"a reason cannot hold {number}")
+    return number

@@ -1,0 +1,173 @@
+"""How the loads on a unit are known, and all that follows from it: coefficients, bounds and words of each kind."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from softcal.core.settings import SET, setting, table
+
+FITTED = "benchmarks/verdict.py --fit --seeds 1000 1040 (simulated lots; tested on seeds 0-24 and 36-48)"
+FITTED_OWN = "benchmarks/verdict.py --fit --seeds 1000 1040, ratio of own calibrations"
+GOOD_UNITS = "2.5 % and 97.5 % quantiles of log(true / forecast RMSE) over good units, "
+COVERAGE = "benchmarks/interval_coverage.py --fit (simulated lots; tested on seeds 0-24)"
+
+
+@dataclass(frozen=True)
+class KnowledgeConfig:
+    """What one kind of knowledge of the loads is worth.
+
+    Args:
+        base_term: term of the budget that the forecast starts from: `model`, the error of f on its source, or `paired`,
+            the difference from the source's reference at the same instants, which holds the model's error already.
+        base_factor: a map errs this much more on loads it was not fitted to than on its own pairs.
+        sensitivity: coefficients c_i of the budget's other terms u_i (GUM, JCGM 100:2008, eq. 10).
+        log_error: 2.5 % and 97.5 % quantiles of log(true / forecast RMSE): the forecast's own uncertainty.
+        interval_share: share of the map's variance that widens the interval so that it covers 90 % of the samples.
+        own: coefficients of `own_terms`: what a calibration of the unit's own would leave open.
+        other_use: best verdict of a unit whose mix of loads is not the source's; empty where that mix does not matter.
+        is_placed: whether the loads are known otherwise than by how they are distributed.
+    """
+
+    base_term: str
+    sensitivity: tuple[tuple[str, float], ...]
+    log_error: tuple[float, float]
+    interval_share: float
+    own: tuple[tuple[str, float], ...]
+    other_use: str
+    is_placed: bool
+    base_factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class PairedConfig(KnowledgeConfig):
+    """Unit and source were pressed by one load at once: the source's reference has measured the rest."""
+
+    base_term: str = setting("paired")
+    base_factor: float = setting(1.1)
+    sensitivity: tuple[tuple[str, float], ...] = table({"clipping": 0.84, "extrapolation": 0.16}, FITTED)
+    log_error: tuple[float, float] = setting(
+        (-0.35, 0.35), f"{SET}: what errors of slow presses, alike for seconds, leave open on another stretch"
+    )
+    interval_share: float = setting(1.0)
+    own: tuple[tuple[str, float], ...] = table(
+        {"floor": 1.15, "clipping": 2.0, "rest": 0.48, "noise": 0.65, "excess": 0.51}, FITTED_OWN
+    )
+    other_use: str = setting("")
+    is_placed: bool = setting(True)
+
+
+@dataclass(frozen=True)
+class StageConfig(KnowledgeConfig):
+    """Source and unit carry the stage position: the load over position says more than all the rest."""
+
+    base_term: str = setting("model")
+    base_factor: float = setting(1.0)
+    sensitivity: tuple[tuple[str, float], ...] = table(
+        {
+            "stage": 0.59,
+            "slow": 1.0,
+            "support": 0.16,
+            "clipping": 0.92,
+            "extrapolation": 0.08,
+            "resolution": 1.5,
+            "overlap": 0.05,
+        },
+        FITTED,
+    )
+    log_error: tuple[float, float] = setting((-0.41, 0.23), f"{GOOD_UNITS}{FITTED}")
+    interval_share: float = setting(0.1, COVERAGE)
+    own: tuple[tuple[str, float], ...] = table(
+        {"floor": 1.17, "clipping": 1.6, "rest": 0.2, "noise": 2.0, "excess": 0.42}, FITTED_OWN
+    )
+    other_use: str = setting("conditional")
+    is_placed: bool = setting(True)
+
+
+@dataclass(frozen=True)
+class BlindConfig(KnowledgeConfig):
+    """Nothing speaks for the loads but how the output is distributed.
+
+    The gain is a guess there: noise and excess say more of the map than of the unit, so `own` leaves them out.
+    """
+
+    base_term: str = setting("model")
+    base_factor: float = setting(1.0)
+    sensitivity: tuple[tuple[str, float], ...] = table(
+        {
+            "disagreement": 0.07,
+            "stability": 0.31,
+            "support": 0.78,
+            "shift": 0.16,
+            "rest": 0.80,
+            "resolution": 1.5,
+            "clipping": 1.5,
+            "extrapolation": 0.16,
+            "overlap": 0.25,
+            "speed": 0.06,
+            "corners": 0.13,
+            "gain": 0.37,
+        },
+        FITTED,
+    )
+    log_error: tuple[float, float] = setting(
+        (-1.75, 0.78),
+        f"{GOOD_UNITS}benchmarks/verdict.py --fit --seeds 1003 1089 4, lots whose loads are unknown",
+    )
+    interval_share: float = setting(1.1, COVERAGE)
+    own: tuple[tuple[str, float], ...] = table({"floor": 1.31, "clipping": 2.0, "rest": 0.37}, FITTED_OWN)
+    other_use: str = setting("retest")
+    is_placed: bool = setting(False)
+
+
+@dataclass(frozen=True)
+class KnowledgeTable:
+    """The kinds, best first. A new kind is one class above, one field here and one condition in `known_by`."""
+
+    paired: KnowledgeConfig = field(default_factory=PairedConfig)
+    stage: KnowledgeConfig = field(default_factory=StageConfig)
+    blind: KnowledgeConfig = field(default_factory=BlindConfig)
+
+
+@dataclass(frozen=True)
+class LoadKnowledge:
+    """How the loads on one unit are known.
+
+    Args:
+        kind: `paired` (pressed by the source's load at the same time), `stage` (equal stage positions) or `blind`.
+        is_anchored: some known loads were given beside it.
+        config: what this kind is worth.
+    """
+
+    kind: str
+    config: KnowledgeConfig
+    is_anchored: bool = False
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether the loads are known otherwise than by how they are distributed."""
+        return self.config.is_placed
+
+    @property
+    def sensitivity(self) -> Mapping[str, float]:
+        """Coefficients c_i by term of the budget."""
+        return dict(self.config.sensitivity)
+
+    @property
+    def own(self) -> Mapping[str, float]:
+        """Coefficients of what a calibration of the unit's own would leave open."""
+        return dict(self.config.own)
+
+    def __str__(self) -> str:
+        return f"{self.kind}, anchored" if self.is_anchored else self.kind
+
+
+def known_by(budget: Mapping[str, float], kinds: KnowledgeTable, is_anchored: bool = False) -> LoadKnowledge:
+    """Return how the loads are known, by what could be measured.
+
+    Args:
+        budget: terms of the unit's error budget: `paired` stands in it where unit and source were pressed by one load
+            at once, `stage` where both carry the stage position.
+        kinds: from the method.
+        is_anchored: known loads of the unit were given.
+    """
+    kind = next((name for name in ("paired", "stage") if name in budget), "blind")
+    return LoadKnowledge(kind, getattr(kinds, kind), is_anchored)

@@ -1,0 +1,232 @@
+"""The method: every number that can change a map, an interval, a forecast or a verdict, each with its origin.
+
+A number that decides stands here or in `maps/config.py` and `unit/knowledge.py`, nowhere else. The whole is part of the
+identity of every calibration and is kept with it: another number gives another identity, and older results show as
+stale.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cache
+
+from softcal.core.identity import content_sha256
+from softcal.core.maps.config import MapConfig
+from softcal.core.settings import origins, rebuilt, setting
+from softcal.core.unit.knowledge import KnowledgeTable
+from softcal.core.windows import TAPS
+
+CONFIDENCE = 0.90
+"""Of every interval, as the contract of `softcal estimate` says."""
+
+LEVELS = 64
+"""Load levels of an interval's table: part of the device files."""
+
+FORMAT = "part of the file formats: changing it needs new formats"
+
+
+@dataclass(frozen=True)
+class SourceConfig:
+    """What is taken from the source: where its windows lie, and how well f reads them.
+
+    Args:
+        level_cells, slope_cells: of the grid over level and slope.
+        margin: the grid reaches this share of the source's span beyond it on every side.
+        slack_cells: neighbouring presses leave gaps between their traces: so many cells are still inside.
+        tail, tail_factor: bend and roughness beyond this quantile of the source, times this, are unfamiliar.
+        bands: load bands over which the residuals of f are tabulated.
+        cell_prior: a cell of band and direction with this many windows counts half, the whole recording the other half.
+        slope_quantile, slope_share: holding still is less than this share of this quantile of the source's slopes.
+        step: shift of a whole window, in standard deviations, over which the sensitivity of f is taken.
+    """
+
+    level_cells: int = setting(96)
+    slope_cells: int = setting(64)
+    margin: float = setting(0.5)
+    slack_cells: float = setting(2.0)
+    tail: float = setting(0.999)
+    tail_factor: float = setting(1.5)
+    bands: int = setting(8)
+    cell_prior: float = setting(50.0)
+    slope_quantile: float = setting(0.9)
+    slope_share: float = setting(0.15)
+    step: float = setting(0.05)
+
+
+@dataclass(frozen=True)
+class StageCheckConfig:
+    """A unit beside the source's load cell at equal stage position (`stage_check.py`).
+
+    Args:
+        blocks: parts of the source that are compared with the rest of it.
+        apart_s: the source is compared with itself at least this long before and after.
+        slow_s: differences that survive a mean over this long are creep, drift or a wrong curve, neither noise nor
+            timing.
+    """
+
+    blocks: int = setting(8)
+    apart_s: float = setting(2.0)
+    slow_s: float = setting(1.0)
+
+
+@dataclass(frozen=True)
+class HealthConfig:
+    """What the output of a unit alone tells (`health.py`).
+
+    Args:
+        rail_run: samples in a row at the very end of the range that count as flat.
+        pile: samples of a press at the rail over its samples beside it; a triangle leaves about as many in both.
+        visits: share of presses that end at a rail, beyond what the source shows at the same end, that is clipping.
+        least_presses: so many of them at least.
+        failing_share: more clipped samples than this and the unit fails.
+        noise_steps, adc_steps, least_band: width of a flat stretch in standard deviations of the noise, in steps of the
+            converter and as a share of the span; the widest counts.
+        stuck_s: a reading that does not move for less than this is never called stuck.
+        stuck_factor: nor one that the source shows a `stuck_factor`th of.
+        noise_ratio: variance of the steps over twice the variance of the samples: 1 for white noise, near 0 for a
+            pressed sensor; above this the channel is dead.
+        dead_share: so is one that moves by less than this share of the source's span.
+        few_windows, few_presses: less than this is no firm verdict.
+    """
+
+    rail_run: int = setting(5)
+    pile: float = setting(3.0)
+    visits: float = setting(0.2)
+    least_presses: int = setting(3)
+    failing_share: float = setting(0.05)
+    noise_steps: float = setting(6.0)
+    adc_steps: float = setting(1.5)
+    least_band: float = setting(1e-3)
+    stuck_s: float = setting(2.0)
+    stuck_factor: float = setting(10.0)
+    noise_ratio: float = setting(0.5)
+    dead_share: float = setting(0.02)
+    few_windows: int = setting(500)
+    few_presses: int = setting(3)
+
+
+@dataclass(frozen=True)
+class ForecastConfig:
+    """The error budget of one unit (`forecast.py`, `own_forecast.py`).
+
+    Args:
+        rows: windows looked at per unit, evenly spaced: enough for every number, whatever the recording's length.
+        reach: quantiles between which a recording is said to reach.
+        quantiles: number of quantiles at which two distributions are compared.
+        most_growth: no more than this is made of what a lightly pressed unit would misread under the source's loads.
+        parts: shares of the recording left out in turn while the chosen family is fitted again.
+        stretches: per left-out share.
+        opening_parts: parts of an opening, each left out once.
+        own_rows: windows the noise is carried through.
+    """
+
+    rows: int = setting(8_000)
+    reach: tuple[float, float] = setting((0.005, 0.995))
+    quantiles: int = setting(100)
+    most_growth: float = setting(3.0)
+    parts: int = setting(3)
+    stretches: int = setting(4)
+    opening_parts: int = setting(4)
+    own_rows: int = setting(2_000)
+
+
+@dataclass(frozen=True)
+class FindingConfig:
+    """When something seen is worth a word (`findings.py`).
+
+    Args:
+        unfamiliar_share, failing_share: of the mapped windows outside the source's support: a finding, a failure.
+        covered_share: of the source's range that a unit must be pressed over.
+        enough_overlap, speed_factor: of the unit's mix of loads and speeds with the source's.
+        overlap_gain: where before < after in simulated lots without positions, the map had raised the overlap by less.
+        drift_factor: estimates at rest that move or scatter by so many times the source's own error are worth a word.
+        drift_explained: share of that scatter a straight line must explain to be called a drift.
+        misread_factor: estimates off the source's loads for a second, at equal histories, by so many times its error.
+        creep_factor: scatter at rest beyond so many times the source's own.
+        lean: skewness from which the direction of loading is sure.
+        late_s: units of one kind, started alike, follow each other within this; a third of a window is beyond it.
+        blind_correction: share of the model's error below which a correction does no harm either way.
+    """
+
+    unfamiliar_share: float = setting(0.05)
+    failing_share: float = setting(0.3)
+    covered_share: float = setting(0.75)
+    enough_overlap: float = setting(0.6)
+    speed_factor: float = setting(1.7)
+    overlap_gain: float = setting(0.14, "benchmarks/verdict.py on seeds 1000-1040 (simulated lots)")
+    drift_factor: float = setting(2.0)
+    drift_explained: float = setting(0.5)
+    misread_factor: float = setting(0.5)
+    creep_factor: float = setting(1.0)
+    lean: float = setting(0.3)
+    late_s: float = setting(0.05)
+    blind_correction: float = setting(0.5)
+
+
+@dataclass(frozen=True)
+class DecisionConfig:
+    """From an error to a verdict (`verdict.py`, `scoring.py`).
+
+    Args:
+        default_factor: a lot that states no limit gets this factor times the source's own held-out RMSE.
+        coverage_factor: k of the guard band around a measured error.
+        test_share: last share of an audit by time that is tested; own calibration trains on what comes before it.
+        least_own_windows: with fewer training windows a network of one's own says little and is left out.
+    """
+
+    default_factor: float = setting(3.0)
+    coverage_factor: float = setting(2.0, "95 % of a normal distribution, ILAC-G8:09/2019")
+    test_share: float = setting(0.25, "Kim et al. 2020, Table 1")
+    least_own_windows: int = setting(400)
+
+
+@dataclass(frozen=True)
+class Method:
+    """How a unit is calibrated and judged; one configuration for every sensor and data set.
+
+    Args:
+        version: raised when the code computes otherwise from the same numbers.
+        taps, levels, confidence: of windows and intervals.
+        range_margin: an estimate further than this share of the source's range beyond it is out of range.
+        map, source, stage_check, health, forecast, knowledge, findings, decision: a section a module.
+    """
+
+    version: int = setting(2, "raised by hand")
+    taps: int = setting(TAPS, FORMAT)
+    levels: int = setting(LEVELS, FORMAT)
+    confidence: float = setting(CONFIDENCE, FORMAT)
+    range_margin: float = setting(0.05)
+    map: MapConfig = field(default_factory=MapConfig)
+    source: SourceConfig = field(default_factory=SourceConfig)
+    stage_check: StageCheckConfig = field(default_factory=StageCheckConfig)
+    health: HealthConfig = field(default_factory=HealthConfig)
+    forecast: ForecastConfig = field(default_factory=ForecastConfig)
+    knowledge: KnowledgeTable = field(default_factory=KnowledgeTable)
+    findings: FindingConfig = field(default_factory=FindingConfig)
+    decision: DecisionConfig = field(default_factory=DecisionConfig)
+
+    def __post_init__(self) -> None:
+        if (self.taps, self.levels, self.confidence) != (TAPS, LEVELS, CONFIDENCE):
+            raise ValueError(f"taps, levels and confidence are {FORMAT}")
+
+    @property
+    def id(self) -> str:
+        """Content hash of every number."""
+        return _id(self)
+
+    def numbers(self) -> Iterator[tuple[str, object, str]]:
+        """Yield (dotted name, value, origin) of every number."""
+        return origins(self)
+
+    def to_json(self) -> Mapping[str, object]:
+        """Return every number as nested JSON values."""
+        return asdict(self)
+
+    @classmethod
+    def of(cls, kept: Mapping[str, object]) -> "Method":
+        """Read what `to_json` wrote; a number that came later has its default."""
+        return rebuilt(cls(), kept)
+
+
+@cache
+def _id(method: Method) -> str:
+    return content_sha256({}, asdict(method))
