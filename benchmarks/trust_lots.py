@@ -15,14 +15,13 @@ from softcal.core.challenge.lot import press_lot
 from softcal.core.challenge.rig import Measured
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.estimate import estimate
-from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LineEffects, LotDesign, simulate_lot
-from softcal.core.unit.calibrate import calibrate_unit
+from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.source_model import SourceModel, make_source_model
-from softcal.core.unit.verdict import DEFAULT_FACTOR
+from softcal.core.unit.verdict import Verdict, default_limit
 
 UNITS, MANY, MANY_EVERY = 14, 26, 6
 """Units of a lot; every sixth seed has lots large enough for twenty audits."""
@@ -42,7 +41,7 @@ class FittedUnit:
         forecast, upper: forecast RMSE and the upper end of its 95 % interval; infinite for a refused unit.
         truth: RMSE against the labels of the audit.
         limit: of its lot.
-        word: verdict without any audit.
+        word: what the forecast and the findings say without any audit.
         is_vetoed: whether a finding, not the forecast, sets its word to fail or retest.
         scores: (101,) quantiles of |residual| over half-width on the audit; empty for a refused unit.
     """
@@ -185,17 +184,19 @@ def _fit_lot(lot: RawLot, models: dict[str, SourceModel]) -> Iterator[FittedUnit
 
 
 def _fit_unit(lot: RawLot, unit: RawUnit, model: SourceModel) -> FittedUnit:
-    limit, serial = DEFAULT_FACTOR * model.held_out_rmse, unit.recording.serial
+    limit = default_limit(lot.source.reference_unit, model.held_out_rmse).maximum_rmse
+    serial = unit.recording.serial
     try:
-        calibration = calibrate_unit(FitProblem(model.source, model.network, unit.recording), source_model=model)
+        calibration = calibrate(UnitProblem(model, unit.recording))
         result = estimate(model.network, calibration, unit.audit.unlabelled)
     except (UnitRefused, InputError):
         return FittedUnit(lot.kind, lot.name, serial, float("inf"), float("inf"), float("inf"), limit, "fail", True, ())
-    forecast, verdict, rows = calibration.forecast, calibration.verdict, np.isfinite(result.estimate)
+    forecast, predicted = calibration.forecast, calibration.decision.predicted
+    rows = np.isfinite(result.estimate)
     assert forecast is not None  # noqa: S101
     residual = np.abs(result.estimate - unit.audit.reference)[rows]
     scores = residual / np.maximum(result.upper - result.estimate, 1e-12)[rows]
-    is_vetoed = verdict.word in ("fail", "retest") and verdict.four_word != "fail"
+    is_vetoed = predicted.verdict in (Verdict.FAIL, Verdict.RETEST) and forecast.rmse <= limit
     return FittedUnit(
         lot.kind,
         lot.name,
@@ -204,7 +205,7 @@ def _fit_unit(lot: RawLot, unit: RawUnit, model: SourceModel) -> FittedUnit:
         forecast.upper,
         rmse(result.estimate[rows], unit.audit.reference[rows]),
         limit,
-        verdict.word,
+        str(predicted.verdict),
         is_vetoed,
         tuple(np.round(np.quantile(scores, LEVELS), 4).tolist()),
     )

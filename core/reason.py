@@ -27,6 +27,26 @@ ENGLISH: Mapping[str, str] = {
     "part.stated": "stated for the lot",
     "part.automatic": "no limit was stated: {factor:g} x the source's own held-out RMSE of {rmse:.3g} {unit}",
     "harmful": "worse than doing nothing: RMSE {after:.3g} {unit} with the map, {before:.3g} {unit} without it",
+    "forecast_only": "a forecast promises nothing before units of the lot were audited: see `softcal lot audit-plan`",
+    "not_qualified": "not released by sample: {why}",
+    "part.here": "{audits} audited units of this lot",
+    "part.of_lots": "{audits} audited units of {lots} earlier lots",
+    "sampled.released": (
+        "released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
+        "within the limit {limit:.3g} {unit}; risk {risk:.0%} at {confidence:.0%} confidence"
+    ),
+    "sampled.open": (
+        "not released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
+        "above the limit {limit:.3g} {unit}; measure this unit"
+    ),
+    "sampled.part": (
+        "not released by sample: fewer than half of the lot would pass after {audits}; measure this unit, or find out "
+        "why forecasts of this lot are out by {centre:.2f}"
+    ),
+    "sampled.beyond": (
+        "forecast {rmse:.3g} {unit} times {centre:.2f}, the mean of measured over forecast error of {audits}, is above "
+        "the limit {limit:.3g} {unit}"
+    ),
     "predicted_otherwise": "before the audit it was predicted {verdict}: {why}",
     # What the raw output shows.
     "dead.constant": "dead channel: output is constant at {level:.6g} {unit} in all {count} samples; {cure}",
