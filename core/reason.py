@@ -77,6 +77,11 @@ ENGLISH: Mapping[str, str] = {
         "wrong programme: the mix of loads and speeds overlaps the source's by {share:.0%}, fast movements are "
         "{speed:.2g} x as fast; press the unit as the source was pressed, or it behaves otherwise"
     ),
+    "stretched": (
+        "the map takes the unit's output times {gain:.2g}: it answers otherwise than the source, or was pressed over "
+        "another part of the source's range, below half of it for example; its output cannot tell which: press it over "
+        "the whole range, or give two known loads"
+    ),
     "misread": (
         "reads other loads than the source at equal stage position and history, by {slow:.3g} {unit} for a second and "
         "longer: strong creep, lag, clipping or another sensor type"
