@@ -14,6 +14,7 @@ from tempfile import gettempdir
 
 import numpy as np
 from map_methods import print_table
+from plotly.subplots import make_subplots
 from scipy.stats import beta
 from trust_lots import GOOD, FittedUnit, covered, drawn_lots, fitted, measured_lots
 
@@ -225,34 +226,25 @@ def percent(share: float) -> str:
 
 def draw_figure(lots: Lots, file: Path) -> None:
     """Draw released and wrongly released share over the number of audits, good kinds and all others apart."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")
-    counts = [n for n in AUDITS if n]
+    counts, traces = [n for n in AUDITS if n], []
     for is_good, label, colour in ((True, "good lots", "#1b7837"), (False, "all other kinds", "#b35806")):
         chosen = {key: units for key, units in lots.items() if (key[0] in GOOD) == is_good}
         runs = [[d for g in released_on(chosen, n, risk=max(RISK, least_risk(n))).values() for d in g] for n in counts]
         released = [sum(d.released for d in run) for run in runs]
-        axes[0].plot(
-            counts,
-            [100 * r / sum(d.unmeasured for d in run) for r, run in zip(released, runs, strict=True)],
-            "o-",
-            color=colour,
-            label=label,
-        )
+        shares = [100 * r / max(sum(d.unmeasured for d in run), 1) for r, run in zip(released, runs, strict=True)]
         beyond = [100 * sum(d.beyond for d in run) / max(r, 1) for r, run in zip(released, runs, strict=True)]
-        axes[1].plot(counts, beyond, "o-", color=colour, label=label)
-    axes[1].plot(counts, [100 * max(RISK, least_risk(n)) for n in counts], "k--", label="risk promised")
-    for axis, title in zip(
-        axes, ("released, % of the unmeasured units", "beyond the limit, % of the released"), strict=True
-    ):
-        axis.set(xlabel="audits a lot", title=title, xticks=counts)
-        axis.set_ylim(bottom=0)
-        axis.legend(frameon=False)
-    figure.savefig(file)
+        traces += [(1, counts, shares, label, colour, "solid"), (2, counts, beyond, label, colour, "solid")]
+    promised = [100 * max(RISK, least_risk(n)) for n in counts]
+    traces.append((2, counts, promised, "risk promised", "#333333", "dash"))
+    titles = ("released, % of the unmeasured units", "beyond the limit, % of the released")
+    figure = make_subplots(1, 2, subplot_titles=titles)
+    for column, x, y, name, colour, dash in traces:
+        line = {"color": colour, "dash": dash}
+        figure.add_scatter(x=x, y=y, name=name, line=line, showlegend=column == 1 or dash == "dash", row=1, col=column)
+    figure.update_xaxes(title_text="audits a lot").update_yaxes(rangemode="tozero").update_layout(
+        template="simple_white"
+    )
+    figure.write_html(file, include_plotlyjs="cdn")
 
 
 if __name__ == "__main__":

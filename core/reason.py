@@ -47,6 +47,7 @@ ENGLISH: Mapping[str, str] = {
         "forecast {rmse:.3g} {unit} times {centre:.2f}, the mean of measured over forecast error of {audits}, is above "
         "the limit {limit:.3g} {unit}"
     ),
+    "trimmed": "trimmed by {loads} known loads: RMSE there {before:.3g}, now {after:.3g}; not measured since",
     "predicted_otherwise": "before the audit it was predicted {verdict}: {why}",
     # What the raw output shows.
     "dead.constant": "dead channel: output is constant at {level:.6g} {unit} in all {count} samples; {cure}",
