@@ -19,6 +19,10 @@ from softcal.core.unit.verdict import Limit
 LEAST_SPREAD = 0.10
 """A standard deviation of log(measured / forecast) from unit to unit that a few audits cannot prove to be smaller."""
 
+RESERVE = 10.0
+"""A bound is taken at a tenth of the error the promise allows: 99 % for 90 %. At 90 % one poor lot in ten would be let
+through, and among kinds of lot that are mostly poor those are all that is released."""
+
 LEAST_AUDITS = 5
 """The spread of fewer audits than this is a guess, whatever risk is asked for."""
 
@@ -88,7 +92,8 @@ class Ratios:
         """
         if self.audits < LEAST_AUDITS or (self.lots > 1 and self.lots < LEAST_LOTS):
             return float("inf")
-        factor = tolerance_factor(self.count, self.degrees, promise)
+        reckoned = replace(promise, confidence=1 - (1 - promise.confidence) / RESERVE)
+        factor = tolerance_factor(self.count, self.degrees, reckoned)
         return float(np.exp(max(self.largest, self.centre + factor * max(self.spread, LEAST_SPREAD))))
 
 

@@ -163,7 +163,7 @@ def test_few_lots_release_more_bad_units_than_promised(centre, depends):
 def test_a_good_lot_is_released():
     rng, shares = np.random.default_rng(1), []
     for _ in range(200):
-        forecast, truth = _lot(rng, 40, 0.0, 0.25)
+        forecast, truth = _lot(rng, 40, 0.0, 0.2, 0.2)
         audits = [AuditedUnit(f"A{k}", forecast[k], truth[k]) for k in range(10)]
         decision = release({f"U{k}": float(forecast[k]) for k in range(10, 40)}, audits, LIMIT)
         shares.append(len(decision.released) / 30)
