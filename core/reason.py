@@ -27,6 +27,27 @@ ENGLISH: Mapping[str, str] = {
     "part.stated": "stated for the lot",
     "part.automatic": "no limit was stated: {factor:g} x the source's own held-out RMSE of {rmse:.3g} {unit}",
     "harmful": "worse than doing nothing: RMSE {after:.3g} {unit} with the map, {before:.3g} {unit} without it",
+    "forecast_only": "a forecast promises nothing before units of the lot were audited: see `softcal lot audit-plan`",
+    "not_qualified": "not released by sample: {why}",
+    "part.here": "{audits} audited units of this lot",
+    "part.of_lots": "{audits} audited units of {lots} earlier lots",
+    "sampled.released": (
+        "released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
+        "within the limit {limit:.3g} {unit}; risk {risk:.0%} at {confidence:.0%} confidence"
+    ),
+    "sampled.open": (
+        "not released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
+        "above the limit {limit:.3g} {unit}; measure this unit"
+    ),
+    "sampled.part": (
+        "not released by sample: fewer than half of the lot would pass after {audits}; measure this unit, or find out "
+        "why forecasts of this lot are out by {centre:.2f}"
+    ),
+    "sampled.beyond": (
+        "forecast {rmse:.3g} {unit} times {centre:.2f}, the mean of measured over forecast error of {audits}, is above "
+        "the limit {limit:.3g} {unit}"
+    ),
+    "trimmed": "trimmed by {loads} known loads: RMSE there {before:.3g}, now {after:.3g}; not measured since",
     "predicted_otherwise": "before the audit it was predicted {verdict}: {why}",
     # What the raw output shows.
     "dead.constant": "dead channel: output is constant at {level:.6g} {unit} in all {count} samples; {cure}",
@@ -56,6 +77,11 @@ ENGLISH: Mapping[str, str] = {
     "wrong_programme": (
         "wrong programme: the mix of loads and speeds overlaps the source's by {share:.0%}, fast movements are "
         "{speed:.2g} x as fast; press the unit as the source was pressed, or it behaves otherwise"
+    ),
+    "stretched": (
+        "the map takes the unit's output times {gain:.2g}: it answers otherwise than the source, or was pressed over "
+        "another part of the source's range, below half of it for example; its output cannot tell which: press it over "
+        "the whole range, or give two known loads"
     ),
     "misread": (
         "reads other loads than the source at equal stage position and history, by {slow:.3g} {unit} for a second and "

@@ -16,6 +16,24 @@ from softcal.core.twin.spread import LotSpread, draw_lot
 GOOD = "good"
 DEPTH_MM = 3.5
 OPPOSITE_DIRECTION, STILL = "reversed", "dead"
+DAY = 86_400
+"""Sets the draw of a day apart from all other draws of a lot."""
+
+
+@dataclass(frozen=True)
+class LineEffects:
+    """What the line does to the units' recordings and not to their audits: nothing unlabelled shows it.
+
+    Args:
+        load_spread: standard deviation of the load at equal travel from unit to unit, as a share of it: stiffness,
+            contact and mounting on the press.
+        day_gain: standard deviation of the gain of the readout on the day the units were recorded, one for the lot.
+        day_zero: the same for its zero, as a share of the range of the source's output.
+    """
+
+    load_spread: float = 0.0
+    day_gain: float = 0.0
+    day_zero: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -25,13 +43,14 @@ class LotDesign:
     Args:
         good: number of units in good order.
         bad: number of units per planted fault, names of `FAULTS`.
-        shift: how the loads of the units' recordings differ from the source's, a name of `SHIFTS`.
+        shift: how the loads of the units' recordings differ from the source's, a name of `PROGRAMMES`.
         source_s, unit_s, audit_s: length of the recordings.
         has_stage: whether the recordings carry the stage position.
         spread: how the units differ. What they differ by in stiffness and contact position changes the load at equal
             travel, which no unlabelled recording shows; the default takes pads from one mould, all else by tens of
             per cent.
         twin: the nominal unit and its effects, of a diagnosis for example; None draws them.
+        line: what the line does to the units' recordings beside the shift.
     """
 
     good: int = 6
@@ -43,9 +62,13 @@ class LotDesign:
     has_stage: bool = False
     spread: LotSpread = LotSpread(u0_mm=0.005, k1=0.003, k3=0.003)
     twin: Twin | None = None
+    line: LineEffects = LineEffects()
 
     def __post_init__(self) -> None:
-        for kind, name, known in [("shift", self.shift, SHIFTS), *(("fault", name, FAULTS) for name in self.bad or {})]:
+        for kind, name, known in [
+            ("shift", self.shift, PROGRAMMES),
+            *(("fault", name, FAULTS) for name in self.bad or {}),
+        ]:
             if name not in known:
                 raise InputError(f"{kind} {name!r} is unknown; known: {', '.join(known)}")
 
@@ -91,7 +114,7 @@ def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
         _simulate_unit(rng, twin, kind, f"U{k:03d}", design)
         for k, (twin, kind) in enumerate(zip(twins[1:], kinds, strict=True), start=1)
     )
-    return SimulatedLot(source, units)
+    return SimulatedLot(source, _on_its_day(units, source, np.random.default_rng([seed, DAY]), design.line))
 
 
 def draw_twins(
@@ -152,12 +175,36 @@ def _jitter(rng: np.random.Generator, twin: Twin) -> Twin:
 
 def _simulate_unit(rng: np.random.Generator, twin: Twin, kind: str, serial: str, design: LotDesign) -> SimulatedUnit:
     faulty = twin if kind == GOOD else FAULTS[kind](rng, twin)
-    profile = SHIFTS[design.shift](rng, design.unit_s)
+    profile = PROGRAMMES[design.shift](rng, design.unit_s)
     if kind == "wrong programme":
         profile = ramps([rng.uniform(0.2, 0.5) * DEPTH_MM] * 6, rng.uniform(0.1, 0.4), rest_s=0.2)
-    recording = _record(rng, faulty, profile, serial, design.has_stage)
+    recording = _record(rng, _pressed(rng, faulty, design.line), profile, serial, design.has_stage)
     audit = _record(rng, faulty, source_profile(rng, design.audit_s, DEPTH_MM), serial, design.has_stage)
     return SimulatedUnit(kind, _rewired(recording, kind).unlabelled, _rewired(audit, kind))
+
+
+def _pressed(rng: np.random.Generator, twin: Twin, line: LineEffects) -> Twin:
+    """Return the unit as the press of the line meets it: its load at equal travel is off by a factor."""
+    if not line.load_spread:
+        return twin
+    factor, base = 1 + line.load_spread * float(np.clip(rng.normal(), -2.0, 2.0)), twin.parameters
+    return replace(twin, parameters=replace(base, k1_N_mm=factor * base.k1_N_mm, k3_N_mm3=factor * base.k3_N_mm3))
+
+
+def _on_its_day(
+    units: tuple[SimulatedUnit, ...], source: LabelledRecording, rng: np.random.Generator, line: LineEffects
+) -> tuple[SimulatedUnit, ...]:
+    """Return the units with their recordings as the readout of another day shows them; audits keep the source's day."""
+    if not (line.day_gain or line.day_zero):
+        return units
+    low, high = np.quantile(source.unlabelled.output, (0.02, 0.98))
+    gain, zero_V = 1 + line.day_gain * rng.normal(), line.day_zero * (high - low) * rng.normal()
+
+    def read(unit: SimulatedUnit) -> SimulatedUnit:
+        recording = unit.recording
+        return replace(unit, recording=replace(recording, output=low + gain * (recording.output - low) + zero_V))
+
+    return tuple(read(unit) for unit in units)
 
 
 def _record(rng: np.random.Generator, twin: Twin, profile: Profile, serial: str, has_stage: bool) -> LabelledRecording:
@@ -229,6 +276,15 @@ def _half_range(rng: np.random.Generator, duration_s: float) -> Profile:
     return unit_profile(rng, duration_s, 0.72 * DEPTH_MM)
 
 
+def _own_programme(rng: np.random.Generator, duration_s: float) -> Profile:
+    return random_presses(rng, duration_s, DEPTH_MM)
+
+
+def _below_half(rng: np.random.Generator, duration_s: float) -> Profile:
+    # A third of the depth and a bit: less than a third of the force.
+    return random_presses(rng, duration_s, rng.uniform(0.35, 0.5) * DEPTH_MM)
+
+
 def _other_dwell(rng: np.random.Generator, duration_s: float) -> Profile:
     return ramps([DEPTH_MM], 3.0, rest_s=1.0).then(
         random_presses(rng, duration_s, DEPTH_MM, fastest_mm_s=2.0, return_share=0.15), "other dwell"
@@ -244,3 +300,10 @@ SHIFTS: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
     "other dwell": _other_dwell,
 }
 """Label shift by name: the profile of the units' recordings; audits keep the source's programme."""
+
+PROGRAMMES: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
+    **SHIFTS,
+    "own programme": _own_programme,
+    "below half": _below_half,
+}
+"""Every profile units can be recorded under: the shifts the method was set on, and others."""

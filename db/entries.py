@@ -89,7 +89,7 @@ class StoredCalibration:
 
 REPORTED = (
     *("serial", "verdict", "reasons", "family", "map_sha256", "predicted_rmse", "before_rmse", "after_rmse"),
-    *("own_rmse", "fit_s", "decision", "method_id"),
+    *("own_rmse", "fit_s", "decision", "method_id", "forecast_rmse"),
 )
 """Fields of `MadeCalibration` that `CalibrationRecord` has under the same name."""
 
@@ -107,6 +107,7 @@ class MadeCalibration:
         knowledge: how its loads are known.
         decision: what was predicted and what was measured.
         method_id: the method it was made with; empty where an older version kept none.
+        forecast_rmse: forecast before audits of other units scaled it.
     """
 
     serial: str
@@ -123,6 +124,7 @@ class MadeCalibration:
     knowledge: str
     decision: Decision
     method_id: str
+    forecast_rmse: float | None = None
 
     @classmethod
     def of(cls, record: CalibrationRecord, revision: int) -> "MadeCalibration":

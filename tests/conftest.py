@@ -120,3 +120,9 @@ def registry_url(trained_lot: Path, tmp_path: Path) -> str:
     """An SQLite registry of its own in which the small lot's network is trained already."""
     shutil.copy(trained_lot / "registry.db", tmp_path / "registry.db")
     return f"sqlite:///{tmp_path / 'registry.db'}"
+
+
+@pytest.fixture(scope="session")
+def press_unit() -> Callable[[int, float, float, int], pd.DataFrame]:
+    """`press_unit(samples, gain, offset_V, seed)`: a synthetic unit pressed at random: `t_s, output, reference`."""
+    return press_recording

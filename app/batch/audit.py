@@ -60,7 +60,7 @@ def draw_plan(
         "plan": plan.settings(),
         "config": asdict(config),
         "forecasts": {serial: accepted[serial] for serial in plan.serials},
-        "limit": _limit(registry, lot_id).to_json(),
+        "limit": lot_limit(registry, lot_id).to_json(),
     }
     registry.add_event("draw", PLAN, (lot_id,), facts, reason=reason, actor=actor)
     return _standing(registry, lot_id, facts)
@@ -148,11 +148,17 @@ def _accepted(registry: Registry, lot_id: str) -> dict[str, float]:
     return {unit.serial: unit.predicted_rmse for unit in units if unit.predicted_rmse is not None}
 
 
-def _limit(registry: Registry, lot_id: str) -> Limit:
-    """Return the lot's limit, or the one its units were judged by where none was stated."""
+def lot_limit(registry: Registry, lot_id: str) -> Limit:
+    """Return the lot's limit, or the one its units were judged by where none was stated.
+
+    Raises:
+        InputError: none was stated, and no unit was calibrated yet.
+    """
     lot = registry.lot(lot_id)
     if lot.limit_rmse is not None:
         return Limit(lot.reference_unit, lot.limit_rmse)
-    serial = next(iter(_accepted(registry, lot_id)))
+    serial = next((unit.serial for unit in _targets(registry, lot_id) if unit.revision is not None), None)
+    if serial is None:
+        raise InputError(f"lot {lot_id!r} states no limit and has no calibrated unit yet; run `softcal batch` first")
     evidence = registry.calibration(serial, lot_id=lot_id).record.evidence
     return Limit(lot.reference_unit, float(str(evidence["limit_rmse"])), plain(str(evidence["limit_origin"])))

@@ -1,15 +1,18 @@
 """Calibrate a whole lot without a screen: train or reuse f, fit every unit, verdicts, registry; resumable."""
 
 import time
+from dataclasses import replace
 
 from softcal.app.batch.audit import update_lot
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
-from softcal.app.batch.report import BatchReport
+from softcal.app.batch.release import update_release
+from softcal.app.batch.report import BatchReport, UnitResult
 from softcal.app.batch.train import train_or_find
 from softcal.app.batch.unit_work import SharedWork
 from softcal.app.files.lot_folder import LotFolder
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.verdict import stated_limit
+from softcal.db.entries import MadeCalibration
 from softcal.db.registry import Registry
 
 
@@ -33,4 +36,18 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     results = LotWork(folder, registry, shared, config, watch).results()
     ordered = tuple(results[serial] for serial in folder.unit_paths)
     audit = update_lot(registry, folder.lot.id, config.actor)
-    return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit, config.release)
+    decided = update_release(registry, folder.lot.id, config.actor)
+    ordered = _judged(registry, folder.lot.id, ordered)
+    return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit, config.release, decided)
+
+
+def _judged(registry: Registry, lot_id: str, units: tuple[UnitResult, ...]) -> tuple[UnitResult, ...]:
+    """Return the results with what the audits of the lot say about units that were not measured."""
+    made, newest = registry.made_calibrations(lot_id), {unit.serial: unit.revision for unit in registry.units(lot_id)}
+    return tuple(_told(unit, made.get((unit.serial, newest.get(unit.serial) or 0))) for unit in units)
+
+
+def _told(unit: UnitResult, made: MadeCalibration | None) -> UnitResult:
+    if unit.made is None or made is None or made.decision.sampled is None:
+        return unit
+    return replace(unit, verdict=made.verdict, reasons=made.reasons, made=made)

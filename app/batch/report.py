@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from softcal.app.batch.audit import LotAudit, audit_json, audit_line
 from softcal.app.batch.train import TrainedOrFound
+from softcal.core.quality.lot_release import LotRelease
 from softcal.core.reason import Reason
 from softcal.core.unit.verdict import VERDICTS, Release, Verdict, worst_of
 from softcal.db.entries import MadeCalibration
@@ -32,7 +33,8 @@ class UnitResult:
 
 @dataclass(frozen=True, eq=False)
 class BatchReport:
-    """What a batch did; `audit` is where the lot's audit stands, where one was planned; `release` is what was asked."""
+    """What a batch did; `audit` is where the lot's audit stands, where one was planned; `release` is which verdicts
+    release files, `decided` what the audits of the lot say about its other units."""
 
     lot_id: str
     network: TrainedOrFound
@@ -40,6 +42,7 @@ class BatchReport:
     wall_s: float
     audit: LotAudit | None = None
     release: Release = Release.PASS
+    decided: LotRelease | None = None
 
     @property
     def counts(self) -> dict[str, int]:
@@ -68,6 +71,7 @@ def report_json(report: BatchReport) -> dict[str, object]:
         "wall_s": report.wall_s,
         "counts": report.counts,
         "audit": None if report.audit is None else audit_json(report.audit),
+        "release": None if report.decided is None else report.decided.to_json(),
         "units": [_unit_json(report, unit) for unit in report.units],
     }
 
@@ -111,4 +115,6 @@ def audit_lines(report: BatchReport) -> list[str]:
         made = unit.made
         if made is not None and made.is_audited and made.decision.predicted.verdict != unit.verdict:
             lines.append(f"{unit.serial} audited: {unit.verdict}, was predicted {made.decision.predicted.verdict}")
+    if report.decided is not None:
+        lines.append(f"release: {report.decided.statement}")
     return lines if report.audit is None else [*lines, audit_line(report.audit)]

@@ -19,6 +19,7 @@ EXAMPLES = """examples:
   softcal lot rules lot-1 --serial-pattern 'EG-[0-9]{4}' --letters upper --target 500 --reason "order 4711"
   softcal lot rules lot-1 --retests fail=0 retest=3 --reason "customer allows no second try"
   softcal lot audit-plan lot-1                   which few units to check with the load cell, and how far that is
+  softcal lot release lot-1 --pdf lot-1.pdf      what is promised about the units nobody measured, on one page
   softcal lot audit-plan lot-1 --new --random 20 --reason "first draw was lost in transit"
 
 Put the labelled recordings of the drawn units into the lot folder's audit/ and run `softcal batch` again: it scores
@@ -67,6 +68,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     rules.add_argument("--reason", default="", help="why; needed with every change")
     rules.set_defaults(run=_rules)
     _add_audit_plan(actions)
+    _add_release(actions)
 
 
 def _add_audit_plan(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -79,8 +81,8 @@ def _add_audit_plan(actions: "argparse._SubParsersAction[argparse.ArgumentParser
     add_registry(audit)
     add_json(audit)
     for name, kind, text in (
-        ("--doubtful", int, "units with the largest predicted error (default 3)"),
-        ("--random", int, "units drawn from the other accepted ones, to speak for the unchecked (default 5)"),
+        ("--doubtful", int, "units with the largest predicted error, beside the draw (default 0)"),
+        ("--random", int, "units drawn from the other accepted ones, to speak for the unchecked (default 10)"),
         ("--seed", int, "drives the draw (default 0)"),
         ("--allowed-share", float, "share of nonconforming units the lot may hold (default 0.1)"),
     ):
@@ -90,13 +92,62 @@ def _add_audit_plan(actions: "argparse._SubParsersAction[argparse.ArgumentParser
     audit.set_defaults(run=_audit_plan)
 
 
+def _lot_id(lot: str) -> str:
+    """Return the lot's id, given itself or its folder."""
+    from softcal.app.files.lot_folder import open_lot_folder
+
+    folder = Path(lot)
+    return open_lot_folder(folder).lot.id if (folder / "lot.toml").is_file() else lot
+
+
+def _add_release(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    release = actions.add_parser(
+        "release",
+        help="what is promised about the lot's released units, at what risk, on what evidence",
+        description="Decides on the units nobody measured from the audits in the registry, and says what it promises.",
+    )
+    release.add_argument("lot", metavar="ID", help="lot in the registry, or its folder")
+    add_registry(release)
+    add_json(release)
+    release.add_argument("--pdf", type=Path, metavar="FILE", help="write the statement as one page")
+    release.set_defaults(run=_release)
+
+
+def _release(options: argparse.Namespace) -> int:
+    from softcal.app.batch.release import update_release
+    from softcal.app.certificates.lot_facts import lot_statement_facts
+    from softcal.app.certificates.lot_statement import lot_statement_pdf
+    from softcal.app.files.atomic import write_bytes
+
+    lot_id = _lot_id(options.lot)
+    with open_chosen_registry(options.registry, create=False) as registry:
+        registry.lot(lot_id)
+        decided = update_release(registry, lot_id)
+        if decided is None:
+            raise InputError(f"lot {lot_id!r} has no calibrated unit yet; run `softcal batch` first")
+        facts = lot_statement_facts(registry, lot_id, decided)
+    if options.pdf is not None:
+        write_bytes(options.pdf, lot_statement_pdf(facts))
+        say(f"{options.pdf}: statement on lot {lot_id}")
+    if options.json:
+        write_json(options.json, {"schema": "softcal.lot.release/1", "lot": lot_id, **decided.to_json()})
+    if options.json != "-":
+        rows = [
+            [a.serial, a.lot, a.forecast_rmse, a.measured_rmse, a.measured_rmse / a.forecast_rmse, a.word]
+            for a in facts.audits
+        ]
+        print_table(("audited", "lot", "forecast", "measured", "measured/forecast", "verdict"), rows)
+        print(decided.statement)
+        print(f"released by sample: {', '.join(decided.released) or 'none'}")
+    return DONE if decided.released or not decided.forecasts else SOME_UNIT_NOT_PASSED
+
+
 def _audit_plan(options: argparse.Namespace) -> int:
     from softcal.app.batch.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, update_lot
-    from softcal.app.files.lot_folder import open_lot_folder
     from softcal.core.quality.audit_plan import AuditConfig
+    from softcal.core.quality.promises import PROMISE_HEADER, promise_rows
 
-    folder = Path(options.lot)
-    lot_id = open_lot_folder(folder).lot.id if (folder / "lot.toml").is_file() else options.lot
+    lot_id = _lot_id(options.lot)
     with open_chosen_registry(options.registry, create=False) as registry:
         registry.lot(lot_id)
         audit = None if options.new else update_lot(registry, lot_id)
@@ -109,6 +160,7 @@ def _audit_plan(options: argparse.Namespace) -> int:
     if options.json != "-":
         print_table(AUDIT_HEADER, audit_rows(audit))
         print(audit_line(audit))
+        print_table(PROMISE_HEADER, promise_rows())
     return SOME_UNIT_NOT_PASSED if audit.statement is not None and audit.statement.word == "fail" else DONE
 
 

@@ -17,6 +17,7 @@ COMMANDS = (
     "batch",
     "estimate",
     "explain",
+    "trim",
     "adapt",
     "station",
     "export",
@@ -30,7 +31,7 @@ COMMANDS = (
 )
 """Modules of `softcal.app.cli`, in the order of `softcal --help`; each has `add_parser` and sets `run`."""
 
-LOGGED = ("demo", "import_", "train", "batch", "adapt", "station", "lot", "ui")
+LOGGED = ("demo", "import_", "train", "batch", "trim", "adapt", "station", "lot", "ui")
 """Commands whose runs are in the log: with what they were called, what they did, how they ended."""
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from softcal.app.batch.calibrating import Refusal, calibrated
+from softcal.app.batch.release import update_release
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import check_golden, quarantine
 from softcal.app.source import source_model
@@ -137,7 +138,9 @@ class RunKeeper:
         known = registry.find_calibration(unit.serial, problem.input_sha256, lot_id=lot.id)
         if known is not None:
             registry.put_in_use(lot.id, unit.serial, problem.input_sha256, "line", actor=order.actor or None)
-            return sha256, (known.record.verdict, known.record.reasons)
+            update_release(registry, lot.id, order.actor or None, only=unit.serial)
+            kept = registry.calibration(unit.serial, lot_id=lot.id).record
+            return sha256, (kept.verdict, kept.reasons)
         return sha256, self._calibrate(lot, problem, order)
 
     def _calibrate(self, lot: Lot, problem: UnitProblem, order: Order) -> Outcome:
@@ -147,7 +150,9 @@ class RunKeeper:
             registry.add_refusal(lot.id, serial, str(made.verdict), (made.reason,), actor=actor)
             return str(made.verdict), (made.reason,)
         registry.add_calibration(lot.id, made, actor=actor, reason=order.reason or f"pressed on {self._station}")
-        return made.verdict, made.reasons
+        update_release(registry, lot.id, actor, only=serial)
+        kept = registry.calibration(serial).record
+        return kept.verdict, kept.reasons
 
     def _known_lot(self, lot_id: str) -> Lot | None:
         return next((lot for lot in self._registry.lots() if lot.id == lot_id), None)

@@ -60,6 +60,12 @@ class CalibrationRecord:
     evidence: Mapping[str, float | str | None] = field(default_factory=dict)
 
     @property
+    def forecast_rmse(self) -> float | None:
+        """Forecast before audits of other units scaled it; `predicted_rmse` is the one in force."""
+        kept = self.evidence.get("forecast_rmse")
+        return self.predicted_rmse if kept is None else float(kept)
+
+    @property
     def method_id(self) -> str:
         """Content hash of the method it was made with; empty in records of versions that kept none."""
         return str(self.settings.get("method_id", ""))

@@ -23,6 +23,7 @@ def map_findings(model: SourceModel, target: OutputRecording, evidence: MapEvide
         _uncovered(model, target, evidence),
         _misread(model, evidence) or _restless(model, target, evidence),
         _not_better(model, evidence),
+        _stretched(model, target, evidence),
     )
     return tuple(finding for finding in checks if finding is not None)
 
@@ -93,7 +94,28 @@ def _other_use(evidence: MapEvidence, config: FindingConfig) -> Finding | None:
     is_alike = 1 / config.speed_factor <= evidence.speed <= config.speed_factor
     if not best or (evidence.overlap >= config.enough_overlap and is_alike):
         return None
+    furthest = config.meaningless_speed
+    if evidence.overlap >= config.meaningless_overlap and 1 / furthest <= evidence.speed <= furthest:
+        # The forecast has terms for a mix that differs: it is wider for it, and still says something.
+        best = min(Verdict(best), Verdict.CONDITIONAL, key=lambda verdict: verdict.severity)
     return Finding(reason("wrong_programme", share=evidence.overlap, speed=evidence.speed), Verdict(best))
+
+
+def _stretched(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> Finding | None:
+    """Return a finding where the unit would have to answer several times less or more than the source.
+
+    A unit pressed over a small part of the source's range looks like an insensitive one. The stage position or known
+    loads tell them apart; one clock does not.
+    """
+    if evidence.knowledge.kind == "stage" or evidence.knowledge.is_anchored:
+        return None
+    raw = model.interval.support.shape(target.windows[evidence.rows])
+    spans = [np.subtract(*_reach(shape.level, model.method.forecast.reach)[::-1]) for shape in (evidence.shape, raw)]
+    gain, most = float(spans[0] / max(spans[1], 1e-12)), model.method.findings.stretch
+    if 1 / most <= gain <= most:
+        return None
+    best = Verdict.CONDITIONAL if evidence.knowledge.is_placed else Verdict.RETEST
+    return Finding(reason("stretched", gain=gain), best)
 
 
 def _misread(model: SourceModel, evidence: MapEvidence) -> Finding | None:

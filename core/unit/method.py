@@ -137,6 +137,8 @@ class FindingConfig:
         unfamiliar_share, failing_share: of the mapped windows outside the source's support: a finding, a failure.
         covered_share: of the source's range that a unit must be pressed over.
         enough_overlap, speed_factor: of the unit's mix of loads and speeds with the source's.
+        meaningless_overlap, meaningless_speed: beyond these no forecast rests on that mix; nearer it is only wider.
+        stretch: units of one kind do not differ by this factor in what they answer; loads can.
         overlap_gain: where before < after in simulated lots without positions, the map had raised the overlap by less.
         drift_factor: estimates at rest that move or scatter by so many times the source's own error are worth a word.
         drift_explained: share of that scatter a straight line must explain to be called a drift.
@@ -152,6 +154,9 @@ class FindingConfig:
     covered_share: float = setting(0.75)
     enough_overlap: float = setting(0.6)
     speed_factor: float = setting(1.7)
+    meaningless_overlap: float = setting(0.35)
+    meaningless_speed: float = setting(3.0)
+    stretch: float = setting(3.0, "taxels of the insole differ by 2.7 at most; units pressed below half: 4 and more")
     overlap_gain: float = setting(0.14, "benchmarks/verdict.py on seeds 1000-1040 (simulated lots)")
     drift_factor: float = setting(2.0)
     drift_explained: float = setting(0.5)

@@ -155,17 +155,20 @@ class Decision:
     """What is decided on one unit, and on what.
 
     Args:
-        predicted: from the forecast and the findings.
+        predicted: from the forecast and the findings; alone it is conditional at best.
         measured: from an audit; it counts wherever there is one.
+        sampled: from audits of other units of the lot; it counts where the unit itself was not measured.
     """
 
     predicted: Judgement
     measured: Judgement | None = None
+    sampled: Judgement | None = None
 
     @property
     def verdict(self) -> Verdict:
         """The word that counts."""
-        return (self.measured or self.predicted).verdict
+        known = self.measured or self.sampled
+        return worst_of([self.predicted.verdict, Verdict.CONDITIONAL]) if known is None else known.verdict
 
     @property
     def is_audited(self) -> bool:
@@ -174,6 +177,12 @@ class Decision:
     @property
     def reasons(self) -> tuple[Reason, ...]:
         """Why, most important first; where an audit changed the word, what was predicted stands behind it."""
+        if self.measured is None and self.sampled is not None:
+            return (*self.sampled.reasons, *self.predicted.reasons)
+        if self.measured is None and self.predicted.verdict is Verdict.PASS:
+            return (reason("forecast_only"), *self.predicted.reasons)
+        if self.measured is None and self.predicted.verdict is Verdict.CONDITIONAL:
+            return (*self.predicted.reasons, reason("forecast_only"))
         if self.measured is None or self.measured.verdict == self.predicted.verdict:
             return (self.measured or self.predicted).reasons
         why = self.predicted.reasons[0]
@@ -182,17 +191,16 @@ class Decision:
 
     def to_json(self) -> dict[str, object]:
         """Return it as JSON values."""
-        measured = None if self.measured is None else self.measured.to_json()
-        return {"predicted": self.predicted.to_json(), "measured": measured}
+        others = {"measured": self.measured, "sampled": self.sampled}
+        kept = {name: None if other is None else other.to_json() for name, other in others.items()}
+        return {"predicted": self.predicted.to_json(), **kept}
 
     @classmethod
     def of(cls, kept: Mapping[str, object]) -> "Decision":
         """Read what `to_json` wrote."""
-        predicted, measured = kept["predicted"], kept["measured"]
-        return cls(
-            Judgement.of(predicted),  # type: ignore[arg-type]
-            None if measured is None else Judgement.of(measured),  # type: ignore[arg-type]
-        )
+        judged = {name: kept.get(name) for name in ("predicted", "measured", "sampled")}
+        found = {name: Judgement.of(one) for name, one in judged.items() if one is not None}  # type: ignore[arg-type]
+        return cls(**found)
 
 
 _RELATION = {

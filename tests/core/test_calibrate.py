@@ -82,12 +82,15 @@ def test_the_record_is_lossless_and_json(calibrate, linear_network, good):
 
 
 def test_without_a_limit_the_verdict_says_where_its_limit_comes_from(calibrate, good):
-    assert "no limit was stated" in str(calibrate(good).decision.reasons[-1])
-    assert "stated for the lot" in str(calibrate(good, Limit("N", 0.5)).decision.reasons[-1])
+    assert "no limit was stated" in str(calibrate(good).decision.predicted.reasons[-1])
+    assert "stated for the lot" in str(calibrate(good, Limit("N", 0.5)).decision.predicted.reasons[-1])
 
 
-def test_a_generous_limit_passes_and_a_strict_one_fails(calibrate, good):
-    assert calibrate(good, Limit("N", 1.0)).decision.verdict == "pass"
+def test_a_generous_limit_is_held_by_the_forecast_alone_and_a_strict_one_fails(calibrate, good):
+    generous = calibrate(good, Limit("N", 1.0)).decision
+    assert generous.predicted.verdict == "pass"
+    # Nobody has measured this unit, nor others of its lot.
+    assert generous.verdict == "conditional" and generous.reasons[0].code == "forecast_only"
     assert calibrate(good, Limit("N", 0.001)).decision.verdict == "fail"
 
 
@@ -131,6 +134,27 @@ def test_a_slow_programme_without_known_positions_asks_for_a_retest(calibrate, g
     slow = np.interp(np.arange(6000) / 4, np.arange(len(good)), good.output)
     calibration = calibrate(replace(press(2, seconds=120.0).unlabelled, output=slow), Limit("N", 10.0))
     assert "wrong programme" in findings(calibration) and calibration.decision.verdict == "retest"
+
+
+def test_a_unit_pressed_below_half_the_range_says_so(calibrate, press):
+    unit = press(2, seconds=120.0)
+    lighter = replace(unit.unlabelled, output=0.5 + (unit.unlabelled.output - 0.5) * 0.25)
+    calibration = calibrate(lighter, Limit("N", 10.0))
+    assert "stretched" in findings(calibration) and calibration.decision.predicted.verdict == "retest"
+    assert "below half" in " ".join(map(str, calibration.decision.reasons))
+
+
+def test_a_unit_a_third_less_sensitive_is_not_called_badly_pressed(calibrate, press):
+    unit = press(2, seconds=120.0)
+    weaker = replace(unit.unlabelled, output=0.5 + (unit.unlabelled.output - 0.5) * 0.67)
+    assert "stretched" not in findings(calibrate(weaker, Limit("N", 10.0)))
+
+
+def test_a_mix_of_loads_that_only_widens_the_forecast_does_not_veto(calibrate, good):
+    slower = np.interp(np.arange(9000) / 2, np.arange(len(good)), good.output)
+    record = replace(good, t_s=np.arange(9000) / 50.0, output=slower)
+    calibration = calibrate(record, Limit("N", 10.0))
+    assert "wrong programme" in findings(calibration) and calibration.decision.verdict == "conditional"
 
 
 def test_known_positions_reveal_a_gain_error_the_output_hides(source_model, linear_network, press):

@@ -1,0 +1,48 @@
+"""`softcal trim`: known loads at the place of use re-anchor a unit's map."""
+
+import argparse
+from pathlib import Path
+
+from softcal.app.cli.options import add_json, add_registry, registry_of
+from softcal.app.cli.output import say, write_json
+
+EXAMPLES = """examples:
+  softcal trim --serial A1 --loads loads.csv       columns output, reference: the output at rest under each known load
+
+Two loads fix zero and span: nothing on the unit, and a weight near the top of its range. Every trim is a
+revision of its own; `softcal registry rollback` takes it back.
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal trim`."""
+    parser = commands.add_parser(
+        "trim",
+        help="two or more known loads at the place of use re-anchor a unit's map",
+        description="Correct gain and zero of a unit's map by known loads at its place of use.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--serial", required=True, metavar="S")
+    parser.add_argument("--loads", required=True, type=Path, metavar="FILE", help="CSV or Parquet: output, reference")
+    add_registry(parser)
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Trim, and say what it changed."""
+    from softcal.app.use.trim import trim_unit
+
+    with registry_of(options, create=False) as registry:
+        found, revision = trim_unit(registry, options.serial, options.loads)
+    gain, offset = found.unit_map.gain, found.unit_map.offset
+    facts = {"serial": options.serial, "revision": revision, "gain": gain, "offset": offset}
+    errors = {"before_rmse": found.before_rmse, "after_rmse": found.after_rmse}
+    if options.json:
+        write_json(options.json, {"schema": "softcal.trim/1", **facts, **errors})
+    if options.json != "-":
+        print(f"{options.serial} revision {revision}: gain times {gain:.4g}, offset {offset:+.4g}")
+        print(f"error at the loads: RMSE {found.before_rmse:.3g} before, {found.after_rmse:.3g} after")
+    say("a trimmed unit is conditional until it, or others of its lot, are audited with the map in use now")
+    return 0

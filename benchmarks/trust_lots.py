@@ -1,0 +1,216 @@
+"""Lots whose truth is outside what the method was set on, and measured lots: fitted once, kept for `trust.py`."""
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from map_methods import DATA, egain, insole, taxel, taxels
+from simulated_cases import NETWORK
+
+from softcal.core.challenge.draw import draw_case
+from softcal.core.challenge.lot import press_lot
+from softcal.core.challenge.rig import Measured
+from softcal.core.errors import InputError, UnitRefused
+from softcal.core.estimate import estimate
+from softcal.core.metrics import rmse
+from softcal.core.network.training import fit_network
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.simulated_lot import LineEffects, LotDesign, simulate_lot
+from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.verdict import Verdict, default_limit
+
+UNITS, MANY, MANY_EVERY = 14, 26, 6
+"""Units of a lot; every sixth seed has lots large enough for twenty audits."""
+
+SPREAD, DAY = LineEffects(load_spread=0.12), LineEffects(day_gain=0.08, day_zero=0.03)
+OWN = "own programme"
+LEVELS = np.linspace(0, 1, 101)
+"""Quantiles kept of what a unit's residuals are of its interval's half-width."""
+
+
+@dataclass(frozen=True)
+class FittedUnit:
+    """One unit of a lot: what was said of it without a label, and the truth.
+
+    Args:
+        kind, lot, serial: where it is from.
+        forecast, upper: forecast RMSE and the upper end of its 95 % interval; infinite for a refused unit.
+        truth: RMSE against the labels of the audit.
+        limit: of its lot.
+        word: what the forecast and the findings say without any audit.
+        is_vetoed: whether a finding, not the forecast, sets its word to fail or retest.
+        scores: (101,) quantiles of |residual| over half-width on the audit; empty for a refused unit.
+    """
+
+    kind: str
+    lot: str
+    serial: str
+    forecast: float
+    upper: float
+    truth: float
+    limit: float
+    word: str
+    is_vetoed: bool
+    scores: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RawUnit:
+    """A unit before anything was fitted: what the line recorded, and the labelled recording that holds the truth."""
+
+    recording: OutputRecording
+    audit: LabelledRecording
+
+
+@dataclass(frozen=True, eq=False)
+class RawLot:
+    """A source and the units made with it."""
+
+    kind: str
+    name: str
+    source: LabelledRecording
+    units: tuple[RawUnit, ...]
+
+
+def designs(units: int) -> dict[str, LotDesign]:
+    """Return the kinds of lot on the twin, by name."""
+    bad = {"extra creep": 1, "other sensor": 1, "saturated": 1}
+    return {
+        "in step": LotDesign(units),
+        "own programme": LotDesign(units, shift=OWN),
+        "stage known, own programme": LotDesign(units, shift=OWN, has_stage=True),
+        "planted bad units": LotDesign(units - 3, bad),
+        "load spread 12 %, in step": LotDesign(units, line=SPREAD),
+        "load spread 12 %, own programme": LotDesign(units, shift=OWN, line=SPREAD),
+        "load spread 12 %, stage known": LotDesign(units, shift=OWN, has_stage=True, line=SPREAD),
+        "another day, in step": LotDesign(units, line=DAY),
+        "another day, own programme": LotDesign(units, shift=OWN, line=DAY),
+        "below half the range": LotDesign(units, shift="below half"),
+    }
+
+
+SEALED = {"twin's effects": "pair", "effects of other form": "form", "effects outside the catalogue": "outside"}
+"""Lots on sealed rigs: the challenge's own simulator, not the twin the method was set on."""
+
+GOOD = ("in step", "stage known, own programme", "planted bad units")
+"""Kinds of lot whose good units ought to be released."""
+
+
+def drawn_lots(seed: int) -> Iterator[RawLot]:
+    """Yield one lot of every drawn kind. Those on the twin share a source, so that one network serves them."""
+    count = MANY if seed % MANY_EVERY == MANY_EVERY - 1 else UNITS
+    for kind, design in designs(count).items():
+        lot = simulate_lot(seed, design)
+        yield RawLot(kind, f"{kind} {seed}", lot.source, tuple(RawUnit(u.recording, u.audit) for u in lot.units))
+    for kind, line in SEALED.items():
+        runs = list(press_lot(draw_case(seed, "lot", line), count))
+        units, audits = ([_labelled(r.serial, r.measured) for r in runs if r.place == p] for p in ("units", "audit"))
+        source = next(_labelled(r.serial, r.measured) for r in runs if r.place == "source")
+        pairs = zip(units, audits, strict=True)
+        yield RawLot(kind, f"{kind} {seed}", source, tuple(RawUnit(u.unlabelled, a) for u, a in pairs))
+
+
+def _labelled(serial: str, measured: Measured) -> LabelledRecording:
+    columns = measured.columns
+    t_s = columns["t_s"]
+    rate_Hz = 1 / float(np.median(np.diff(t_s)))
+    return LabelledRecording(OutputRecording(serial, t_s, columns["output_V"], rate_Hz), columns["force_N"])
+
+
+def measured_lots(sources: int = 5) -> Iterator[RawLot]:
+    """Yield the recordings of shared/data as lots: taxels by source and programme, places of the skin, the pair."""
+    day, other = insole("calibration"), insole("validation_1")
+    names = taxels(day)
+    half = np.arange(len(day)) * 32 // len(day) % 2 == 0
+    for source in names[:: max(len(names) // sources, 1)][:sources]:
+        rest = [n for n in names if n != source]
+        for kind, fit, rows in (
+            ("insole, same programme", day, half),
+            ("insole, other day and programme", other, None),
+        ):
+            units = tuple(RawUnit(taxel(fit, n, rows).unlabelled, taxel(day, n, ~half)) for n in rest)
+            yield RawLot(kind, f"{kind} {source}", taxel(day, source, half), units)
+    places = {name: skin(name) for name in ("left", "middle", "right")}
+    yield from _in_turn("skin, three places", places)
+    pair = {name: egain(name) for name in ("S1", "S2")}
+    yield from _in_turn("egain pair", pair)
+
+
+def _in_turn(kind: str, recordings: Mapping[str, LabelledRecording]) -> Iterator[RawLot]:
+    """Yield a lot per unit as the source of the others; fitted on the first two thirds, tested on the rest."""
+    for source, labelled in recordings.items():
+        units = tuple(
+            RawUnit(_part(r, 0, 2 / 3).unlabelled, _part(r, 2 / 3, 1)) for n, r in recordings.items() if n != source
+        )
+        yield RawLot(kind, f"{kind} {source}", _part(labelled, 0, 2 / 3), units)
+
+
+def _part(recording: LabelledRecording, start: float, stop: float) -> LabelledRecording:
+    return recording.part(int(start * len(recording)), int(stop * len(recording)))
+
+
+def skin(place: str) -> LabelledRecording:
+    """One place of the skin, its trials joined, at the 50 Hz that fit its speeds."""
+    table = pd.read_parquet(DATA / "skin_places" / f"{place}.parquet")
+    t_s = np.arange(len(table)) / 50.0
+    return LabelledRecording(
+        OutputRecording(place, t_s, table["output_V"].to_numpy(), 50.0), table["force_N"].to_numpy()
+    )
+
+
+def fitted(lots: Callable[[], Iterator[RawLot]], name: str, cache: Path) -> list[FittedUnit]:
+    """Return the units of lots, fitted now or read from the cache's file of this name."""
+    file = cache / f"{name}.jsonl"
+    if file.exists():
+        return [FittedUnit(**json.loads(line)) for line in file.read_text().splitlines()]
+    models: dict[str, SourceModel] = {}
+    units = [unit for lot in lots() for unit in _fit_lot(lot, models)]
+    cache.mkdir(parents=True, exist_ok=True)
+    file.write_text("".join(json.dumps(asdict(unit)) + "\n" for unit in units))
+    return units
+
+
+def _fit_lot(lot: RawLot, models: dict[str, SourceModel]) -> Iterator[FittedUnit]:
+    if lot.source.sha256 not in models:
+        trained = fit_network(lot.source, NETWORK)
+        models[lot.source.sha256] = make_source_model(lot.source, trained.network, trained.validation_rows)
+    model = models[lot.source.sha256]
+    for unit in lot.units:
+        yield _fit_unit(lot, unit, model)
+
+
+def _fit_unit(lot: RawLot, unit: RawUnit, model: SourceModel) -> FittedUnit:
+    limit = default_limit(lot.source.reference_unit, model.held_out_rmse).maximum_rmse
+    serial = unit.recording.serial
+    try:
+        calibration = calibrate(UnitProblem(model, unit.recording))
+        result = estimate(model.network, calibration, unit.audit.unlabelled)
+    except (UnitRefused, InputError):
+        return FittedUnit(lot.kind, lot.name, serial, float("inf"), float("inf"), float("inf"), limit, "fail", True, ())
+    forecast, predicted = calibration.forecast, calibration.decision.predicted
+    rows = np.isfinite(result.estimate)
+    assert forecast is not None  # noqa: S101
+    residual = np.abs(result.estimate - unit.audit.reference)[rows]
+    scores = residual / np.maximum(result.upper - result.estimate, 1e-12)[rows]
+    is_vetoed = predicted.verdict in (Verdict.FAIL, Verdict.RETEST) and forecast.rmse <= limit
+    return FittedUnit(
+        lot.kind,
+        lot.name,
+        serial,
+        forecast.rmse,
+        forecast.upper,
+        rmse(result.estimate[rows], unit.audit.reference[rows]),
+        limit,
+        str(predicted.verdict),
+        is_vetoed,
+        tuple(np.round(np.quantile(scores, LEVELS), 4).tolist()),
+    )
+
+
+def covered(unit: FittedUnit, scale: float | Array) -> Array:
+    """Return the share of the unit's samples within its interval times `scale`."""
+    return np.asarray(np.interp(scale, unit.scores, LEVELS))

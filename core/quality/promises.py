@@ -1,0 +1,25 @@
+"""What so many audits of a lot can promise: the table beside an audit plan."""
+
+from softcal.core.quality.acceptance import Promise, audits_by_count, failing_share, tolerance_factor
+from softcal.core.quality.conformal import least_risk
+from softcal.core.quality.release import LEAST_AUDITS, audits_wanted
+
+PROMISE_HEADER = ("if all hold", "beyond, on average", "beyond, at 90 %", "margin needed", "promise of 1 in 10")
+
+
+def promise_rows(promise: Promise = Promise()) -> list[list[object]]:  # noqa: B008 - frozen
+    """Return one row per number of audits, none of them beyond the limit, under `PROMISE_HEADER`.
+
+    The average and the share at a confidence hold for errors of any form. The margin is by how many standard deviations
+    of the log ratio the mean must stay below the limit for the promise by variables (ISO 3951).
+    """
+    counts = sorted({3, LEAST_AUDITS, audits_wanted(promise), 10, 20, audits_by_count(promise)})
+    return [_row(count, promise) for count in counts]
+
+
+def _row(count: int, promise: Promise) -> list[object]:
+    margin = tolerance_factor(count, count - 1, promise)
+    share = failing_share(count, 0, promise.confidence)
+    by_count = share <= promise.risk
+    word = "by counting alone" if by_count else "by margin" if count >= audits_wanted(promise) else "none"
+    return [f"{count} audits", f"{least_risk(count):.1%}", f"{share:.1%}", f"{margin:.2f} SD", word]

@@ -1,0 +1,215 @@
+"""Release the units of a lot that nobody measured, on what its audited units showed: a bound and a decision.
+
+The ratio of measured to forecast error of the audited units says how far a forecast of this lot can be out. A unit is
+released where its forecast times the bound of that ratio is within the limit.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.quality.acceptance import Promise, tolerance_factor
+from softcal.core.quality.conformal import least_units, share_beyond
+from softcal.core.recording import Array
+from softcal.core.unit.verdict import Limit
+
+LEAST_SPREAD = 0.10
+"""A standard deviation of log(measured / forecast) from unit to unit that a few audits cannot prove to be smaller."""
+
+RESERVE = 10.0
+"""A bound is taken at a tenth of the error the promise allows: 99 % for 90 %. At 90 % one poor lot in ten would be let
+through, and among kinds of lot that are mostly poor those are all that is released."""
+
+LEAST_AUDITS = 5
+"""The spread of fewer audits than this is a guess, whatever risk is asked for."""
+
+LEAST_PART = 0.5
+"""A lot is released by sample where at least this part of it passes; the few best of a poor lot are picked by luck."""
+
+LEAST_LOTS = 3
+"""Audits of fewer lots than this say nothing firm about a lot without audits: how lots differ is not known."""
+
+
+@dataclass(frozen=True)
+class AuditedUnit:
+    """One unit whose error was measured.
+
+    Args:
+        serial: the unit.
+        forecast_rmse: forecast before it was measured, in the reference unit.
+        measured_rmse: RMSE against the reference, in the same.
+        lot_id: lot it belongs to.
+
+    Raises:
+        InputError: an error is not a positive number.
+    """
+
+    serial: str
+    forecast_rmse: float
+    measured_rmse: float
+    lot_id: str = ""
+
+    def __post_init__(self) -> None:
+        for name, value in (("forecast", self.forecast_rmse), ("measured", self.measured_rmse)):
+            if not 0 < value < float("inf"):
+                raise InputError(f"audit of {self.serial}: {name} RMSE is {value}; a positive number was expected")
+
+    @property
+    def ratio(self) -> float:
+        """Measured over forecast error."""
+        return self.measured_rmse / self.forecast_rmse
+
+
+@dataclass(frozen=True)
+class Ratios:
+    """What audited units show of log(measured / forecast error), for a unit nobody measured.
+
+    Args:
+        audits, lots: number of audited units, and of the lots they come from.
+        centre: mean of the logarithm, over lots where there are several.
+        spread: standard deviation of one more unit about it, with the spread between lots.
+        largest: largest of them all.
+        count, degrees: observations behind the centre, degrees of freedom behind the spread.
+    """
+
+    audits: int
+    lots: int
+    centre: float
+    spread: float
+    largest: float
+    count: float
+    degrees: float
+
+    def bound(self, promise: Promise) -> float:
+        """Return the factor that measured / forecast of all but a share `risk` of the units stays below.
+
+        The larger of exp(mean + k SD), which holds with the promise's confidence where the ratios are near log-normal
+        (ISO 16269-6, the method of ISO 3951), and the largest ratio seen, which one unit in audits + 1 exceeds whatever
+        form the ratios have. Infinite where the audits are too few.
+        """
+        if self.audits < LEAST_AUDITS or (self.lots > 1 and self.lots < LEAST_LOTS):
+            return float("inf")
+        reckoned = replace(promise, confidence=1 - (1 - promise.confidence) / RESERVE)
+        factor = tolerance_factor(self.count, self.degrees, reckoned)
+        return float(np.exp(max(self.largest, self.centre + factor * max(self.spread, LEAST_SPREAD))))
+
+
+@dataclass(frozen=True)
+class Release:
+    """Which of the unmeasured units of a lot are released, and what is promised about them.
+
+    Args:
+        released: serials, smallest forecast first.
+        factor: largest measured / forecast error reckoned with; infinite where nothing can be promised.
+        ratios: what the audits showed.
+        considered: number of unmeasured units the decision was on.
+        promise: what holds for the released ones.
+        share_any_form: share of released units beyond the limit that holds at the promise's confidence without any
+            assumption on the form of the ratios; 1 where nothing does.
+        risk_any_form: the same on average over audits that might have been drawn.
+    """
+
+    released: tuple[str, ...]
+    factor: float
+    ratios: Ratios
+    considered: int
+    promise: Promise
+    share_any_form: float
+    risk_any_form: float
+
+
+def audited_ratios(audits: Sequence[AuditedUnit]) -> Ratios:
+    """Return what the audited units show; units of several lots show how lots differ as well.
+
+    Over lots the variance of one more unit is that of the lots' means and what one unit adds to it (one-way random
+    effects, unweighted means), its degrees of freedom after Satterthwaite 1946.
+
+    Raises:
+        InputError: a unit stands in the audits of its lot twice.
+    """
+    twice = [key for key, times in Counter((a.lot_id, a.serial) for a in audits).items() if times > 1]
+    if twice:
+        raise InputError(
+            f"unit {twice[0][1]} was audited twice; an audit counts once: keep the newer, nothing was released"
+        )
+    groups = [np.log([a.ratio for a in audits if a.lot_id == lot]) for lot in dict.fromkeys(a.lot_id for a in audits)]
+    if len(audits) < 2:
+        centre = float(groups[0][0]) if groups else 0.0
+        return Ratios(len(audits), len(groups), centre, 0.0, centre, 0.0, 0.0)
+    largest = max(float(group.max()) for group in groups)
+    if len(groups) == 1:
+        (group,) = groups
+        spread = float(np.std(group, ddof=1))
+        return Ratios(len(group), 1, float(group.mean()), spread, largest, len(group), len(group) - 1)
+    return _over_lots(groups, largest)
+
+
+def _over_lots(groups: Sequence[Array], largest: float) -> Ratios:
+    sizes, means = np.array([len(group) for group in groups]), np.array([group.mean() for group in groups])
+    free = float(np.sum(sizes - 1))
+    squares = sum(float(np.sum((group - group.mean()) ** 2)) for group in groups)
+    within = squares / free * (1 - float(np.mean(1 / sizes))) if free else 0.0
+    between = max(float(np.var(means, ddof=1)), LEAST_SPREAD**2 / len(groups))
+    whole = between + within
+    degrees = whole**2 / (between**2 / (len(groups) - 1) + (within**2 / free if free else 0.0))
+    count = len(groups) * whole / between
+    return Ratios(int(sizes.sum()), len(groups), float(means.mean()), float(np.sqrt(whole)), largest, count, degrees)
+
+
+def release(
+    forecasts: Mapping[str, float],
+    audits: Sequence[AuditedUnit],
+    limit: Limit,
+    promise: Promise = Promise(),  # noqa: B008 - frozen
+) -> Release:
+    """Choose which unmeasured units to release so that the promise holds for the released ones.
+
+    A unit in a share r of all units exceeds its bound at most; were m of n released on it, a share r n / m of these
+    might. So m units are released only where the bound at r = risk m / n lets m units pass (the step-up of Benjamini
+    and Hochberg 1995; Jin and Candès 2023 for selection by forecasts). A choice of the smallest forecasts cannot make
+    the promise cheaper.
+
+    Args:
+        forecasts: forecast RMSE by serial of the units that nobody measured and nothing else stands against.
+        audits: of the same lot, drawn at random; or of several earlier lots.
+        limit: largest acceptable RMSE.
+        promise: what is to hold for the released units.
+
+    Raises:
+        InputError: a unit was audited twice, or a forecast is no positive number.
+    """
+    _check(forecasts)
+    ratios, considered = audited_ratios(audits), len(forecasts)
+    ordered = sorted(forecasts, key=lambda serial: (forecasts[serial], serial))
+    errors = np.array([forecasts[serial] for serial in ordered])
+    count, factor = considered, ratios.bound(promise)
+    while (passing := int(np.count_nonzero(errors[:count] * factor <= limit.maximum_rmse))) < count:
+        count = passing
+        if count < max(LEAST_PART * considered, 1):
+            return Release((), factor, ratios, considered, promise, 1.0, 1.0)
+        factor = ratios.bound(replace(promise, risk=promise.risk * count / considered))
+    said = _any_form(ratios, count / considered, promise) if count else (1.0, 1.0)
+    return Release(tuple(ordered[:count]), factor, ratios, considered, promise, *said)
+
+
+def audits_wanted(promise: Promise) -> int:
+    """Return how many audits of a lot make the promise hold on average whatever form the ratios have: 9 for 1 in 10."""
+    return least_units(promise.risk)
+
+
+def _any_form(ratios: Ratios, part: float, promise: Promise) -> tuple[float, float]:
+    if ratios.lots > 1:
+        # Lots are exchangeable as wholes only: the bound is the largest of that many lots.
+        return 1.0, min(1 / (ratios.lots + 1) / part, 1.0)
+    risk = 1 / (ratios.audits + 1)
+    share = share_beyond(ratios.audits, risk, promise.confidence)
+    return min(share / part, 1.0), min(risk / part, 1.0)
+
+
+def _check(forecasts: Mapping[str, float]) -> None:
+    for serial, rmse in forecasts.items():
+        if not 0 < rmse < float("inf"):
+            raise InputError(f"unit {serial}: forecast error is {rmse}; only units with a forecast can be released")

@@ -1,0 +1,179 @@
+"""A lot released on its audits: from the folder to verdicts, files, statement and page; and what stands in the way."""
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.cli.main import main
+from softcal.db.connection import open_registry
+
+SMALL = ("--hidden", "16,8", "--no-own")
+UNITS = 14
+
+Press = Callable[[int, float, float, int], pd.DataFrame]
+MakeLot = Callable[..., Path]
+
+
+@pytest.fixture
+def make_lot(trained_lot: Path, press_unit: Press, tmp_path: Path) -> MakeLot:
+    """`make_lot(name, audits, day_gain)`: a lot of the small lot's source; its recordings read on a day with a gain."""
+
+    def make(
+        name: str = "large", audits: int = 10, day_gain: float = 1.0, model: str = "EG", limit_N: float = 0.8
+    ) -> Path:
+        folder = tmp_path / name
+        shutil.copytree(trained_lot / "lot/source", folder / "source")
+        for part in ("units", "audit"):
+            (folder / part).mkdir()
+        (folder / "lot.toml").write_text(
+            f'sample_rate_Hz = 50.0\nsource = "A0"\n[lot]\nid = "{name}"\nsensor_model = "{model}"\n'
+            f'[reference]\nunit = "N"\n[output]\nunit = "V"\n[limit]\nrmse = {limit_N}\n'
+        )
+        rng = np.random.default_rng(len(name))
+        for k in range(UNITS):
+            gain, offset_V = 1 + 0.1 * rng.normal(), 0.5 + 0.02 * rng.normal()
+            seed = 1000 * len(name) + k
+            unit = press_unit(1500, gain, offset_V, seed)
+            unit["output"] = 0.5 + day_gain * (unit["output"] - 0.5)
+            unit[["t_s", "output"]].to_csv(folder / f"units/{name}-{k:02d}.csv", index=False)
+            if k < audits:
+                press_unit(900, gain, offset_V, seed + 500).to_csv(folder / f"audit/{name}-{k:02d}.csv", index=False)
+        return folder
+
+    return make
+
+
+def _batch(folder: Path, url: str, tmp_path: Path, *more: str) -> dict:
+    file = tmp_path / "batch.json"
+    assert main(["batch", str(folder), "--registry", url, *SMALL, "--json", str(file), *more]) in (0, 1)
+    return json.loads(file.read_text())
+
+
+def _unmeasured(report: dict) -> list[dict]:
+    return [unit for unit in report["units"] if not unit["audited"]]
+
+
+def test_units_nobody_measured_pass_on_the_audits_of_the_others(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_lot()
+    report = _batch(folder, registry_url, tmp_path, "--out", str(tmp_path / "out"))
+    release = report["release"]
+    assert (release["audits"], release["risk"], release["confidence"]) == (10, 0.1, 0.9)
+    assert [unit["verdict"] for unit in _unmeasured(report)] == ["pass"] * 4
+    assert sorted(release["released"]) == sorted(unit["serial"] for unit in _unmeasured(report))
+    assert all(unit["released"] for unit in _unmeasured(report))
+    assert "at most 10% of the 4 units released by sample" in release["statement"]
+    assert release["statement"] in capsys.readouterr().out
+    serial = _unmeasured(report)[0]["serial"]
+    assert any(serial in file.name for file in (tmp_path / "out").rglob("*"))
+    with open_registry(registry_url) as registry:
+        assert len(registry.history(serial)) == 2
+        first, second = (stored.record for stored in registry.history(serial))
+        assert second.map_sha256 == first.map_sha256 and second.verdict == "pass" != first.verdict
+        scale = second.evidence["interval_scale"]
+        assert np.allclose(second.arrays["interval.half_width"], scale * first.arrays["interval.half_width"])
+        assert second.predicted_rmse == pytest.approx(first.predicted_rmse * second.evidence["forecast_scale"])
+    again = _batch(folder, registry_url, tmp_path)
+    assert again["release"] == release
+    with open_registry(registry_url) as registry:
+        assert len(registry.history(serial)) == 2
+
+
+def test_without_audits_nothing_passes_and_the_line_says_what_to_audit(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path
+) -> None:
+    report = _batch(make_lot(audits=0), registry_url, tmp_path, "--out", str(tmp_path / "out"))
+    assert {unit["verdict"] for unit in report["units"]} <= {"conditional", "fail", "retest"}
+    assert not any(unit["released"] for unit in report["units"]) and report["release"]["released"] == []
+    assert "audit 9 more units" in report["release"]["statement"]
+    conditional = [unit for unit in report["units"] if unit["verdict"] == "conditional"]
+    assert conditional and all("audit" in " ".join(unit["reasons"]) for unit in conditional)
+
+
+def test_too_few_audits_promise_nothing(make_lot: MakeLot, registry_url: str, tmp_path: Path) -> None:
+    report = _batch(make_lot(audits=5), registry_url, tmp_path)
+    assert report["release"]["wanted"] == 4 and report["release"]["released"] == []
+    assert all(unit["verdict"] != "pass" for unit in _unmeasured(report))
+
+
+def test_a_lot_read_on_another_day_is_not_released(make_lot: MakeLot, registry_url: str, tmp_path: Path) -> None:
+    report = _batch(make_lot(day_gain=1.35, limit_N=0.4), registry_url, tmp_path)
+    assert report["release"]["released"] == []
+    assert all(unit["verdict"] != "pass" for unit in _unmeasured(report))
+
+
+def test_more_audits_decide_the_lot_again(make_lot: MakeLot, registry_url: str, tmp_path: Path) -> None:
+    folder = make_lot()
+    kept = sorted((folder / "audit").iterdir())[8:]
+    contents = {path: path.read_text() for path in kept}
+    for path in kept:
+        path.unlink()
+    assert _batch(folder, registry_url, tmp_path)["release"]["released"] == []
+    for path, content in contents.items():
+        path.write_text(content)
+    assert len(_batch(folder, registry_url, tmp_path)["release"]["released"]) == 4
+
+
+def test_one_audit_recording_for_two_units_releases_nothing(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_lot()
+    shutil.copy(folder / "audit/large-00.csv", folder / "audit/large-01.csv")
+    file = tmp_path / "batch.json"
+    assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--json", str(file)]) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "large-00 and large-01 are one recording" in error and "nothing was released" in error
+    with open_registry(registry_url) as registry:
+        assert not [unit for unit in registry.units("large") if unit.verdict == "pass" and unit.after_rmse is None]
+
+
+def test_three_earlier_lots_qualify_one_without_audits(make_lot: MakeLot, registry_url: str, tmp_path: Path) -> None:
+    for name in ("one", "three", "seventh"):
+        _batch(make_lot(name, audits=4), registry_url, tmp_path)
+    report = _batch(make_lot("fourteenth", audits=0), registry_url, tmp_path)
+    assert report["release"]["qualification"] == "earlier lots" and report["release"]["audits"] == 12
+    other = _batch(make_lot("othermodel", audits=0, model="XX"), registry_url, tmp_path)
+    assert other["release"]["qualification"] == "none"
+
+
+def test_the_statement_is_one_page_and_kept_in_the_registry(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_lot()
+    _batch(folder, registry_url, tmp_path)
+    pdf, file = tmp_path / "lot.pdf", tmp_path / "release.json"
+    capsys.readouterr()
+    command = ["lot", "release", str(folder), "--registry", registry_url, "--pdf", str(pdf), "--json", str(file)]
+    assert main(command) == 0
+    assert pdf.read_bytes().startswith(b"%PDF") and len(re.findall(rb"/Type /Page\b", pdf.read_bytes())) == 1
+    told = json.loads(file.read_text())
+    assert told["statement"] in capsys.readouterr().out and len(told["released"]) == 4
+    with open_registry(registry_url) as registry:
+        assert len(registry.events("lot_release", ("large",))) == 1
+
+
+def test_the_plan_says_how_many_audits_promise_what(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_lot(audits=0)
+    _batch(folder, registry_url, tmp_path)
+    capsys.readouterr()
+    file = tmp_path / "plan.json"
+    assert main(["lot", "audit-plan", str(folder), "--registry", registry_url, "--json", str(file)]) == 0
+    told, plan = capsys.readouterr().out, json.loads(file.read_text())
+    assert "10 audits" in told and "22" in told
+    assert len(plan["plan"]["random"]) == 10 and not plan["plan"]["doubtful"]
+
+
+def test_a_statement_of_an_unknown_lot_is_refused_in_one_line(
+    registry_url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["lot", "release", "nowhere", "--registry", registry_url]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -1,0 +1,77 @@
+"""The one page on a lot, read back with a tool that is not ours."""
+
+import shutil
+import subprocess
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+
+import pytest
+
+from softcal.app.certificates.lot_statement import AuditRow, LotStatementFacts, lot_statement_pdf
+
+FACTS = LotStatementFacts(
+    lot="lot-1",
+    sensor_model="EG <3 mm>",
+    source="S0",
+    quantity="force",
+    reference_unit="N",
+    limit_rmse=0.5,
+    limit_origin="stated for the lot",
+    network_id="ab" * 32,
+    method_id="cd" * 32,
+    made_on=date(2026, 5, 1),
+    software="softcal 1.0",
+    statement="with 10 audits: at most 1 in 10 of the 30 released units beyond 0.5 N, 90 % confidence",
+    risk=0.1,
+    confidence=0.9,
+    factor=1.73,
+    any_form="at most 20.6 % beyond the limit, 90 % confidence",
+    audits=tuple(AuditRow(f"A{k}", "lot-1", 0.2, 0.2 + 0.01 * k, "pass") for k in range(10)),
+    drawn="at random, seed 7",
+    released=tuple(f"U{k:03d}" for k in range(30)),
+    counts={"pass": 40, "conditional": 2, "fail": 0},
+    identifier="lot-1-20260501",
+)
+
+
+def _text(pdf: bytes, tmp_path: Path) -> tuple[str, int]:
+    if shutil.which("pdftotext") is None:
+        pytest.skip("pdftotext (poppler-utils) is not installed")
+    file = tmp_path / "statement.pdf"
+    file.write_bytes(pdf)
+    text = subprocess.run(["pdftotext", "-layout", str(file), "-"], capture_output=True, check=True).stdout.decode()
+    return " ".join(text.split()), text.count("\f")
+
+
+def test_one_page_says_what_is_promised_on_what_evidence_at_what_risk(tmp_path: Path) -> None:
+    text, pages = _text(lot_statement_pdf(FACTS), tmp_path)
+    assert pages == 1
+    for said in (
+        FACTS.statement,
+        "RELEASED BY SAMPLE",
+        "EG <3 mm>",
+        "0.5 N",
+        "seed 7",
+        "risk 0.1, confidence 0.9",
+        "1.73",
+        "U029",
+        "ISO 3951",
+    ):
+        assert said in text
+
+
+def test_a_large_lot_still_fits_one_page_and_says_what_is_left_out(tmp_path: Path) -> None:
+    audits = tuple(AuditRow(f"LONG-SERIAL-{k:04d}", f"lot-{k % 7}", 0.2, 0.3, "pass") for k in range(80))
+    facts = replace(FACTS, audits=audits, released=tuple(f"LONG-SERIAL-{k:05d}" for k in range(2000)))
+    text, pages = _text(lot_statement_pdf(facts), tmp_path)
+    assert pages == 1 and "and 66 more" in text and "and 1970 more" in text
+
+
+def test_without_a_promise_the_page_says_so(tmp_path: Path) -> None:
+    text, _ = _text(lot_statement_pdf(replace(FACTS, released=(), factor=None, any_form="", audits=())), tmp_path)
+    assert "NO RELEASE BY SAMPLE" in text and "Audited units None." in text
+
+
+def test_equal_facts_make_equal_bytes() -> None:
+    assert lot_statement_pdf(FACTS) == lot_statement_pdf(replace(FACTS))

@@ -1,0 +1,83 @@
+"""`softcal trim`: two loads mend a unit in the registry; loads of something else change nothing."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.cli.main import main
+from softcal.db.connection import open_registry
+
+GAIN, OFFSET_V = 1.15, 0.54
+
+
+@pytest.fixture
+def trimmed(lot_folder: Path, registry_url: str, tmp_path: Path):  # type: ignore[no-untyped-def]
+    """`trimmed(output, reference)`: the exit code of a trim of A1 by these loads."""
+    main(["batch", str(lot_folder), "--registry", registry_url, "--hidden", "16,8", "--no-own"])
+
+    def run(output: list[float], reference: list[float]) -> int:
+        file = tmp_path / "loads.csv"
+        pd.DataFrame({"output": output, "reference": reference}).to_csv(file, index=False)
+        return main(["trim", "--registry", registry_url, "--serial", "A1", "--loads", str(file)])
+
+    return run
+
+
+def drifted_V(load_N: float) -> float:
+    """Return the output of A1 at rest under a load, its zero moved by 20 mV and its gain by a tenth."""
+    return OFFSET_V + 0.02 + 1.1 * GAIN * (0.1 * load_N + 0.02 * load_N**2)
+
+
+def _revisions(url: str) -> int:
+    with open_registry(url) as registry:
+        return len(registry.history("A1"))
+
+
+def test_two_loads_make_a_revision_that_reads_them(trimmed, registry_url: str, tmp_path: Path, press_unit) -> None:  # type: ignore[no-untyped-def]
+    before = _revisions(registry_url)
+    use = press_unit(900, 1.1 * GAIN, OFFSET_V + 0.02, 88)
+    use[["t_s", "output"]].to_csv(tmp_path / "in.csv", index=False)
+
+    def error() -> float:
+        out = tmp_path / "out.csv"
+        assert (
+            main(
+                ["estimate", "--registry", registry_url, "--serial", "A1", str(tmp_path / "in.csv"), "--out", str(out)]
+            )
+            == 0
+        )
+        return float(np.sqrt(np.nanmean((pd.read_csv(out)["estimate"] - use["reference"]) ** 2)))
+
+    drifted = error()
+    assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
+    assert error() < 0.6 * drifted
+    assert _revisions(registry_url) == before + 1
+    with open_registry(registry_url) as registry:
+        record = registry.calibration("A1").record
+    assert record.knowledge.is_anchored and record.verdict != "pass" and record.after_rmse is None
+
+
+@pytest.mark.parametrize(
+    ("output", "reference", "words"),
+    [
+        ([0.54], [0.0], "two different"),
+        ([0.54, 0.9], [0.0, 2500.0], "another unit"),
+        ([0.9, 0.54], [0.0, 2.5], "exchanged"),
+        ([0.54, 0.9, 0.9], [0.0, 2.5, 2.5], "are the same"),
+    ],
+)
+def test_loads_that_cannot_be_of_it_change_nothing(
+    trimmed,  # type: ignore[no-untyped-def]
+    registry_url: str,
+    capsys: pytest.CaptureFixture[str],
+    output: list[float],
+    reference: list[float],
+    words: str,
+) -> None:
+    before = _revisions(registry_url)
+    capsys.readouterr()
+    assert trimmed(output, reference) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1 and _revisions(registry_url) == before

@@ -1,0 +1,274 @@
+"""Bounds over units, acceptance sampling and release: against closed forms, other implementations and drawn lots."""
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+from scipy.stats import beta, binom, hypergeom, norm
+
+from softcal.core.errors import InputError
+from softcal.core.quality.acceptance import (
+    Promise,
+    audits_by_count,
+    curtailed_after,
+    draw_units,
+    failing_share,
+    failing_upper,
+    look_confidence,
+    tolerance_factor,
+)
+from softcal.core.quality.conformal import least_risk, least_units, pooled_scale, share_beyond, upper_bound
+from softcal.core.quality.qualification import PastAudit, QualificationRules, qualify
+from softcal.core.quality.release import AuditedUnit, audited_ratios, release
+from softcal.core.unit.verdict import Limit
+
+LIMIT = Limit("N", 1.0)
+NOW = datetime(2026, 5, 1, tzinfo=UTC)
+
+
+@pytest.mark.parametrize(
+    "draw", [lambda r, n: r.normal(size=n), lambda r, n: r.standard_cauchy(n), lambda r, n: r.random(n) ** 9]
+)
+@pytest.mark.parametrize(("count", "risk"), [(9, 0.1), (10, 0.1), (5, 0.2), (3, 0.25), (30, 0.07)])
+def test_one_more_unit_is_beyond_the_bound_no_more_often_than_the_risk(draw, count, risk):
+    rng, trials = np.random.default_rng(count), 20_000
+    scores = draw(rng, (trials, count + 1))
+    bounds = np.sort(scores[:, :count], axis=1)[:, int(np.ceil((1 - risk) * (count + 1) - 1e-9)) - 1]
+    assert [upper_bound(row, risk) for row in scores[:50, :count]] == bounds[:50].tolist()
+    beyond = np.mean(scores[:, count] > bounds)
+    # Five standard deviations of a share counted over the trials.
+    assert beyond <= risk + 5 * np.sqrt(risk / trials)
+
+
+def test_too_few_units_bound_nothing():
+    assert upper_bound(np.arange(8.0), 0.1) == np.inf
+    assert upper_bound(np.arange(9.0), 0.1) == 8.0
+    assert least_units(0.1) == 9 and least_units(0.05) == 19 and least_risk(9) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("count", "risk"), [(10, 0.1), (22, 0.05), (40, 0.1)])
+def test_the_share_beyond_the_bound_is_kept_with_the_stated_confidence(count, risk):
+    rng = np.random.default_rng(0)
+    share = share_beyond(count, risk, 0.9)
+    true_shares = [1 - norm.cdf(upper_bound(rng.normal(size=count), risk)) for _ in range(4000)]
+    assert np.mean(np.array(true_shares) <= share) == pytest.approx(0.9, abs=0.02)
+
+
+def test_more_audits_never_promise_less():
+    shares = [share_beyond(count, 1 / (count + 1), 0.9) for count in range(2, 60)]
+    assert np.all(np.diff(shares) < 0)
+    factors = [tolerance_factor(count, count - 1, Promise()) for count in range(2, 60)]
+    assert np.all(np.diff(factors) < 0)
+
+
+def test_a_share_of_the_largest_of_k_is_the_classical_one():
+    assert share_beyond(22, 1 / 23, 0.9) == pytest.approx(1 - 0.1 ** (1 / 22))
+
+
+def test_every_unit_weighs_the_same_in_the_pooled_scale():
+    few, many = np.array([1.0, 2.0]), np.linspace(0, 0.5, 100_000)
+    assert pooled_scale([few, many], 0.7) == 1.0
+    assert pooled_scale([few, many], 0.8) == 2.0
+
+
+def test_hierarchical_scale_covers_one_more_unit_whatever_the_spread_between_units():
+    rng, covered, pooled = np.random.default_rng(4), [], []
+    for _ in range(600):
+        sizes = np.exp(rng.normal(0, 1.5, 16))
+        groups = [np.abs(size * rng.normal(size=60)) for size in sizes]
+        covered.append(np.mean(groups[-1] <= pooled_scale(groups[:-1], 0.9, has_unseen=True)))
+        pooled.append(np.mean(groups[-1] <= pooled_scale(groups[:-1], 0.9)))
+    assert np.mean(covered) >= 0.9 - 5 * np.std(covered) / np.sqrt(600)
+    assert np.mean(pooled) < np.mean(covered)
+
+
+def test_hierarchical_scale_of_too_few_units_is_infinite():
+    assert pooled_scale([np.ones(5)] * 8, 0.9, has_unseen=True) == np.inf
+    assert pooled_scale([np.ones(5)] * 9, 0.9, has_unseen=True) == 1.0
+    with pytest.raises(InputError, match="no audited unit"):
+        pooled_scale([], 0.9)
+
+
+def test_counting_needs_the_classical_numbers_of_audits():
+    assert audits_by_count(Promise(0.1, 0.9)) == 22
+    assert audits_by_count(Promise(0.05, 0.95)) == 59
+    assert audits_by_count(Promise(0.1, 0.9), failed=1) == 38
+    assert binom.cdf(1, 38, 0.1) <= 0.1 < binom.cdf(1, 37, 0.1)
+
+
+def test_the_bound_of_a_finite_lot_is_the_last_number_not_contradicted():
+    upper = failing_upper(40, 10, 1, 0.9)
+    assert hypergeom.cdf(1, 40, upper, 10) > 0.1 >= hypergeom.cdf(1, 40, upper + 1, 10)
+    assert failing_upper(12, 12, 2, 0.9) == 2
+    assert failing_share(10, 0, 0.9) == pytest.approx(beta.ppf(0.9, 1, 10))
+
+
+def test_the_tolerance_factor_is_that_of_the_standards_tables():
+    # ISO 16269-6, one-sided, unknown SD, p = 0.90, confidence 0.90; n = 5, 10, 20 (also Odeh and Owen 1980, table 1).
+    for count, factor in ((5, 2.742), (10, 2.066), (20, 1.765)):
+        assert tolerance_factor(count, count - 1, Promise()) == pytest.approx(factor, abs=2e-3)
+
+
+def test_a_lot_is_lost_at_the_failure_that_is_one_too_many():
+    assert curtailed_after([False, True, False, True]) == 2
+    assert curtailed_after([False, True, False, True], allowed=1) == 4
+    assert curtailed_after([False] * 5) is None
+
+
+def test_several_looks_keep_the_confidence_of_the_whole():
+    rng, wrong, trials = np.random.default_rng(2), 0, 3000
+    looks, confidence = (5, 10), look_confidence(0.9, 2)
+    for _ in range(trials):
+        values = rng.normal(size=max(looks))
+        tops = [
+            v.mean() + tolerance_factor(len(v), len(v) - 1, Promise(0.1, confidence)) * v.std(ddof=1)
+            for v in (values[:n] for n in looks)
+        ]
+        wrong += min(tops) < norm.ppf(0.9)
+    assert wrong / trials <= 0.1 + 5 * np.sqrt(0.09 / trials)
+
+
+def test_a_longer_draw_goes_on_from_the_shorter_one():
+    serials = [f"U{k:03d}" for k in range(40)]
+    assert draw_units(serials[::-1], 12, 7)[:5] == draw_units(serials, 5, 7)
+    assert len({draw_units(serials, 5, seed) for seed in range(20)}) == 20
+    with pytest.raises(InputError, match="at least one"):
+        draw_units(serials, 0, 1)
+
+
+def _lot(rng, count, centre, spread, forecast_spread=0.3):
+    forecast = 0.3 * np.exp(forecast_spread * rng.normal(size=count))
+    return forecast, forecast * np.exp(centre + spread * rng.normal(size=count))
+
+
+@pytest.mark.parametrize("centre", [0.4, 0.8, 1.1, 1.5])
+@pytest.mark.parametrize("depends", [False, True])
+def test_few_lots_release_more_bad_units_than_promised(centre, depends):
+    """Confidence 0.9: of lots at any centre, at most one in ten releases a larger share of bad units than promised."""
+    rng, broken, bad, released = np.random.default_rng(int(10 * centre)), 0, 0, 0
+    for _ in range(200):
+        forecast, truth = _lot(rng, 210, centre, 0.35)
+        if depends:  # a forecast that says nothing: the smallest ones are the most optimistic
+            truth = 0.3 * np.exp(centre + 0.35 * rng.normal(size=210))
+        audits = [AuditedUnit(f"A{k}", forecast[k], truth[k]) for k in range(10)]
+        rest = {f"U{k}": float(forecast[k]) for k in range(10, 210)}
+        decision = release(rest, audits, LIMIT)
+        beyond = sum(truth[int(serial[1:])] > 1.0 for serial in decision.released)
+        bad, released = bad + beyond, released + len(decision.released)
+        broken += beyond > 0.1 * len(decision.released)
+    assert broken <= 0.1 * 200 + 5 * np.sqrt(0.09 * 200)
+    assert bad <= 0.1 * max(released, 1)
+
+
+def test_a_good_lot_is_released():
+    rng, shares = np.random.default_rng(1), []
+    for _ in range(200):
+        forecast, truth = _lot(rng, 40, 0.0, 0.2, 0.2)
+        audits = [AuditedUnit(f"A{k}", forecast[k], truth[k]) for k in range(10)]
+        decision = release({f"U{k}": float(forecast[k]) for k in range(10, 40)}, audits, LIMIT)
+        shares.append(len(decision.released) / 30)
+    assert np.mean(shares) >= 0.85
+
+
+def test_release_of_few_of_many_takes_more_than_release_of_all():
+    audits = [
+        AuditedUnit(f"A{k}", 0.3, 0.3 * np.exp(0.2 * v)) for k, v in enumerate(norm.ppf(np.linspace(0.05, 0.95, 10)))
+    ]
+    alone = release({"U": 0.5}, audits, LIMIT)
+    among = release({"U": 0.5, "V": 0.4, "W": 5.0}, audits, LIMIT)
+    assert alone.released == ("U",) and among.released == ("V", "U") and among.factor > alone.factor
+    assert among.risk_any_form > alone.risk_any_form
+
+
+def test_the_few_best_of_a_poor_lot_are_not_released():
+    audits = [AuditedUnit(f"A{k}", 0.3, 0.3) for k in range(10)]
+    assert release({"U": 0.01, "V": 5.0, "W": 5.0}, audits, LIMIT).released == ()
+
+
+def test_no_audit_releases_nothing():
+    assert release({"U": 0.01}, [], LIMIT).released == ()
+    assert release({"U": 0.01}, [AuditedUnit("A", 0.1, 0.1)], LIMIT).released == ()
+
+
+def test_a_unit_audited_twice_is_refused():
+    with pytest.raises(InputError, match="A1 was audited twice"):
+        audited_ratios([AuditedUnit("A1", 0.1, 0.1), AuditedUnit("A1", 0.1, 0.2)])
+    with pytest.raises(InputError, match="positive number"):
+        AuditedUnit("A1", 0.1, float("nan"))
+
+
+def test_lots_that_differ_bound_a_new_lot_wider_than_their_units_do():
+    rng = np.random.default_rng(3)
+    shifts = (-0.6, 0.0, 0.6, 0.1)
+    lots = [
+        [AuditedUnit(f"A{k}", 1.0, float(np.exp(s + 0.1 * rng.normal())), f"lot {j}") for k in range(8)]
+        for j, s in enumerate(shifts)
+    ]
+    together = audited_ratios([unit for lot in lots for unit in lot])
+    assert together.spread > 3 * audited_ratios(lots[0]).spread
+    assert together.degrees < 5
+    assert audited_ratios(lots[0] + lots[1]).bound(Promise()) == np.inf
+
+
+def test_audits_of_earlier_lots_keep_the_promise_for_a_new_lot():
+    rng, beyond, trials = np.random.default_rng(8), 0, 600
+    for _ in range(trials):
+        units = [
+            AuditedUnit(f"{j}-{k}", 1.0, float(np.exp(c + 0.2 * rng.normal())), f"{j}")
+            for j, c in enumerate(0.3 * rng.normal(size=5))
+            for k in range(6)
+        ]
+        share = 1 - norm.cdf(np.log(audited_ratios(units).bound(Promise())) / np.hypot(0.3, 0.2))
+        beyond += share > 0.1
+    assert beyond / trials <= 0.1 + 5 * np.sqrt(0.09 / trials)
+
+
+def _past(lots=4, each=5, days=10, model="EG", method="m1", failed=False):
+    return [
+        PastAudit(
+            AuditedUnit(f"P{k}", 0.1, 0.1 + 0.001 * k, f"lot {j}"), model, method, NOW - timedelta(days=days), failed
+        )
+        for j in range(lots)
+        for k in range(each)
+    ]
+
+
+def _here(count):
+    return [AuditedUnit(f"A{k}", 0.1, 0.1) for k in range(count)]
+
+
+def test_enough_audits_of_the_lot_qualify_it():
+    assert qualify(_here(9), [], NOW, "", "m1").source == "this lot"
+    found = qualify(_here(6), [], NOW, "EG", "m1")
+    assert not found.is_given and found.wanted == 3 and "audit 3 more units" in found.reason
+
+
+def test_audits_of_earlier_lots_qualify_the_same_product_and_method():
+    found = qualify([], _past(), NOW, "EG", "m1")
+    assert found.source == "earlier lots" and len(found.audits) == 20
+
+
+@pytest.mark.parametrize(
+    ("past", "model", "method", "words"),
+    [
+        (_past(), "other", "m1", "another sensor model or method"),
+        (_past(), "EG", "m2", "another sensor model or method"),
+        (_past(), "", "m1", "names no sensor_model"),
+        (_past(days=400), "EG", "m1", "older than 365 days"),
+        (_past(lots=2, each=9), "EG", "m1", "too few"),
+        (_past() + _past(lots=1, each=1, days=5, failed=True), "EG", "m1", "withdrew"),
+    ],
+)
+def test_what_does_not_count_is_named(past, model, method, words):
+    found = qualify(_here(2), past, NOW, model, method)
+    assert not found.is_given and words in found.reason and "audit 7 more" in found.reason
+
+
+def test_a_failed_golden_unit_withdraws_what_was_audited_before_it():
+    assert not qualify([], _past(days=10), NOW, "EG", "m1", golden_failed_at=NOW - timedelta(days=3)).is_given
+    assert qualify([], _past(days=2), NOW, "EG", "m1", golden_failed_at=NOW - timedelta(days=3)).is_given
+
+
+def test_audits_made_after_a_failure_qualify_again():
+    past = _past(days=30, failed=True) + _past(days=5)
+    assert qualify([], past, NOW, "EG", "m1", rules=QualificationRules()).is_given

@@ -1,0 +1,62 @@
+"""Two known loads at the place of use: what they mend, and what is refused."""
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.maps.affine import AffineMap
+from softcal.core.maps.anchors import AnchoredMap
+from softcal.core.maps.interface import Anchors, FitProblem
+from softcal.core.metrics import rmse
+from softcal.core.use.trim import trim
+
+GAIN, OFFSET_V = 1.12, 0.03
+
+
+@pytest.fixture
+def problem(press, linear_network) -> FitProblem:  # type: ignore[no-untyped-def]
+    unit = press(5, gain=GAIN, offset_V=OFFSET_V)
+    return FitProblem(press(1, serial="S0", seconds=120.0), linear_network, unit.unlabelled)
+
+
+def output_V(load_N: float) -> float:
+    return OFFSET_V + GAIN * (0.5 + 0.1 * load_N)
+
+
+def loads(*load_N: float) -> Anchors:
+    return Anchors(np.array([output_V(load) for load in load_N]), np.array(load_N))
+
+
+def test_two_loads_mend_gain_and_zero(problem: FitProblem, press, linear_network) -> None:  # type: ignore[no-untyped-def]
+    found = trim(problem, AffineMap(1.0, 0.0), loads(0.0, 2.5))
+    test = press(6, gain=GAIN, offset_V=OFFSET_V)
+    error = rmse(linear_network.evaluate(found.unit_map.apply(test.windows)), test.window_reference)
+    assert found.after_rmse < 0.1 * found.before_rmse
+    # The noise alone is 0.02 N; the map as it was reads 0.9 N wrong.
+    assert error < 0.06
+
+
+def test_a_second_trim_replaces_the_first_in_one_gain_and_offset(problem: FitProblem) -> None:
+    first = trim(problem, AffineMap(1.0, 0.0), loads(0.0, 2.5)).unit_map
+    second = trim(problem, first, loads(0.5, 2.0)).unit_map
+    assert isinstance(second, AnchoredMap) and not isinstance(second.inner, AnchoredMap)
+    windows = np.full((1, 15), output_V(1.7))
+    assert problem.network.evaluate(second.apply(windows))[0] == pytest.approx(1.7, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (loads(1.0), "two different ones"),
+        (loads(1.0, 1.0), "are the same"),
+        (loads(0.0, 2.5, 2.5), "loads 2 and 3 are the same"),
+        (Anchors(loads(0.0, 2.5).output, np.array([0.0, 2500.0])), "another unit"),
+        (Anchors(loads(0.0, 2.5).output[::-1], np.array([0.0, 2.5])), "rows or columns are exchanged"),
+        (Anchors(np.array([0.0, 2.5]), loads(0.0, 2.5).output), "are the same|is outside|contradict|asks? for"),
+        (Anchors(1e3 * loads(0.0, 2.5).output, np.array([0.0, 2.5])), "another unit|contradict"),
+    ],
+)
+def test_loads_that_cannot_be_of_this_unit_are_refused(problem: FitProblem, given: Anchors, words: str) -> None:
+    with pytest.raises(InputError, match=words) as refused:
+        trim(problem, AffineMap(1.0, 0.0), given)
+    assert "nothing was changed" in str(refused.value) and "\n" not in str(refused.value)
