@@ -131,8 +131,9 @@ def simulated_config(station: SimulatedStation) -> StationConfig:
             station.force_kind,
             counts_per_N=station.counts_per_N,
             zero_counts=station.zero_counts,
+            latency_s=0.0,
         ),
-        SafetyConfig(),
+        SafetyConfig(stiffest_N_mm=60.0),
         replace(FixtureConfig(), approach_mm=station.free_mm),
         name="simulated",
     )
