@@ -249,9 +249,7 @@ class _Run:
         stiffness_N_mm = stiffest_N_mm(at(host_s[seen]), force_N[seen])
         self._check_speed(float(np.max(force_N)) - self._motion.zero_N, stiffness_N_mm)
 
-    def _measure_latency(
-        self, host_s: Array, force_N: Array, at: Callable[[Array], Array], contact_mm: float
-    ) -> None:
+    def _measure_latency(self, host_s: Array, force_N: Array, at: Callable[[Array], Array], contact_mm: float) -> None:
         found_s = lag_s(host_s, force_N, at, contact_mm)
         check_lag(found_s, self.watched.late_s)
         force = self._bench.config.force

@@ -23,6 +23,9 @@ RETRACT_MM_S = 5.0
 READ_S = 0.3
 """How long the load cell is read to say what stands on the unit."""
 
+LIFT_MM = 1.0
+"""A stage is lifted at least so far, wherever it stood."""
+
 AT_MM = 0.05
 """A stage this near to where it was to be lifted is lifted."""
 
@@ -195,8 +198,8 @@ class Motion:
 
     def _lift(self) -> str:
         stage = self._stage
-        # Never deeper: a stage above the approach stays there.
-        to_mm = min(stage.position_mm, self._bench.config.fixture.approach_mm, stage.travel_mm)
+        # Never deeper; what is in the way above the approach is let go as well.
+        to_mm = max(0.0, min(self._bench.config.fixture.approach_mm, stage.position_mm - LIFT_MM))
         speed_mm_s = min(RETRACT_MM_S, stage.max_speed_mm_s)
         path = Trapezoid(stage.position_mm, to_mm, speed_mm_s, stage.acceleration_mm_s2)
         self._interlock.take(Event.LIFT)
@@ -252,9 +255,7 @@ class Motion:
     def _unreachable(self) -> str:
         if isinstance(self._stage, RunsOn):
             seconds = self._stage.runs_on_s(self._bench.config.safety.speed_mm_s)
-            return (
-                f"the stage does not answer any more, it stops within {seconds:.1f} s: switch it off before you reach in"
-            )
+            return f"the stage does not answer any more, it stops within {seconds:.1f} s: switch it off before you reach in"
         return "the stage does not answer any more, it ends the move it has: switch it off before you reach in"
 
     def _left(self, state: str) -> str:
