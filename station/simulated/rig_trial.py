@@ -15,7 +15,6 @@ from softcal.station.config import UNKNOWN_S
 from softcal.station.simulated.law_unit import ForceLaw, LawUnit
 from softcal.station.simulated.station import SimulatedStation
 
-
 START_MM = 0.5
 """Where the stage was left, above everything."""
 
