@@ -79,8 +79,8 @@ def record(
         raise CommandRefused("a source unit needs the load cell, the station file has none; nothing moved")
     if bench.force is None and not bench.config.safety.without_cell:
         raise CommandRefused(
-            "nothing limits the force without a load cell; set without_cell in the station file where the stage can hurt "
-            "nothing; nothing moved"
+            "nothing limits the force without a load cell; set without_cell in the station file where the stage can "
+            "hurt nothing; nothing moved"
         )
     run = _Run(bench, serial, profile, on_progress, spool)
     return run.watched.motion.supervise(lambda: run.perform(with_reference))
@@ -263,8 +263,8 @@ class _Run:
             raise CommandRefused(
                 f"profile {self._profile.name!r} moves at {fastest_mm_s:g} mm/s, on this unit ({force_N:.1f} N, "
                 f"{stiffness_N_mm:.1f} N/mm) a stop could end at "
-                f"{bounds.worst_N(fastest_mm_s, force_N, stiffness_N_mm):.1f} N, {bounds.ceiling_N:.1f} N is the most for "
-                f"this load cell; press at {known_mm_s:.2g} mm/s or slower"
+                f"{bounds.worst_N(fastest_mm_s, force_N, stiffness_N_mm):.1f} N, {bounds.ceiling_N:.1f} N is the most "
+                f"for this load cell; press at {known_mm_s:.2g} mm/s or slower"
             )
 
     def _tell(self, fraction: float, remaining_s: float) -> None:

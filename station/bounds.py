@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 
 REACTION_S = 0.12
-"""From a reading that has arrived to a stage that begins to brake: look at the devices, line, stop byte, and motion that
-the controller has already cut into steps (0.06 s in GRBL)."""
+"""From a reading that has arrived to a stage that begins to brake: look at the devices, line, stop byte, and motion
+that the controller has already cut into steps (0.06 s in GRBL)."""
 
 FULL = 0.9
 """No stop may end above this share of the load cell's capacity."""
@@ -59,7 +59,7 @@ class ForceBounds:
 
     @property
     def unknown_mm_s(self) -> float:
-        """Fastest speed at a depth where this unit was not pressed yet: a hard stop may lie there, just below the limit."""
+        """Fastest speed at a depth where this unit was not pressed yet: a hard stop may lie there."""
         return self.reaction.fastest_mm_s((self.ceiling_N - self.limit_N) / self.stiffest_N_mm)
 
     def known_mm_s(self, force_N: float, stiffness_N_mm: float) -> float:

@@ -201,8 +201,8 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
     config = StationConfig(name=str(content.get("name", "station")), **sections)
     if config.force is None and not config.safety.without_cell:
         raise InputError(
-            "section [force] is missing, so nothing limits the force; add the load cell, or state without_cell = true in "
-            "[safety] where the stage can hurt nothing"
+            "section [force] is missing, so nothing limits the force; add the load cell, or state without_cell = true "
+            "in [safety] where the stage can hurt nothing"
         )
     return config
 

@@ -94,7 +94,7 @@ def _heard(link: Link) -> list[Line]:
 
 
 def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tuple[str, str, str]:
-    """Return role, dialect and the reason why: a banner decides, else only what no device of the other kind can send."""
+    """Return role, dialect and the reason why: a banner decides, else what only one kind of device can send."""
     if "load cell" in banner:
         return "force", "hx711", f"says {banner!r}"
     if banner:

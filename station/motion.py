@@ -1,4 +1,4 @@
-"""The one place that moves a stage: every move is watched, has a deadline, and ends standing, or in a stop that says so.
+"""The one place that moves a stage: each move is watched, has a deadline, ends standing or in a stop that says so.
 
 Nothing else in softcal calls `home`, `begin` or `stop` of a stage; `tests/station/test_holes.py` holds that.
 """
@@ -255,7 +255,8 @@ class Motion:
     def _unreachable(self) -> str:
         if isinstance(self._stage, RunsOn):
             seconds = self._stage.runs_on_s(self._bench.config.safety.speed_mm_s)
-            return f"the stage does not answer any more, it stops within {seconds:.1f} s: switch it off before you reach in"
+            stops = f"it stops within {seconds:.1f} s: switch it off before you reach in"
+            return f"the stage does not answer any more, {stops}"
         return "the stage does not answer any more, it ends the move it has: switch it off before you reach in"
 
     def _left(self, state: str) -> str:

@@ -59,8 +59,8 @@ def check_lag(found_s: float, declared_s: float) -> None:
     off_s = found_s - declared_s
     if off_s > LATE_S or off_s < -EARLY_S:
         raise BadReply(
-            f"load cell: its readings are {found_s:.3f} s behind the stage, {declared_s:.3f} s are declared; look for a "
-            f"slow line or a filter, or state latency_s = {max(0.0, found_s):.2f} in the station file"
+            f"load cell: its readings are {found_s:.3f} s behind the stage, {declared_s:.3f} s are declared; look for "
+            f"a slow line or a filter, or state latency_s = {max(0.0, found_s):.2f} in the station file"
         )
 
 
@@ -77,8 +77,8 @@ def check_gain(stage_mm: Array, force_N: Array) -> None:
     gains = press_gains(stage_mm, force_N)
     if len(gains) > 1 and float(np.max(gains)) > GAIN * float(np.min(gains)):
         raise BadReply(
-            f"load cell: at equal depths one press shows {np.max(gains) / np.min(gains):.2f} times the force of another; "
-            "check the cell's amplifier, its mounting and the unit's seat, then press again"
+            f"load cell: at equal depths one press shows {np.max(gains) / np.min(gains):.2f} times the force of "
+            "another; check the cell's amplifier, its mounting and the unit's seat, then press again"
         )
 
 

@@ -131,8 +131,8 @@ class WatchedBench:
             self._lowest_N = min(self._lowest_N, sample.values[0])
             if sample.values[0] > self._lowest_N + HOMING_RISE_N:
                 raise SafetyStop(
-                    f"the force rises by {sample.values[0] - self._lowest_N:.1f} N while the stage homes; check that it "
-                    "homes away from the unit"
+                    f"the force rises by {sample.values[0] - self._lowest_N:.1f} N while the stage homes; check that "
+                    "it homes away from the unit"
                 )
         self._on_tick()
 
@@ -166,8 +166,8 @@ class WatchedBench:
         touch_N = self.bench.config.fixture.touch_N
         if self._free_N is not None and self.motion.is_lowering and force_N - self._free_N > touch_N:
             raise SafetyStop(
-                f"something is in the way at {self.bench.stage.position_mm:.2f} mm: {force_N - self._free_N:.2f} N; look "
-                "at unit and fixture, correct approach_mm in the station file"
+                f"something is in the way at {self.bench.stage.position_mm:.2f} mm: {force_N - self._free_N:.2f} N; "
+                "look at unit and fixture, correct approach_mm in the station file"
             )
 
     def pressed_mm(self) -> float:

@@ -16,7 +16,7 @@ from softcal.station.interfaces import Held, Move, OnWait, StagePosition
 from softcal.station.interlock import State
 from softcal.station.motion import Cancelled, Motion
 
-MOST_FAULTS = 4
+MOST_FAULTS = 3
 LONGEST_S = 120.0
 """No run of the program below may take longer, whatever happens."""
 

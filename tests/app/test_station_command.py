@@ -76,17 +76,21 @@ def test_a_station_file_with_an_unknown_key_lists_the_known_ones(softcal, tmp_pa
 
 
 def test_recover_writes_what_a_run_that_was_cut_off_had_read(softcal, tmp_path):
-    from softcal.station.interfaces import Sample
+    from softcal.station.interfaces import Sample, StagePosition
     from softcal.station.spool import Spool
 
     with Spool(tmp_path / "spool" / "A1-1.spool", {"serial": "A1", "profile": "unit"}) as spool:
-        spool.append([Sample(0.02 * k, 0.02 * k, (0.5,)) for k in range(50)], (), ())
+        cell = [Sample(0.01 * k, 0.01 * k, (0.1 * k,)) for k in range(100)]
+        polls = [StagePosition(0.1 * k, 2.0 * k) for k in range(11)]
+        spool.append([Sample(0.02 * k, 0.02 * k, (0.5,)) for k in range(50)], cell, polls)
+    (tmp_path / "spool" / "A0-0.spool").write_bytes(b"")  # what a full disk leaves
     content = (tmp_path / "spool" / "A1-1.spool").read_bytes()
     (tmp_path / "spool" / "A1-1.spool").write_bytes(content[: content.rindex(b"\n", 0, -1) + 1])
     assert softcal("recover", "--spool", tmp_path / "spool", "--out", tmp_path / "out") == 0
     lines = (tmp_path / "out" / "A1-1.aborted.csv").read_text().splitlines()
-    assert lines[0] == "device_s,output_0,aborted"
+    assert lines[0] == "device_s,host_s,output_0,force_N,stage_mm,aborted"
     assert len(lines) == 51
+    assert [float(value) for value in lines[26].split(",")[:5]] == pytest.approx([0.5, 0.5, 0.5, 5.0, 10.0])
     assert lines[1].endswith("cut off")
 
 

@@ -26,8 +26,8 @@ SEEN_LATE = {
     "readout stuck but noisy",
     "motor without supply while pressing",
 }
-"""Only the whole run, or a millimetre of it, shows these: a zero that moves while the stage moves looks like force, single
-lost lines are no danger, and a channel that lies smoothly is found by what it should have done meanwhile."""
+"""Only the whole run, or a millimetre of it, shows these: a zero that moves while the stage moves looks like force,
+single lost lines are no danger, and a channel that lies smoothly is found by what it should have done meanwhile."""
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
