@@ -21,6 +21,9 @@ REACH_MM, STEP_MM, COARSE_STEPS = 1.5, 0.001, 20
 POWERS = (1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 1.9, 2.0)
 """Force laws from a flat pad to a cone."""
 
+CURVED = 9.0
+"""A curve must leave this much less than a line, in variances of one sample."""
+
 STRETCH_MM = 0.1
 
 
@@ -100,8 +103,8 @@ class Search:
 def bend(stage_mm: Array, values: Array) -> float:
     """Return where values that were constant begin to rise or fall as a power of the way that follows.
 
-    Least squares of values = b + k · max(0, stage_mm − x0)^p over b, k, x0 and p in POWERS: a flat pad rises with
-    p = 1, a ball on soft rubber with 1.5, a cone with 2. Unlike the crossing of a threshold it does not depend on the unit's
+    Least squares of values = b + k · max(0, stage_mm − x0)^p over b, k, x0 and p in POWERS: a flat pad
+    rises with p = 1, a ball on soft rubber with 1.5, a cone with 2. Unlike the crossing of a threshold it does not depend on the unit's
     stiffness, and noise is averaged.
 
     Args:
@@ -114,21 +117,29 @@ def bend(stage_mm: Array, values: Array) -> float:
     deepest_mm = float(np.max(stage_mm))
     shallowest_mm = max(float(np.min(stage_mm)), deepest_mm - REACH_MM)
     coarse = np.arange(shallowest_mm, deepest_mm, COARSE_STEPS * STEP_MM)
-    near = _best(stage_mm, values, coarse, POWERS)
+    total = float(np.sum((values - values.mean()) ** 2))
+    found = [_foot(stage_mm, values, coarse, deepest_mm, power) for power in POWERS]
+    left = np.array([total - explained for _, explained in found])
+    # A straight line unless a curve is clearly better: a free power costs certainty where it is not needed.
+    best = int(np.argmin(left))
+    is_curved = left[best] < left[0] * (1.0 - CURVED / len(values))
+    return found[best if is_curved else 0][0]
+
+
+def _foot(stage_mm: Array, values: Array, coarse_mm: Array, deepest_mm: float, power: float) -> tuple[float, float]:
+    """Return x0 of one power, and how much of the values it explains."""
+    near, _ = _best(stage_mm, values, coarse_mm, power)
     around = np.arange(near - COARSE_STEPS * STEP_MM, near + COARSE_STEPS * STEP_MM, STEP_MM)
-    return _best(stage_mm, values, around[around < deepest_mm], POWERS)
+    return _best(stage_mm, values, around[around < deepest_mm], power)
 
 
-def _best(stage_mm: Array, values: Array, candidates_mm: Array, powers: Sequence[float]) -> float:
-    """Return the candidate whose best power explains most of the values."""
-    pressed_mm = np.maximum(0.0, stage_mm - candidates_mm[:, None])  # (candidates, n)
-    found = []
-    for power in powers:
-        shape = pressed_mm**power
-        shape -= shape.mean(axis=1, keepdims=True)
-        found.append((shape @ (values - values.mean())) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300))
-    explained = np.max(found, axis=0)
-    return float(candidates_mm[int(np.argmax(explained))])
+def _best(stage_mm: Array, values: Array, candidates_mm: Array, power: float) -> tuple[float, float]:
+    """Return the candidate that explains most of the values, and how much that is."""
+    shape = np.maximum(0.0, stage_mm - candidates_mm[:, None]) ** power  # (candidates, n)
+    shape -= shape.mean(axis=1, keepdims=True)
+    explained = (shape @ (values - values.mean())) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
+    k = int(np.argmax(explained))
+    return float(candidates_mm[k]), float(explained[k])
 
 
 def stiffest_N_mm(stage_mm: Array, force_N: Array) -> float:

@@ -141,6 +141,15 @@ class RunsOn(Protocol):
         ...
 
 
+@runtime_checkable
+class Advises(Protocol):
+    """A stage whose settings can be looked at."""
+
+    def unsafe_settings(self) -> Sequence[tuple[str, str]]:
+        """Return each setting that takes safety away, and what to do about it."""
+        ...
+
+
 class Reader(Protocol):
     """A device that delivers samples by itself or when asked."""
 

@@ -8,7 +8,7 @@ import numpy as np
 from softcal.core.errors import DeviceError
 from softcal.station.bench import Bench
 from softcal.station.clock import fit_clock, seen_rate_Hz
-from softcal.station.interfaces import ForceReader, Readout, RunsOn, Sample
+from softcal.station.interfaces import Advises, ForceReader, Readout, RunsOn, Sample
 from softcal.station.motion import Cancelled
 from softcal.station.recording import LARGEST_DRIFT
 from softcal.station.watched import WatchedBench
@@ -161,11 +161,13 @@ def _safety_findings(bench: Bench, watched: WatchedBench) -> list[Finding]:
     if bench.force is None:
         return []
     bounds, stage = watched.bounds, bench.stage
+    settings = stage.unsafe_settings() if isinstance(stage, Advises) else ()
+    unsafe = [Finding("stage", "setting", value, cure) for value, cure in settings]
     safe = (
         f"{bounds.free_mm_s:.2g} mm/s where nothing was felt, {bounds.unknown_mm_s:.2g} mm/s where the unit was not "
         f"pressed yet, so that a stop ends below {bounds.ceiling_N:g} N"
     )
-    findings = [Finding("stage", "safe speed", safe)]
+    findings = [*unsafe, Finding("stage", "safe speed", safe)]
     if isinstance(stage, RunsOn):
         speed_mm_s = bench.config.safety.speed_mm_s
         on_s = stage.runs_on_s(speed_mm_s)

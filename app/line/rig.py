@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from softcal.app.bootstrap import data_folder
+from softcal.app.files.lot_folder import write_lot_toml
 from softcal.app.files.profile_file import read_profile
 from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError, NoReply
-from softcal.core.lot import check_serial
+from softcal.core.lot import Lot, check_serial
 from softcal.core.profiles import Profile, source_profile, unit_profile
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.twin.simulate import Twin
@@ -200,8 +201,18 @@ def record_to_files(
     paths = [out] if len(serials) == 1 else [out / f"{serial}.csv" for serial in serials]
     for channel, path in enumerate(paths):
         write_columns(path, columns(recording, channel))
+    if with_reference:
+        _begin_lot(paths[0], recording)
     spool_path.unlink()
     return WrittenRun(recording, tuple(paths), bench.clock.now_s() - began_s)
+
+
+def _begin_lot(source: Path, recording: StationRecording) -> None:
+    """Write the lot.toml of a source that lies in LOT/source/, so that `softcal batch LOT` takes the folder as it is."""
+    folder = source.parent.parent
+    if source.parent.name == "source" and not (folder / "lot.toml").exists():
+        lot = Lot(folder.resolve().name, source.stem, recording.sample_rate_Hz, output_unit=recording.output_unit)
+        write_lot_toml(folder, lot)
 
 
 def spool_folder(option: Path | None) -> Path:

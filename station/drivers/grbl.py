@@ -1,6 +1,7 @@
 """Driver of a GRBL 1.1 or grblHAL stage with one axis (gnea/grbl wiki, "Grbl v1.1 Interface")."""
 
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 
@@ -21,11 +22,22 @@ PIECE_S, AHEAD_S = 0.1, 0.3
 """A move is fed in pieces of PIECE_S, at most AHEAD_S and the time of braking ahead: when the host dies, the stage soon
 stops by itself. A planner that sees less than its braking distance would never get up to speed."""
 
+SLOW_MM_S2 = 50.0
+"""A drive that brakes with less than this makes every safe speed small."""
+
 MARGIN = 1.5
 """A stop may take this much longer than the deceleration in the settings says."""
 
 OFF_SWITCH_MM = 1.0
 """A stage whose position is only roughly known keeps so far from its homing switch."""
+
+SAFE_SETTINGS: tuple[tuple[int, Callable[[float], bool], str], ...] = (
+    (1, lambda value: value == 255, "send $1=255 once; the motor lets go at rest and the stage may sink"),
+    (20, lambda value: value == 1, "send $20=1 once; nothing keeps the stage inside its travel"),
+    (21, lambda value: value == 1, "send $21=1 once; a limit switch does not stop the stage"),
+    (120, lambda value: value >= SLOW_MM_S2, "send ${number}=200 once; the stage brakes slowly and must go slowly"),
+)
+"""Settings of a controller, what is safe, and the command that mends it."""
 
 ANSWER_S = 2.0
 HOMING_S = 60.0
@@ -169,6 +181,16 @@ class GrblStage:
         for line in lines:
             self._in_flight.append(len(line))
             self._link.write(line)
+
+    def unsafe_settings(self) -> list[tuple[str, str]]:
+        """Return each setting that takes safety away as `$n=value`, and the command that mends it."""
+        found = []
+        for number, is_safe, cure in SAFE_SETTINGS:
+            value = self.settings.get(number + (self._index if number == 120 else 0))
+            if value is not None and not is_safe(value):
+                shown = number + (self._index if number == 120 else 0)
+                found.append((f"${shown}={value:g}", cure.format(number=shown)))
+        return found
 
     def runs_on_s(self, speed_mm_s: float) -> float:
         """Return after how long the stage stands, at most, once the host is gone in a move at this speed."""

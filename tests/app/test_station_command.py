@@ -50,6 +50,16 @@ def test_source_writes_the_columns_of_a_lot_folder(softcal, tmp_path):
     assert labelled.unlabelled.stage_mm is not None
 
 
+def test_source_and_unit_end_in_a_lot_folder_as_it_is_read(softcal, tmp_path):
+    from softcal.app.files.lot_folder import open_lot_folder
+
+    for kind, path, seconds in (("source", "lot-1/source/A0.csv", 20), ("unit", "lot-1/units/A1.csv", 6)):
+        words = ("--serial", path[-6:-4], "--out", tmp_path / path, "--seconds", seconds, "--spool", tmp_path)
+        assert softcal(kind, "--simulated", 4, *words) == 0
+    folder = open_lot_folder(tmp_path / "lot-1")
+    assert (folder.lot.id, folder.lot.source, folder.lot.sample_rate_Hz) == ("lot-1", "A0", 50.0)
+
+
 def test_unit_writes_no_reference(softcal, tmp_path):
     path = tmp_path / "A1.csv"
     assert softcal("unit", "--simulated", "--serial", "A1", "--out", path, "--seconds", 6, "--spool", tmp_path) == 0

@@ -199,6 +199,16 @@ def test_ctrl_c_stops_lifts_and_says_so():
         assert isinstance(StoppedByHand(""), DeviceError)  # the command says it in one line and ends with exit code 3
 
 
+def test_the_self_test_names_unsafe_settings_and_the_command_that_mends_each():
+    with open_rig(replace(QUICK, acceleration_mm_s2=10.0)) as (bench, _):
+        bench.stage.settings |= {1: 25.0, 20: 0.0, 21: 0.0}
+        found = {f.value: f.cure for f in self_test(bench) if f.what == "setting"}
+    assert set(found) == {"$1=25", "$20=0", "$21=0", "$122=10"}
+    assert [cure.split(" once")[0] for cure in found.values()] == [
+        "send $1=255", "send $20=1", "send $21=1", "send $122=200",
+    ]  # fmt: skip
+
+
 TABLE = {"stage": {"port": "/dev/a"}, "readout": {"port": "/dev/b"}}
 
 
