@@ -36,7 +36,7 @@ def main() -> None:
     for a, stop_N_mm, (rate_Hz, late_s), speed in itertools.product(*grid):
         law = ForceLaw(stop_mm=0.5, stop_N_mm=stop_N_mm)
         case = RigCase(a, law, 1.2, rate_Hz, late_s, approach_mm=1.1)
-        outcome = press(case, ramps([0.8], speed, rest_s=0.5))
+        outcome = press(case, ramps([1.4], speed, rest_s=0.5))
         outcomes.append((outcome, bound_N(case)))
         print(_row(case, speed, outcome), flush=True)
     worst = max(outcome.largest_N for outcome, _ in outcomes)

@@ -103,9 +103,9 @@ class Search:
 def bend(stage_mm: Array, values: Array) -> float:
     """Return where values that were constant begin to rise or fall as a power of the way that follows.
 
-    Least squares of values = b + k · max(0, stage_mm − x0)^p over b, k, x0 and p in POWERS: a flat pad
-    rises with p = 1, a ball on soft rubber with 1.5, a cone with 2. Unlike the crossing of a threshold it does not depend on the unit's
-    stiffness, and noise is averaged.
+    Least squares of values = b + k · max(0, stage_mm − x0)^p over b, k, x0 and p in POWERS: a flat pad rises with
+    p = 1, a ball on soft rubber with 1.5, a cone with 2. Unlike the crossing of a threshold it does not depend on
+    the unit's stiffness, and noise is averaged.
 
     Args:
         stage_mm: (n,) positions of the search, mm, ending in contact.

@@ -148,6 +148,8 @@ class StationHost:
         before = self._queue.heartbeat(self._station)
         if before is None or before.state is StationState.OFF or before.process == self._process:
             return
+        if self._queue.is_answering(self._station):
+            raise InputError(f"station {self._station!r} is served by {before.process}; stop that one first")
         end_s = time.monotonic() + MISSED_BEATS * BEAT_S
         while time.monotonic() < end_s:
             now = self._queue.heartbeat(self._station)

@@ -208,7 +208,7 @@ def record_to_files(
 
 
 def _begin_lot(source: Path, recording: StationRecording) -> None:
-    """Write the lot.toml of a source that lies in LOT/source/, so that `softcal batch LOT` takes the folder as it is."""
+    """Write the lot.toml of a source that lies in LOT/source/, so that `softcal batch LOT` takes the folder."""
     folder = source.parent.parent
     if source.parent.name == "source" and not (folder / "lot.toml").exists():
         lot = Lot(folder.resolve().name, source.stem, recording.sample_rate_Hz, output_unit=recording.output_unit)
