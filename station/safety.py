@@ -122,7 +122,8 @@ class StuckWatch:
     def __init__(self, name: str, noise: float) -> None:
         self._name, self._least = name, STUCK_NOISES * noise
         self._recent: deque[float] = deque(maxlen=STUCK_MEAN)
-        self._forget()
+        self._low = self._shallow_mm = float("inf")
+        self._high = self._deep_mm = float("-inf")
 
     def check(self, value: float, pressed_mm: float) -> None:
         """Raise `BadReply` when the stage has moved far on the unit and the channel has not followed.
