@@ -254,9 +254,8 @@ class Motion:
 
     def _unreachable(self) -> str:
         if isinstance(self._stage, RunsOn):
-            seconds = self._stage.runs_on_s(self._bench.config.safety.speed_mm_s)
-            stops = f"it stops within {seconds:.1f} s: switch it off before you reach in"
-            return f"the stage does not answer any more, {stops}"
+            s = self._stage.runs_on_s(self._bench.config.safety.speed_mm_s)
+            return f"the stage does not answer any more, it stops within {s:.1f} s: switch it off before you reach in"
         return "the stage does not answer any more, it ends the move it has: switch it off before you reach in"
 
     def _left(self, state: str) -> str:
