@@ -115,8 +115,8 @@ def simulated_config(station: SimulatedStation) -> StationConfig:
     return StationConfig(
         station.stage_config,
         station.readout_config,
-        station.force_config,
-        SafetyConfig(),
+        replace(station.force_config, latency_s=0.0),
+        SafetyConfig(stiffest_N_mm=60.0),
         replace(
             fixture, approach_mm=station.free_mm, contact_output=fixture.contact_output * abs(station.reading_per_V)
         ),

@@ -16,6 +16,13 @@ from softcal.station.transport import wire_of
 Role: TypeAlias = Literal["stage", "cell", "readout"]
 
 
+LARGEST_LIMIT = 0.8
+"""A force limit above this share of the load cell's capacity leaves no room to stop in."""
+
+UNKNOWN_S, LATEST_S = -1.0, 0.5
+"""A latency that is not stated, and the largest that is reckoned with."""
+
+
 @dataclass(frozen=True)
 class DeviceConfig:
     """What every device's section of the station file holds; a driver adds its own keys in a class derived from this.
@@ -50,12 +57,15 @@ class ForceConfig(DeviceConfig):
         serial: of the cell, as on its certificate.
         capacity_N: rated load.
         rate_Hz: readings per second.
+        latency_s: how late its readings are against the stage; −1: not known, the stage then feels its way very slowly
+            and every run says what it found.
     """
 
     kind: str = "hx711"
     serial: str = ""
     capacity_N: float = 20.0
     rate_Hz: float = 80.0
+    latency_s: float = -1.0
 
     role = "cell"
 
@@ -87,6 +97,9 @@ class SafetyConfig:
         silence_s: a device that says nothing for so long stops the run.
         zero_N: largest reading of the unloaded load cell before a run.
         zero_return_N: largest change of that reading over a run.
+        stiffest_N_mm: the stiffest thing the stage may meet; where nothing was felt yet it goes so slowly that a stop
+            on such a thing ends below 0.9 of the load cell's capacity.
+        without_cell: true where no [force] is there and a person answers for it that the stage can hurt nothing.
     """
 
     force_N: float = 12.0
@@ -95,6 +108,8 @@ class SafetyConfig:
     silence_s: float = 0.25
     zero_N: float = 1.0
     zero_return_N: float = 0.2
+    stiffest_N_mm: float = 1000.0
+    without_cell: bool = False
 
 
 @dataclass(frozen=True)
@@ -136,7 +151,11 @@ class StationConfig:
     def __post_init__(self) -> None:
         self._check_ports()
         if self.force is not None:
-            _within("safety.force_N", self.safety.force_N, 0.0, self.force.capacity_N)
+            _within("safety.force_N", self.safety.force_N, 0.0, LARGEST_LIMIT * self.force.capacity_N)
+            _within("fixture.touch_N", self.fixture.touch_N, 0.0, self.safety.force_N)
+            if self.force.latency_s != UNKNOWN_S:
+                _within("force.latency_s", self.force.latency_s, 0.0, LATEST_S)
+        _within("safety.stiffest_N_mm", self.safety.stiffest_N_mm, 0.1, 1e5)
         _within("safety.silence_s", self.safety.silence_s, 0.15, 1.0)
         _within("fixture.approach_mm", self.fixture.approach_mm, 0.0, self.safety.deepest_mm)
         _within("fixture.search_mm_s", self.fixture.search_mm_s, 0.01, self.safety.speed_mm_s)
@@ -184,7 +203,13 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
         if needed not in content:
             raise InputError(f"section [{needed}] is missing")
     sections = {name: _section(name, content[name]) for name in _SECTIONS if name in content}
-    return StationConfig(name=str(content.get("name", "station")), **sections)
+    config = StationConfig(name=str(content.get("name", "station")), **sections)
+    if config.force is None and not config.safety.without_cell:
+        raise InputError(
+            "section [force] is missing, so nothing limits the force; add the load cell, or state without_cell = true "
+            "in [safety] where the stage can hurt nothing"
+        )
+    return config
 
 
 def station_toml(config: StationConfig) -> str:

@@ -10,13 +10,19 @@ from softcal.station.frames import esm, gcl2, grbl, loadstar, zaber
 from softcal.station.frames.indicator import parse_N
 from softcal.station.frames.text_stream import parse as parse_stream
 from softcal.station.interfaces import Clock
-from softcal.station.link import Link
+from softcal.station.link import POLL_S, Line, Link
 
 LISTEN_S = 1.0
 ANSWER_S = 2.5
 """An Arduino that was reset by opening its port is in its boot loader for about 1.5 s."""
 
 QUICK_S = 0.5
+
+BOOT_S = 3.0
+"""A board that is reset when its port is opened says nothing before it has booted."""
+
+CONVERTER_COUNTS, CELL_RATES_HZ = 4095, (10.0, 80.0)
+"""Largest count of a 12-bit converter; the rates of an HX711."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +31,7 @@ class Identity:
 
     Args:
         port: device name.
-        role: stage, force, readout; "" when it is nothing softcal knows.
+        role: stage, force, readout; "" when it is nothing softcal knows, or could be either of two.
         kind: the dialect, as in the station file.
         description: what it said of itself, or why it is not known.
         rate_Hz: of a stream, by its own clock.
@@ -56,8 +62,7 @@ def identify(port: str, clock: Clock) -> Identity:
 
 def _stream(link: Link) -> Identity | None:
     banner, lines = "", []
-    link.clock.sleep_s(LISTEN_S)
-    heard = link.read_lines()
+    heard = _heard(link)
     if any(_is_indicator(line.text) for line in heard[1:3]):
         return Identity(link.port, "force", "indicator", heard[1].text.decode(), len(heard) / LISTEN_S, 1)
     for line in heard:
@@ -70,12 +75,35 @@ def _stream(link: Link) -> Identity | None:
     if len(lines) < 5:
         return None
     rate_Hz = seen_rate_Hz(np.array([line.device_ms for line in lines]) / 1000.0)
-    largest = max(abs(count) for line in lines for count in line.counts)
-    # Without a banner the width of the numbers tells a 24-bit bridge amplifier from a 10- to 16-bit converter.
-    is_cell = "load cell" in banner or (not banner and largest >= 2**16)
-    role, kind = ("force", "hx711") if is_cell else ("readout", "arduino")
-    what = banner or f"text stream of {'24-bit' if is_cell else 'converter'} counts"
-    return Identity(link.port, role, kind, what, rate_Hz, len(lines[0].counts))
+    counts = [count for line in lines for count in line.counts]
+    role, kind, why = _told_apart(banner, max(map(abs, counts)), min(counts), rate_Hz)
+    return Identity(link.port, role, kind, why, rate_Hz, len(lines[0].counts))
+
+
+def _heard(link: Link) -> list[Line]:
+    """Listen for LISTEN_S from the first line on, and up to BOOT_S for that line."""
+    end_s = link.clock.now_s() + BOOT_S
+    heard: list[Line] = []
+    while not heard and link.clock.now_s() < end_s:
+        link.clock.sleep_s(POLL_S)
+        heard = link.read_lines()
+    if not heard:
+        return []
+    link.clock.sleep_s(LISTEN_S)
+    return [*heard, *link.read_lines()]
+
+
+def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tuple[str, str, str]:
+    """Return role, dialect and the reason why: a banner decides, else what only one kind of device can send."""
+    if "load cell" in banner:
+        return "force", "hx711", f"says {banner!r}"
+    if banner:
+        return "readout", "arduino", f"says {banner!r}"
+    if largest >= 2**16 or smallest < 0:
+        return "force", "hx711", "counts beyond 16 bit or below 0, as a bridge amplifier sends them"
+    if largest <= CONVERTER_COUNTS and not any(abs(rate_Hz - usual_Hz) < 1.5 for usual_Hz in CELL_RATES_HZ):
+        return "readout", "arduino", f"counts up to {largest}, as a 12-bit converter sends them"
+    return "", "", f"counts up to {largest} at {rate_Hz:.0f} Hz: a load cell or readout; say which in the station file"
 
 
 def _esm(link: Link) -> Identity | None:

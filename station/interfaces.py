@@ -2,7 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
+
+from softcal.core.errors import DeviceError
+
+
+class Held(DeviceError):
+    """Somebody holds the stage at the machine (hold button): it stands, and nothing may move it by itself."""
 
 
 @dataclass(frozen=True)
@@ -99,11 +105,48 @@ class Stage(Protocol):
         ...
 
     def stop(self) -> None:
-        """Stop at once by a path that waits behind nothing; the position stays known where the device allows it."""
+        """Stop at once by a path that waits behind nothing; the position stays known where the device allows it.
+
+        Raises:
+            Held: it stands, and somebody holds it at the machine.
+            DeviceError: it does not answer; it was told to stop all the same.
+        """
         ...
 
     def close(self) -> None:
         """Give the port back."""
+        ...
+
+
+@runtime_checkable
+class RoughLift(Protocol):
+    """A stage that can go away from the unit although its exact position was lost in a stop that cut its motion."""
+
+    @property
+    def can_lift_roughly(self) -> bool:
+        """Whether the position was lost by our own stop alone, so that its count is still nearly right."""
+        ...
+
+    def lift_roughly(self, distance_mm: float, speed_mm_s: float) -> None:
+        """Begin to go away from the unit; `poll` follows it. The position stays unknown."""
+        ...
+
+
+@runtime_checkable
+class RunsOn(Protocol):
+    """A stage that is fed in pieces, so that it stops by itself when nothing comes any more."""
+
+    def runs_on_s(self, speed_mm_s: float) -> float:
+        """Return after how long it stands, at most, once the host is gone in a move at this speed."""
+        ...
+
+
+@runtime_checkable
+class Advises(Protocol):
+    """A stage whose settings can be looked at."""
+
+    def unsafe_settings(self) -> Sequence[tuple[str, str]]:
+        """Return each setting that takes safety away, and what to do about it."""
         ...
 
 

@@ -9,6 +9,7 @@ from softcal.core.errors import BadReply, InputError
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.station.clock import ClockFit, fit_clock, residual_offset_s
 from softcal.station.interfaces import Sample, StagePosition
+from softcal.station.proof import check_gain, check_lag, lag_s
 from softcal.station.spool import SpooledRun
 from softcal.station.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
 
@@ -17,6 +18,9 @@ LARGEST_LOSS = 0.02
 
 LONGEST_GAP_S = 0.2
 """Force is read between two samples of the load cell no further apart than this."""
+
+LAG_SAMPLES = 3000
+"""Enough of a run to see by how much the load cell is late."""
 
 LARGEST_DRIFT = 0.02
 """A device clock further off than this is broken, or its rate is declared wrong."""
@@ -32,6 +36,7 @@ class Alignment:
         force_offset_s, stage_offset_s: how much later the output shows what force and stage show, from their rates of
             change; not applied, since the sensor's own lag is in it. NaN where there is no such channel.
         stage_residual_mm: root mean square of status polls against the reconstructed path.
+        force_behind_s: how far the load cell was found behind the stage.
     """
 
     sensor_drift: float
@@ -41,6 +46,7 @@ class Alignment:
     force_offset_s: float
     stage_offset_s: float
     stage_residual_mm: float
+    force_behind_s: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +114,7 @@ class RunFacts:
         zero_mm: stage position that is 0 in the recording.
         contact_mm, zero_N, zero_return_N: as in `StationRecording`.
         with_reference: whether the recording keeps the force.
+        force_late_s: how late the load cell is by its station file; taken off its times.
     """
 
     serial: str
@@ -122,6 +129,7 @@ class RunFacts:
     zero_N: float
     zero_return_N: float
     with_reference: bool
+    force_late_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -142,7 +150,8 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
     """Bring all channels onto the sensor's clock and cut the profile out of the run.
 
     Raises:
-        BadReply: too many samples were lost, or a device clock is far off.
+        BadReply: too many samples were lost, a device clock is far off, or the load cell does not tell the stage's
+            story (late, another gain from press to press).
     """
     sensor_s, output = _columns(raw.output)
     sensor = _fitted(sensor_s, raw.output, facts.sensor)
@@ -154,7 +163,12 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
     moves = [DrivenMove(Trapezoid(*row[:4]), *row[4:]) for row in facts.moves]
     track = reconstruct([poll for poll in raw.polls if poll.host_s >= moves[0].begun_s], moves)
     stage_mm = track.at(host_s) - facts.zero_mm
-    force_N, cell = _force_at(host_s, raw.force, facts.zero_N)
+    force_N, cell = _force_at(host_s, raw.force, facts)
+    late_s = float("nan")
+    if force_N is not None:
+        late_s = _force_lag_s(host_s, force_N, track, facts)
+        check_lag(late_s, facts.force_late_s)
+        check_gain(stage_mm, force_N)
     return StationRecording(
         facts.serial,
         facts.profile,
@@ -168,7 +182,7 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
         facts.zero_N,
         facts.zero_return_N,
         lost,
-        _alignment(sensor, cell, track, output[:, 0], stage_mm, force_N, facts.sample_rate_Hz),
+        _alignment(sensor, cell, track, output[:, 0], stage_mm, force_N, facts.sample_rate_Hz, late_s),
     )
 
 
@@ -207,7 +221,12 @@ def _count_lost(sensor_s: Array, facts: RunFacts) -> int:
     return lost
 
 
-def _force_at(host_s: Array, samples: Sequence[Sample], zero_N: float) -> tuple[Array | None, ClockFit | None]:
+def _force_lag_s(host_s: Array, force_N: Array, track: StageTrack, facts: RunFacts) -> float:
+    thin = slice(None, None, max(1, len(host_s) // LAG_SAMPLES))
+    return lag_s(host_s[thin], force_N[thin], track.at, facts.contact_mm) + facts.force_late_s
+
+
+def _force_at(host_s: Array, samples: Sequence[Sample], facts: RunFacts) -> tuple[Array | None, ClockFit | None]:
     if not samples:
         return None, None
     force_s, force_N = _columns(samples)
@@ -215,7 +234,7 @@ def _force_at(host_s: Array, samples: Sequence[Sample], zero_N: float) -> tuple[
     longest_s = float(np.max(np.diff(force_s), initial=0.0))
     if longest_s > LONGEST_GAP_S:
         raise BadReply(f"load cell: a gap of {longest_s:.2f} s in its samples; check its cable, then record again")
-    return np.interp(host_s, fit.to_host(force_s), force_N[:, 0]) - zero_N, fit
+    return np.interp(host_s, fit.to_host(force_s) - facts.force_late_s, force_N[:, 0]) - facts.zero_N, fit
 
 
 def _alignment(
@@ -226,6 +245,7 @@ def _alignment(
     stage_mm: Array,
     force_N: Array | None,
     rate_Hz: float,
+    force_behind_s: float,
 ) -> Alignment:
     return Alignment(
         sensor.rate - 1,
@@ -235,4 +255,5 @@ def _alignment(
         float("nan") if force_N is None else residual_offset_s(force_N, output, rate_Hz),
         residual_offset_s(np.maximum(stage_mm, 0.0), output, rate_Hz),
         track.residual_mm,
+        force_behind_s,
     )

@@ -9,9 +9,6 @@ from softcal.station.clock import seen_rate_Hz
 from softcal.station.config import SafetyConfig
 from softcal.station.interfaces import ForceReader, Readout, Sample
 
-REACTION_S = 0.03
-"""From the force being there to the stage beginning to brake: sampling, line, reading, stop byte."""
-
 FROZEN_MM, FROZEN_SAMPLES = 0.6, 5
 """A channel whose value does not change over so many samples while the stage moves so far is frozen. Lines that a stall
 held back are older than the stage's position: a single one says nothing."""
@@ -21,6 +18,12 @@ PRESSED_MM, MISSING_S = 0.8, 0.15
 
 JUMP_N, STANDING_S = 1.0, 0.3
 """More from one sample to the next, while the stage stands for so long, is no force of the unit."""
+
+STUCK_MM, STUCK_MEAN, STUCK_NOISES = 1.2, 8, 3.0
+"""The mean of so many samples must change by this many times the noise while the stage moves so far on the unit."""
+
+AGE_S, CLOCK_SHARE = 0.25, 0.02
+"""A line that brings readings this old is no guard; a device clock is off by less than this share."""
 
 SLOPE_SAMPLES = 4
 RATE_SAMPLES = 16
@@ -37,13 +40,13 @@ class ForceWatch:
         bounds: the station's safety bounds.
         zero_N: reading of the unloaded cell, subtracted from every sample.
 
-    `braking_s` is to be set for every move: speed / (2 · acceleration), the time in which the force still grows at its
-    present rate while the stage brakes.
+    `ahead_s` is to be kept up to date: for how long the force may still grow at its present rate, until the stage has
+    been stopped or has ended its move.
     """
 
     def __init__(self, bounds: SafetyConfig, zero_N: float = 0.0) -> None:
         self._bounds, self.zero_N = bounds, zero_N
-        self.braking_s = 0.0
+        self.ahead_s = 0.0
         self._recent: deque[tuple[float, float]] = deque(maxlen=SLOPE_SAMPLES)
 
     def check(self, sample: Sample) -> None:
@@ -51,7 +54,7 @@ class ForceWatch:
         force_N = sample.values[0] - self.zero_N
         time_s = sample.host_s if sample.device_s is None else sample.device_s
         self._recent.append((time_s, force_N))
-        coming_N = force_N + max(0.0, self._slope_N_s()) * (REACTION_S + self.braking_s)
+        coming_N = force_N + max(0.0, self._slope_N_s()) * self.ahead_s
         if max(coming_N, -force_N) > self._bounds.force_N:
             raise SafetyStop(
                 f"force {force_N:.2f} N, {coming_N:.2f} N by the time the stage can brake: the limit is "
@@ -108,6 +111,49 @@ class JumpWatch:
             )
 
 
+class StuckWatch:
+    """Whether a channel that is noisy still follows the stage: a cell that hangs, a motor without supply.
+
+    Args:
+        name: of the device, as messages call it.
+        noise: standard deviation of the channel while nothing is pressed.
+    """
+
+    def __init__(self, name: str, noise: float) -> None:
+        self._name, self._least = name, STUCK_NOISES * noise
+        self._recent: deque[float] = deque(maxlen=STUCK_MEAN)
+        self._low = self._shallow_mm = float("inf")
+        self._high = self._deep_mm = float("-inf")
+
+    def check(self, value: float, pressed_mm: float) -> None:
+        """Raise `BadReply` when the stage has moved far on the unit and the channel has not followed.
+
+        Args:
+            value: of the channel.
+            pressed_mm: how far the stage is below the contact, 0 above it.
+        """
+        self._recent.append(value)
+        if pressed_mm <= 0.0:
+            self._forget()
+            return
+        if len(self._recent) < STUCK_MEAN:
+            return
+        mean = float(np.mean(self._recent))
+        self._low, self._high = min(self._low, mean), max(self._high, mean)
+        self._shallow_mm, self._deep_mm = min(self._shallow_mm, pressed_mm), max(self._deep_mm, pressed_mm)
+        if self._high - self._low > self._least:
+            self._forget()
+        elif self._deep_mm - self._shallow_mm > STUCK_MM:
+            raise BadReply(
+                f"{self._name}: stays at {mean:.4g} while the stage moves {STUCK_MM:g} mm on the unit; check the "
+                "motor's supply, the channel and its cable"
+            )
+
+    def _forget(self) -> None:
+        self._low = self._shallow_mm = float("inf")
+        self._high = self._deep_mm = float("-inf")
+
+
 class StreamWatch:
     """Whether a stream still comes, at its rate, and still follows the stage.
 
@@ -131,6 +177,7 @@ class StreamWatch:
         self._value: tuple[float, ...] | None = None
         self._changed_at_mm, self._same = 0.0, 0
         self._on_rail_since_s: float | None = None
+        self._earliest_s, self._old_since_s = float("inf"), float("inf")
 
     def check(self, sample: Sample, pressed_mm: float) -> None:
         """Take one sample; `pressed_mm` is how far the stage is below the contact, 0 above it.
@@ -144,6 +191,7 @@ class StreamWatch:
             self._check_rails(sample, self._rails)
         if sample.device_s is not None:
             self._check_rate(sample.device_s)
+            self._check_age(sample.host_s, sample.device_s)
 
     def check_silence(self, now_s: float) -> None:
         """Raise `NoReply` when no sample came for too long."""
@@ -151,6 +199,20 @@ class StreamWatch:
             raise NoReply(
                 f"{self._reader.name}: nothing for {now_s - self._seen_s:.2f} s; check its cable and supply, then "
                 "start the run again"
+            )
+
+    def _check_age(self, host_s: float, device_s: float) -> None:
+        """A line may begin to hold readings back: against the earliest arrivals of before, these are old."""
+        allowed_s = CLOCK_SHARE * (device_s - self._times[-2]) if len(self._times) > 1 else 0.0
+        self._earliest_s = min(self._earliest_s + allowed_s, host_s - device_s)
+        age_s = host_s - device_s - self._earliest_s
+        if age_s <= AGE_S:
+            self._old_since_s = float("inf")
+        self._old_since_s = min(self._old_since_s, device_s)
+        if age_s > AGE_S and device_s - self._old_since_s > AGE_S:
+            raise NoReply(
+                f"{self._reader.name}: its readings have become {age_s:.2f} s old; check hub, cable and what else the "
+                "computer does, then start the run again"
             )
 
     def _check_frozen(self, sample: Sample, pressed_mm: float) -> None:

@@ -1,6 +1,6 @@
 """Is this station fit to press: every device at its rate, the load cell at zero, the stage homed and where it says."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,17 +8,20 @@ import numpy as np
 from softcal.core.errors import DeviceError
 from softcal.station.bench import Bench
 from softcal.station.clock import fit_clock, seen_rate_Hz
-from softcal.station.interfaces import ForceReader, Move, Readout, Sample
+from softcal.station.interfaces import Advises, ForceReader, Readout, RunsOn, Sample
+from softcal.station.motion import Cancelled
 from softcal.station.recording import LARGEST_DRIFT
+from softcal.station.watched import WatchedBench
 
 LISTEN_S = 5.0
 LOOK_S = 0.001
 """How often the readers are read: arrival times are no finer than this."""
 
-STEP_MM = 2.0
+STEP_MM, STEP_S = 2.0, 10.0
+"""The stage goes down by at most so much, and for at most so long: what is in the way is to be met slowly."""
+
 POSITION_MM = 0.02
 RATE_SHARE = 0.05
-TICK_S = 0.005
 
 
 @dataclass(frozen=True)
@@ -42,16 +45,20 @@ class Finding:
         return not self.cure
 
 
-def self_test(bench: Bench, may_move: bool = True) -> list[Finding]:
-    """Home the stage and move it a little, so that nothing is pressed, then read every channel for some seconds.
+def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] = lambda: None) -> list[Finding]:
+    """Home the stage and move it a little, watched as any other move, then read every channel for some seconds.
 
     A device that fails is a finding, so that all faults are seen at once.
 
     Args:
         bench: open devices.
-        may_move: home the stage and move it by 2 mm.
+        may_move: home the stage and move it by up to 2 mm, never deeper than the approach.
+        on_wait: called all the time; what it raises stops the stage and ends the self-test.
+
+    Raises:
+        Cancelled: somebody asked for a stop, or pressed Ctrl-C; the stage was made safe.
     """
-    findings = _stage_findings(bench) if may_move else []
+    findings = _stage_findings(bench, on_wait) if may_move else []
     readers: list[ForceReader | Readout] = [bench.readout, *([bench.force] if bench.force else [])]
     samples: dict[str, list[Sample]] = {reader.name: [] for reader in readers}
     try:
@@ -60,8 +67,11 @@ def self_test(bench: Bench, may_move: bool = True) -> list[Finding]:
         end_s = bench.clock.now_s() + LISTEN_S
         while bench.clock.now_s() < end_s:
             bench.clock.sleep_s(LOOK_S)
+            on_wait()
             for reader in readers:
                 samples[reader.name] += reader.poll()
+    except Cancelled:
+        raise
     except DeviceError as error:
         findings.append(Finding("readers", "stream", "failed", str(error)))
     for reader in readers:
@@ -108,29 +118,59 @@ def _zero_findings(bench: Bench, samples: Sequence[Sample]) -> list[Finding]:
     return [Finding("load cell", "zero", f"{zero_N:+.3f} N", cure)]
 
 
-def _stage_findings(bench: Bench) -> list[Finding]:
+def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[Finding]:
     stage = bench.stage
+    watched = WatchedBench(bench, None, on_wait)
     try:
-        stage.home()
-        began_mm, began_s = stage.position_mm, bench.clock.now_s()
-        for to_mm in (began_mm + STEP_MM, began_mm):
-            stage.begin(Move(to_mm, min(5.0, stage.max_speed_mm_s)))
-            while stage.is_moving:
-                bench.clock.sleep_s(TICK_S)
-                stage.poll()
-        took_s = bench.clock.now_s() - began_s
-        bench.clock.sleep_s(0.2)
-        polls = [*stage.poll()]
-        while not polls:
-            bench.clock.sleep_s(TICK_S)
-            polls += stage.poll()
+        took_s, down_mm, error_mm = watched.motion.supervise(lambda: _go_out_and_back(watched))
+    except Cancelled:
+        raise
     except DeviceError as error:
-        stage.stop()
         return [Finding("stage", "homing and moving", "failed", str(error))]
-    error_mm = polls[-1].position_mm - began_mm
     cure = "" if abs(error_mm) < POSITION_MM else "it does not come back; check screws, belt and steps per mm"
     return [
         Finding("stage", "homing", "found its switch"),
         Finding("stage", "travel", f"{stage.travel_mm:g} mm, {stage.max_speed_mm_s:g} mm/s"),
-        Finding("stage", "out and back", f"{2 * STEP_MM:g} mm in {took_s:.2f} s, off by {error_mm:+.3f} mm", cure),
+        Finding("stage", "out and back", f"{2 * down_mm:.3g} mm in {took_s:.2f} s, off by {error_mm:+.3f} mm", cure),
+        *_safety_findings(bench, watched),
     ]
+
+
+def _go_out_and_back(watched: WatchedBench) -> tuple[float, float, float]:
+    """Return how long it took, how far down it went, and by how much it came back elsewhere."""
+    bench, stage = watched.bench, watched.bench.stage
+    watched.start()
+    watched.home()
+    watched.motion.wait(0.3)
+    watched.expect_nothing()
+    began_mm, began_s, speed_mm_s = stage.position_mm, bench.clock.now_s(), min(5.0, watched.fastest_free_mm_s)
+    room_mm = max(0.0, bench.config.fixture.approach_mm - began_mm)
+    down_mm = min(STEP_MM, speed_mm_s * STEP_S, room_mm)
+    if down_mm > 0.0:
+        watched.motion.go(began_mm + down_mm, speed_mm_s)
+        watched.motion.go(began_mm, speed_mm_s)
+    took_s, count = bench.clock.now_s() - began_s, len(watched.readings.polls)
+    watched.motion.wait(0.4)
+    if len(watched.readings.polls) == count:
+        raise DeviceError("stage: does not say where it is; check its cable")
+    return took_s, down_mm, watched.readings.polls[-1].position_mm - began_mm
+
+
+def _safety_findings(bench: Bench, watched: WatchedBench) -> list[Finding]:
+    """What a stop holds on this rig, in figures."""
+    if bench.force is None:
+        return []
+    bounds, stage = watched.bounds, bench.stage
+    settings = stage.unsafe_settings() if isinstance(stage, Advises) else ()
+    unsafe = [Finding("stage", "setting", value, cure) for value, cure in settings]
+    safe = (
+        f"{bounds.free_mm_s:.2g} mm/s where nothing was felt, {bounds.unknown_mm_s:.2g} mm/s where the unit was not "
+        f"pressed yet, so that a stop ends below {bounds.ceiling_N:g} N"
+    )
+    findings = [*unsafe, Finding("stage", "safe speed", safe)]
+    if isinstance(stage, RunsOn):
+        speed_mm_s = bench.config.safety.speed_mm_s
+        on_s = stage.runs_on_s(speed_mm_s)
+        value = f"at {speed_mm_s:g} mm/s at most {on_s:.2f} s and {on_s * speed_mm_s:.2g} mm"
+        findings.append(Finding("stage", "runs on when the host dies", value))
+    return findings

@@ -24,6 +24,7 @@ from softcal.core.quality.gate import Gate, RigFacts
 from softcal.station.acquisition import HOMING, RunProgress, ZeroMoved, record
 from softcal.station.bench import Bench
 from softcal.station.interfaces import Reader, Stage
+from softcal.station.motion import Cancelled
 from softcal.station.recording import StationRecording
 from softcal.station.self_test import Finding, self_test
 from softcal.station.spool import Spool
@@ -45,10 +46,6 @@ CHECK_S = 12.0
 
 SILENT_S = 2.0
 """Between runs a stream that says nothing for so long is gone; in a run the safety bounds are far tighter."""
-
-
-class Cancelled(DeviceError):
-    """Somebody asked for a stop."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +219,7 @@ class StationService:
         if bench is None:
             raise NoReply("the station has no open devices; acknowledge first")
         if order.kind is OrderKind.CHECK:
-            self._check(order, bench)
+            self._check(order, bench, relay)
             return None
         with_reference = order.kind in (OrderKind.SOURCE, OrderKind.GOLDEN)
         header = {"serial": order.serial, "order": order.order_id, "station": order.station, "lot": order.lot_id}
@@ -233,9 +230,9 @@ class StationService:
         self._ready()
         return recording
 
-    def _check(self, order: Order, bench: Bench) -> None:
+    def _check(self, order: Order, bench: Bench, relay: "_Relay") -> None:
         self._hooks.report(Progress(order.order_id, RunState.RUNNING, "self-test", 0.0, CHECK_S))
-        self.findings = self_test(bench)
+        self.findings = self_test(bench, on_wait=relay.look)
         faults = [f"self-test of {f.device}, {f.what}: {f.value}; {f.cure}" for f in self.findings if not f.is_good]
         if faults:
             raise BadReply("; ".join(faults))
@@ -265,9 +262,13 @@ class _Relay:
         self._unit = ""
         self.phase = ""
 
-    def on_progress(self, progress: RunProgress) -> None:
+    def look(self) -> None:
+        """Raise `Cancelled` when somebody asked for a stop."""
         if self._hooks.is_stop_wanted():
             raise Cancelled("stopped by a person")
+
+    def on_progress(self, progress: RunProgress) -> None:
+        self.look()
         self.phase = progress.phase
         if progress.output is not None:
             self._points.append((progress.t_s, progress.output, progress.stage_mm, progress.force_N))

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from softcal.core.orders import Heartbeat
     from softcal.db.registry import Registry
 
+PATIENCE_S = 10.0
+"""A busy machine may keep a service from its heartbeat for seconds; it is there all the same."""
+
 SPOOL_HELP = "where samples go as they come; default: the user's data folder"
 
 EXAMPLES = """examples:
@@ -227,14 +230,16 @@ def run_order(options: argparse.Namespace) -> int:
 
 def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
     """Wait for the end of an order; print each new phase and every tenth of the way."""
-    shown = ("", -1)
+    shown, heard_s = ("", -1), time.monotonic()
     while (progress := registry.order_queue.progress(order_id)).state.is_active:
         step = (progress.phase, int(10 * progress.fraction))
         if progress.phase and step != shown:
             shown = step
             left = f", about {progress.remaining_s:.0f} s left" if progress.remaining_s else ""
             say(f"{100 * progress.fraction:3.0f} % {progress.phase}{left}")
-        if not registry.order_queue.is_answering(station):
+        if registry.order_queue.is_answering(station):
+            heard_s = time.monotonic()
+        elif time.monotonic() - heard_s > PATIENCE_S:
             raise DeviceError(
                 f"station {station!r} does not answer any more; look at the rig, then start its service again"
             )

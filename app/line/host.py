@@ -22,6 +22,9 @@ REPORT_S = 0.2
 IDLE_S = 0.2
 """Between two looks for an order; one transaction each."""
 
+MISSED_BEATS = 3
+"""An owner whose heartbeat stands still for so many beats is gone, whatever its clock says."""
+
 LISTEN_S = 0.01
 """How long the devices are listened to at every such look."""
 
@@ -119,6 +122,7 @@ class StationHost:
         Raises:
             InputError: another process serves this station.
         """
+        self._make_sure_nobody_beats()
         self._beat()
         self._queue.interrupt(self._station, INTERRUPTED)
         desk = threading.Thread(target=self._keep_desk, args=(goes_on,), name="station desk", daemon=True)
@@ -134,6 +138,24 @@ class StationHost:
         if self._lost:
             raise InputError(self._lost)
         self._beat()
+
+    def _make_sure_nobody_beats(self) -> None:
+        """An owner that seems silent may only have another clock: as long as it goes on beating, it is there.
+
+        Raises:
+            InputError: another process serves this station.
+        """
+        before = self._queue.heartbeat(self._station)
+        if before is None or before.state is StationState.OFF or before.process == self._process:
+            return
+        if self._queue.is_answering(self._station):
+            raise InputError(f"station {self._station!r} is served by {before.process}; stop that one first")
+        end_s = time.monotonic() + MISSED_BEATS * BEAT_S
+        while time.monotonic() < end_s:
+            now = self._queue.heartbeat(self._station)
+            if now is not None and now.at != before.at and now.process == before.process:
+                raise InputError(f"station {self._station!r} is served by {now.process}; stop that one first")
+            time.sleep(IDLE_S)
 
     def _turn(self) -> None:
         """Do one order, or wait a moment for one."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,8 +39,10 @@ def recover(folder: Path, out: Path) -> list[Recovered]:
 
     Spools stay where they are; deleting them is a decision of a person.
 
+    A spool that cannot be read (a full disk leaves an empty one) is named and keeps no other from being recovered.
+
     Raises:
-        InputError: no such folder, or a file in it that is no spool.
+        InputError: no such folder.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder of spools")
@@ -47,7 +50,10 @@ def recover(folder: Path, out: Path) -> list[Recovered]:
 
 
 def _recover(path: Path, out: Path) -> Recovered:
-    run = read_spool(path)
+    try:
+        run = read_spool(path)
+    except InputError as error:
+        return Recovered(path, "", "", f"not readable: {error}", 0, ())
     serial, profile = check_serial(run.header.get("serial", "unknown")), run.header.get("profile", "")
     if run.is_whole and run.facts:
         recording = restore(run)
@@ -56,11 +62,24 @@ def _recover(path: Path, out: Path) -> Recovered:
             write_columns(file, columns(recording, channel))
         return Recovered(path, serial, profile, run.end, len(recording.t_s), files)
     file = out / f"{path.stem}.aborted.csv"
+    write_columns(file, _aborted_columns(run))
+    return Recovered(path, serial, profile, run.end, len(run.output), (file,))
+
+
+def _aborted_columns(run: SpooledRun) -> list[tuple[str, Any]]:
+    """Return every channel of a run that is no recording, force and stage read at the times the output was."""
     channels = len(run.output[0].values) if run.output else 0
     device_s = [sample.host_s if sample.device_s is None else sample.device_s for sample in run.output]
-    outputs = [(f"output_{c}", np.array([s.values[c] for s in run.output])) for c in range(channels)]
-    write_columns(file, [("device_s", np.array(device_s)), *outputs, ("aborted", [run.end] * len(device_s))])
-    return Recovered(path, serial, profile, run.end, len(run.output), (file,))
+    host_s = np.array([sample.host_s for sample in run.output])
+    columns: list[tuple[str, Any]] = [("device_s", np.array(device_s)), ("host_s", host_s)]
+    columns += [(f"output_{c}", np.array([s.values[c] for s in run.output])) for c in range(channels)]
+    if run.force:
+        force_s, force_N = zip(*((s.host_s, s.values[0]) for s in run.force), strict=True)
+        columns.append(("force_N", np.interp(host_s, force_s, force_N)))
+    if run.polls:
+        poll_s, stage_mm = zip(*((p.host_s, p.position_mm) for p in run.polls), strict=True)
+        columns.append(("stage_mm", np.interp(host_s, poll_s, stage_mm)))
+    return [*columns, ("aborted", [run.end] * len(device_s))]
 
 
 def _serials(run: SpooledRun, channels: int) -> list[str]:

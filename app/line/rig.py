@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from softcal.app.bootstrap import data_folder
+from softcal.app.files.lot_folder import write_lot_toml
 from softcal.app.files.profile_file import read_profile
 from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError, NoReply
-from softcal.core.lot import check_serial
+from softcal.core.lot import Lot, check_serial
 from softcal.core.profiles import Profile, source_profile, unit_profile
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.twin.simulate import Twin
@@ -93,20 +94,33 @@ def station_of(devices: Sequence[Identity]) -> StationConfig:
     """Return the station that these devices make up.
 
     Raises:
-        NoReply: stage or readout is missing; all that is missing is named.
+        NoReply: stage, readout or load cell is missing, or two could be the same part; all that is missing is named.
     """
-    by_role = {device.role: device for device in devices}
-    missing = [name for role, name in (("stage", "a stage"), ("readout", "a sensor readout")) if role not in by_role]
-    if missing:
-        raise NoReply(f"not found: {' and '.join(missing)}; looked at {', '.join(d.port for d in devices)}")
-    readout, stage, force = by_role["readout"], by_role["stage"], by_role.get("force")
-    if force is None and stage.kind == "esm" and stage.channels:
+    stage = _only(devices, "stage", "the stage")
+    readout = _only(devices, "readout", "the sensor readout")
+    force = _only(devices, "force", "the load cell")
+    if force is None and stage is not None and stage.kind == "esm" and stage.channels:
         force = stage  # The gauge on the stand, behind the same port.
+    parts = (("a stage", stage), ("a sensor readout", readout), ("a load cell", force))
+    missing = [name for name, device in parts if device is None]
+    if stage is None or readout is None or force is None:
+        unclear = "".join(f"; {device.port}: {device.description}" for device in devices if not device.role)
+        looked_at = ", ".join(device.port for device in devices)
+        raise NoReply(f"not found: {' and '.join(missing)}; looked at {looked_at}{unclear}")
     return StationConfig(
         StageConfig(stage.port, stage.kind),
         ReadoutConfig(readout.port, rate_Hz=round(readout.rate_Hz, 1), channels=readout.channels),
-        ForceConfig(force.port, force.kind, rate_Hz=round(force.rate_Hz, 1)) if force else None,
+        ForceConfig(force.port, force.kind, rate_Hz=round(force.rate_Hz, 1)),
     )
+
+
+def _only(devices: Sequence[Identity], role: str, name: str) -> Identity | None:
+    """Return the one device of a role; between two nobody but a person can decide."""
+    found = [device for device in devices if device.role == role]
+    if len(found) > 1:
+        ports = " and ".join(f"{device.port} ({device.description})" for device in found)
+        raise NoReply(f"{ports} could each be {name}; name the ports you mean with --port, nothing was written")
+    return found[0] if found else None
 
 
 @dataclass(frozen=True)
@@ -187,8 +201,18 @@ def record_to_files(
     paths = [out] if len(serials) == 1 else [out / f"{serial}.csv" for serial in serials]
     for channel, path in enumerate(paths):
         write_columns(path, columns(recording, channel))
+    if with_reference:
+        _begin_lot(paths[0], recording)
     spool_path.unlink()
     return WrittenRun(recording, tuple(paths), bench.clock.now_s() - began_s)
+
+
+def _begin_lot(source: Path, recording: StationRecording) -> None:
+    """Write the lot.toml of a source that lies in LOT/source/, so that `softcal batch LOT` takes the folder."""
+    folder = source.parent.parent
+    if source.parent.name == "source" and not (folder / "lot.toml").exists():
+        lot = Lot(folder.resolve().name, source.stem, recording.sample_rate_Hz, output_unit=recording.output_unit)
+        write_lot_toml(folder, lot)
 
 
 def spool_folder(option: Path | None) -> Path:

@@ -1,6 +1,7 @@
 """Driver of a GRBL 1.1 or grblHAL stage with one axis (gnea/grbl wiki, "Grbl v1.1 Interface")."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from softcal.station.config import StageConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit
 from softcal.station.frames import grbl
-from softcal.station.interfaces import Move, OnWait, StagePosition, ignore_wait
+from softcal.station.interfaces import Held, Move, OnWait, StagePosition, ignore_wait
 from softcal.station.link import POLL_S, Line, Link, link_for_driver
 from softcal.station.trajectory import Trapezoid
 
@@ -21,7 +22,25 @@ SILENCE_S = 0.25
 """A controller that leaves a status poll unanswered for so long is gone."""
 
 PIECE_S, AHEAD_S = 0.1, 0.3
-"""A move is fed in pieces of PIECE_S, at most AHEAD_S ahead: when the host dies, the stage soon stops by itself."""
+"""A move is fed in pieces of PIECE_S, at most AHEAD_S and the time of braking ahead: when the host dies, the stage soon
+stops by itself. A planner that sees less than its braking distance would never get up to speed."""
+
+SLOW_MM_S2 = 50.0
+"""A drive that brakes with less than this makes every safe speed small."""
+
+MARGIN = 1.5
+"""A stop may take this much longer than the deceleration in the settings says."""
+
+OFF_SWITCH_MM = 1.0
+"""A stage whose position is only roughly known keeps so far from its homing switch."""
+
+SAFE_SETTINGS: tuple[tuple[int, Callable[[float], bool], str], ...] = (
+    (1, lambda value: value == 255, "send $1=255 once; the motor lets go at rest and the stage may sink"),
+    (20, lambda value: value == 1, "send $20=1 once; nothing keeps the stage inside its travel"),
+    (21, lambda value: value == 1, "send $21=1 once; a limit switch does not stop the stage"),
+    (120, lambda value: value >= SLOW_MM_S2, "send ${number}=200 once; the stage brakes slowly and must go slowly"),
+)
+"""Settings of a controller, what is safe, and the command that mends it."""
 
 ANSWER_S = 2.0
 HOMING_S = 60.0
@@ -72,7 +91,8 @@ class GrblStage:
         self.is_position_known = self._is_homing = False
         self._in_flight: deque[int] = deque()
         self._pieces: deque[tuple[float, bytes]] = deque()
-        self._began_s = 0.0
+        self._began_s = self._peak_mm_s = 0.0
+        self._is_button_held = self._is_alarmed = self.can_lift_roughly = False
         self._asked_s: float | None = None
         self._next_status_s = 0.0
         self.position_mm = self._target_mm = 0.0
@@ -96,7 +116,7 @@ class GrblStage:
         Raises:
             DeviceError: the switch is missing or stuck; the position stays unknown.
         """
-        self.is_position_known = False
+        self.is_position_known = self.can_lift_roughly = False
         self._forget_motion()
         self._link.discard()
         self._unlock_after_alarm()
@@ -115,6 +135,7 @@ class GrblStage:
         admit(self, move)
         path = Trapezoid(self.position_mm, move.to_mm, move.speed_mm_s, self.acceleration_mm_s2)
         self._target_mm = move.to_mm
+        self._peak_mm_s = path.peak_mm_s
         self._pieces = deque(self._cut(path))
         self._began_s = self._link.clock.now_s()
         self._feed()
@@ -138,9 +159,11 @@ class GrblStage:
     def stop(self) -> None:
         """Brake with feed hold, then reset: both are real-time bytes that wait behind nothing.
 
-        A reset after a complete hold keeps the position; one in motion would lose it.
+        A reset after a complete hold keeps the position; one in motion would lose it. How long braking takes follows
+        from the speed and the deceleration of the drive; only a stage that is far beyond it is cut off in motion.
 
         Raises:
+            Held: it stands, and somebody holds the button at the machine.
             NoReply: the controller does not answer; it was told to stop all the same.
         """
         answers_before = 0 if self._asked_s is None else 1
@@ -148,13 +171,56 @@ class GrblStage:
         self._link.write(grbl.HOLD)
         self._link.discard()
         # Homing ignores the hold and answers no poll: only a reset ends it, and there is no position to lose.
-        has_stopped = not self._is_homing and self._has_stopped(answers_before)
+        was_homing, was_known = self._is_homing, self.is_position_known
+        has_stopped = not was_homing and self._has_stopped(answers_before)
         self._is_homing = False
         self._link.write(grbl.RESET)
-        self.is_position_known = self.is_position_known and has_stopped
+        self.is_position_known = was_known and has_stopped
         self._wait_for_greeting(ANSWER_S)
+        # Cut by our own reset, nothing else: the count is a few steps wrong.
+        self.can_lift_roughly = was_known and not has_stopped and not was_homing and not self._is_alarmed
         if self.is_position_known:
             self._await_status()
+        if self._is_button_held:
+            raise Held("stage: somebody holds it at the machine; let its hold button go, look at the rig, then start")
+
+    def lift_roughly(self, distance_mm: float, speed_mm_s: float) -> None:
+        """Begin to go away from the unit after a stop that had to cut the motion; `poll` follows it.
+
+        Args:
+            distance_mm: at most; the homing switch is kept off.
+
+        Raises:
+            CommandRefused: the position was lost otherwise; nothing was sent.
+        """
+        distance_mm = min(distance_mm, self.position_mm - OFF_SWITCH_MM)
+        if not self.can_lift_roughly or distance_mm <= 0.0:
+            raise CommandRefused("stage: where it is is not known well enough to lift it; home it")
+        self._link.discard()
+        lines = (
+            grbl.UNLOCK,
+            grbl.relative_line(self._axis, -self._sign * distance_mm, min(speed_mm_s, self.max_speed_mm_s)),
+            grbl.SYNCHRONISE,
+        )
+        self._target_mm = self.position_mm - distance_mm
+        self._next_status_s = self._link.clock.now_s() + STATUS_S  # Until it is unlocked it reports an alarm.
+        for line in lines:
+            self._in_flight.append(len(line))
+            self._link.write(line)
+
+    def unsafe_settings(self) -> list[tuple[str, str]]:
+        """Return each setting that takes safety away as `$n=value`, and the command that mends it."""
+        found = []
+        for number, is_safe, cure in SAFE_SETTINGS:
+            value = self.settings.get(number + (self._index if number == 120 else 0))
+            if value is not None and not is_safe(value):
+                shown = number + (self._index if number == 120 else 0)
+                found.append((f"${shown}={value:g}", cure.format(number=shown)))
+        return found
+
+    def runs_on_s(self, speed_mm_s: float) -> float:
+        """Return after how long the stage stands, at most, once the host is gone in a move at this speed."""
+        return AHEAD_S + PIECE_S + 1.5 * speed_mm_s / self.acceleration_mm_s2
 
     def close(self) -> None:
         """Give the port back."""
@@ -209,7 +275,8 @@ class GrblStage:
         while self._pieces:
             starts_s, line = self._pieces[0]
             late_s = now_s - self._began_s - starts_s
-            if late_s < -AHEAD_S or sum(self._in_flight) + len(line) > grbl.LINE_LENGTH:
+            ahead_s = AHEAD_S + 0.5 * self._peak_mm_s / self.acceleration_mm_s2
+            if late_s < -ahead_s or sum(self._in_flight) + len(line) > grbl.LINE_LENGTH:
                 return
             # After a stall of the host the stage has paused; what follows must not run ahead of it.
             self._began_s += max(0.0, late_s)
@@ -240,6 +307,9 @@ class GrblStage:
     def _position(self, status: grbl.Status, host_s: float) -> StagePosition:
         asked_s = host_s if self._asked_s is None else self._asked_s
         self._asked_s = None
+        self._is_button_held = "H" in status.pins
+        if status.state == "Hold":
+            raise Held("stage: held by the button at the machine; let it go, look at the rig, then start again")
         if status.state == "Door":
             raise DeviceError("stage: the safety door is open; close it, then start again")
         if status.state in ("Alarm", "Sleep"):
@@ -277,21 +347,28 @@ class GrblStage:
         Args:
             answers_before: answers to polls from before the stop that may still come; they prove nothing.
         """
-        end_s = self._link.clock.now_s() + 2 * SILENCE_S
-        while self._link.clock.now_s() < end_s:
+        self._is_alarmed = False
+        heard_s = self._link.clock.now_s()
+        end_s = heard_s + 2 * SILENCE_S + MARGIN * self._peak_mm_s / self.acceleration_mm_s2
+        while self._link.clock.now_s() < min(end_s, heard_s + 2 * SILENCE_S):
             self._link.write(grbl.STATUS)
             try:
-                reply = grbl.parse(self._link.next_line(SILENCE_S).text)
+                line = self._link.next_line(SILENCE_S)
+                reply = grbl.parse(line.text)
             except (BadReply, NoReply):
                 continue
-            if isinstance(reply, grbl.Alarm) or (isinstance(reply, grbl.Status) and reply.state == "Alarm"):
+            if isinstance(reply, (grbl.Alarm, grbl.Greeting)) or _is_locked(reply):
+                self._is_alarmed = True
                 return False
             if isinstance(reply, grbl.Status):
+                heard_s, self._is_button_held = line.host_s, "H" in reply.pins
+                self.position_mm = self._sign * self._machine_mm(reply)
                 stands = (reply.state, reply.substate) in (("Hold", 0), ("Idle", 0))
                 if stands and answers_before <= 0:
                     return True
                 answers_before -= 1
             self._link.clock.sleep_s(0.02)
+        self._is_alarmed = self._link.clock.now_s() >= heard_s + 2 * SILENCE_S
         return False
 
     def _unlock_after_alarm(self) -> None:
@@ -334,6 +411,11 @@ class GrblStage:
             self._is_homing = False
             why = reply if isinstance(reply, grbl.Alarm) else "the controller started again"
             raise DeviceError(f"stage: homing failed: {why}; check the homing switch and its cable")
+
+
+def _is_locked(reply: grbl.Reply) -> bool:
+    """Whether a reply says that something other than a hold ended the motion: then nothing moves by itself."""
+    return isinstance(reply, grbl.Status) and reply.state in ("Alarm", "Door", "Sleep", "Home")
 
 
 def _open(config: GrblConfig, opening: Opening) -> GrblStage:

@@ -190,7 +190,12 @@ def move_line(axis: str, machine_mm: float, speed_mm_s: float) -> bytes:
     return f"G90 G21 G53 G1 {axis}{machine_mm:.4f} F{speed_mm_s * 60:.3f}\n".encode()
 
 
+def relative_line(axis: str, machine_mm: float, speed_mm_s: float) -> bytes:
+    """Return a straight move by so much from where the axis is, feed in mm/min."""
+    return f"G91 G21 G1 {axis}{machine_mm:.4f} F{speed_mm_s * 60:.3f}\n".encode()
+
+
 SYNCHRONISE = b"G4 P0.01\n"
 """Answered with ok only when everything queued before it has been done: the one proof that a move is finished."""
 
-HOME, SETTINGS = b"$H\n", b"$$\n"
+HOME, SETTINGS, UNLOCK = b"$H\n", b"$$\n", b"$X\n"

@@ -1,13 +1,14 @@
 """Everything that can break on a station, as switches of the simulated one: what, in which phase, and how."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from softcal.station.simulated.station import SimulatedStation
 
 SEARCH, PRESS, RETURN = "searching for contact", "pressing", "reading the zero return"
-DOWN_S, HOLD_S = 1.6, 3.0
-"""Seconds into the pressing of `trial.PROFILE` at which the stage goes down, and at which it holds a press."""
+DOWN_S, HOLD_S, BETWEEN_S = 1.6, 3.0, 5.2
+"""Seconds into the pressing of `trial.PROFILE` at which the stage goes down, holds a press, and stands between two."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,22 @@ def _set(target: str, name: str, value: object) -> Callable[[SimulatedStation], 
 
 def _plus_3N(now_s: float, force_N: float) -> float:
     return force_N + 3.0
+
+
+def _half(now_s: float, force_N: float) -> float:
+    return 0.5 * force_N
+
+
+def _stuck_noisy(now_s: float, value: float) -> float:
+    """A value that hangs, with noise that goes on: no two readings are the same."""
+    return 1.2 + 0.004 * math.sin(977.0 * now_s)
+
+
+def _later(wire: str, seconds: float) -> Callable[[SimulatedStation], None]:
+    def inject(station: SimulatedStation) -> None:
+        getattr(station, wire).delay_s += seconds
+
+    return inject
 
 
 def _no_force(now_s: float, force_N: float) -> float:
@@ -102,5 +119,14 @@ FAULTS: tuple[Fault, ...] = (
     Fault("unit's wire breaks", PRESS, DOWN_S, _set("rig", "output_fault", _open_circuit)),
     Fault("unit not connected", "", 0.0, _set("rig", "output_fault", _open_circuit)),
     Fault("no unit in the fixture", "", 0.0, _set("rig", "clearance_mm", 100.0)),
+    Fault("load cell's gain halves between two presses", PRESS, BETWEEN_S, _set("rig", "force_fault", _half)),
+    Fault("load cell's line 0.1 s late", "", 0.0, _later("force_wire", 0.1)),
+    Fault("load cell's readings become 0.6 s old", PRESS, DOWN_S, _later("force_wire", 0.6)),
+    Fault("load cell stuck but noisy", PRESS, DOWN_S, _set("rig", "force_fault", _stuck_noisy)),
+    Fault("readout stuck but noisy", PRESS, DOWN_S, _set("rig", "output_fault", _stuck_noisy)),
+    Fault("motor without supply while pressing", PRESS, DOWN_S, lambda s: s.rig.cut_motor()),
+    Fault("hold button pressed while pressing", PRESS, DOWN_S, lambda s: s.stage.press_hold()),
+    Fault("hold button pressed at the zero return", RETURN, 0.1, lambda s: s.stage.press_hold()),
+    Fault("something in the way of the approach", "", 0.0, _set("rig", "clearance_mm", 2.6)),
     Fault("hard object under the stage", "", 0.0, lambda s: s.mount_rigid()),
 )

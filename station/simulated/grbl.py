@@ -14,6 +14,24 @@ RECEIVE_BYTES = 128
 SEEK_MM_S, FEED_MM_S = 25.0, 2.0
 """Homing speeds: $25 and $24 in mm/s."""
 
+SEGMENTS_S = 0.06
+"""Motion that is already cut into steps when a feed hold comes: it still runs out (stepper.c, segment buffer)."""
+
+DEFAULTS = {
+    10: 1.0,
+    13: 0.0,
+    20: 0.0,
+    21: 0.0,
+    22: 0.0,
+    24: 25.0,
+    25: 500.0,
+    27: 1.0,
+    112: 500.0,
+    122: 10.0,
+    132: 200.0,
+}
+"""A fresh controller (defaults.h, generic), the pressing axis."""
+
 _WORD = re.compile(rb"([A-Z])(-?[\d.]+)")
 _REAL_TIME = b"?!~\x18\x84\x85"
 
@@ -22,7 +40,7 @@ class SimulatedGrbl:
     """A controller whose Z axis presses downward: machine Z runs from 0 at the homing switch to −travel.
 
     Faults are switches: `switch` ("good", "missing", "stuck"), `delay_reply_s`, `hit_limit()`, `dip_power()`,
-    `open_door()`, `press_emergency_stop()`, and everything the wire can do.
+    `open_door()`, `press_emergency_stop()`, `press_hold()` and `release_hold()`, and everything the wire can do.
 
     Args:
         wire: the serial line.
@@ -32,7 +50,7 @@ class SimulatedGrbl:
 
     def __init__(self, wire: Wire, axis: Axis, travel_mm: float = 40.0) -> None:
         self.wire, self.axis, self.travel_mm = wire, axis, travel_mm
-        self.settings = {10: 1.0, 13: 0.0, 20: 1.0, 21: 1.0, 22: 1.0, 27: 1.0, 112: 1500.0}
+        self.settings = DEFAULTS | {20: 1.0, 21: 1.0, 22: 1.0, 112: 1500.0}
         self.settings |= {122: axis.acceleration_mm_s2, 132: travel_mm}
         self.switch = "good"
         self.delay_reply_s = 0.0
@@ -40,15 +58,20 @@ class SimulatedGrbl:
         self.state = "Alarm"
         self.stop_received_s: float | None = None
         self.was_moving_at_stop = False
-        self._offset_mm = -axis.position_mm  # what the controller believes after power-up: Z = 0 where it stands
+        self.believe_zero_here()
         self._now_s = 0.0
         self._received = bytearray()
         self._lines: deque[bytes] = deque()
         self._waiting: Callable[[], bool] | None = None
-        self._dwell_until_s = math.inf
+        self._dwell_until_s = self._holds_at_s = math.inf
+        self._is_hold_pressed = False
         self._is_relative = False
         self._feed_mm_s = 0.0
         self._greet()
+
+    def believe_zero_here(self) -> None:
+        """Take the present place for Z = 0, as a controller does after power-up."""
+        self._offset_mm = -self.axis.position_mm
 
     def receive(self, now_s: float) -> None:
         """Take what the host has written: real-time bytes at once, lines into the buffer."""
@@ -70,12 +93,15 @@ class SimulatedGrbl:
 
     def next_event_s(self) -> float:
         """Return the time of the next thing that happens by itself."""
-        return min(self.axis.next_event_s(), self.wire.next_arrival_s(), self._dwell_until_s)
+        return min(self.axis.next_event_s(), self.wire.next_arrival_s(), self._dwell_until_s, self._holds_at_s)
 
     def advance(self, now_s: float) -> None:
         """Move, answer what is finished, let bytes reach the host."""
         self._now_s = now_s
         self.axis.advance(now_s)
+        if now_s >= self._holds_at_s:
+            self._holds_at_s = math.inf
+            self.axis.hold()
         if self.state in ("Run", "Jog") and not self.axis.is_moving:
             self.state = "Idle"
         self._work()
@@ -94,7 +120,7 @@ class SimulatedGrbl:
         """The supply drops for a moment: the controller starts again and knows nothing of its position."""
         self.axis.flush()
         self._start_again()
-        self._offset_mm = -self.axis.position_mm
+        self.believe_zero_here()
         self.state = "Alarm"
         self._greet()
 
@@ -106,6 +132,20 @@ class SimulatedGrbl:
         """The safety door opens: the controller brakes and waits."""
         self.axis.hold()
         self.state = "Door"
+
+    def press_hold(self) -> None:
+        """Somebody presses the hold button at the machine, and keeps it pressed."""
+        self._is_hold_pressed = True
+        self._hold()
+
+    def release_hold(self) -> None:
+        """The hold button is let go; the controller stays in its hold."""
+        self._is_hold_pressed = False
+
+    def _hold(self) -> None:
+        if self.state in ("Run", "Jog", "Idle"):
+            self._holds_at_s = self._now_s + (SEGMENTS_S if self.axis.is_moving else 0.0)
+            self.state = "Hold"
 
     def _greet(self) -> None:
         self._say("")
@@ -119,10 +159,9 @@ class SimulatedGrbl:
         elif byte == grbl.HOLD:
             if self.stop_received_s is None:
                 self.stop_received_s, self.was_moving_at_stop = self._now_s, self.axis.is_moving
-            if self.state in ("Run", "Jog"):
-                self.axis.hold()
-                self.state = "Hold"
-        elif byte == grbl.RESUME and self.state in ("Hold", "Door"):
+            self._hold()
+        elif byte == grbl.RESUME and self.state in ("Hold", "Door") and not self._is_hold_pressed:
+            self._holds_at_s = math.inf
             self.axis.resume()
             self.state = "Run" if self.axis.is_moving else "Idle"
         elif byte == grbl.RESET:
@@ -148,7 +187,7 @@ class SimulatedGrbl:
         self._lines.clear()
         self._received.clear()
         self._waiting = None
-        self._dwell_until_s = math.inf
+        self._dwell_until_s = self._holds_at_s = math.inf
         self.is_locked_until_reset = False
         self._is_relative = False
 
@@ -160,7 +199,8 @@ class SimulatedGrbl:
             state = "Door:3" if self.axis.is_moving else "Door:1"
         speed = abs(self.axis.velocity_mm_s) * 60
         free = PLANNER_BLOCKS - len(self.axis.queue)
-        pins = "|Pn:Z" if self.switch == "stuck" else ""
+        letters = ("Z" if self.switch == "stuck" else "") + ("H" if self._is_hold_pressed else "")
+        pins = f"|Pn:{letters}" if letters else ""
         self._say(f"<{state}|MPos:0.000,0.000,{self._machine_mm():.3f}|Bf:{free},128|FS:{speed:.0f},0{pins}>")
 
     def _machine_mm(self) -> float:
@@ -197,7 +237,7 @@ class SimulatedGrbl:
             self.state = "Idle" if self.state == "Alarm" else self.state
             return "ok"
         if line == b"$H":
-            return self._start_homing()
+            return self._start_homing() if self.state in ("Idle", "Alarm") else "error:8"
         if line == b"$I":
             self._say("[VER:1.1h.20190825:]")
             self._say("[OPT:V,15,128]")
@@ -206,6 +246,7 @@ class SimulatedGrbl:
         if not setting or int(setting[1]) not in self.settings:
             return "error:3"
         self.settings[int(setting[1])] = float(setting[2])
+        self.axis.acceleration_mm_s2 = self.settings[122]
         return "ok"
 
     def _start_homing(self) -> str:
@@ -271,7 +312,7 @@ class SimulatedGrbl:
         block = Block(target_mm, fastest if is_rapid else min(self._feed_mm_s, fastest))
 
         def put() -> bool:
-            if len(self.axis.queue) >= PLANNER_BLOCKS or self.axis.is_held:
+            if len(self.axis.queue) >= PLANNER_BLOCKS or self.axis.is_held or self.state == "Hold":
                 return False
             self.axis.add(block)
             self.state = "Run" if self.axis.is_moving else self.state
@@ -283,7 +324,7 @@ class SimulatedGrbl:
 
     def _dwell(self, seconds: float) -> str:
         def pause() -> bool:
-            if self.axis.is_moving or self.axis.is_held:
+            if self.axis.is_moving or self.axis.is_held or self.state == "Hold":
                 return False
             if self._dwell_until_s == math.inf:
                 self._dwell_until_s = self._now_s + seconds

@@ -31,6 +31,7 @@ class Axis:
     def __init__(self, acceleration_mm_s2: float) -> None:
         self.acceleration_mm_s2 = acceleration_mm_s2
         self.position_mm = 0.0
+        self.deepest_mm = 0.0
         self.velocity_mm_s = 0.0
         self.time_s = 0.0
         self.queue: deque[Block] = deque()
@@ -101,6 +102,7 @@ class Axis:
         self.position_mm += self.velocity_mm_s * seconds + 0.5 * acceleration * seconds**2
         self.velocity_mm_s += acceleration * seconds
         self.time_s += seconds
+        self.deepest_mm = max(self.deepest_mm, self.position_mm)
 
     def _arrive(self) -> None:
         if self.is_held:

@@ -31,6 +31,7 @@ class Rig:
         self.axis = axis
         self.force_fault: Callable[[float, float], float] | None = None
         self.output_fault: Callable[[float, float], float] | None = None
+        self._stands_at_mm: float | None = None
         self.keeps_truth = False
         self.true_t_s: list[float] = []
         self.true_stage_mm: list[float] = []
@@ -58,12 +59,17 @@ class Rig:
             outputs_V = tuple(self.output_fault(now_s, output_V) for output_V in outputs_V)
         return force_N, outputs_V
 
+    def cut_motor(self) -> None:
+        """The motor loses its supply: the controller counts on, the carriage stays where it is."""
+        self._stands_at_mm = self.axis.position_mm
+
     def _press(self, now_s: float) -> None:
         self._read_s = now_s
         if self.keeps_truth:
             self.true_t_s.append(now_s)
             self.true_stage_mm.append(self.axis.position_mm)
-        u_mm = self.axis.position_mm - self.clearance_mm
+        at_mm = self.axis.position_mm if self._stands_at_mm is None else self._stands_at_mm
+        u_mm = at_mm - self.clearance_mm
         since_s = now_s - self._mounted_s
         readings = [unit.advance(np.array([since_s]), np.array([u_mm])) for unit in self._units]
         self._force_N = float(readings[0][0][0])

@@ -30,19 +30,23 @@ from softcal.station import (
     drivers,
     frames,
     link,
+    motion,
+    proof,
     recording,
     safety,
     self_test,
     service,
     spool,
     steps,
+    watched,
 )
 from softcal.station.frames import gcl2, grbl, zaber
 
 KOREAN, ENGLISH = partial(text, "ko"), partial(text, "en")
 MODULES = [
     *(station_gate, gate_facts, station_host, pressed_run, people, drift),
-    *(acquisition, bench, command, contact, link, recording, safety, self_test, service, spool, steps),
+    *(acquisition, bench, command, contact, link, motion, proof, recording, safety, self_test, service, spool, steps),
+    watched,
     *(
         import_module(f"{folder.__name__}.{m.name}")
         for folder in (drivers, frames)

@@ -50,6 +50,16 @@ def test_source_writes_the_columns_of_a_lot_folder(softcal, tmp_path):
     assert labelled.unlabelled.stage_mm is not None
 
 
+def test_source_and_unit_end_in_a_lot_folder_as_it_is_read(softcal, tmp_path):
+    from softcal.app.files.lot_folder import open_lot_folder
+
+    for kind, path, seconds in (("source", "lot-1/source/A0.csv", 20), ("unit", "lot-1/units/A1.csv", 6)):
+        words = ("--serial", path[-6:-4], "--out", tmp_path / path, "--seconds", seconds, "--spool", tmp_path)
+        assert softcal(kind, "--simulated", 4, *words) == 0
+    folder = open_lot_folder(tmp_path / "lot-1")
+    assert (folder.lot.id, folder.lot.source, folder.lot.sample_rate_Hz) == ("lot-1", "A0", 50.0)
+
+
 def test_unit_writes_no_reference(softcal, tmp_path):
     path = tmp_path / "A1.csv"
     assert softcal("unit", "--simulated", "--serial", "A1", "--out", path, "--seconds", 6, "--spool", tmp_path) == 0
@@ -76,17 +86,21 @@ def test_a_station_file_with_an_unknown_key_lists_the_known_ones(softcal, tmp_pa
 
 
 def test_recover_writes_what_a_run_that_was_cut_off_had_read(softcal, tmp_path):
-    from softcal.station.interfaces import Sample
+    from softcal.station.interfaces import Sample, StagePosition
     from softcal.station.spool import Spool
 
     with Spool(tmp_path / "spool" / "A1-1.spool", {"serial": "A1", "profile": "unit"}) as spool:
-        spool.append([Sample(0.02 * k, 0.02 * k, (0.5,)) for k in range(50)], (), ())
+        cell = [Sample(0.01 * k, 0.01 * k, (0.1 * k,)) for k in range(100)]
+        polls = [StagePosition(0.1 * k, 2.0 * k) for k in range(11)]
+        spool.append([Sample(0.02 * k, 0.02 * k, (0.5,)) for k in range(50)], cell, polls)
+    (tmp_path / "spool" / "A0-0.spool").write_bytes(b"")  # what a full disk leaves
     content = (tmp_path / "spool" / "A1-1.spool").read_bytes()
     (tmp_path / "spool" / "A1-1.spool").write_bytes(content[: content.rindex(b"\n", 0, -1) + 1])
     assert softcal("recover", "--spool", tmp_path / "spool", "--out", tmp_path / "out") == 0
     lines = (tmp_path / "out" / "A1-1.aborted.csv").read_text().splitlines()
-    assert lines[0] == "device_s,output_0,aborted"
+    assert lines[0] == "device_s,host_s,output_0,force_N,stage_mm,aborted"
     assert len(lines) == 51
+    assert [float(value) for value in lines[26].split(",")[:5]] == pytest.approx([0.5, 0.5, 0.5, 5.0, 10.0])
     assert lines[1].endswith("cut off")
 
 

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import pytest
 
@@ -97,6 +97,28 @@ def test_a_second_owner_is_refused(registry, tmp_path):
     registry.order_queue.beat(Heartbeat("s1", StationState.READY, datetime.now(UTC), process="other:1"))
     with pytest.raises(InputError, match="served by other:1"):
         make_host(registry, tmp_path).run(lambda: False)
+
+
+def test_a_running_owner_is_not_taken_over_by_a_clock_that_is_ahead(registry, tmp_path):
+    behind, is_over = timedelta(seconds=10), threading.Event()
+
+    def beat():
+        now = datetime.now(UTC) - behind  # what the other machine's clock says, seen from here
+        registry.order_queue.beat(Heartbeat("s1", StationState.READY, now, process="other:1"))
+
+    def owner():
+        while not is_over.wait(0.3):
+            beat()
+
+    beat()
+    other = threading.Thread(target=owner)
+    other.start()
+    try:
+        with pytest.raises(InputError, match="served by other:1"):
+            make_host(registry, tmp_path).run(lambda: False)
+    finally:
+        is_over.set()
+        other.join()
 
 
 def test_a_stop_order_reaches_a_run_and_the_station_stands_before_its_end_is_told(registry, tmp_path, monkeypatch):

@@ -25,6 +25,17 @@ def test_the_bend_is_found_whatever_the_stiffness(rng, stiffness_N_mm):
     assert bend(stage_mm, force_N + 0.7) == pytest.approx(5.2, abs=6 * 0.013 / stiffness_N_mm / np.sqrt(touching))
 
 
+@pytest.mark.parametrize("power", [1.0, 1.25, 1.4, 1.75, 2.0])
+def test_the_bend_is_found_within_ten_micrometres_for_any_power_law(rng, power):
+    errors_mm = []
+    for _ in range(10):
+        stage_mm = np.arange(4.0, 5.2 + (0.3 / 1.2) ** (1 / power), 0.0016)  # 0.13 mm/s at 80 Hz
+        force_N = 1.2 * np.maximum(0.0, stage_mm - 5.2) ** power + rng.normal(0, 0.004, len(stage_mm))
+        errors_mm.append(bend(stage_mm, force_N) - 5.2)
+    assert abs(np.mean(errors_mm)) < 0.010
+    assert np.sqrt(np.mean(np.square(errors_mm))) < 0.010
+
+
 def test_units_of_other_stiffness_are_aligned_within_micrometres():
     errors_mm = []
     with open_simulated_bench(seed=4) as (bench, station):

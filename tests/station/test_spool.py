@@ -89,7 +89,7 @@ def test_an_aborted_run_never_becomes_a_recording(tmp_path):
 
 def test_a_full_disk_stops_the_run():
     with open_simulated_bench(seed=2) as (bench, station):
-        with pytest.raises(DeviceError, match=r"No space left.*stage is stopped and lifted"):
+        with pytest.raises(DeviceError, match=r"No space left.*stage is stopped and must be homed"):
             with Spool(Path("/dev/full"), {"serial": "A1"}) as spool:
                 record(bench, "A1", ramps([2.0], 4.0, rest_s=0.5), True, spool=spool)
         assert not station.axis.is_moving

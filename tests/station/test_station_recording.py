@@ -44,7 +44,8 @@ def test_force_and_output_are_those_of_the_twin_at_the_recorded_stage_position(s
 
 def test_the_profile_reaches_its_depth_and_returns(source_run):
     recording, _ = source_run
-    assert recording.stage_mm.max() == pytest.approx(3.5, abs=0.01)
+    # Half a sample beside the turning point, and 5 ms of the track: 0.5 · 200 mm/s² · (15 ms)².
+    assert recording.stage_mm.max() == pytest.approx(3.5, abs=0.0225)
     assert recording.stage_mm[-1] == pytest.approx(0.0, abs=0.01)
 
 
@@ -95,6 +96,10 @@ def test_a_profile_beyond_the_bounds_moves_nothing(profile, message):
 def test_a_unit_is_found_without_a_load_cell():
     with open_simulated_bench(seed=1) as (bench, station):
         blind = replace(bench, force=None)
+        with pytest.raises(CommandRefused, match="nothing limits the force without a load cell.*nothing moved"):
+            record(blind, "A0", ramps([2.0], 4.0, rest_s=0.5), with_reference=False)
+        allowed = replace(bench.config, force=None, safety=replace(bench.config.safety, without_cell=True))
+        blind = replace(blind, config=allowed)
         recording = record(blind, "A0", ramps([2.0], 4.0, rest_s=0.5), with_reference=False)
         assert recording.contact_mm == pytest.approx(station.rig.clearance_mm + 0.3, abs=0.4)
         with pytest.raises(CommandRefused, match="needs the load cell"):

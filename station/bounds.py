@@ -1,0 +1,71 @@
+"""How fast a stage may press, so that a stop holds what it promises: speed from stiffness, delay and deceleration."""
+
+import math
+from dataclasses import dataclass
+
+REACTION_S = 0.12
+"""From a reading that has arrived to a stage that begins to brake: look at the devices, line, stop byte, and motion
+that the controller has already cut into steps (0.06 s in GRBL)."""
+
+FULL = 0.9
+"""No stop may end above this share of the load cell's capacity."""
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """How a stop comes about on one rig.
+
+    Args:
+        delay_s: from the force being there to the stage beginning to brake.
+        acceleration_mm_s2: with which it brakes.
+    """
+
+    delay_s: float
+    acceleration_mm_s2: float
+
+    def overrun_mm(self, speed_mm_s: float) -> float:
+        """Return how far the stage still goes: v·T + v²/(2a)."""
+        return speed_mm_s * self.delay_s + speed_mm_s**2 / (2.0 * self.acceleration_mm_s2)
+
+    def fastest_mm_s(self, room_mm: float) -> float:
+        """Return the speed whose overrun is `room_mm`."""
+        a, t = self.acceleration_mm_s2, self.delay_s
+        # Equal to a·(√(t² + 2·room/a) − t), without its cancellation.
+        return 2.0 * max(0.0, room_mm) / (math.sqrt(t**2 + 2.0 * max(0.0, room_mm) / a) + t)
+
+
+@dataclass(frozen=True)
+class ForceBounds:
+    """What a stop on one rig holds.
+
+    Args:
+        reaction: how a stop comes about.
+        limit_N: force above which a run is stopped.
+        touch_N: force at which a search or an approach is.
+        ceiling_N: force that no stop may end above.
+        stiffest_N_mm: the stiffest thing that may be met where nothing was felt yet.
+    """
+
+    reaction: Reaction
+    limit_N: float
+    touch_N: float
+    ceiling_N: float
+    stiffest_N_mm: float
+
+    @property
+    def free_mm_s(self) -> float:
+        """Fastest speed where nothing should be: what is met there stops the stage at `touch_N`."""
+        return self.reaction.fastest_mm_s((self.ceiling_N - self.touch_N) / self.stiffest_N_mm)
+
+    @property
+    def unknown_mm_s(self) -> float:
+        """Fastest speed at a depth where this unit was not pressed yet: a hard stop may lie there."""
+        return self.reaction.fastest_mm_s((self.ceiling_N - self.limit_N) / self.stiffest_N_mm)
+
+    def known_mm_s(self, force_N: float, stiffness_N_mm: float) -> float:
+        """Fastest speed where this unit showed at most this force and this stiffness."""
+        return self.reaction.fastest_mm_s((self.ceiling_N - force_N) / max(stiffness_N_mm, 1e-6))
+
+    def worst_N(self, speed_mm_s: float, force_N: float, stiffness_N_mm: float) -> float:
+        """Return the force a stop ends at, at most, when the force is noticed at `force_N`."""
+        return force_N + stiffness_N_mm * self.reaction.overrun_mm(speed_mm_s)

@@ -1,0 +1,260 @@
+"""Every way a run can go, tried on the real `station.motion.Motion`: all faults at all steps, in all combinations.
+
+A made-up stage asks at each step what happens next; the run is repeated until every answer was given at every step,
+with up to MOST_FAULTS answers in one run that are not "all is well". What the stage was told is judged against the
+properties of docs/hazards.md.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, SafetyStop
+from softcal.station.config import FixtureConfig, SafetyConfig
+from softcal.station.interfaces import Held, Move, OnWait, StagePosition
+from softcal.station.interlock import State
+from softcal.station.motion import Cancelled, Motion
+
+MOST_FAULTS = 3
+LONGEST_S = 120.0
+"""No run of the program below may take longer, whatever happens."""
+
+TOUCH_MM, APPROACH_MM, POLLS = 5.0, 4.0, 3
+
+
+class Choices:
+    """The answers of one run: those that are given, then "all is well"."""
+
+    def __init__(self, given: Sequence[int]) -> None:
+        self._given, self.made = list(given), list[tuple[int, int]]()
+
+    def pick(self, count: int) -> int:
+        """Return which of `count` answers is given here; 0 is "all is well"."""
+        k = len(self.made)
+        answer = self._given[k] if k < len(self._given) else 0
+        self.made.append((answer, count))
+        return answer
+
+
+@dataclass
+class Told:
+    """What a stage was told in one run, and what was seen on the way.
+
+    Args:
+        commands: "down", "up", "home", "stop", in order.
+        faulted_at: how many commands there had been when the first fault came; None without one.
+        held_at: the same for the hold button.
+        states: (state of the run, is moving, position known, held) that were met.
+    """
+
+    commands: list[str] = field(default_factory=list)
+    faulted_at: int | None = None
+    held_at: int | None = None
+    states: set[tuple[State, bool, bool, bool]] = field(default_factory=set)
+    is_up: bool = True
+    answers: bool = True
+    seconds: float = 0.0
+    message: str = ""
+    ended: State = State.STANDING
+
+
+class ModelStage:
+    """A stage whose every step may go wrong."""
+
+    name, travel_mm, max_speed_mm_s, acceleration_mm_s2 = "stage", 40.0, 25.0, 200.0
+
+    def __init__(self, choices: Choices, told: Told) -> None:
+        self._choices, self._told = choices, told
+        self.position_mm = self._target_mm = APPROACH_MM
+        self.is_position_known = self.is_moving = self.can_lift_roughly = False
+        self._polls, self._is_blocked = 0, False
+        self.look: Callable[[], None] = lambda: None
+
+    def home(self, on_wait: OnWait = lambda: None) -> None:
+        """Home, or fail."""
+        self._told.commands.append("home")
+        self.is_moving = True
+        on_wait()
+        if self._choices.pick(2):
+            self._fault(DeviceError("stage: homing failed"))
+        self.is_moving, self.is_position_known, self.position_mm = False, True, 1.0
+
+    def begin(self, move: Move) -> None:
+        """Begin, refuse, or begin and never arrive."""
+        self._told.commands.append("down" if move.to_mm > self.position_mm else "up")
+        answer = self._choices.pick(3)
+        if answer == 1:
+            self._fault(CommandRefused("stage: refused"))
+        self._target_mm, self.is_moving, self._polls, self._is_blocked = move.to_mm, True, 0, answer == 2
+
+    def lift_roughly(self, distance_mm: float, speed_mm_s: float) -> None:
+        """Go up without a known position."""
+        self.begin(Move(self.position_mm - distance_mm, speed_mm_s))
+
+    def poll(self) -> list[StagePosition]:
+        """Go on, or fail."""
+        self._polls += 1
+        self.look()
+        if self.is_moving and self._polls <= POLLS:
+            self._step()
+        return [StagePosition(0.0, self.position_mm)]
+
+    def stop(self) -> None:
+        """Stand, or lose the position, or be held, or say nothing."""
+        if self._is_blocked and self._polls > 2 * POLLS:
+            self._mark()  # Stopped because it was late.
+        self._told.commands.append("stop")
+        self.look()
+        answer = self._choices.pick(5)
+        self.is_moving, self.can_lift_roughly = False, answer == 1
+        if answer:
+            self.is_position_known = False
+        if answer == 3:
+            self.is_position_known = True
+            self._hold()
+        if answer == 4:
+            self._told.answers = False
+            self._fault(NoReply("stage: no answer"))
+
+    def _step(self) -> None:
+        answer = self._choices.pick(5)
+        if answer == 1:
+            self._fault(NoReply("stage: no status"))
+        if answer == 2:
+            self.is_position_known = False
+            self._fault(DeviceError("stage: ALARM"))
+        if answer == 3:
+            self.is_moving = False
+            self._hold()
+        if answer == 4:
+            self._fault(BadReply("stage: noise"))
+        if self._polls >= POLLS and not self._is_blocked:
+            self.position_mm, self.is_moving = self._target_mm, False
+
+    def _hold(self) -> None:
+        if self._told.held_at is None:
+            self._told.held_at = len(self._told.commands)
+        self._fault(Held("stage: held by the button"))
+
+    def _fault(self, error: DeviceError) -> None:
+        self._mark()
+        raise error
+
+    def _mark(self) -> None:
+        if self._told.faulted_at is None:
+            self._told.faulted_at = len(self._told.commands)
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.t_s = 0.0
+
+    def now_s(self) -> float:
+        return self.t_s
+
+    def sleep_s(self, seconds: float) -> None:
+        self.t_s += seconds
+
+
+def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
+    """Run the program once with these answers; return what was told, and the answers with their alternatives."""
+    choices, told, clock = Choices(given), Told(), _Clock()
+    stage = ModelStage(choices, told)
+    config = SimpleNamespace(safety=SafetyConfig(), fixture=FixtureConfig(approach_mm=APPROACH_MM))
+    bench: Any = SimpleNamespace(config=config, clock=clock, stage=stage, readout=None, force=None)
+    looks = 0
+
+    def tick() -> None:
+        nonlocal looks
+        clock.sleep_s(0.02)
+        stage.poll()
+        looks += 1
+        if looks % POLLS == 1 and looks < 12 * POLLS:
+            _watch(choices.pick(4), stage)
+
+    motion = Motion(bench, tick)
+
+    def look() -> None:
+        told.states.add((motion.state, stage.is_moving, stage.is_position_known, told.held_at is not None))
+
+    stage.look = look
+    try:
+        motion.supervise(lambda: _program(motion, stage))
+    except DeviceError as error:
+        told.message = str(error)
+    look()
+    told.ended, told.seconds = motion.state, clock.t_s
+    told.is_up = not stage.is_moving and stage.position_mm <= APPROACH_MM
+    return told, choices.made
+
+
+def _watch(answer: int, stage: ModelStage) -> None:
+    if answer:
+        stage._mark()
+        errors: tuple[BaseException, ...] = (SafetyStop("force"), Cancelled("stopped by a person"), KeyboardInterrupt())
+        raise errors[answer - 1]
+
+
+def _program(motion: Motion, stage: ModelStage) -> None:
+    """A run in short: home, approach, search until the touch, press, wait, go back."""
+    motion.home(lambda: None)
+    motion.go(APPROACH_MM, 5.0)
+    motion.go(8.0, 1.0, lambda: stage.is_moving and stage._polls >= POLLS - 1)
+    motion.go(9.0, 5.0)
+    motion.wait(0.05)
+    motion.go(APPROACH_MM, 5.0)
+
+
+@dataclass(frozen=True)
+class Explored:
+    """What the search went through, and the runs that break a property (none should)."""
+
+    runs: int
+    states: int
+    broken: tuple[str, ...]
+
+
+def explore(judge: Callable[[Told], str], most_faults: int = MOST_FAULTS) -> Explored:
+    """Try every run.
+
+    Args:
+        judge: the property a run breaks, "" for none.
+        most_faults: answers other than "all is well" in one run.
+    """
+    waiting: list[list[int]] = [[]]
+    runs, states, broken = 0, set(), []
+    while waiting:
+        given = waiting.pop()
+        told, made = run_once(given)
+        runs, states = runs + 1, states | told.states
+        if wrong := judge(told):
+            broken.append(f"{given}: {wrong}: {told.commands}, {told.message}")
+        if sum(answer > 0 for answer in given) < most_faults:
+            for k in range(len(given), len(made)):
+                before = [answer for answer, _ in made[:k]]
+                waiting += [[*before, answer] for answer in range(1, made[k][1])]
+    return Explored(runs, len(states), tuple(broken))
+
+
+def broken_property(told: Told) -> str:
+    """Return which property of docs/hazards.md a run breaks, "" for none."""
+    after = [] if told.faulted_at is None else told.commands[told.faulted_at :]
+    if any(command in ("down", "home") for command in after):
+        return "moves down after a stop without a fresh start"
+    if told.ended not in (State.STOPPED, State.OVER):
+        return "a run does not end"
+    if told.seconds > LONGEST_S:
+        return "a state has no deadline"
+    if told.held_at is not None and "up" in told.commands[told.held_at :]:
+        return "moves by itself while somebody holds it"
+    if told.faulted_at is not None and not _says_where(told):
+        return "does not say what stands on the unit"
+    return ""
+
+
+def _says_where(told: Told) -> bool:
+    if "is stopped and lifted" in told.message:
+        return told.is_up
+    parts = ("may stand on the unit", "does not answer any more", "could not be lifted", "must be homed")
+    return any(part in told.message for part in parts)

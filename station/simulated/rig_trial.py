@@ -1,0 +1,101 @@
+"""Trials of safety: a rig of any drive, cell and unit, pressed by the real code, and the largest force it truly saw."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from softcal.core.errors import DeviceError
+from softcal.core.profiles import Profile
+from softcal.core.twin.simulate import Twin
+from softcal.station.acquisition import record
+from softcal.station.bench import Bench, open_bench, simulated_config
+from softcal.station.config import UNKNOWN_S
+from softcal.station.simulated.law_unit import ForceLaw, LawUnit
+from softcal.station.simulated.station import SimulatedStation
+
+START_MM = 0.5
+"""Where the stage was left, above everything."""
+
+
+@dataclass(frozen=True)
+class RigCase:
+    """One rig.
+
+    Args:
+        acceleration_mm_s2: of the drive ($122); 10 is what a fresh GRBL has.
+        law: force law of what lies under the stage.
+        surface_mm: stage position of its surface.
+        cell_Hz, cell_late_s: rate of the load cell, and how late its line is.
+        limit_N, capacity_N: force limit of the station, and of the cell.
+        latency_s: as the station file states it; −1 for not.
+        stiffest_N_mm: as the station file states it.
+        approach_mm: where no unit should reach.
+    """
+
+    acceleration_mm_s2: float = 200.0
+    law: ForceLaw = ForceLaw()
+    surface_mm: float = 2.2
+    cell_Hz: float = 80.0
+    cell_late_s: float = 0.0
+    limit_N: float = 5.0
+    capacity_N: float = 20.0
+    latency_s: float = UNKNOWN_S
+    stiffest_N_mm: float = 1000.0
+    approach_mm: float = 1.8
+    seed: int = 1
+
+
+@contextmanager
+def open_rig(case: RigCase) -> Iterator[tuple[Bench, SimulatedStation]]:
+    """Open the bench of a case, and its far ends."""
+    rng = np.random.default_rng(case.seed)
+    station = SimulatedStation(Twin(), rng)
+    station.axis.acceleration_mm_s2 = station.stage.settings[122] = case.acceleration_mm_s2
+    station.axis.position_mm = START_MM
+    station.stage.believe_zero_here()
+    station.force.rate_Hz = case.cell_Hz
+    station.force_wire.delay_s += case.cell_late_s
+    station.rig.mount([LawUnit(case.law, rng.spawn(1)[0])], case.surface_mm, 0.0)
+    plain = simulated_config(station)
+    assumed = replace(plain.force, rate_Hz=case.cell_Hz, capacity_N=case.capacity_N, latency_s=case.latency_s)  # type: ignore[type-var]
+    safety = replace(plain.safety, force_N=case.limit_N, stiffest_N_mm=case.stiffest_N_mm, speed_mm_s=25.0)
+    silence_s = max(safety.silence_s, min(1.0, 4.0 / case.cell_Hz))
+    fixture = replace(plain.fixture, approach_mm=case.approach_mm)
+    config = replace(plain, force=assumed, safety=replace(safety, silence_s=silence_s), fixture=fixture)
+    try:
+        with open_bench(config, station.world) as bench:
+            yield bench, station
+    finally:
+        station.close()
+
+
+@dataclass(frozen=True)
+class RigOutcome:
+    """What became of a run.
+
+    Args:
+        largest_N: true force at the deepest point the stage reached.
+        message: "" where the run went through, else what the operator reads.
+        is_up: whether the stage stands above the unit at the end.
+        station_s: how long it took.
+    """
+
+    largest_N: float
+    message: str
+    is_up: bool
+    station_s: float
+
+
+def press(case: RigCase, profile: Profile) -> RigOutcome:
+    """Press a case with a profile."""
+    with open_rig(case) as (bench, station):
+        message = ""
+        try:
+            record(bench, "S1", profile, with_reference=True)
+        except DeviceError as error:
+            message = str(error)
+        depth_mm = station.axis.deepest_mm - case.surface_mm
+        is_up = station.axis.position_mm <= case.surface_mm
+        return RigOutcome(float(case.law.force_N(depth_mm)), message, is_up, station.world.now_s())

@@ -1,0 +1,204 @@
+"""A bench whose every reading is kept and checked while its stage moves: what a run and a self-test have in common."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from softcal.core.errors import BadReply, SafetyStop
+from softcal.station.bench import Bench
+from softcal.station.bounds import FULL, REACTION_S, ForceBounds, Reaction
+from softcal.station.config import LATEST_S, UNKNOWN_S
+from softcal.station.interfaces import Sample, StagePosition
+from softcal.station.motion import TICK_S, Motion
+from softcal.station.safety import FollowWatch, ForceWatch, JumpWatch, StreamWatch, StuckWatch
+from softcal.station.spool import Spool
+
+HOMING_RISE_N = 1.0
+"""Homing goes away from the unit: a force that grows by this much says that it does not."""
+
+
+@dataclass
+class Readings:
+    """Everything that was read, as it came."""
+
+    output: list[Sample] = field(default_factory=list)
+    force: list[Sample] = field(default_factory=list)
+    polls: list[StagePosition] = field(default_factory=list)
+
+
+class WatchedBench:
+    """The devices of a station with all watches on.
+
+    Args:
+        bench: open devices.
+        spool: where everything that is read goes as it comes.
+        on_tick: called after every look at the devices; what it raises stops the stage.
+    """
+
+    def __init__(self, bench: Bench, spool: Spool | None = None, on_tick: Callable[[], None] = lambda: None) -> None:
+        self.bench, self._spool, self._on_tick = bench, spool, on_tick
+        self.readings = Readings()
+        self.motion = Motion(bench, self.tick)
+        self.bounds = bounds_of(bench)
+        self.contact_mm: float | None = None
+        self._force_watch = ForceWatch(bench.config.safety)
+        self._follow_watch = FollowWatch(bench.config.fixture.contact_N)
+        self._jump_watch = JumpWatch()
+        self._streams: dict[str, StreamWatch] = {}
+        self._stuck: dict[str, StuckWatch] = {}
+        self._free_N: float | None = None
+        self._lowest_N = float("inf")
+
+    @property
+    def late_s(self) -> float:
+        """How late the load cell is, as far as that is known."""
+        force = self.bench.config.force
+        return max(0.0, force.latency_s) if force is not None else 0.0
+
+    @property
+    def fastest_free_mm_s(self) -> float:
+        """Fastest speed towards where nothing should be."""
+        fastest_mm_s = min(self.bench.config.safety.speed_mm_s, self.bench.stage.max_speed_mm_s)
+        return fastest_mm_s if self.bench.force is None else min(fastest_mm_s, self.bounds.free_mm_s)
+
+    def start(self) -> None:
+        """Begin to read, and to watch."""
+        bench, now_s = self.bench, self.bench.clock.now_s()
+        bench.readout.start()
+        self._streams["readout"] = StreamWatch(bench.readout, bench.config.safety, now_s, bench.readout.range)
+        if bench.force is not None:
+            bench.force.start()
+            self._streams["force"] = StreamWatch(bench.force, bench.config.safety, now_s)
+
+    def home(self) -> None:
+        """Home the stage while the force is watched, and begin to read anew.
+
+        Raises:
+            SafetyStop: the force grows although homing goes away from the unit.
+        """
+        self._lowest_N = float("inf")
+        self.motion.home(self._look_while_homing)
+        self.start()  # A reset of the controller may have taken longer than any silence that is allowed.
+
+    def expect_nothing(self) -> None:
+        """Take the present force as that of an empty path: whatever adds the touch force to it is in the way."""
+        recent = [sample.values[0] for sample in self.readings.force[-10:]]
+        self._free_N = float(np.mean(recent)) if recent else None
+
+    def take_zero(self, zero_N: float) -> None:
+        """Take the reading of the unloaded load cell, from now on subtracted."""
+        self._force_watch.zero_N = self.motion.zero_N = zero_N
+        self._free_N = None
+
+    def expect_contact(self, contact_mm: float) -> None:
+        """Take where the unit's surface is: from here on every channel must follow the stage."""
+        self.contact_mm = contact_mm
+        self._stuck["readout"] = StuckWatch(self.bench.readout.name, noise_of(self.readings.output))
+        if self.bench.force is not None:
+            self._stuck["force"] = StuckWatch(self.bench.force.name, noise_of(self.readings.force))
+
+    def learn_latency(self, late_s: float) -> None:
+        """Take how late the load cell was found to be, where the station file does not say it."""
+        delay_s = self.bounds.reaction.delay_s - LATEST_S + late_s
+        self.bounds = replace(self.bounds, reaction=replace(self.bounds.reaction, delay_s=delay_s))
+
+    def tick(self) -> None:
+        """Let a little time pass, read every device, and check everything that was read."""
+        self.bench.clock.sleep_s(TICK_S)
+        polls = self.bench.stage.poll()
+        self.readings.polls += polls
+        output, cell = self._read(polls)
+        self._look_ahead()
+        self._check(output, cell)
+        self._on_tick()
+
+    def _read(self, polls: Sequence[StagePosition]) -> tuple[Sequence[Sample], Sequence[Sample]]:
+        cell = self.bench.force.poll() if self.bench.force is not None else ()
+        output = self.bench.readout.poll()
+        if self._spool is not None:
+            self._spool.append(output, cell, polls)
+        self.readings.force += cell
+        self.readings.output += output
+        return output, cell
+
+    def _look_while_homing(self) -> None:
+        try:
+            _, cell = self._read(())
+        except BadReply:
+            return self._on_tick()  # Homing may begin under an overload: it is what takes it off.
+        for sample in cell:
+            self._lowest_N = min(self._lowest_N, sample.values[0])
+            if sample.values[0] > self._lowest_N + HOMING_RISE_N:
+                raise SafetyStop(
+                    f"the force rises by {sample.values[0] - self._lowest_N:.1f} N while the stage homes; check that "
+                    "it homes away from the unit"
+                )
+        self._on_tick()
+
+    def _look_ahead(self) -> None:
+        """How long the force may still grow: until a stop holds, or until the move ends by itself."""
+        speed_mm_s = self.motion.speed_mm_s
+        if not self.motion.is_lowering or speed_mm_s == 0.0:
+            self._force_watch.ahead_s = 0.0
+            return
+        reaction = self.bounds.reaction
+        stop_s = REACTION_S + self.late_s + 0.5 * speed_mm_s / reaction.acceleration_mm_s2
+        self._force_watch.ahead_s = min(stop_s, self.late_s + self.motion.left_mm / speed_mm_s)
+
+    def _check(self, output: Sequence[Sample], cell: Sequence[Sample]) -> None:
+        pressed_mm = self.pressed_mm()
+        for sample in cell:
+            self._force_watch.check(sample)
+            self._check_free(sample.values[0])
+            self._follow_watch.check(sample.values[0] - self._force_watch.zero_N, pressed_mm, sample.host_s)
+            self._jump_watch.check(sample.values[0], self.bench.stage.is_moving, sample.host_s)
+        for name, samples in (("force", cell), ("readout", output)):
+            for sample in samples:
+                self._streams[name].check(sample, pressed_mm)
+                if name in self._stuck:
+                    self._stuck[name].check(sample.values[0], pressed_mm)
+        for watch in self._streams.values():
+            watch.check_silence(self.bench.clock.now_s())
+        self._check_depth()
+
+    def _check_free(self, force_N: float) -> None:
+        touch_N = self.bench.config.fixture.touch_N
+        if self._free_N is not None and self.motion.is_lowering and force_N - self._free_N > touch_N:
+            raise SafetyStop(
+                f"something is in the way at {self.bench.stage.position_mm:.2f} mm: {force_N - self._free_N:.2f} N; "
+                "look at unit and fixture, correct approach_mm in the station file"
+            )
+
+    def pressed_mm(self) -> float:
+        """How far the stage is below the contact; 0 above it, or before it was found."""
+        if self.contact_mm is None or not self.readings.polls:
+            return 0.0
+        return max(0.0, self.readings.polls[-1].position_mm - self.contact_mm)
+
+    def _check_depth(self) -> None:
+        deepest_mm = self.bench.config.safety.deepest_mm
+        if self.readings.polls and self.readings.polls[-1].position_mm > deepest_mm + 0.01:
+            at_mm = self.readings.polls[-1].position_mm
+            raise SafetyStop(f"stage at {at_mm:.2f} mm, the limit is {deepest_mm:g} mm; check the fixture")
+
+
+def bounds_of(bench: Bench) -> ForceBounds:
+    """Return what a stop on this bench holds."""
+    config, reader = bench.config, bench.force
+    late_s = LATEST_S if config.force is None or config.force.latency_s == UNKNOWN_S else config.force.latency_s
+    period_s = 0.0 if reader is None else 1.0 / reader.rate_Hz
+    capacity_N = float("inf") if reader is None else reader.capacity_N
+    return ForceBounds(
+        Reaction(period_s + late_s + REACTION_S, bench.stage.acceleration_mm_s2),
+        config.safety.force_N,
+        config.fixture.touch_N,
+        FULL * capacity_N,
+        config.safety.stiffest_N_mm,
+    )
+
+
+def noise_of(samples: Sequence[Sample]) -> float:
+    """Return the standard deviation of the first channel from sample to sample, drift left out."""
+    values = np.array([sample.values[0] for sample in samples])
+    return float(np.std(np.diff(values)) / np.sqrt(2)) if len(values) > 2 else 0.0

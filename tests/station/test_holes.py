@@ -1,0 +1,270 @@
+"""What may hurt a hand, a sensor or a cell: default settings, the self-test, the hold button, Ctrl-C, stiff things."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from softcal.app.line.rig import station_of
+from softcal.core.errors import DeviceError, InputError, NoReply
+from softcal.core.profiles import ramps
+from softcal.station.acquisition import FEELING, PRESSING, record
+from softcal.station.config import station_from_table
+from softcal.station.drivers.grbl import GrblStage
+from softcal.station.identify import Identity
+from softcal.station.interfaces import Held, Move
+from softcal.station.link import Link
+from softcal.station.motion import StoppedByHand
+from softcal.station.self_test import self_test
+from softcal.station.simulated.grbl import SimulatedGrbl
+from softcal.station.simulated.law_unit import ForceLaw
+from softcal.station.simulated.motion import Axis
+from softcal.station.simulated.rig_trial import RigCase, open_rig, press
+from softcal.station.simulated.wire import Wire
+from softcal.station.simulated.world import World
+
+QUICK = RigCase(latency_s=0.0, stiffest_N_mm=100.0)
+PROFILE = ramps([2.0, 2.0], 4.0, rest_s=0.5)
+
+
+@pytest.fixture
+def slow_stage(rng):
+    """A homed stage with the acceleration of a fresh GRBL."""
+    world, wire = World(), Wire(rng)
+    controller = SimulatedGrbl(wire, Axis(10.0))
+    world.add(controller)
+    stage = GrblStage(Link(wire.port, world))
+    stage.home()
+    yield stage, world, controller
+    wire.close()
+
+
+def run_for(stage, world, seconds):
+    end_s = world.now_s() + seconds
+    while world.now_s() < end_s:
+        world.sleep_s(0.005)
+        stage.poll()
+
+
+def test_a_stop_waits_as_long_as_the_drive_brakes_and_keeps_the_position(slow_stage):
+    stage, world, controller = slow_stage
+    stage.begin(Move(30.0, 8.0))
+    run_for(stage, world, 2.0)
+    stage.stop()  # 8 mm/s at 10 mm/s² brake for 0.8 s
+    assert stage.is_position_known
+    assert stage.position_mm == pytest.approx(controller.axis.position_mm, abs=2e-3)
+
+
+def test_a_stop_that_had_to_cut_the_motion_still_lifts(slow_stage):
+    stage, world, controller = slow_stage
+    stage.begin(Move(30.0, 8.0))
+    run_for(stage, world, 2.0)
+    controller.axis.acceleration_mm_s2 = 1.0  # far from what its settings say
+    stage.stop()
+    assert not stage.is_position_known and stage.can_lift_roughly
+    at_mm = controller.axis.position_mm
+    stage.lift_roughly(4.0, 5.0)
+    while stage.is_moving:
+        world.sleep_s(0.005)
+        stage.poll()
+    assert controller.axis.position_mm == pytest.approx(at_mm - 4.0, abs=0.01)
+    assert not stage.is_position_known
+
+
+def test_default_acceleration_and_a_stop_of_20_N_mm_stay_at_the_limit_and_end_lifted():
+    case = replace(QUICK, acceleration_mm_s2=10.0, law=ForceLaw(stop_mm=1.5, stop_N_mm=20.0))
+    outcome = press(case, ramps([2.0], 5.0, rest_s=0.5))
+    assert "the limit is 5 N" in outcome.message
+    assert outcome.largest_N < 6.0
+    assert outcome.is_up and "the stage is stopped and lifted" in outcome.message
+
+
+@pytest.mark.parametrize("stop_N_mm", [100.0, 1000.0])
+def test_a_hard_stop_under_a_soft_layer_is_met_slowly(stop_N_mm):
+    case = replace(QUICK, stiffest_N_mm=1000.0, law=ForceLaw(stop_mm=1.0, stop_N_mm=stop_N_mm))
+    outcome = press(case, ramps([1.5], 10.0, rest_s=0.5))
+    assert outcome.largest_N < 0.9 * case.capacity_N
+    assert outcome.is_up
+
+
+def test_a_rigid_thing_in_the_way_of_the_approach_is_met_slowly():
+    case = replace(QUICK, stiffest_N_mm=1000.0, surface_mm=1.2, law=ForceLaw(stop_mm=0.0, stop_N_mm=1000.0))
+    outcome = press(case, PROFILE)
+    assert "something is in the way at 1.2" in outcome.message
+    assert outcome.largest_N < 0.9 * case.capacity_N
+    assert outcome.is_up
+
+
+def test_a_profile_that_a_stop_cannot_hold_is_refused_with_the_speed_that_can():
+    case = replace(QUICK, acceleration_mm_s2=10.0, law=ForceLaw(stop_mm=1.0, stop_N_mm=8.0), limit_N=15.0)
+    outcome = press(case, ramps([1.8], 8.0, rest_s=0.5))
+    assert "a stop could end at" in outcome.message
+    fastest = float(re.search(r"press at ([\d.]+) mm/s or slower", outcome.message)[1])
+    assert 0.0 < fastest < 8.0
+    assert press(case, ramps([1.8], 0.95 * fastest, rest_s=0.5)).message == ""
+
+
+def test_the_self_test_watches_the_force_and_keeps_above_the_approach():
+    with open_rig(replace(QUICK, surface_mm=1.4, law=ForceLaw(stop_mm=0.0, stop_N_mm=60.0))) as (bench, station):
+        findings = self_test(bench)
+        stage = [finding for finding in findings if not finding.is_good]
+        assert any("something is in the way" in finding.cure and "lifted" in finding.cure for finding in stage)
+        assert station.axis.deepest_mm - 1.4 < 12.0 / 60.0
+    with open_rig(QUICK) as (bench, station):
+        assert all(finding.is_good for finding in self_test(bench) if finding.device == "stage")
+        assert station.axis.deepest_mm <= QUICK.approach_mm + 1e-6
+
+
+def test_the_self_test_can_be_stopped():
+    with open_rig(QUICK) as (bench, station):
+        homed_s = []
+
+        def press_ctrl_c():
+            if bench.stage.is_position_known and bench.stage.position_mm > 1.2:
+                homed_s.append(bench.clock.now_s())
+                raise KeyboardInterrupt
+
+        with pytest.raises(StoppedByHand, match="stopped by the keyboard; the stage is stopped and lifted"):
+            self_test(bench, on_wait=press_ctrl_c)
+        assert homed_s and not station.axis.is_moving
+
+
+@pytest.mark.parametrize("phase", ["searching for contact", FEELING, PRESSING])
+def test_a_held_stage_is_not_lifted_and_the_load_on_the_unit_is_said(phase):
+    with open_rig(QUICK) as (bench, station):
+        hold_when(station, phase, 0.8)
+        with pytest.raises(Held, match=r"not lifted, with -?[\d.]+ N on the load cell") as caught:
+            record(bench, "H1", PROFILE, True, station.on_progress)
+        stands_mm = station.axis.position_mm
+        station.world.sleep_s(10.0)
+        assert station.axis.position_mm == stands_mm
+        said_N = float(re.search(r"with (-?[\d.]+) N on", str(caught.value))[1])
+        depth_mm = stands_mm - QUICK.surface_mm
+        assert said_N == pytest.approx(float(QUICK.law.force_N(depth_mm)), abs=0.15)
+
+
+def test_a_stage_held_while_it_goes_back_ends_the_run_in_time():
+    with open_rig(QUICK) as (bench, station):
+        hold_when(station, "reading the zero return", 0.05)
+        began_s = station.world.now_s()
+        with pytest.raises(Held, match="not lifted"):
+            record(bench, "H1", PROFILE, True, station.on_progress)
+        assert station.world.now_s() - began_s < 60.0
+
+
+def test_a_stage_held_while_it_is_lifted_after_a_stop_stays_there():
+    with open_rig(QUICK) as (bench, station):
+
+        def break_cell_then_hold(progress):
+            if (
+                progress.phase == PRESSING
+                and progress.stage_mm > QUICK.surface_mm + 1.5
+                and station.force_wire.is_plugged
+            ):
+                station.force_wire.unplug()
+                station.world.at(station.world.now_s() + 0.35, station.stage.press_hold)
+
+        with pytest.raises(NoReply, match="not lifted, it may stand on the unit") as caught:
+            record(bench, "H1", PROFILE, True, break_cell_then_hold)
+        assert "could not be lifted" not in str(caught.value)
+        stands_mm = station.axis.position_mm
+        station.world.sleep_s(10.0)
+        assert station.axis.position_mm == stands_mm
+
+
+def hold_when(station, phase, after_s):
+    pressed = []
+
+    def on_progress(progress):
+        if progress.phase == phase and not pressed:
+            pressed.append(True)
+            station.world.at(station.world.now_s() + after_s, station.stage.press_hold)
+
+    station.on_progress = on_progress
+
+
+def test_ctrl_c_stops_lifts_and_says_so():
+    with open_rig(QUICK) as (bench, station):
+
+        def interrupt(progress):
+            if progress.phase == PRESSING and progress.stage_mm > QUICK.surface_mm + 1.0:
+                raise KeyboardInterrupt
+
+        with pytest.raises(
+            StoppedByHand, match="stopped by the keyboard; the stage is stopped and lifted, the run is a"
+        ):
+            record(bench, "C1", PROFILE, True, interrupt)
+        assert station.axis.position_mm == pytest.approx(QUICK.approach_mm, abs=0.01)
+        assert isinstance(StoppedByHand(""), DeviceError)  # the command says it in one line and ends with exit code 3
+
+
+def test_the_self_test_names_unsafe_settings_and_the_command_that_mends_each():
+    with open_rig(replace(QUICK, acceleration_mm_s2=10.0)) as (bench, _):
+        bench.stage.settings |= {1: 25.0, 20: 0.0, 21: 0.0}
+        found = {f.value: f.cure for f in self_test(bench) if f.what == "setting"}
+    assert set(found) == {"$1=25", "$20=0", "$21=0", "$122=10"}
+    assert [cure.split(" once")[0] for cure in found.values()] == [
+        "send $1=255", "send $20=1", "send $21=1", "send $122=200",
+    ]  # fmt: skip
+
+
+TABLE = {"stage": {"port": "/dev/a"}, "readout": {"port": "/dev/b"}}
+
+
+def test_a_station_without_a_load_cell_is_refused_unless_a_person_answers_for_it():
+    with pytest.raises(InputError, match=r"section \[force\] is missing, so nothing limits the force"):
+        station_from_table(TABLE)
+    assert station_from_table(TABLE | {"safety": {"without_cell": True}}).force is None
+
+
+def test_a_limit_that_leaves_no_room_to_stop_is_refused():
+    force = {"port": "/dev/c", "capacity_N": 20.0}
+    with pytest.raises(InputError, match=r"safety.force_N is 19; a value in \[0, 16\]"):
+        station_from_table(TABLE | {"force": force, "safety": {"force_N": 19.0}})
+
+
+STAGE = Identity("/dev/s", "stage", "grbl", "Grbl 1.1h")
+
+
+def test_two_streams_that_could_be_either_are_not_guessed_between():
+    first = Identity("/dev/1", "readout", "arduino", "text stream", 80.0, 1)
+    second = Identity("/dev/2", "readout", "arduino", "text stream", 50.0, 1)
+    with pytest.raises(NoReply, match=r"/dev/1.*/dev/2.*could each be the sensor readout"):
+        station_of([STAGE, first, second])
+
+
+def test_a_station_file_is_never_made_without_a_load_cell():
+    readout = Identity("/dev/1", "readout", "arduino", "softcal readout 1", 50.0, 1)
+    with pytest.raises(NoReply, match="not found: a load cell"):
+        station_of([STAGE, readout])
+
+
+def test_a_bare_stream_of_small_counts_is_not_taken_for_a_readout(rng):
+    from softcal.station.identify import identify
+    from softcal.station.simulated.text_stream import SimulatedTextStream
+
+    world, wire = World(), Wire(rng)
+    world.add(SimulatedTextStream(wire, lambda now_s: (8_000 + int(rng.integers(-40, 40)),), 80.0, banner=b""))
+    world.sleep_s(2.0)
+    found = identify(wire.port, world)
+    wire.close()
+    assert found.role == ""
+    assert "load cell or readout" in found.description
+
+
+def test_every_move_of_softcal_is_made_in_one_place():
+    root = Path(__file__).parents[2]
+    simulated_only = root / "app" / "use" / "source.py"  # presses the simulated unit to show how a map is followed
+    callers = [
+        f"{path.relative_to(root)}: {line.strip()}"
+        for folder in ("station", "app", "core")
+        for path in (root / folder).rglob("*.py")
+        if "drivers" not in path.parts
+        and "simulated" not in path.parts
+        and path.name != "motion.py"
+        and path != simulated_only
+        for line in path.read_text().splitlines()
+        if re.search(r"stage\.(home|begin|stop|lift_roughly)\(", line)
+    ]
+    assert callers == []
