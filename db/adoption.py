@@ -24,7 +24,9 @@ class Adoption(InUseTable):
         with self.database.writing() as connection:
             for row in connection.execute(select(ranked).where(ranked.c.rank == 1)).mappings().all():
                 told = {"decided_by": "upgrade", "input_sha256": row["input_sha256"]}
-                self._state(connection, row["lot_id"], row["serial"], row, told, row["actor"], reason, row["made_at"])
+                self._state(
+                    connection, row["lot_id"], row["serial"], dict(row), told, row["actor"], reason, row["made_at"]
+                )
 
     def state_people(self, reason: str) -> None:
         """Tell of every person in this registry's own chain, so that `verify` can compare."""

@@ -24,6 +24,10 @@ LAST_REVISION = select(
 ).where(calibrations.c.serial == bindparam("unit"))
 
 
+ASKING = ("batch", "line")
+"""Who asks for what an input gives; all others decide about what there is."""
+
+
 class CalibrationTables(InUseTable):
     """The part of the registry that knows calibrations."""
 
@@ -40,7 +44,8 @@ class CalibrationTables(InUseTable):
         """Store a calibration as the next revision of its serial, put it into use in its lot and return the revision.
 
         Args:
-            decided_by: who puts it into use: batch or line.
+            decided_by: who puts it into use. A batch and the line ask for what their input gives; what others decide
+            (release, trim) stays until another input is asked for.
             work_sha256: hash of the files and settings it answers, to be found again without reading the files.
 
         Raises:
@@ -59,8 +64,15 @@ class CalibrationTables(InUseTable):
                 "blob_sha256": put_arrays(connection, record.arrays),
                 "rolled_back_to": None,
             }
-            told = {"decided_by": decided_by, "work_sha256": work_sha256, "input_sha256": record.input_sha256}
+            asked = record.input_sha256 if decided_by in ASKING else None
+            told = {"decided_by": decided_by, "work_sha256": work_sha256, "input_sha256": asked}
             return self._add_revision(connection, values, told, "calibrate", actor, reason)
+
+    def decide(self, stored: StoredCalibration, decided_by: str, *, actor: str | None = None, reason: str = "") -> None:
+        """Put a calibration that was made before into use, until another input is asked for."""
+        with self.database.writing() as connection:
+            named = {"revision": stored.revision, "made_by": stored.origin}
+            self._state(connection, stored.lot_id, stored.serial, named, {"decided_by": decided_by}, actor, reason)
 
     def rollback(
         self,
@@ -205,7 +217,7 @@ class CalibrationTables(InUseTable):
         newest = connection.execute(LAST_REVISION, {"unit": serial}).one()
         times = (newest.made_at, newest_of_unit(connection, lot_id, serial))
         revision = (newest.revision or 0) + 1
-        new = {
+        new: dict[str, Any] = {
             "revision": revision,
             "origin": self.origin,
             "made_at": self._after(max((at for at in times if at is not None), default=None)),

@@ -8,7 +8,7 @@ from sqlalchemy.exc import DBAPIError
 
 from softcal.db import append_only, history
 from softcal.db.people import people_as_told
-from softcal.db.tables import APPEND_ONLY, AUDITED, audit, metadata, registry_info, users
+from softcal.db.tables import APPEND_ONLY, AUDITED, audit, canonical_json, metadata, registry_info, users
 
 ROWS_OF_QUICK = 200
 TOLD_OF_PEOPLE = ("set_user", "state")
@@ -110,11 +110,11 @@ def people_faults(connection: Connection, origin: str) -> Iterator[str]:
     for key, after in connection.execute(query.where(audit.c.action.in_(TOLD_OF_PEOPLE)).order_by(audit.c.seq)):
         told[key] = after
     for row in connection.execute(select(users)).mappings():
-        key = history.canonical_json((row["name"],))
+        key = canonical_json((row["name"],))
         expected = told.pop(key, None)
         if expected is None:
             yield f"users {key}: was put in without an entry in the audit trail"
-        elif expected != history.canonical_json(people_as_told(row)):
+        elif expected != canonical_json(people_as_told(row)):
             yield f"users {key}: role, PIN or rights were changed behind the audit trail"
     for key in told:
         yield f"users {key}: is in the audit trail but was removed"

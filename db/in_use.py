@@ -67,7 +67,8 @@ class InUseTable(RegistryBase):
             )
             if is_asked_again and work_sha256 in (None, asked and asked["work_sha256"]):
                 return True
-            named = heads[0] if is_asked_again else {"revision": made["revision"], "made_by": made["origin"]}
+            again = {"revision": made["revision"], "made_by": made["origin"]}
+            named = dict(heads[0]) if is_asked_again else again
             told = {"work_sha256": work_sha256, "input_sha256": input_sha256, "decided_by": decided_by}
             self._state(connection, lot_id, serial, named, told, actor, "the same input again")
             return True
@@ -189,7 +190,7 @@ class InUseTable(RegistryBase):
         u = in_use.c
         mine = (u.lot_id == lot_id, u.serial == serial, u.origin == self.origin)
         number = connection.execute(select(func.max(u.number)).where(*mine)).scalar_one() or 0
-        for head in heads or [None]:
+        for head in (*heads,) or (None,):
             number += 1
             values = {
                 "lot_id": lot_id,
@@ -207,7 +208,7 @@ class InUseTable(RegistryBase):
                 "actor": self._actor(actor),
                 "reason": reason,
             }
-            before = head and {"revision": head["revision"], "made_by": head["made_by"]}
+            before = None if head is None else {name: head[name] for name in ("revision", "made_by")}
             self._store(connection, in_use, values, "put_in_use", actor, reason, before)
 
 

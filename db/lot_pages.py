@@ -143,7 +143,7 @@ def _standing(lot_id: str, undecided: Sequence[str]) -> Subquery:
     is_open = units.c.serial.in_(undecided)
     newest = {name: case((is_refused, r.c[name]), else_=c.c[name]) for name in ("verdict", "reasons")}
     newest["made_at"] = case((is_refused, r.c.made_at), else_=u.c.made_at)
-    maps = {name: c.c[name] for name in MADE_FIELDS}
+    maps: dict[str, ColumnElement[Any]] = {name: c.c[name] for name in MADE_FIELDS}
     if undecided:
         newest["verdict"] = case((is_open, UNDECIDED), else_=newest["verdict"])
         maps = {name: case((is_open, None), else_=column) for name, column in maps.items()}

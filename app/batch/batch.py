@@ -12,7 +12,7 @@ from softcal.app.batch.unit_work import SharedWork
 from softcal.app.files.lot_folder import LotFolder
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.verdict import stated_limit
-from softcal.db.entries import MadeCalibration
+from softcal.db.entries import UnitStanding
 from softcal.db.registry import Registry
 
 
@@ -43,11 +43,12 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
 
 def _judged(registry: Registry, lot_id: str, units: tuple[UnitResult, ...]) -> tuple[UnitResult, ...]:
     """Return the results with what the audits of the lot say about units that were not measured."""
-    made, newest = registry.made_calibrations(lot_id), {unit.serial: unit.revision for unit in registry.units(lot_id)}
-    return tuple(_told(unit, made.get((unit.serial, newest.get(unit.serial) or 0))) for unit in units)
+    standings = registry.standings(lot_id, [unit.serial for unit in units])
+    return tuple(_told(unit, standings.get(unit.serial)) for unit in units)
 
 
-def _told(unit: UnitResult, made: MadeCalibration | None) -> UnitResult:
+def _told(unit: UnitResult, standing: UnitStanding | None) -> UnitResult:
+    made = None if standing is None else standing.made
     if unit.made is None or made is None or made.decision.sampled is None:
         return unit
     return replace(unit, verdict=made.verdict, reasons=made.reasons, made=made)

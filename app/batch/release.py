@@ -19,10 +19,11 @@ from softcal.core.recording import Array, LabelledRecording
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Verdict
-from softcal.db.entries import MadeCalibration, UnitEntry
+from softcal.db.entries import MadeCalibration, StoredCalibration, UnitEntry
 from softcal.db.registry import Registry
 
 STATEMENT = "lot_release"
+WHY = "decided on the audits of the lot"
 RELEASABLE = (Verdict.PASS, Verdict.CONDITIONAL)
 RULES = QualificationRules()
 MOST_AUDITS = 40
@@ -83,11 +84,10 @@ def decide_release(registry: Registry, lot_id: str, now: datetime) -> LotRelease
 
 def _units(registry: Registry, lot_id: str) -> Iterator[tuple[str, tuple[UnitEntry, MadeCalibration]]]:
     """Yield target units with their newest calibration, where no later refusal stands against it."""
-    made = registry.made_calibrations(lot_id)
-    for unit in registry.units(lot_id):
-        found = None if unit.revision is None else made.get((unit.serial, unit.revision))
-        if unit.role == "target" and found is not None and unit.verdict == found.verdict:
-            yield unit.serial, (unit, found)
+    targets = {unit.serial: unit for unit in registry.units(lot_id) if unit.role == "target"}
+    for serial, standing in registry.standings(lot_id, list(targets)).items():
+        if standing.made is not None:
+            yield serial, (targets[serial], standing.made)
 
 
 def _audits(
@@ -155,7 +155,7 @@ def _scores(registry: Registry, serial: str, lot_id: str) -> Array | None:
     recording = registry.recording(audits[-1].sha256) if audits else None
     if not isinstance(recording, LabelledRecording):
         return None
-    calibration = Calibration.from_record(registry.calibration(serial).record)
+    calibration = Calibration.from_record(registry.calibration(serial, lot_id=lot_id).record)
     found = estimate(registry.network(calibration.network_id), calibration, recording.unlabelled)
     rows = np.isfinite(found.estimate)
     half = np.maximum(found.upper - found.estimate, 1e-12)
@@ -164,23 +164,26 @@ def _scores(registry: Registry, serial: str, lot_id: str) -> Array | None:
 
 def _keep(registry: Registry, lot_id: str, serial: str, decided: LotRelease, actor: str | None) -> None:
     """Store what is decided on a unit as a revision of its own, where it is not what stands."""
-    stored = registry.calibration(serial)
-    if stored.lot_id != lot_id:
-        return
-    record = judged_record(_base(registry, stored.record), decided)
+    stored = registry.calibration(serial, lot_id=lot_id)
     if decided.found is None and stored.record.decision.sampled is None:
         return
-    if record.input_sha256 != stored.record.input_sha256:
-        registry.add_calibration(lot_id, record, actor=actor, reason="decided on the audits of the lot")
+    record = judged_record(_base(registry, lot_id, stored), decided)
+    if record.input_sha256 == stored.record.input_sha256:
+        return
+    known = registry.find_calibration(serial, record.input_sha256, lot_id=lot_id)
+    if known is None:
+        registry.add_calibration(lot_id, record, actor=actor, reason=WHY, decided_by="release")
+    else:
+        registry.decide(known, "release", actor=actor, reason=WHY)
 
 
-def _base(registry: Registry, record: CalibrationRecord) -> CalibrationRecord:
+def _base(registry: Registry, lot_id: str, stored: StoredCalibration) -> CalibrationRecord:
     """Return the calibration as it was fitted, before audits of other units scaled it."""
+    record = stored.record
     revision = record.evidence.get("base_revision")
     if revision is None:
-        revision = registry.calibration(record.serial).revision
-        return replace(record, evidence={**record.evidence, "base_revision": revision})
-    base = registry.calibration(record.serial, int(revision)).record
+        return replace(record, evidence={**record.evidence, "base_revision": float(stored.revision)})
+    base = registry.calibration(record.serial, int(revision), lot_id=lot_id).record
     return replace(base, evidence={**base.evidence, "base_revision": revision})
 
 

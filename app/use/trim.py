@@ -3,8 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
-from softcal.app.batch.source import source_recording, unlabelled
 from softcal.app.files.anchors import read_anchors
+from softcal.app.source import source_recording, unlabelled
 from softcal.core.identity import content_sha256
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256
@@ -42,7 +42,9 @@ def trim_unit(registry: Registry, serial: str, loads_file: Path, actor: str | No
     found = trim(problem, Calibration.from_record(record).unit_map, loads)
     lot_id = registry.calibration(serial).lot_id
     trimmed = _record(record, found, loads)
-    revision = registry.add_calibration(lot_id, trimmed, actor=actor, reason=f"trimmed by {len(loads.output)} loads")
+    revision = registry.add_calibration(
+        lot_id, trimmed, actor=actor, reason=f"trimmed by {len(loads.output)} loads", decided_by="trim"
+    )
     return found, revision
 
 

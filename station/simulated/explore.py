@@ -223,7 +223,8 @@ def explore(judge: Callable[[Told], str], most_faults: int = MOST_FAULTS) -> Exp
         most_faults: answers other than "all is well" in one run.
     """
     waiting: list[list[int]] = [[]]
-    runs, states, broken = 0, set(), []
+    runs, broken = 0, []
+    states: set[tuple[State, bool, bool, bool]] = set()
     while waiting:
         given = waiting.pop()
         told, made = run_once(given)
