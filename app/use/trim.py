@@ -42,9 +42,8 @@ def trim_unit(registry: Registry, serial: str, loads_file: Path, actor: str | No
     found = trim(problem, Calibration.from_record(record).unit_map, loads)
     lot_id = registry.calibration(serial).lot_id
     trimmed = _record(record, found, loads)
-    revision = registry.add_calibration(
-        lot_id, trimmed, actor=actor, reason=f"trimmed by {len(loads.output)} loads", decided_by="trim"
-    )
+    why = f"trimmed by {len(loads.output)} loads"
+    revision = registry.add_calibration(lot_id, trimmed, actor=actor, reason=why, decided_by="trim")
     return found, revision
 
 
