@@ -100,7 +100,7 @@ def _fill(source: Database, target: Database) -> None:
             if schema_of(target) is not None:
                 raise RegistryError(f"registry {target.name} is not empty; restore into a new one")
             migrate(target)
-            connection.execute(delete(registry_info).where(registry_info.c.key != "origin"))
+            connection.execute(delete(registry_info).where(registry_info.c.key.not_in(["origin", "origin_sha256"])))
             _copy_tables(rows, connection, keep_origin=False)
             _tell_of_restore(rows, target)
     finally:

@@ -229,7 +229,7 @@ def _make_private(path: Path) -> None:
         except FileExistsError:
             return
         except OSError as error:
-            raise RegistryError(f"registry {path}: cannot be made: {error.strerror}") from error
+            raise RegistryError(f"registry {path}: cannot be written: {error.strerror}") from error
 
 
 def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:

@@ -8,10 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, RowMapping, Select, and_, func, or_, select
+from sqlalchemy import ColumnElement, Connection, RowMapping, Select, Text, and_, func, or_, select, type_coerce
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.reason import Reason, plain
+from softcal.core.unit.method import Method
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, MadeCalibration, UnitStanding
 from softcal.db.records import PLAIN_FIELDS, record_of
@@ -324,3 +325,11 @@ def is_newer_statement(newer: Any) -> Any:
 
 def _parts(serials: Sequence[str]) -> Iterable[Sequence[str]]:
     return (serials[start : start + SERIALS_AT_ONCE] for start in range(0, len(serials), SERIALS_AT_ONCE))
+
+
+def of_this_method() -> ColumnElement[bool]:
+    """Return whether a calibration was made with the method of this version, as SQL.
+
+    The settings are canonical JSON text: the hash of today's method stands in it or it does not.
+    """
+    return type_coerce(calibrations.c.settings, Text).contains(f'"method_id":"{Method().id}"')

@@ -11,7 +11,7 @@ from softcal.core.reason import Reason, plain
 from softcal.core.unit.verdict import Verdict
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, UnitEntry
-from softcal.db.in_use import OF_STATEMENT, conflict_line, conflicts_of
+from softcal.db.in_use import OF_STATEMENT, conflict_line, conflicts_of, of_this_method
 from softcal.db.registry_base import RegistryBase
 from softcal.db.tables import calibrations, in_use, refusals, units
 
@@ -152,6 +152,7 @@ def _standing(lot_id: str, undecided: Sequence[str]) -> Subquery:
         .outerjoin(c, OF_STATEMENT)
         .outerjoin(r, _is_newest(r, ("made_at", "origin")))
     )
+    maps["is_stale"] = and_(u.c.made_at.is_not(None), ~is_open, ~of_this_method())
     columns = [column.label(name) for name, column in (maps | newest).items()]
     query = select(units.c.serial, *columns).select_from(joined)
     return query.where(units.c.lot_id == lot_id, units.c.role == "target").subquery("standing")

@@ -3,14 +3,13 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import Connection, RowMapping, Select, Text, func, select, type_coerce
+from sqlalchemy import Connection, RowMapping, Select, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.reason import Reason
-from softcal.core.unit.method import Method
 from softcal.db.entries import UNDECIDED, LimitEntry, RunEntry, UnitEntry
-from softcal.db.in_use import NEWEST_STATEMENT, OF_STATEMENT, conflict_line, conflicts_of
+from softcal.db.in_use import NEWEST_STATEMENT, OF_STATEMENT, conflict_line, conflicts_of, of_this_method
 from softcal.db.registry_base import RegistryBase
 from softcal.db.tables import calibrations, in_use, limits, lots, refusals, units
 
@@ -184,8 +183,7 @@ def unit_entries(connection: Connection, lot_id: str | None, serial: str | None)
 def _in_use(lot_id: str | None, serial: str | None) -> Select[Any]:
     u, c = in_use.c, calibrations.c
     rank = func.row_number().over(partition_by=(u.lot_id, u.serial), order_by=NEWEST_STATEMENT).label("rank")
-    # The settings are canonical JSON text: the hash of today's method stands in it or it does not.
-    same = type_coerce(c.settings, Text).contains(f'"method_id":"{Method().id}"').label("is_this_method")
+    same = of_this_method().label("is_this_method")
     columns = [u.lot_id, u.serial, *(c[field] for field in RESULT_FIELDS), u.made_at, rank, same]
     joined = select(*columns).select_from(in_use).join(calibrations, OF_STATEMENT)
     ranked = _of(joined, in_use, lot_id, serial).subquery()

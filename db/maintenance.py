@@ -86,7 +86,7 @@ def faults(
     """Give one line for every page, row, blob, trigger or link of the audit chain that is not what was written.
 
     Args:
-        is_quick: leave out what reads every page and every blob; a registry of ten thousand units takes below a second.
+        is_quick: leave out what reads every page and every blob.
         anchors: what was written down of the chains elsewhere.
         on_step: told what is checked next.
     """

@@ -29,7 +29,7 @@ from sqlalchemy.types import TypeDecorator
 
 from softcal.core.errors import RegistryError
 
-SCHEMA = "0008"
+SCHEMA = "0007"
 """Revision of the newest migration: what a registry must have to be used by this version."""
 
 metadata = MetaData(

@@ -101,12 +101,15 @@ def _write_files(registry: "Registry", report: "BatchReport", out: Path) -> None
     from softcal.app.export.calibrated_unit import ExportOptions
     from softcal.app.export.export import export_units
     from softcal.app.export.withdraw import withdraw_units
+    from softcal.core.unit.verdict import Release
 
     released = [unit.serial for unit in report.units if report.releases(unit)]
     for serial in withdraw_units(out, released, {unit.serial: unit.verdict for unit in report.units}):
         say(f"{out}: files of {serial} were taken back; its verdict no longer releases them")
     export_units(registry, released, ("json",), out, ExportOptions(release=report.release, lot_id=report.lot_id))
-    say(f"{out}: calibration files of {len(released)} units")
+    held = report.counts["conditional"] if report.release is Release.PASS else 0
+    more = f"; {held} conditional units have theirs with --release conditional" if held else ""
+    say(f"{out}: calibration files of {len(released)} units{more}")
 
 
 def _summary(counts: dict[str, int], unit: str, wall_s: float) -> str:

@@ -71,15 +71,13 @@ def _print_method(options: argparse.Namespace) -> int:
     if method is None:
         raise InputError(f"{options.serial}: calibrated by a version that kept no method; run the batch again")
     here = {name: value for name, value, _ in ours.numbers()}
-    rows = [
-        (name, value, "" if here.get(name) == value else here.get(name), origin)
-        for name, value, origin in method.numbers()
-    ]
     if options.json:
         facts = {"schema": "softcal.method/1", "id": method.id, "numbers": dict(method.to_json())}
         write_json(options.json, facts)
     if options.json != "-":
         stale = "" if method == ours else ", stale: this version uses another"
         print(f"{options.serial}: method {method.id[:12]}{stale}")
-        print_table(("number", "value", "this version", "origin"), rows)
+        for name, value, origin in method.numbers():
+            now = "" if here.get(name) == value else f"; this version: {here.get(name)}"
+            print(f"{name} = {value}{now}\n    {origin}")
     return 0

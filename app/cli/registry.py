@@ -47,7 +47,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     history.add_argument("--serial", required=True)
     add_lot_of_serial(history)
     verify = _action(actions, "verify", "check every stored byte, every row, the schema and the audit trail", _verify)
-    verify.add_argument("--quick", action="store_true", help="leave out pages and blobs: a second for 10,000 units")
+    verify.add_argument("--quick", action="store_true", help="leave out pages and blobs")
     verify.add_argument(
         "--against", action="append", type=Path, default=[], metavar="FILE",
         help="a backup, or audit.json of an export: nothing that it knows may be gone; may be repeated",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softcal.app.export.manifest import NAME, SIGNATURE, FileEntry, Manifest, read_manifest
+from softcal.app.export.names import AUDIT
 from softcal.app.export.signature import check_signature
 from softcal.core.errors import InputError
 from softcal.core.export.blob import NetworkFile, UnitFile, serial_field
@@ -98,10 +99,11 @@ def _incomplete(folder: Path, manifest: Manifest) -> Iterator[str]:
     here = {path.name for path in folder.iterdir()}
     for name in sorted(set(manifest.files) - here):
         yield f"{name}: is missing; export it again"
-    for name in sorted(here - set(manifest.files) - {NAME, SIGNATURE}):
+    for name in sorted(here - set(manifest.files) - {NAME, SIGNATURE, AUDIT}):
         yield f"{name}: is not in the manifest; nobody exported it into this folder"
     owners = {entry.serial for entry in manifest.files.values()}
-    for serial in sorted(set(manifest.units) - owners):
+    withdrawn = {serial for serial, facts in manifest.units.items() if facts.get("withdrawn")}
+    for serial in sorted(set(manifest.units) - owners - withdrawn):
         yield f"unit {serial}: is in the manifest without a file"
     for serial in sorted(str(owner) for owner in owners - set(manifest.units) - {None}):
         yield f"unit {serial}: has files, but the manifest does not say what it is"

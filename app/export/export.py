@@ -8,7 +8,7 @@ from pathlib import Path
 from softcal.app.export.calibrated_unit import CalibratedUnit, ExportOptions, UnitLoader
 from softcal.app.export.formats import WRITERS, Writer, device_summary
 from softcal.app.export.manifest import FileEntry, Manifest, read_manifest, write_manifest
-from softcal.app.export.names import DEVICE_FORMATS
+from softcal.app.export.names import AUDIT, DEVICE_FORMATS
 from softcal.app.export.signature import open_signing_key
 from softcal.app.files.atomic import write_bytes, write_text
 from softcal.app.registry.anchors import anchor_json, remember
@@ -16,7 +16,6 @@ from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import serial_field
 from softcal.db.registry import Registry
 
-AUDIT = "audit.json"
 """Where the audit trail ended at the export: `softcal registry verify --against` compares."""
 
 

@@ -4,3 +4,6 @@ FORMATS = ("json", "c", "blob", "hex", "onnx", "pdf", "dcc")
 
 DEVICE_FORMATS = ("blob", "c", "hex")
 """Those that firmware reads."""
+
+AUDIT = "audit.json"
+"""Where the registry's audit trail stood at the export: beside the manifest, which must repeat byte by byte."""

@@ -39,10 +39,15 @@ def show(open_page, monkeypatch: pytest.MonkeyPatch):
 
     def draw(url: str, page: str, role: str = "engineer", **query: str) -> AppTest:
         source = f"from softcal.app.ui.app_pages import {page}\n{page}.render()\n"
-        monkeypatch.setattr(AppTest, "from_function", lambda _: AppTest.from_string(source))
+        monkeypatch.setattr(AppTest, "from_function", lambda _, **options: AppTest.from_string(source, **options))
         return open_page(url, lambda: None, role=role, **query)
 
     return draw
+
+
+def labelled(screen, key: str):
+    """Return the button of a page that bears a text of the catalogue."""
+    return next(button for button in screen.button if button.label == text("en", key))
 
 
 PAGES = ("lot", "unit", "long_term", "source", "networks", "limits", "gap", "station", "profiles", "load_cells")
@@ -122,7 +127,7 @@ def test_a_network_is_trained_as_a_job_and_listed(calibrated: str, show, jobs_at
     known = len(screen.table[0].value)
     screen.text_input(key="train-hidden").set_value("8")
     screen.number_input(key="train-epochs").set_value(5)
-    screen.button[0].click().run(timeout=120)
+    labelled(screen, "networks.train.do").click().run(timeout=120)
     assert not screen.error and "was trained and stored" in screen.success[0].value
     assert len(screen.table[0].value) == known + 1
 
@@ -130,7 +135,7 @@ def test_a_network_is_trained_as_a_job_and_listed(calibrated: str, show, jobs_at
 def test_layers_that_are_none_are_refused_in_words(calibrated: str, show, jobs_at_once) -> None:
     screen = show(calibrated, "networks", lot="small")
     screen.text_input(key="train-hidden").set_value("120-7x")
-    screen.button[0].click().run()
+    labelled(screen, "networks.train.do").click().run()
     assert "one to 6 whole numbers" in screen.error[0].value
     with open_registry(calibrated) as registry:
         assert registry.job_board.jobs() == []

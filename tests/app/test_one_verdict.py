@@ -37,6 +37,7 @@ from softcal.core.unit.verdict import (
     Verdict,
     decide,
     decide_audited,
+    worst_of,
 )
 from softcal.db.connection import open_registry
 from softcal.db.entries import MadeCalibration
@@ -106,7 +107,9 @@ def test_every_surface_says_the_same_word(lot: tuple[Registry, str], rng: np.ran
     for number in range(DRAWS):
         record = drawn(rng, first, number)
         revision = registry.add_calibration(lot_id, record)
-        word = (record.decision.measured or record.decision.predicted).verdict
+        measured, predicted = record.decision.measured, record.decision.predicted.verdict
+        # A forecast alone promises nothing: without an audit the best word is conditional.
+        word = measured.verdict if measured else worst_of([predicted, Verdict.CONDITIONAL])
         words.add(word)
         stored = registry.calibration("A1")
         result = UnitResult(

@@ -45,8 +45,14 @@ def filled(factory, recording_of):
     factory.registry.set_line_rules("L1", LineRules(), reason="first lot")
     factory.registry.add_adaptation("A1", 1, {"stream": "s", "sample": 3, "gain": 1.5})
     factory.registry.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, 6, tzinfo=UTC), 0.01, "N", True))
+    factory.registry.release_network(factory.registry.networks()[0].id, reason="first of its lot")
     factory.registry.add_certificate(CellCertificate("C1", "7", "lab", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.01))
     return factory
+
+
+def beside_triggers(registry):
+    """Return what `verify` finds but for the triggers that `past_the_triggers` took away."""
+    return [line for line in registry.verify() if not line.startswith("trigger ")]
 
 
 def test_a_registry_in_use_is_whole(filled):
@@ -102,7 +108,7 @@ def test_one_flipped_bit_in_a_blob_is_found_and_never_read(filled, past_the_trig
         content = bytearray(connection.execute(select(blobs.c.data).where(blobs.c.sha256 == stored)).scalar_one())
     content[-1] ^= 1
     past_the_triggers(update(blobs).where(blobs.c.sha256 == stored).values(data=bytes(content)))
-    assert filled.registry.verify() == [f"blob {stored[:12]}: its bytes were changed"]
+    assert beside_triggers(filled.registry) == [f"blob {stored[:12]}: its bytes were changed"]
     with pytest.raises(RegistryError, match="was damaged"):
         filled.registry.calibration("A1")
 
@@ -123,7 +129,7 @@ def test_a_large_array_that_is_gone_or_changed_is_found_and_never_read(registry,
         f"blob {part[:12]} of blob {sha256[:12]}: is missing",
         f"blob {part[:12]}: its bytes were changed",
     )
-    assert registry.verify() == [missing if removed else changed]
+    assert beside_triggers(registry) == [missing if removed else changed]
     with registry.database.reading() as connection, pytest.raises(RegistryError, match=part[:12]):
         get_arrays(connection, sha256)
 

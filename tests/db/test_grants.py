@@ -84,7 +84,7 @@ NEEDED_BY_THE_LINE = {
     "calibrations": {"INSERT"}, "refusals": {"INSERT"}, "in_use": {"INSERT"}, "audit": {"INSERT"},
     "adaptations": {"INSERT"}, "golden_runs": {"INSERT"}, "work_items": {"INSERT", "UPDATE", "DELETE"},
     "orders": {"INSERT", "UPDATE"}, "heartbeats": {"INSERT", "UPDATE"}, "run_signals": {"INSERT", "DELETE"},
-    "jobs": {"INSERT", "UPDATE"},
+    "jobs": {"INSERT", "UPDATE"}, "line_places": {"INSERT", "UPDATE"},
 }  # fmt: skip
 """Written down by hand: what a line does. Everything else must be refused."""
 

@@ -1,4 +1,9 @@
-"""Which calibration is in use is a statement of its own; the work queue keeps no results."""
+"""Which calibration is in use is a statement of its own; so is which network the line may use, and what waits there.
+
+The work queue keeps no results.
+"""
+
+from datetime import UTC, datetime
 
 import sqlalchemy as sa
 from alembic import op
@@ -66,3 +71,32 @@ def upgrade() -> None:
         "ix_work_items_set_state", "work_items", ["lot_id", "kind", "work_set", "state", "id"], unique=False
     )
     op.create_index("ix_work_items_owner", "work_items", ["owner", "state"], unique=False)
+    _releases_and_line()
+
+
+def _releases_and_line() -> None:
+    """Make the tables. What a lot had before stays in use; of what it gets from now on, only what is released."""
+    op.create_table(
+        "network_releases",
+        sa.Column("network_id", sa.String(length=64), nullable=False),
+        sa.Column("made_at", sa.DateTime(timezone=True), nullable=False),
+        sa.Column("origin", sa.String(length=32), nullable=False),
+        sa.Column("lot_id", sa.String(length=64), nullable=False),
+        sa.Column("state", sa.String(length=16), nullable=False),
+        sa.Column("actor", sa.Text(), nullable=False),
+        sa.Column("reason", sa.Text(), nullable=False),
+        sa.CheckConstraint("state IN ('released', 'withdrawn')", name="ck_network_releases_state"),
+        sa.ForeignKeyConstraint(["network_id"], ["networks.id"], name="fk_network_releases_network_id_networks"),
+        sa.ForeignKeyConstraint(["lot_id"], ["lots.id"], name="fk_network_releases_lot_id_lots"),
+        sa.PrimaryKeyConstraint("network_id", "made_at", "origin", name="pk_network_releases"),
+    )
+    forbid_changes("network_releases")
+    op.create_table(
+        "line_places",
+        sa.Column("station", sa.String(length=64), nullable=False),
+        sa.Column("version", sa.Integer(), nullable=False),
+        sa.Column("place", sa.Text(), nullable=False),
+        sa.PrimaryKeyConstraint("station", name="pk_line_places"),
+    )
+    info = sa.table("registry_info", sa.column("key", sa.String), sa.column("value", sa.Text))
+    op.execute(sa.insert(info).values(key="releases_since", value=datetime.now(UTC).isoformat()))
