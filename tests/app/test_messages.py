@@ -56,8 +56,14 @@ MODULES = [
 NOT_SHOWN = (
     *("recorded without a reference", "is no spool of softcal", "pressed on", "is no Zaber command"),
     *("nobody has this PIN", "is none of"),
+    # Keys of a station file, said to the engineer who wrote it.
+    *("a number above 0 was expected", "a number in [", "a value in ", "known are", "force.counts_per_N is"),
+    *("reads one channel", "readings a second are possible", "check [stage] in the station file"),
+    # What `softcal station drivers` lists.
+    *("text lines `", "stands under PC control", "the gauge on a", "grblHAL controllers", "weighing indicators that"),
+    *("SCPI multimeters:", "Zaber stages, ASCII"),
 )
-"""Errors of a caller, and words for the audit trail."""
+"""Errors of a caller, and words for the audit trail and for lists."""
 
 DECLARED = ("Get", "Set", "Control", "Measure", "get ", "set ")
 """A declared quantity of a driver begins so: its documentation and its command, no message."""

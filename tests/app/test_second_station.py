@@ -28,18 +28,20 @@ def line_url(require, monkeypatch):
     except OperationalError:
         require(False, "no PostgreSQL")
     mark = uuid.uuid4().hex[:8]
-    name, line, reader = f"softcal_test_{mark}", f"line_{mark}", f"reader_{mark}"
+    name, line = f"softcal_test_{mark}", f"line_{mark}"
+    reader, manager = f"reader_{mark}", f"manager_{mark}"
     admin.execute(text(f"CREATE DATABASE {name}"))
     admin.execute(text(f"CREATE ROLE {line} LOGIN PASSWORD 'hush'"))
     admin.execute(text(f"CREATE ROLE {reader}"))
+    admin.execute(text(f"CREATE ROLE {manager}"))
     owner = admin.engine.url.set(database=name)
     with open_registry(owner.render_as_string(hide_password=False)) as registry:
         with registry.database.writing() as connection:
-            for statement in grant_statements(line, reader):
+            for statement in grant_statements(line, reader, manager):
                 connection.execute(text(statement))
     yield owner.set(drivername="postgresql", username=line, password="hush").render_as_string(hide_password=False)
     admin.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
-    admin.execute(text(f"DROP ROLE {line}, {reader}"))
+    admin.execute(text(f"DROP ROLE {line}, {reader}, {manager}"))
     admin.close()
     engine.dispose()
 

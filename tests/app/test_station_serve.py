@@ -13,6 +13,7 @@ from softcal.app.line.serve import Serving, serve
 from softcal.core.errors import InputError
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, RunState, StationState
+from softcal.core.reason import packed
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
 from softcal.db.tables import heartbeats
@@ -93,7 +94,7 @@ def test_a_unit_gets_its_verdict_in_its_order_and_in_the_registry(line):
     assert done.verdict in ("pass", "conditional", "fail", "retest")
     assert done.message
     (unit,) = [unit for unit in line.registry.units("L1") if unit.serial == "A1"]
-    assert (unit.verdict, "; ".join(unit.reasons)) == (done.verdict, done.message)
+    assert (unit.verdict, packed(unit.reasons)) == (done.verdict, done.message)
     assert line.registry.recording(done.recording_sha256).serial == "A1"
 
 
