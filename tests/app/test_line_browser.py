@@ -247,6 +247,8 @@ def test_a_unit_that_waits_stands_there_after_a_reload_a_restart_and_at_another_
     scan(other, "A0")
     shown(other, "hand")
     shown(panel, "hand")
+    panel.bring_to_front()
+    panel.wait_for_function(f"{FOCUS} === 'INPUT'")  # It listens from here on.
     panel.keyboard.press("F2")
     panel.get_by_text("Scan the unit in your hand first").first.wait_for()
     assert line.facts.active is None
