@@ -151,7 +151,7 @@ def _interval_scale(registry: Registry, qualification: Qualification, lot_id: st
 
 
 def _scores(registry: Registry, serial: str, lot_id: str) -> Array | None:
-    audits = [entry for entry in registry.recordings(lot_id, kind="audit") if entry.serial == serial]
+    audits = registry.recordings(lot_id, serial, "audit")
     recording = registry.recording(audits[-1].sha256) if audits else None
     if not isinstance(recording, LabelledRecording):
         return None
