@@ -12,7 +12,7 @@ UV ?= uv
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := $(shell sed -n 's/^\(torch==[0-9.]*\).*/\1/p' requirements.lock)
 
-.PHONY: demo test check docs lock sbom lint clean
+.PHONY: demo test check docs lock sbom clean
 
 # Exit code 1 means done, but some unit did not pass: for a demo that is a result, not a failure.
 demo: $(DEMO)
@@ -40,7 +40,7 @@ $(VENV)/.made:
 	touch $@
 
 $(DEMO): $(VENV)/.made pyproject.toml requirements-demo.lock
-	@echo 'Installing what softcal needs to run: about 0.4 GB to download, 1.4 GB in $(VENV).'
+	@echo 'Installing what softcal needs to run: about 0.45 GB to download, 1.8 GB in $(VENV).'
 	$(call install,requirements-demo.lock)
 	touch $@
 
@@ -62,15 +62,13 @@ lock:
 	echo 'setuptools>=77' | $(UV) pip compile $(LOCKED) --extra dev --output-file requirements.lock pyproject.toml -
 	echo 'setuptools>=77' | $(UV) pip compile $(LOCKED) --extra station --constraint requirements.lock \
 	  --output-file requirements-demo.lock pyproject.toml -
+	echo 'setuptools>=77' | $(UV) pip compile $(LOCKED) --extra ui --extra station --extra documents --extra postgresql \
+	  --constraint requirements.lock --output-file requirements-image.lock pyproject.toml -
 LOCKED := --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --custom-compile-command 'make lock'
 
-# What is in .venv as CycloneDX: names, versions, licences, hashes.
-sbom: $(DEMO)
-	$(BIN)/cyclonedx-py environment --output-reproducible --of JSON -o sbom.cdx.json $(BIN)/python
-
-lint: $(STAMP)
-	hadolint Dockerfile
-	systemd-analyze verify deploy/*.service
+# What runs beside softcal, as CycloneDX: names, versions, hashes.
+sbom: $(STAMP)
+	$(BIN)/cyclonedx-py requirements --output-reproducible --output-file sbom.cdx.json requirements-image.lock
 
 clean:
 	rm -rf $(VENV) .links build site *.egg-info

@@ -39,6 +39,7 @@ def test_every_dependency_is_locked_at_one_version_with_its_hashes() -> None:
     assert {_name(r) for group in everything for r in group} - {"softcal"} <= set(locked)
     assert {_name(r) for group in needed_to_run for r in group} <= set(demo)
     assert demo.items() <= locked.items()
+    assert demo.items() <= _locked("requirements-image.lock").items() <= locked.items()
 
 
 def _locked(name: str) -> dict[str, str]:
@@ -53,7 +54,15 @@ def _locked(name: str) -> dict[str, str]:
 
 
 def _name(requirement: str) -> str:
-    return requirement.replace("[", ">").replace("=", ">").split(">")[0].strip().lower().replace("_", "-")
+    return (
+        requirement.partition(";")[0]
+        .replace("[", ">")
+        .replace("=", ">")
+        .split(">")[0]
+        .strip()
+        .lower()
+        .replace("_", "-")
+    )
 
 
 def test_the_repository_names_no_path_of_a_machine() -> None:
