@@ -30,7 +30,9 @@ check: $(STAMP)
 
 # The site with API pages, in site/. --strict: a warning is a failure.
 docs: $(STAMP)
-	$(BIN)/mkdocs build --strict
+	mkdir -p build/docs/softcal
+	for folder in app core db station; do ln -sfn ../../../$$folder build/docs/softcal/$$folder; done
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 $(VENV)/.made:
 	@$(PYTHON) -c 'import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info < (3, 15))' || { \
