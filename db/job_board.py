@@ -3,19 +3,24 @@
 The page writes the request and reads how far it is; the process that computes need not know the page, nor outlive it.
 """
 
+from __future__ import annotations
+
 import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import RowMapping, Select, insert, select, update
 
 from softcal.core.errors import InputError
 from softcal.core.orders import RunState
-from softcal.db.arrays import Arrays, get_arrays, put_arrays
+from softcal.db.arrays import get_arrays, put_arrays
 from softcal.db.database import Database
 from softcal.db.tables import jobs
+
+if TYPE_CHECKING:
+    from softcal.db.arrays import Arrays
 
 SILENT_AFTER = timedelta(seconds=15)
 """A running job whose process gave no sign of life for longer is dead."""
