@@ -9,7 +9,6 @@ import numpy as np
 
 from softcal.app.batch.audit import lot_audit, lot_limit
 from softcal.core.errors import InputError
-from softcal.core.estimate import estimate
 from softcal.core.identity import content_sha256
 from softcal.core.quality.conformal import pooled_scale
 from softcal.core.quality.lot_release import LotRelease, release_lot
@@ -17,6 +16,7 @@ from softcal.core.quality.qualification import PastAudit, Qualification, Qualifi
 from softcal.core.quality.release import AuditedUnit
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Verdict
 from softcal.db.entries import MadeCalibration, StoredCalibration, UnitEntry
