@@ -15,13 +15,13 @@ from softcal.core.challenge.draw import draw_case
 from softcal.core.challenge.lot import press_lot
 from softcal.core.challenge.rig import Measured
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.estimate import Estimate, estimate
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LineEffects, LotDesign, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.forecast import rms_load
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.verdict import Verdict, default_limit

@@ -7,7 +7,7 @@ from softcal.app.batch.calibrating import Refusal, calibrated
 from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import check_golden, quarantine
-from softcal.app.source import source_model
+from softcal.app.registry.source import source_model
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.network.config import EpochReport, NetworkConfig

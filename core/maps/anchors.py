@@ -61,11 +61,14 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> Anchored
     """
     network, config = problem.network, problem.config.anchors
     low, high = np.quantile(problem.source.unlabelled.output, problem.config.crossing.robust_range)
+    # A known load is known to so much only; without it two anchors would overrule a good map exactly.
     sigma = config.load_error * network.reference_scale
     loaded = unit_map.apply(resting(np.asarray(anchors.output, np.float64)))
 
     def corrected(theta: Array) -> tuple[float, float]:
+        # Scaled so that theta is in standard deviations of the prior: its residual is theta itself.
         gain = 1.0 + config.gain_spread * float(theta[0])
+        # The gain turns about rest: both numbers would else be strongly correlated, and one anchor could move neither.
         return gain, float(low * (1.0 - gain) + config.level_spread * (high - low) * theta[1])
 
     def residuals(theta: Array) -> Array:

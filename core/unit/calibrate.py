@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.estimate import estimate
 from softcal.core.identity import content_sha256
 from softcal.core.maps.affine import Identity
 from softcal.core.maps.choose import ChosenMap, choose_map
@@ -24,6 +23,7 @@ from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.audit_reading import read_audit
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.findings import map_findings, opening_findings
 from softcal.core.unit.forecast import MapEvidence, Trial, forecast_error, gather_evidence, variance_table
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
