@@ -10,6 +10,7 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.core.reason import Reason
 
 if TYPE_CHECKING:
+    from softcal.core.unit.audit_reading import AuditReading
     from softcal.core.unit.calibration import CalibrationRecord
     from softcal.core.unit.verdict import Decision
 
@@ -95,7 +96,7 @@ class StoredCalibration:
 
 REPORTED = (
     *("serial", "verdict", "reasons", "family", "map_sha256", "predicted_rmse", "before_rmse", "after_rmse"),
-    *("own_rmse", "fit_s", "decision", "method_id", "forecast_rmse"),
+    *("own_rmse", "fit_s", "decision", "method_id", "forecast_rmse", "audit"),
 )
 """Fields of `MadeCalibration` that `CalibrationRecord` has under the same name."""
 
@@ -114,6 +115,7 @@ class MadeCalibration:
         decision: what was predicted and what was measured.
         method_id: the method it was made with; empty where an older version kept none.
         forecast_rmse: forecast before audits of other units scaled it.
+        audit: what its audit says beside the error; None without one, and in records of older versions.
     """
 
     serial: str
@@ -131,6 +133,7 @@ class MadeCalibration:
     decision: "Decision"
     method_id: str
     forecast_rmse: float | None = None
+    audit: "AuditReading | None" = None
 
     @classmethod
     def of(cls, record: "CalibrationRecord", revision: int) -> "MadeCalibration":

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from softcal.app.bootstrap import open_chosen_registry, registry_url
 from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry
-from softcal.app.cli.output import print_table, say, shown, write_json
+from softcal.app.output import print_table, say, shown, write_json
 from softcal.core.errors import RegistryError
 
 if TYPE_CHECKING:

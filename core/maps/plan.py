@@ -47,6 +47,7 @@ class TransportMap:
         """Carry (n, taps) target windows into the source's window space."""
         distance, row = self._tree.query(windows, k=min(self.neighbours, len(self.stored)))
         distance, row = distance.reshape(len(windows), -1), row.reshape(len(windows), -1)
+        # The small term keeps a stored window, at distance 0, finite: it then outweighs all others.
         closeness = 1.0 / (distance**2 + 1e-12 * (1.0 + float(np.ptp(self.stored)) ** 2))
         share = closeness / closeness.sum(axis=1, keepdims=True)
         return np.asarray(windows + np.einsum("nk,nkt->nt", share, self.displacement[row]))

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from softcal.app.batch.report import BatchReport, UnitResult, table_row
-from softcal.app.certificates.content import certificate_of
-from softcal.app.certificates.dcc import certificate_xml
-from softcal.app.certificates.pdf import certificate_pdf
 from softcal.app.charts.palette import palette
 from softcal.app.charts.why import why_figure
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.certificates.content import certificate_of
+from softcal.app.export.certificates.dcc import certificate_xml
+from softcal.app.export.certificates.pdf import certificate_pdf
 from softcal.app.export.export import export_units, lot_serials
 from softcal.app.export.manifest import read_manifest
 from softcal.app.registry.caution import caution
