@@ -104,7 +104,7 @@ def _draw(audited: Sequence[FittedUnit], rest: Sequence[FittedUnit], others: int
         promise,
     )
     released = [u for u in rest if u.serial in decision.released]
-    scale = pooled_scale([np.array(u.scores) for u in audited], 0.9) if audited else 1.0
+    scale = pooled_scale([u.scores for u in audited], 0.9) if audited else 1.0
     share = {u.serial: float(covered(u, scale)) for u in rest}
     return Draw(
         len(rest) + others,
@@ -121,7 +121,7 @@ def print_without_audits(lots: Lots) -> None:
     rows = []
     for kind in dict.fromkeys(kind for kind, _ in lots):
         units = [u for (k, _), group in lots.items() if k == kind for u in group]
-        passed, mapped = [u for u in units if u.word == "pass"], [u for u in units if u.scores]
+        passed, mapped = [u for u in units if u.word == "pass"], [u for u in units if u.sample]
         ratio = np.exp(np.median([np.log(u.truth / u.forecast) for u in mapped]))
         beyond = sum(u.truth > u.limit for u in passed)
         cover = np.quantile([covered(u, 1.0) for u in mapped], (0.1, 0.5))
@@ -195,7 +195,7 @@ def print_audits(lots: Lots) -> None:
 
 def print_deciles(lots: Lots) -> None:
     """Print true over forecast error by decile of the forecast over the limit."""
-    units = sorted((u for group in lots.values() for u in group if u.scores), key=lambda u: u.forecast / u.limit)
+    units = sorted((u for group in lots.values() for u in group if u.sample), key=lambda u: u.forecast / u.limit)
     rows = []
     for part in np.array_split(np.arange(len(units)), 10):
         chosen = [units[k] for k in part]

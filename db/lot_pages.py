@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Connection, RowMapping, Subquery, Table, and_, case, func, or_, select, tuple_
 
 from softcal.core.errors import InputError
 from softcal.core.reason import Reason, plain
-from softcal.core.unit.verdict import Verdict
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, UnitEntry
 from softcal.db.in_use import OF_STATEMENT, conflict_line, conflicts_of, of_this_method
@@ -18,7 +18,15 @@ from softcal.db.tables import calibrations, in_use, refusals, units
 ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
 MADE_FIELDS = ("revision", "family", "map_sha256", *ERRORS)
-SEVERITY = {str(verdict): -verdict.severity for verdict in sorted(Verdict, key=lambda v: -v.severity)}
+
+
+@cache
+def _severities() -> dict[str, int]:
+    """Return verdicts, the worst first, with how they sort."""
+    # Only who sorts or counts verdicts waits for the numerics behind them.
+    from softcal.core.unit.verdict import Verdict
+
+    return {str(verdict): -verdict.severity for verdict in sorted(Verdict, key=lambda v: -v.severity)}
 
 
 @dataclass(frozen=True)
@@ -104,7 +112,7 @@ class LotPages(RegistryBase):
             table = _standing(lot_id, _undecided(connection, lot_id))
             verdict = func.coalesce(table.c.verdict, "none")
             found = {str(v): int(n) for v, n in connection.execute(select(verdict, func.count()).group_by(verdict))}
-        return {name: found.get(name, 0) for name in (*SEVERITY, "none")}
+        return {name: found.get(name, 0) for name in (*_severities(), "none")}
 
     def lot_errors(self, lot_id: str) -> list[UnitErrors]:
         """Return the errors of every target unit with a map, by serial."""
@@ -177,7 +185,7 @@ def _condition(table: Subquery, wanted: UnitFilter) -> ColumnElement[bool]:
 
 def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
     if wanted.sort == "severity":
-        severity = case(SEVERITY, value=table.c.verdict, else_=1)
+        severity = case(_severities(), value=table.c.verdict, else_=1)
         return [severity, table.c.predicted_rmse.desc().nulls_last(), table.c.serial]
     column = table.c[wanted.sort]
     first = (column.desc() if wanted.is_descending else column.asc()).nulls_last()

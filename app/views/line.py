@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from softcal.app.line.line import SHOWN_RUNS, LineFacts, Run, standing_of
+from softcal.app.line.facts import SHOWN_RUNS, LineFacts, Run, standing_of
 from softcal.app.texts.reasons import parted, plainly, said, told
 from softcal.app.views.common import number, phase_said
 from softcal.core.orders import Condition, OrderKind, Progress, RunState, Signal

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from softcal.core.identity import Settings
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
@@ -61,11 +60,14 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> Anchored
     """
     network, config = problem.network, problem.config.anchors
     low, high = np.quantile(problem.source.unlabelled.output, problem.config.crossing.robust_range)
+    # A known load is known to so much only; without it two anchors would overrule a good map exactly.
     sigma = config.load_error * network.reference_scale
     loaded = unit_map.apply(resting(np.asarray(anchors.output, np.float64)))
 
     def corrected(theta: Array) -> tuple[float, float]:
+        # Scaled so that theta is in standard deviations of the prior: its residual is theta itself.
         gain = 1.0 + config.gain_spread * float(theta[0])
+        # The gain turns about rest: both numbers would else be strongly correlated, and one anchor could move neither.
         return gain, float(low * (1.0 - gain) + config.level_spread * (high - low) * theta[1])
 
     def residuals(theta: Array) -> Array:
@@ -79,6 +81,9 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> Anchored
         by_gain = config.gain_spread * np.sum(slope * (loaded - low), axis=1)
         by_level = config.level_spread * (high - low) * slope.sum(axis=1)
         return np.concatenate([np.stack([by_gain, by_level], axis=1), np.eye(2)])
+
+    # Imported here: whoever applies a map does not wait for scipy.
+    from scipy.optimize import least_squares
 
     gain, offset = corrected(least_squares(residuals, np.zeros(2), jacobian).x)
     return AnchoredMap(unit_map, gain, offset)

@@ -65,9 +65,11 @@ def pooled_scale(groups: Sequence[Array], coverage: float, has_unseen: bool = Fa
     if not groups:
         raise InputError("no audited unit: a scale for the intervals needs one at least")
     scores = np.concatenate(groups)
+    # Weights by unit, not by sample: a long recording is no more evidence on other units than a short one.
     units = len(groups) + (1 if has_unseen else 0)
     weight = np.repeat([1 / (units * len(group)) for group in groups], [len(group) for group in groups])
     order = np.argsort(scores)
+    # Cumulative sums round: without the margin an exact share would take one sample too many.
     reached = np.searchsorted(np.cumsum(weight[order]), coverage - 1e-12)
     return float("inf") if reached == len(order) else float(scores[order][reached])
 

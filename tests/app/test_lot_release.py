@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from softcal.app.batch.release import LineRelease
 from softcal.app.cli.main import main
 from softcal.db.connection import open_registry
 
@@ -84,6 +85,28 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(
     assert again["release"] == release
     with open_registry(registry_url) as registry:
         assert len(registry.history(serial)) == 2
+
+
+def test_the_line_reads_no_recording_and_the_other_units_only_where_an_audit_came(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = make_lot(audits=9)
+    report = _batch(folder, registry_url, tmp_path)
+    serials = [unit["serial"] for unit in _unmeasured(report)]
+    recordings, asked = [], []
+    with open_registry(registry_url) as registry:
+        reads, standings = registry.recording, registry.standings
+        monkeypatch.setattr(registry, "recording", lambda sha256: (recordings.append(sha256), reads(sha256))[1])
+        monkeypatch.setattr(registry, "standings", lambda lot, of: (asked.append(list(of)), standings(lot, of))[1])
+        line = LineRelease(registry)
+        line.press("large", serials[0])
+        assert any(set(serials) <= set(of) for of in asked), "the first press reads the whole lot"
+        asked.clear()
+        for serial in serials[1:]:
+            line.press("large", serial)
+        # Audited units are asked for each time: which one stands is how a new audit is noticed.
+        assert not [of for of in asked if len(set(of) & set(serials)) > 1]
+        assert recordings == []
 
 
 def test_without_audits_nothing_passes_and_the_line_says_what_to_audit(

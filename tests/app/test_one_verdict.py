@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from softcal.app.batch.report import BatchReport, UnitResult, table_row
-from softcal.app.certificates.content import certificate_of
-from softcal.app.certificates.dcc import certificate_xml
-from softcal.app.certificates.pdf import certificate_pdf
 from softcal.app.charts.palette import palette
 from softcal.app.charts.why import why_figure
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.certificates.content import certificate_of
+from softcal.app.export.certificates.dcc import certificate_xml
+from softcal.app.export.certificates.pdf import certificate_pdf
 from softcal.app.export.export import export_units, lot_serials
 from softcal.app.export.manifest import read_manifest
-from softcal.app.line.line import Screen, read_line
+from softcal.app.line.facts import Screen, read_line
 from softcal.app.registry.caution import caution
 from softcal.app.registry.quality import lot_yields
 from softcal.app.texts.catalogue import text

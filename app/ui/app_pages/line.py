@@ -5,7 +5,8 @@ from functools import partial
 import streamlit as st
 
 from softcal.app.charts.live import live_signal
-from softcal.app.line.line import read_line, take_scan
+from softcal.app.line.facts import read_line
+from softcal.app.line.line import take_scan
 from softcal.app.ui.account import is_signed_in, person
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.line_setup import line_setup
