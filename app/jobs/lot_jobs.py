@@ -90,8 +90,8 @@ def archive(registry: Registry, job: Job, tell: Teller) -> Outcome:
 
     `serials` None takes every calibrated unit; a unit whose device files are refused has its reports, and its reason.
     """
-    from softcal.app.certificates.laboratory import kept_laboratory
     from softcal.app.export.calibrated_unit import ExportOptions
+    from softcal.app.export.certificates.laboratory import kept_laboratory
     from softcal.app.export.export import ExportedUnit, export_units
     from softcal.core.unit.verdict import Release
 

@@ -13,7 +13,7 @@ import pytest
 from softcal.app import cli
 from softcal.app.batch.front_door import lot_files, lots_folder, network_of
 from softcal.app.bootstrap import open_chosen_registry
-from softcal.app.certificates.laboratory import kept_laboratory, read_laboratory
+from softcal.app.export.certificates.laboratory import kept_laboratory, read_laboratory
 from softcal.app.export.check import check_folder
 from softcal.app.jobs import process as job_process
 from softcal.app.jobs.jobs import run_job

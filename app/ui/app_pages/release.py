@@ -5,8 +5,8 @@ from datetime import UTC, datetime
 import streamlit as st
 
 from softcal.app.batch.release import decide_release, update_release
-from softcal.app.certificates.lot_facts import lot_statement_facts
-from softcal.app.certificates.lot_statement import lot_statement_pdf
+from softcal.app.export.certificates.lot_facts import lot_statement_facts
+from softcal.app.export.certificates.lot_statement import lot_statement_pdf
 from softcal.app.export.names import FORMATS
 from softcal.app.jobs.lot_jobs import archive_path
 from softcal.app.jobs.process import start_job

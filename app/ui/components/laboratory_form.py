@@ -6,7 +6,7 @@ from typing import Any
 
 import streamlit as st
 
-from softcal.app.certificates.laboratory import (
+from softcal.app.export.certificates.laboratory import (
     NO_COUNTRY,
     NOT_STATED,
     Conditions,

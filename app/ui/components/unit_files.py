@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import streamlit as st
 
-from softcal.app.certificates.laboratory import kept_laboratory
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.certificates.laboratory import kept_laboratory
 from softcal.app.export.formats import WRITERS
 from softcal.app.export.names import FORMATS
 from softcal.app.ui.account import actor
