@@ -3,10 +3,12 @@
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from softcal.db.arrays import Arrays
 from softcal.db.job_board import JobBoard
+
+if TYPE_CHECKING:
+    from softcal.db.arrays import Arrays
 
 REPORT_S = 0.4
 """Between two reports; each is one transaction."""
@@ -18,7 +20,7 @@ class Outcome:
 
     message: str
     result: Mapping[str, Any] = field(default_factory=dict)
-    arrays: Arrays | None = None
+    arrays: "Arrays | None" = None
 
 
 class Teller:
