@@ -19,8 +19,8 @@ from scipy.stats import beta
 from trust_lots import GOOD, FittedUnit, covered, drawn_lots, fitted, measured_lots
 
 from softcal.core.quality.acceptance import Promise
-from softcal.core.quality.conformal import least_risk, pooled_scale
-from softcal.core.quality.release import AuditedUnit, release
+from softcal.core.quality.conformal import least_risk, unit_scale
+from softcal.core.quality.release import AuditedUnit, least_passing, release
 from softcal.core.unit.verdict import Limit
 
 AUDITS = (0, 3, 5, 10, 20)
@@ -97,14 +97,16 @@ def released_on(lots: Lots, audits: int, draws: int = DRAWS, risk: float = RISK)
 
 
 def _draw(audited: Sequence[FittedUnit], rest: Sequence[FittedUnit], others: int, promise: Promise) -> Draw:
+    held = sum(u.truth <= u.limit for u in audited)
     decision = release(
         {u.serial: u.forecast for u in rest},
         [AuditedUnit(u.serial, u.forecast, u.truth) for u in audited],
         Limit("N", next((u.limit for u in rest), 1.0)),
         promise,
+        least_passing(len(audited) + len(rest) + others, held),
     )
     released = [u for u in rest if u.serial in decision.released]
-    scale = pooled_scale([u.scores for u in audited], 0.9) if audited else 1.0
+    scale = unit_scale([u.scores for u in audited], 0.9) if audited else 1.0
     share = {u.serial: float(covered(u, scale)) for u in rest}
     return Draw(
         len(rest) + others,

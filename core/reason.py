@@ -115,6 +115,7 @@ ENGLISH: Mapping[str, str] = {
     "few.positions": "{windows} windows at equal stage positions; at least {enough} are needed",
     "no_position": "stage position is not in both recordings; windows cannot be paired by it",
     "unreadable": "recording not readable: {error}",
+    "wrong_loads": "its known loads cannot be used: {error}",
     "worker_died": "the process that fitted it died; calibrate the lot again",
     "defect": "softcal could not calibrate it ({error}); this is a defect of softcal, the log has the details",
 }

@@ -7,15 +7,16 @@ from datetime import datetime
 import numpy as np
 
 from softcal.app.batch.audit import lot_audit, lot_limit
-from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.core.quality.conformal import pooled_scale
+from softcal.core.quality.audit_check import check_audits
+from softcal.core.quality.conformal import unit_scale
 from softcal.core.quality.qualification import PastAudit, Qualification, QualificationRules, qualify
 from softcal.core.quality.release import AuditedUnit, audits_wanted
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.audit_reading import AuditReading
 from softcal.core.unit.calibrate import with_audit
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.method import CONFIDENCE
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.db.entries import MadeCalibration, UnitStanding
 from softcal.db.registry import Registry
@@ -68,13 +69,26 @@ class AuditReader:
         registry, lot = self._registry, self._registry.lot(lot_id)
         audited = self._audited(lot)
         here = [audit for audit, _, made in audited.values() if made.method_id == method_id]
-        _check_recordings({serial: self._reading(lot_id, made) for serial, (_, _, made) in audited.items()})
+        readings = {serial: self._reading(lot_id, made) for serial, (_, _, made) in audited.items()}
+        check_audits({serial: reading for serial, reading in readings.items() if reading is not None})
         past = [] if len(here) >= audits_wanted(RULES.promise) else self._past(lot)
         # Audits of this lot under another method say as much as those of another lot: nothing.
-        past += [PastAudit(a, lot.sensor_model, made.method_id, s.made_at) for a, s, made in audited.values()]
-        golden_failed_at = max((run.made_at for run in registry.golden_runs() if not run.passed), default=None)
-        qualification = qualify(here, past, now, lot.sensor_model, method_id, golden_failed_at, RULES)
+        past += [
+            PastAudit(audit, lot.sensor_model, made.method_id, standing.made_at)
+            for audit, standing, made in audited.values()
+            if made.method_id != method_id
+        ]
+        qualification = qualify(here, past, now, lot.sensor_model, method_id, self._golden_failed_at(lot), RULES)
         return AuditEvidence(qualification, lot_limit(registry, lot_id), self._interval_scale(qualification, lot_id))
+
+    def _golden_failed_at(self, lot: Lot) -> datetime | None:
+        """Return when a golden unit last failed; one of another sensor model says nothing about this one."""
+        registry = self._registry
+        failed = [run for run in registry.golden_runs() if not run.passed]
+        models = {
+            run.serial: {registry.lot(known).sensor_model for known in registry.lots_of(run.serial)} for run in failed
+        }
+        return max((run.made_at for run in failed if models[run.serial] <= {lot.sensor_model}), default=None)
 
     def _audited(self, lot: Lot) -> Audited:
         """Return the audited units that speak for the others: a random draw, where one was written down."""
@@ -104,7 +118,7 @@ class AuditReader:
         return found
 
     def _interval_scale(self, qualification: Qualification, lot_id: str) -> float:
-        """Return the factor by which the intervals of the audited units would have covered 90 % of their samples."""
+        """Return the factor on the intervals that the audited units ask for."""
         readings = []
         for audit in qualification.audits[:MOST_AUDITS]:
             lot = audit.lot_id or lot_id
@@ -112,7 +126,7 @@ class AuditReader:
             if standing is not None and standing.made is not None:
                 readings.append(self._reading(lot, standing.made))
         groups = [np.array(reading.ratios) for reading in readings if reading is not None]
-        return pooled_scale(groups, 0.9) if groups else 1.0
+        return unit_scale(groups, CONFIDENCE) if groups else 1.0
 
     def _reading(self, lot_id: str, made: MadeCalibration) -> AuditReading | None:
         key = lot_id, made.serial, made.revision
@@ -126,17 +140,8 @@ class AuditReader:
         recording = registry.recording(audits[-1].sha256) if audits else None
         if not isinstance(recording, LabelledRecording):
             return None
-        calibration = Calibration.from_record(registry.calibration(serial, lot_id=lot_id).record)
-        return with_audit(registry.network(calibration.network_id), calibration, recording).audit
-
-
-def _check_recordings(readings: Mapping[str, AuditReading | None]) -> None:
-    """Refuse one recording that stands for two units."""
-    owners: dict[str, str] = {}
-    for serial, reading in readings.items():
-        first = serial if reading is None else owners.setdefault(reading.output_sha256, serial)
-        if first != serial:
-            raise InputError(
-                f"the audits of {first} and {serial} are one recording; one is of another unit; nothing was released: "
-                "put the right file into audit/ and run the batch again"
-            )
+        record = registry.calibration(serial, lot_id=lot_id).record
+        fitted_on = registry.recording(record.recording_sha256)
+        unlabelled = fitted_on.unlabelled if isinstance(fitted_on, LabelledRecording) else fitted_on
+        network, calibration = registry.network(record.network_id), Calibration.from_record(record)
+        return with_audit(network, calibration, recording, unlabelled).audit

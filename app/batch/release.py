@@ -10,10 +10,11 @@ import numpy as np
 from softcal.app.batch.audit_evidence import RELEASABLE, RULES, AuditEvidence, AuditReader
 from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
+from softcal.core.quality.release import least_passing
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision
-from softcal.db.entries import MadeCalibration, StoredCalibration
+from softcal.db.entries import MadeCalibration, StoredCalibration, UnitStanding
 from softcal.db.registry import Registry
 
 STATEMENT = "lot_release"
@@ -46,19 +47,26 @@ def update_release(
 
 def decide_release(registry: Registry, lot_id: str, now: datetime) -> LotRelease | None:
     """Decide on the unmeasured units of a lot; nothing is written. None where it has no unit with a forecast yet."""
-    units = _made(registry, lot_id, [unit.serial for unit in registry.units(lot_id) if unit.role == "target"])
-    if not units:
+    units = _whole_lot(registry, lot_id)
+    made = _made(units)
+    if not made:
         return None
-    evidence = AuditReader(registry).evidence(lot_id, units[0].method_id, now)
-    return _decided(evidence, _forecasts(units))
+    evidence = AuditReader(registry).evidence(lot_id, made[0].method_id, now)
+    return _decided(evidence, _forecasts(made), _least(units))
 
 
 @dataclass(frozen=True)
 class _Standing:
-    """What a line knows of a lot: the evidence it decided on last, and the forecasts of the unmeasured units."""
+    """What a line knows of a lot: the evidence it decided on last, and its units as they were then or came since.
+
+    Args:
+        forecasts: of the unmeasured units, by serial.
+        least: number of them that must pass.
+    """
 
     evidence: AuditEvidence
     forecasts: Mapping[str, float]
+    least: float = 0.0
 
 
 class LineRelease:
@@ -82,30 +90,43 @@ class LineRelease:
             InputError: the audits cannot all be true; nothing was released.
         """
         registry = self._registry
-        pressed = _made(registry, lot_id, [serial])
+        pressed = _made(registry.standings(lot_id, [serial]))
         if not pressed:
             self._standing.pop(lot_id, None)
             return
         evidence = self._reader.evidence(lot_id, pressed[0].method_id, now or datetime.now(UTC))
-        known = self._standing.get(lot_id)
-        if known is not None and known.evidence == evidence:
-            others = {other: rmse for other, rmse in known.forecasts.items() if other != serial}
-        elif evidence.qualification.is_given:
-            targets = [unit.serial for unit in registry.units(lot_id) if unit.role == "target"]
-            others = _forecasts(_made(registry, lot_id, targets))
-        else:
-            others = {}
-        self._standing[lot_id] = _Standing(evidence, {**others, **_forecasts(pressed)})
-        decided = _decided(evidence, self._standing[lot_id].forecasts)
+        known = self._standing.get(lot_id, _Standing(evidence, {}))
+        if known.evidence != evidence or lot_id not in self._standing:
+            known = self._look(lot_id, evidence)
+        others = {other: rmse for other, rmse in known.forecasts.items() if other != serial}
+        known = replace(known, forecasts={**others, **_forecasts(pressed)})
+        self._standing[lot_id] = known
+        decided = _decided(evidence, known.forecasts, known.least)
         if serial in decided.forecasts:
             with registry.transaction():
                 _keep(registry, lot_id, serial, decided, actor)
 
+    def _look(self, lot_id: str, evidence: AuditEvidence) -> _Standing:
+        """Return where the other units of a lot stand; without a qualification none of them matters."""
+        if not evidence.qualification.is_given:
+            return _Standing(evidence, {})
+        units = _whole_lot(self._registry, lot_id)
+        return _Standing(evidence, _forecasts(_made(units)), _least(units))
 
-def _made(registry: Registry, lot_id: str, serials: Sequence[str]) -> list[MadeCalibration]:
+
+def _whole_lot(registry: Registry, lot_id: str) -> Mapping[str, UnitStanding]:
+    return registry.standings(lot_id, [unit.serial for unit in registry.units(lot_id) if unit.role == "target"])
+
+
+def _made(units: Mapping[str, UnitStanding]) -> list[MadeCalibration]:
     """Return the calibrations in use, where no later refusal stands against them."""
-    standings = registry.standings(lot_id, serials).values()
-    return [standing.made for standing in standings if standing.made is not None]
+    return [standing.made for standing in units.values() if standing.made is not None]
+
+
+def _least(units: Mapping[str, UnitStanding]) -> float:
+    """Return how many units must pass unmeasured so that half of the lot does."""
+    held = [made for made in _made(units) if made.is_audited and made.verdict in RELEASABLE]
+    return least_passing(len(units), len(held))
 
 
 def _forecasts(units: Sequence[MadeCalibration]) -> dict[str, float]:
@@ -117,8 +138,9 @@ def _forecasts(units: Sequence[MadeCalibration]) -> dict[str, float]:
     }
 
 
-def _decided(evidence: AuditEvidence, forecasts: Mapping[str, float]) -> LotRelease:
-    return release_lot(forecasts, evidence.qualification, evidence.limit, RULES.promise, evidence.interval_scale)
+def _decided(evidence: AuditEvidence, forecasts: Mapping[str, float], least: float) -> LotRelease:
+    qualification, limit = evidence.qualification, evidence.limit
+    return release_lot(forecasts, qualification, limit, RULES.promise, evidence.interval_scale, least)
 
 
 def _keep(registry: Registry, lot_id: str, serial: str, decided: LotRelease, actor: str | None) -> None:

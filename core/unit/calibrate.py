@@ -121,13 +121,22 @@ def calibrate(problem: UnitProblem) -> Calibration:
         method=method,
         scores=scores,
     )
-    return calibration if problem.audit is None else with_audit(model.network, calibration, problem.audit)
+    return calibration if problem.audit is None else with_audit(model.network, calibration, problem.audit, target)
 
 
-def with_audit(network: Network, calibration: Calibration, audit: LabelledRecording) -> Calibration:
-    """Return the calibration with what a labelled recording of its unit says beside the error."""
+def with_audit(
+    network: Network, calibration: Calibration, audit: LabelledRecording, recording: OutputRecording
+) -> Calibration:
+    """Return the calibration with what a labelled recording of its unit says beside the error.
+
+    Args:
+        network: the shared network f.
+        calibration: of the unit, before audits of other units scaled its interval.
+        audit: labelled recording of the unit.
+        recording: the one it was calibrated from.
+    """
     found = estimate(network, calibration, audit.unlabelled)
-    return replace(calibration, audit=read_audit(found.estimate, found.upper - found.estimate, audit))
+    return replace(calibration, audit=read_audit(found.estimate, found.upper - found.estimate, audit, recording))
 
 
 def _limit(problem: UnitProblem) -> Limit:

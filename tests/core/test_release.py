@@ -13,9 +13,9 @@ from softcal.core.quality.acceptance import (
     failing_share,
     tolerance_factor,
 )
-from softcal.core.quality.conformal import least_risk, least_units, pooled_scale, share_beyond, upper_bound
+from softcal.core.quality.conformal import least_risk, least_units, pooled_scale, share_beyond, unit_scale, upper_bound
 from softcal.core.quality.qualification import PastAudit, QualificationRules, qualify
-from softcal.core.quality.release import AuditedUnit, audited_ratios, release
+from softcal.core.quality.release import AuditedUnit, audited_ratios, least_passing, release
 from softcal.core.unit.verdict import Limit
 
 LIMIT = Limit("N", 1.0)
@@ -239,3 +239,31 @@ def test_a_failed_golden_unit_withdraws_what_was_audited_before_it():
 def test_audits_made_after_a_failure_qualify_again():
     past = _past(days=30, failed=True) + _past(days=5)
     assert qualify([], past, NOW, "EG", "m1", rules=QualificationRules()).is_given
+
+
+def test_the_interval_serves_one_more_unit_however_differently_units_were_pressed():
+    rng, served, pooled_served, trials = np.random.default_rng(5), 0, 0, 400
+    for _ in range(trials):
+        # Each unit misreads its loads by another share; residuals grow with the load.
+        groups = [np.abs(0.3 * rng.normal() + 0.02 * rng.normal(size=200)) * rng.random(200) for _ in range(11)]
+        served += np.mean(groups[-1] <= unit_scale(groups[:-1], 0.9)) >= 0.8
+        pooled_served += np.mean(groups[-1] <= pooled_scale(groups[:-1], 0.9)) >= 0.8
+    # Conformal: one unit in eleven is beyond the widest of ten, five standard deviations for the count of trials.
+    assert served / trials >= 10 / 11 - 5 * np.sqrt(10 / 121 / trials)
+    assert pooled_served < served
+
+
+def test_units_that_are_alike_are_given_no_wider_interval():
+    rng = np.random.default_rng(6)
+    groups = [np.abs(rng.normal(size=2000)) for _ in range(10)]
+    assert unit_scale(groups, 0.9) == pooled_scale(groups, 0.9)
+    assert unit_scale(groups[:3], 0.9) >= pooled_scale(groups[:3], 0.9)
+
+
+def test_the_few_good_units_of_a_poor_lot_are_not_released():
+    audits = [AuditedUnit(f"A{k}", 0.3, 0.3 * (1 + 0.01 * k)) for k in range(10)]
+    forecasts = {"U1": 0.3, "U2": 0.31}
+    assert release(forecasts, audits, LIMIT).released == ("U1", "U2")
+    # 10 audits held and 2 would pass: half of 24 units, but not of 26.
+    assert release(forecasts, audits, LIMIT, least=least_passing(24, 10)).released == ("U1", "U2")
+    assert release(forecasts, audits, LIMIT, least=least_passing(26, 10)).released == ()
