@@ -26,7 +26,7 @@ check: $(STAMP)
 	$(BIN)/ruff check .
 	mkdir -p .links && ln -sfn .. .links/softcal
 	MYPYPATH=.links $(BIN)/mypy --explicit-package-bases -p softcal.core -p softcal.db -p softcal.station -p softcal.app
-	$(BIN)/lint-imports
+	PYTHONPATH=.links $(BIN)/lint-imports
 
 # The site with API pages, in site/. --strict: a warning is a failure.
 docs: $(STAMP)

@@ -7,7 +7,6 @@ import numpy as np
 
 from softcal.app.api.recording import Recording
 from softcal.core.errors import InputError
-from softcal.core.estimate import estimate
 from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.interface import Anchors
 from softcal.core.metrics import rmse
@@ -17,6 +16,7 @@ from softcal.core.network.training import fit_network as train_network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.verdict import stated_limit
@@ -137,7 +137,7 @@ class Unit:
         Raises:
             InputError: the registry does not know it, or knows it in several lots and `lot` is not given.
         """
-        from softcal.app.use.estimate import calibrated_unit
+        from softcal.app.registry.unit import calibrated_unit
 
         facts, network, calibration = calibrated_unit(registry, serial, revision, lot)
         return cls(network, calibration, facts.sample_rate_Hz)

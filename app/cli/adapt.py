@@ -13,7 +13,7 @@ from softcal.app.cli.options import (
     registry_of,
     say_caution,
 )
-from softcal.app.cli.output import Progress, say, write_json
+from softcal.app.output import Progress, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from softcal.app.cli.options import (
     registry_of,
     say_caution,
 )
-from softcal.app.cli.output import say, write_json
+from softcal.app.output import say, write_json
 
 EXAMPLES = """examples:
   softcal estimate --serial A1 recording.csv --out estimate.csv

@@ -6,9 +6,9 @@ import sys
 from importlib.metadata import version
 from typing import Any
 
-from softcal.app.cli.output import answering
 from softcal.app.cli.parser import Parser
 from softcal.app.extras import missing_extra
+from softcal.app.output import answering
 from softcal.core.errors import DeviceError, InputError, RegistryError, SoftcalError
 
 DONE, SOME_UNIT_NOT_PASSED, WRONG_USE, RIG_FAILED, REGISTRY_FAILED = 0, 1, 2, 3, 4

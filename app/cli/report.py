@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 
 from softcal.app.cli.options import add_registry, registry_of
-from softcal.app.cli.output import say
+from softcal.app.output import say
 
 EXAMPLES = """examples:
   softcal report lot-1                              writes lot-1.html
