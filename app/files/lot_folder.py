@@ -12,6 +12,7 @@ from softcal.app.files.recording_file import CSV, PARQUET, naming, read_labelled
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.line_spread import LineSpread
 
 KNOWN_KEYS = {
     "": {"sample_rate_Hz", "source"},
@@ -19,6 +20,7 @@ KNOWN_KEYS = {
     "reference": {"quantity", "unit"},
     "output": {"unit", "sample_rate_Hz", "source"},
     "limit": {"rmse"},
+    "line": {"load_spread", "day_spread"},
 }
 """Keys of lot.toml by table. The two bare keys may also stand in [lot] or [output], where TOML puts what follows."""
 
@@ -34,6 +36,7 @@ class LotFolder:
         unit_paths: recording of each target unit by serial.
         audit_paths: labelled recordings that only score, by serial.
         remarks: what in the folder was not understood, in words.
+        line: how differently the line presses units, where `lot.toml` states it.
     """
 
     root: Path
@@ -42,6 +45,7 @@ class LotFolder:
     unit_paths: Mapping[str, Path]
     audit_paths: Mapping[str, Path]
     remarks: tuple[str, ...] = ()
+    line: LineSpread | None = None
 
     def read_source(self) -> LabelledRecording:
         """Read the source unit's labelled recording."""
@@ -69,7 +73,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such lot folder; make one with `softcal import`")
-    lot, remarks = _read_lot_toml(folder / "lot.toml")
+    lot, line, remarks = _read_lot_toml(folder / "lot.toml")
     sources = _recordings(folder / "source")
     if lot.source not in sources:
         seen = ", ".join(sources) or "nothing"
@@ -78,7 +82,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     strangers = sorted(set(audits) - set(units) - {lot.source})
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
-    return LotFolder(folder, lot, sources[lot.source], units, audits, remarks)
+    return LotFolder(folder, lot, sources[lot.source], units, audits, remarks, line)
 
 
 def _recordings(folder: Path) -> dict[str, Path]:
@@ -96,7 +100,7 @@ def _recordings(folder: Path) -> dict[str, Path]:
     return found
 
 
-def _read_lot_toml(path: Path) -> tuple[Lot, tuple[str, ...]]:
+def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, tuple[str, ...]]:
     if not path.is_file():
         raise InputError(f"{path}: there is no lot.toml; `softcal import` writes one")
     try:
@@ -104,11 +108,18 @@ def _read_lot_toml(path: Path) -> tuple[Lot, tuple[str, ...]]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
     with naming(path):
-        tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit")}
+        tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit", "line")}
         for name, table in tables.items():
             if not isinstance(table, dict):
                 raise InputError(f"[{name}] must be a table")
-        return _lot(content, tables), tuple(_unknown_keys(path, content))
+        return _lot(content, tables), _line(tables["line"]), tuple(_unknown_keys(path, content))
+
+
+def _line(table: Mapping[str, object]) -> LineSpread | None:
+    if not table:
+        return None
+    load, day = (_number(table.get(name, 0.0), f"[line] {name}") for name in ("load_spread", "day_spread"))
+    return LineSpread(load, day)
 
 
 def _lot(content: Mapping[str, object], tables: Mapping[str, Mapping[str, object]]) -> Lot:
