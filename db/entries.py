@@ -3,13 +3,19 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import date, datetime
+from typing import TYPE_CHECKING
 
 from softcal.core.errors import InputError
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.reason import Reason
-from softcal.core.unit.audit_reading import AuditReading
-from softcal.core.unit.calibration import CalibrationRecord
-from softcal.core.unit.verdict import Decision
+
+if TYPE_CHECKING:
+    from softcal.core.unit.audit_reading import AuditReading
+    from softcal.core.unit.calibration import CalibrationRecord
+    from softcal.core.unit.verdict import Decision
+
+Heads = dict[str, tuple[int, str]]
+"""Number and hash of the last row of each chain of the audit trail."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +78,7 @@ class StoredCalibration:
         is_conflict: two registries put different maps into use, this one among them; a person has to decide.
     """
 
-    record: CalibrationRecord
+    record: "CalibrationRecord"
     lot_id: str
     revision: int
     made_at: datetime
@@ -125,14 +131,14 @@ class MadeCalibration:
     own_rmse: float | None
     fit_s: float | None
     knowledge: str
-    decision: Decision
+    decision: "Decision"
     method_id: str
     forecast_rmse: float | None = None
     load_rms: float | None = None
-    audit: AuditReading | None = None
+    audit: "AuditReading | None" = None
 
     @classmethod
-    def of(cls, record: CalibrationRecord, revision: int) -> "MadeCalibration":
+    def of(cls, record: "CalibrationRecord", revision: int) -> "MadeCalibration":
         """Return what a report needs of a calibration."""
         plain = {name: getattr(record, name) for name in REPORTED}
         return cls(**plain, revision=revision, knowledge=str(record.knowledge))
@@ -256,6 +262,18 @@ class AuditRow:
 
     def with_hash(self, value: str) -> "AuditRow":
         return replace(self, hash=value)
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """The last rows of the audit trail as they were written down outside the database.
+
+    Args:
+        where: when and where, for the fault's line.
+    """
+
+    heads: Heads
+    where: str
 
 
 @dataclass(frozen=True)

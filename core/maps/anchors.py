@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
@@ -86,6 +85,9 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> Anchored
         by_gain = config.gain_spread * np.sum(slope * (loaded - low), axis=1)
         by_level = config.level_spread * (high - low) * slope.sum(axis=1)
         return np.concatenate([np.stack([by_gain, by_level], axis=1), np.eye(2)])
+
+    # Imported here: whoever applies a map does not wait for scipy.
+    from scipy.optimize import least_squares
 
     gain, offset = corrected(least_squares(residuals, np.zeros(2), jacobian).x)
     return AnchoredMap(unit_map, gain, offset)

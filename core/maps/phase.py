@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
@@ -53,6 +52,9 @@ def paired_by_stage(
     """
     if source.stage_mm is None or target.stage_mm is None:
         raise UnitRefused(reason("no_position"))
+    # Imported here: whoever applies a map does not wait for scipy.
+    from scipy.spatial import cKDTree
+
     phase = config.phase
     known, asked = (stage_histories(r, r.stage_mm, phase) for r in (source, target) if r.stage_mm is not None)
     travel_mm = float(np.ptp(target.stage_mm))

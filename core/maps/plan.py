@@ -3,15 +3,18 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from softcal.core.identity import Settings
 from softcal.core.maps.config import PlanConfig
 from softcal.core.recording import Array
 from softcal.core.windows import windows
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +37,10 @@ class TransportMap:
     neighbours: int = PlanConfig.neighbours
 
     @cached_property
-    def _tree(self) -> cKDTree:
+    def _tree(self) -> "cKDTree":
+        # Imported here: whoever applies another map does not wait for scipy.
+        from scipy.spatial import cKDTree
+
         return cKDTree(self.stored)
 
     def apply(self, windows: Array) -> Array:

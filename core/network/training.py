@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from softcal.core.errors import InputError
 from softcal.core.network.config import EpochReport, Mask, NetworkConfig
@@ -142,6 +141,9 @@ def merge_members(members: list[list[tuple[Array, Array]]]) -> tuple[tuple[Array
     Args:
         members: per member its layers (weight (inputs, outputs), bias (outputs,)).
     """
+    # Imported here: whoever reads a calibration must not wait for scipy.
+    from scipy.linalg import block_diag
+
     if len(members) == 1:
         return tuple(w for w, _ in members[0]), tuple(b for _, b in members[0])
     weights, biases = [], []
