@@ -35,17 +35,24 @@ def update_release(
     Raises:
         InputError: the audits cannot all be true; nothing was released.
     """
-    units = _whole_lot(registry, lot_id)
-    made = _made(units)
-    if not made:
+    decided = decide_release(registry, lot_id, now or datetime.now(UTC))
+    if decided is None:
         return None
-    evidence = AuditReader(registry).evidence(lot_id, made[0].method_id, now or datetime.now(UTC))
-    decided = _decided(evidence, _forecasts(made), _least(units))
     with registry.transaction():
         for serial in decided.forecasts:
             _keep(registry, lot_id, serial, decided, actor)
         _tell(registry, lot_id, decided, actor)
     return decided
+
+
+def decide_release(registry: Registry, lot_id: str, now: datetime) -> LotRelease | None:
+    """Decide on the unmeasured units of a lot; nothing is written. None where it has no unit with a forecast yet."""
+    units = _whole_lot(registry, lot_id)
+    made = _made(units)
+    if not made:
+        return None
+    evidence = AuditReader(registry).evidence(lot_id, made[0].method_id, now)
+    return _decided(evidence, _forecasts(made), _least(units))
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,16 @@
 """Where a line stands, read from the registry alone: a reload, a killed screen and a second one show the same."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 
 from softcal.app.line.place import Note, Place, is_alive, read_place
+from softcal.app.line.serials import numbered
 from softcal.core.lot import Lot
-from softcal.core.orders import Heartbeat, Order, Progress, StationState
+from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.line_rules import LineRules
-from softcal.db.entries import RunEntry
+from softcal.core.unit.verdict import Verdict
+from softcal.db.entries import RunEntry, UnitStanding
 from softcal.db.network_release import NetworkState
 from softcal.db.order_queue import SILENT_AFTER
 from softcal.db.registry import Registry
@@ -16,6 +18,12 @@ from softcal.db.registry import Registry
 NEWEST_RUNS = 40
 HUNG_AFTER = timedelta(seconds=15)
 """A service whose process is seen to live may be late with its beat for so long: it trains, or the machine is busy."""
+
+SHOWN_RUNS = 14
+"""So many of the last units a screen shows."""
+
+MOST_AT_ONCE = 16
+"""So many units of one run are looked for."""
 
 Run = tuple[Order, Progress]
 
@@ -71,6 +79,7 @@ class LineFacts:
         runs: newest runs of the station, newest first.
         place: what stands there beside the runs.
         results: in this lot, oldest first, of the unit that waits, else of the unit pressed last.
+        standings: where the units of the runs, and the one that waits, stand in this lot now, by serial.
     """
 
     now: datetime
@@ -83,6 +92,7 @@ class LineFacts:
     runs: tuple[Run, ...] = ()
     place: Place = Place()
     results: tuple[RunEntry, ...] = ()
+    standings: Mapping[str, UnitStanding] = field(default_factory=dict)
 
     @property
     def station(self) -> str:
@@ -195,7 +205,30 @@ def read_line(
         return facts
     facts = replace(facts, lot=(look_at_lot or read_lot)(registry, lot_id))
     subject = facts.serial or (facts.newest[0].serial if facts.newest else "")
-    return replace(facts, results=tuple(registry.runs(lot_id, subject)) if subject else ())
+    results = tuple(registry.runs(lot_id, subject)) if subject else ()
+    return replace(facts, results=results, standings=_standings(registry, facts, lot_id))
+
+
+def _standings(registry: Registry, facts: LineFacts, lot_id: str) -> dict[str, UnitStanding]:
+    """Return where the units stand that the line shows; a run of several units stands under the serial of each."""
+    over = [run for run in facts.runs if run[0].lot_id == lot_id and run[1].state is RunState.DONE][:SHOWN_RUNS]
+    shown = list(dict.fromkeys((*filter(None, [facts.serial]), *(order.serial for order, _ in over))))
+    found = registry.standings(lot_id, shown) if shown else {}
+    judged = {order.serial for order, done in over if done.verdict and order.serial not in found}
+    several = [numbered(serial, k) for serial in judged for k in range(MOST_AT_ONCE)]
+    return {**found, **registry.standings(lot_id, several)} if several else found
+
+
+def standing_of(facts: LineFacts, run: Run) -> tuple[UnitStanding, ...]:
+    """Return where the units of a run stand now, the worst first; none where the run decided nothing about them."""
+    order, progress = run
+    if order.kind is not OrderKind.UNIT or facts.lot is None or order.lot_id != facts.lot.id:
+        return ()
+    serials = (order.serial, *(numbered(order.serial, k) for k in range(MOST_AT_ONCE)))
+    known = (facts.standings[serial] for serial in serials if serial in facts.standings)
+    # A run without a verdict leaves the unit as it was judged before it: that says nothing of the unit in the hand.
+    decided = [s for s in known if progress.verdict or (order.created is not None and s.made_at >= order.created)]
+    return tuple(sorted(decided, key=lambda standing: -Verdict(standing.verdict).severity))
 
 
 def _at_station(registry: Registry, facts: LineFacts, beat: Heartbeat) -> LineFacts:

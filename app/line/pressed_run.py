@@ -7,6 +7,7 @@ from softcal.app.batch.calibrating import Refusal, calibrated
 from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import check_golden, quarantine
+from softcal.app.line.serials import numbered
 from softcal.app.registry.source import source_model
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
@@ -176,7 +177,7 @@ def _units(order: Order, recording: StationRecording) -> list[OutputRecording]:
     channels = recording.output.shape[1]
     if channels == 1:
         return [recording.output_recording(0, order.serial)]
-    return [recording.output_recording(channel, f"{order.serial}-{channel + 1}") for channel in range(channels)]
+    return [recording.output_recording(channel, numbered(order.serial, channel)) for channel in range(channels)]
 
 
 def _epoch_line(report: EpochReport) -> str:

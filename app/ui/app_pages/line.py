@@ -36,7 +36,7 @@ def _screen() -> None:
     view, note = _look()
     with st.container(key="line-screen"):
         st.html(line_card.cells_html(view))
-        st.html(line_card.card_html(view))
+        st.html(line_card.card_html(view, words()("line.why")))
         if note is not None:
             st.html(line_card.note_html(*note))
         with st.container(key="line-actions", horizontal=True):
