@@ -10,7 +10,7 @@ from softcal.core.reason import PLAIN, Reason, unpacked
 
 Words = Callable[..., str]
 
-PREFIX = "reason."
+PREFIX, PLAINLY = "reason.", "plainly."
 BETWEEN = "; "
 
 
@@ -20,6 +20,17 @@ def said(why: Reason, words: Words) -> str:
         return str(why)
     values = {name: said(v, words) if isinstance(v, Reason) else v for name, v in why.values.items()}
     return words(f"{PREFIX}{why.code}", **values)
+
+
+def plainly(why: Reason, words: Words) -> str:
+    """Return a reason for who stands at the line: what is wrong, without numbers; one kept as a sentence as it is."""
+    # A forecast and a measurement are told apart, and how near to the limit they are.
+    parts = (why.values.get("source"), why.values.get("relation"))
+    ends = [part.code.removeprefix("part") for part in parts if isinstance(part, Reason)]
+    try:
+        return words(f"{PLAINLY}{why.code}{''.join(ends)}")
+    except KeyError:
+        return said(why, words)
 
 
 def all_said(reasons: Iterable[Reason], words: Words) -> str:
