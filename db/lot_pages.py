@@ -93,17 +93,23 @@ class LotPages(RegistryBase):
     def find_serials(self, text: str, count: int = 50) -> list[str]:
         """Return serials of target units with a result that hold a text in any case; those that begin with it first."""
         has_result = or_(
-            select(calibrations.c.serial).where(calibrations.c.serial == units.c.serial).exists(),
-            select(refusals.c.serial).where(refusals.c.serial == units.c.serial).exists(),
+            *(
+                select(table.c.serial)
+                .where(table.c.lot_id == units.c.lot_id, table.c.serial == units.c.serial)
+                .exists()
+                for table in (calibrations, refusals)
+            )
         )
-        name = func.lower(units.c.serial)
         query = select(units.c.serial).distinct().where(units.c.role == "target", has_result)
+        order: list[ColumnElement[Any]] = [units.c.serial]
         if text:
+            # Without a text the index of the serials gives the first ones, and nothing else is read.
+            name = func.lower(units.c.serial)
             query = query.where(name.contains(text.lower(), autoescape=True))
-        begins = case((name.startswith(text.lower(), autoescape=True), 0), else_=1)
+            begins = case((name.startswith(text.lower(), autoescape=True), 0), else_=1)
+            query, order = query.add_columns(begins), [begins, *order]
         with self.database.reading() as connection:
-            found = query.add_columns(begins.label("begins")).order_by("begins", units.c.serial).limit(count)
-            return [str(serial) for serial, _ in connection.execute(found)]
+            return [str(row[0]) for row in connection.execute(query.order_by(*order).limit(count))]
 
     def verdict_counts(self, lot_id: str) -> dict[str, int]:
         """Return a lot's target units by the verdict of their newest result; `none` counts those without."""
@@ -119,9 +125,10 @@ class LotPages(RegistryBase):
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
             table = _standing(lot_id, _undecided(connection, lot_id))
-            query = select(table.c.serial, table.c.verdict, *(table.c[name] for name in ERRORS))
-            rows = connection.execute(query.where(table.c.revision.is_not(None)).order_by(table.c.serial))
-            return [UnitErrors(*row) for row in rows]
+            query = select(table.c.revision, table.c.serial, table.c.verdict, *(table.c[name] for name in ERRORS))
+            # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
+            rows = connection.execute(query.order_by(table.c.serial))
+            return [UnitErrors(*row) for revision, *row in rows if revision is not None]
 
     def change_marker(self, lot_id: str) -> str:
         """Return text that changes whenever a unit, result, limit, rule, network, release or check is added.
