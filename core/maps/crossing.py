@@ -67,7 +67,7 @@ def level_path(recording: OutputRecording, average: int, config: CrossingConfig)
         config: what counts as a swing.
     """
     threshold = config.threshold * robust_range(recording.output, config)
-    step, levels, turns = max(1, average // 3), [], []
+    step, levels, turns = max(1, average // config.looks), [], []
     for part in recording.segments:
         signal = moving_mean(recording.output[part], average)[::step]
         points = turning_points(signal, threshold)

@@ -35,13 +35,13 @@ class Joint:
         distance /= float(np.mean(np.var(source, axis=0))) * source.shape[1]
         matched = (target - target.mean()) / max(float(target.std()), 1e-12) * source.std() + source.mean()
         estimate = problem.network.evaluate(matched) / problem.network.reference_scale
-        smoother = _Smoother(target, config.ridge)
+        smoother = _Smoother(target, config.ridge, config.ridge_windows)
         plan, best = np.empty((0, 0)), np.inf
         for _ in range(config.joint_rounds):
             cost = distance + config.label_weight * (estimate[:, None] - label[None, :]) ** 2
             trial = solve_exact(cost)
             total = float(np.sum(trial * cost))
-            if total >= best * (1 - 1e-4):
+            if total >= best * (1 - config.joint_settled):
                 break
             plan, best = trial, total
             estimate = smoother(barycentric(plan, label[:, None])[:, 0])
@@ -55,10 +55,10 @@ class Joint:
 class _Smoother:
     """Kernel ridge regression on fixed windows: labels in, fitted values out."""
 
-    def __init__(self, inputs: Array, ridge: float) -> None:
+    def __init__(self, inputs: Array, ridge: float, per_windows: int) -> None:
         squared = squared_distances(inputs, inputs)
         kernel = np.exp(-squared / max(float(np.median(squared)), 1e-12))
-        regularised = kernel + ridge * len(inputs) / 100 * np.eye(len(inputs))
+        regularised = kernel + ridge * len(inputs) / per_windows * np.eye(len(inputs))
         self._hat = np.linalg.solve(regularised, kernel)
 
     def __call__(self, labels: Array) -> Array:

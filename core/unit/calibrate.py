@@ -166,7 +166,7 @@ def _trials(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap) -> list[Tr
     """
     if chosen.family != Synchronous.name:
         return []
-    source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony)
+    source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony, fit.config.synchrony)
     if not np.isfinite(fit.synchrony.until_s):
         return [Trial(chosen.unit_map, source_rows, target_rows)]
     parts = problem.source.method.forecast.opening_parts
