@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from adapt_common import print_markdown
 
-from softcal.core.estimate import estimate
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
@@ -23,6 +22,7 @@ from softcal.core.simulated_lot import DEPTH_MM, draw_twins
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.use.adapter import Adapter
 

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from softcal.app.cli.options import add_json, add_network, add_registry, network_config, registry_of, say_epoch
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
   softcal train lot-1

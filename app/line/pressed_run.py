@@ -4,10 +4,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from softcal.app.batch.calibrating import Refusal, calibrated
-from softcal.app.batch.release import update_release
+from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import check_golden, quarantine
-from softcal.app.source import source_model
+from softcal.app.line.serials import numbered
+from softcal.app.registry.source import source_model
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.network.config import EpochReport, NetworkConfig
@@ -50,6 +51,7 @@ class RunKeeper:
         self._registry, self._station = registry, station
         self._network, self._method = network, method
         self._source: tuple[str, SourceModel] | None = None
+        self._release = LineRelease(registry)
 
     def check(self, order: Order) -> None:
         """Raise `InputError` where the run of an order could not be kept; asked before anything moves."""
@@ -138,7 +140,7 @@ class RunKeeper:
         known = registry.find_calibration(unit.serial, problem.input_sha256, lot_id=lot.id)
         if known is not None:
             registry.put_in_use(lot.id, unit.serial, problem.input_sha256, "line", actor=order.actor or None)
-            update_release(registry, lot.id, order.actor or None, only=unit.serial)
+            self._release.press(lot.id, unit.serial, order.actor or None)
             kept = registry.calibration(unit.serial, lot_id=lot.id).record
             return sha256, (kept.verdict, kept.reasons)
         return sha256, self._calibrate(lot, problem, order)
@@ -150,7 +152,7 @@ class RunKeeper:
             registry.add_refusal(lot.id, serial, str(made.verdict), (made.reason,), actor=actor)
             return str(made.verdict), (made.reason,)
         registry.add_calibration(lot.id, made, actor=actor, reason=order.reason or f"pressed on {self._station}")
-        update_release(registry, lot.id, actor, only=serial)
+        self._release.press(lot.id, serial, actor)
         kept = registry.calibration(serial).record
         return kept.verdict, kept.reasons
 
@@ -175,7 +177,7 @@ def _units(order: Order, recording: StationRecording) -> list[OutputRecording]:
     channels = recording.output.shape[1]
     if channels == 1:
         return [recording.output_recording(0, order.serial)]
-    return [recording.output_recording(channel, f"{order.serial}-{channel + 1}") for channel in range(channels)]
+    return [recording.output_recording(channel, numbered(order.serial, channel)) for channel in range(channels)]
 
 
 def _epoch_line(report: EpochReport) -> str:

@@ -231,11 +231,15 @@ class AnchorConfig:
         gain_spread: how far the gain of a map may be off before any anchor is seen (one standard deviation).
         level_spread: the same for its level at rest, as a share of the source's output range.
         load_error: error of f at rest under a known load, as a share of the reference's spread.
+        beyond: a known load may lie beyond the source's range by this share of it.
+        same_load: loads nearer than this share of the source's range are one load stated twice.
     """
 
     gain_spread: float = setting(0.1)
     level_spread: float = setting(0.03)
     load_error: float = setting(0.01)
+    beyond: float = setting(0.1)
+    same_load: float = setting(0.01)
 
 
 @dataclass(frozen=True)

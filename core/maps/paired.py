@@ -14,8 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
-from scipy.optimize import isotonic_regression
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
@@ -172,6 +170,9 @@ class _Pairs:
         return DynamicMap(curve, theta[len(self._knots) :].reshape(shapes, shapes), self._family)
 
     def _monotone(self, theta: Array) -> Array:
+        # Imported here: whoever applies a map does not wait for scipy.
+        from scipy.optimize import isotonic_regression
+
         count = len(self._knots)
         # Projection onto monotone curves after each step: the cost is not convex anyway, and the projection is exact.
         return np.concatenate([isotonic_regression(theta[:count]).x, theta[count:]])
@@ -182,6 +183,8 @@ class _Pairs:
 
     def _penalty(self, theta: Array, shapes: int) -> tuple[Array, Array]:
         """Return the regularisation as residuals, whose squares are added to the cost, and their Jacobian."""
+        from scipy.linalg import block_diag
+
         count, network = len(self._knots), self._network
         estimate, slope = network.gradient(resting(theta[:count]))
         # The estimate should be smooth along the curve, not the curve itself: that must follow every kink of f's input.
@@ -246,6 +249,8 @@ def _hat_gradient(target: Array, knots: Array, per_sample: Array) -> Array:
 
 def _static_regression(target: Array, source: Array, knots: Array, stiffness: float) -> Array:
     """Return values at the knots from a smooth monotone regression of mean window levels: where the descent starts."""
+    from scipy.optimize import isotonic_regression
+
     segment, share = _place(target.mean(axis=1), knots)
     hats = np.zeros((len(target), len(knots)))
     hats[np.arange(len(target)), segment] = 1 - share

@@ -19,8 +19,11 @@ from softcal.core.maps.phase import Phase
 from softcal.core.maps.synchronous import Synchronous
 from softcal.core.maps.synchrony import paired_rows
 from softcal.core.network.config import NetworkConfig
+from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.audit_reading import read_audit
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.findings import map_findings, opening_findings
 from softcal.core.unit.forecast import MapEvidence, Trial, forecast_error, gather_evidence, variance_table
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
@@ -105,7 +108,7 @@ def calibrate(problem: UnitProblem) -> Calibration:
         *opening_findings(chosen.evidence, method.findings),
     )
     scores = None if problem.audit is None else _scores(problem, chosen.unit_map, problem.audit)
-    return Calibration(
+    calibration = Calibration(
         serial=target.serial,
         network_id=model.network.id,
         unit_map=chosen.unit_map,
@@ -118,6 +121,23 @@ def calibrate(problem: UnitProblem) -> Calibration:
         method=method,
         scores=scores,
     )
+    return calibration if problem.audit is None else with_audit(model.network, calibration, problem.audit, target)
+
+
+def with_audit(
+    network: Network, calibration: Calibration, audit: LabelledRecording, recording: OutputRecording
+) -> Calibration:
+    """Return the calibration with what a labelled recording of its unit says beside the error.
+
+    Args:
+        network: the shared network f.
+        calibration: of the unit, before audits of other units scaled its interval.
+        audit: labelled recording of the unit.
+        recording: the one it was calibrated from.
+    """
+    found = estimate(network, calibration, audit.unlabelled)
+    half, rest = found.upper - found.estimate, (calibration.method or Method()).decision.audit_rest
+    return replace(calibration, audit=read_audit(found.estimate, half, audit, recording, rest))
 
 
 def _limit(problem: UnitProblem) -> Limit:

@@ -126,7 +126,7 @@ def gather_evidence(
         "overlap": (1 - overlap) ** 2 * (interval.high - interval.low),
         "speed": float(np.log(speed)) ** 2 * (interval.high - interval.low),
         "corners": _corners(model, shape) * (interval.high - interval.low),
-        "gain": gain_error * _load(estimate, config),
+        "gain": gain_error * rms_load(estimate, config),
         **_stage_terms(model, target, unit_map),
     }
     if trials:
@@ -214,7 +214,7 @@ def _disagreement_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
 def _load_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     """Return the squared load over its mean square in the unit's recording: (LEVELS,)."""
     load = np.maximum(_levels(model) - _rest_level(evidence.estimate, model.method.forecast), 0.0)
-    return np.asarray((load / max(_load(evidence.estimate, model.method.forecast), 1e-12)) ** 2)
+    return np.asarray((load / max(rms_load(evidence.estimate, model.method.forecast), 1e-12)) ** 2)
 
 
 def _smooth(table: Array, levels: int) -> Array:
@@ -266,7 +266,7 @@ def _clipping(model: SourceModel, target: OutputRecording, limits: OutputLimits)
     return float(np.sqrt(share / 12)) * (model.interval.high - model.interval.low) / model.method.forecast.clipped_part
 
 
-def _load(estimate: Array, config: ForecastConfig) -> float:
+def rms_load(estimate: Array, config: ForecastConfig) -> float:
     """Return the RMS load above rest: the sensitivity to a gain error."""
     return _rms(estimate - _rest_level(estimate, config))
 
@@ -289,7 +289,7 @@ def _stage_terms(model: SourceModel, target: OutputRecording, unit_map: UnitMap)
         return {}
     beyond = difference.beyond(model.stage_floor)
     config = model.method.forecast
-    ratio = _load(model.estimate, config) / max(_load(estimate, config), 1e-12)
+    ratio = rms_load(model.estimate, config) / max(rms_load(estimate, config), 1e-12)
     growth = float(np.clip(ratio, 1.0, config.most_growth))
     return {"stage": growth * beyond.rms, "slow": growth * beyond.slow_rms}
 

@@ -206,12 +206,14 @@ class DecisionConfig:
         coverage_factor: k of the guard band around a measured error.
         test_share: last share of an audit by time that is tested; own calibration trains on what comes before it.
         least_own_windows: with fewer training windows a network of one's own says little and is left out.
+        audit_rest: quantile of the output that stands for rest where an audit is compared with the unit's recording.
     """
 
     default_factor: float = setting(3.0)
     coverage_factor: float = setting(2.0, "95 % of a normal distribution, ILAC-G8:09/2019")
     test_share: float = setting(0.25, "Kim et al. 2020, Table 1")
     least_own_windows: int = setting(400)
+    audit_rest: float = setting(0.02)
 
 
 @dataclass(frozen=True)

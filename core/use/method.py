@@ -234,15 +234,11 @@ class TrimConfig:
     """Re-anchoring by known loads at the place of use (`trim.py`).
 
     Args:
-        beyond: loads may lie beyond the source's range by this share of it.
         most_gain: a gain that changes by more than this factor is another unit, or other units of load.
-        same_load: loads nearer than this share of the source's range are one load stated twice.
         firm_paired, firm_stage: standard deviation of a map's gain that pairs in time, or by stage position, leave.
     """
 
-    beyond: float = setting(0.1)
     most_gain: float = setting(2.0)
-    same_load: float = setting(0.01)
     firm_paired: float = setting(0.02)
     firm_stage: float = setting(0.05)
 

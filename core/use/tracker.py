@@ -220,11 +220,12 @@ class DriftTracker:
         known = share**2 * chance + config.correction**2 * float(applied @ applied)
         known += (config.way * now.trust.moved) ** 2 + now.trust.use_doubt(drift, applied)
         unseen = config.unseen * min(1.0, now.unseen_s / self._use.duration_s)
-        common = known + float(np.trace(self._walked(t_s))) + now.unresolved**2
+        known += float(np.trace(self._walked(t_s)))
         beyond = (1 - now.trust.use_share) * max(0.0, left - chance)
-        if not self._is_learning(t_s):
-            beyond += unseen**2
-        return float(np.sqrt(common + unseen**2 + left)), float(np.sqrt(common + beyond))
+        counted = 0.0 if self._is_learning(t_s) else unseen
+        widening = known + unseen**2 + now.unresolved**2 + left
+        growth = known + counted**2 + now.unresolved**2 + beyond
+        return float(np.sqrt(widening)), float(np.sqrt(growth))
 
     def _is_learning(self, t_s: float) -> bool:
         """Return whether no use is known yet, and the time in which one may be learnt is not over."""

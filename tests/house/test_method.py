@@ -15,6 +15,7 @@ CORE = Path(__file__).parents[2] / "core"
 ROOMS = ("unit", "maps", "use")
 NO_DECISION = {
     "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
+    "core/unit/audit_reading.py": {"SHARES"},  # quantiles of the stored reading
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
     "core/unit/explanation.py": {"DENSITY_BINS"},  # bars of a figure
     "core/maps/crossing.py": {"KEPT"},  # entries of a cache
@@ -43,7 +44,7 @@ TRIVIAL = {0, 1, 2, 0.5}
 GUARD = 1e-6
 """A number this small keeps a division or a logarithm finite; what it changes is rounding."""
 
-MATHEMATICS = {
+EXPLAINED = {
     "core/maps/crossing.py": {"2048": "places of an axis over the whole range"},
     "core/maps/curve.py": {"3": "thirds of a curve"},
     "core/maps/ends.py": {
@@ -54,6 +55,7 @@ MATHEMATICS = {
     "core/maps/label_shift.py": {"5": "a third of a window"},
     "core/maps/paired.py": {"1.5": "exponent of the integral of a squared second difference"},
     "core/maps/plan.py": {"2000000": "iterations of the exact solver: it refuses beyond them, nothing else changes"},
+    "core/unit/estimate.py": {"3": "columns: estimate and both limits", "12": "letters of a name in a message"},
     "core/unit/forecast.py": {"12": "variance of a uniform variable over its squared width"},
     "core/unit/health.py": {
         "0.6745": "median of the magnitude of a standard normal variable",
@@ -81,13 +83,13 @@ def test_no_function_holds_a_number_that_decides(room: str) -> None:
     found = []
     for path in sorted((CORE / room).glob("*.py")):
         place = path.relative_to(CORE.parent).as_posix()
-        explained = MATHEMATICS.get(place, {})
+        explained = EXPLAINED.get(place, {})
         found += [f"{place}:{line}: {text}" for text, line in literals(path) if text not in explained]
     assert not found, "\n".join(found)
 
 
 def test_explained_numbers_are_there() -> None:
-    for place, explained in MATHEMATICS.items():
+    for place, explained in EXPLAINED.items():
         assert set(explained) <= {text for text, _ in literals(CORE.parent / place)}, place
 
 

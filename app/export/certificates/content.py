@@ -6,10 +6,10 @@ from importlib.metadata import version
 
 import numpy as np
 
-from softcal.app.certificates.laboratory import Laboratory, read_laboratory
 from softcal.app.export.calibrated_unit import CalibratedUnit
-from softcal.core.estimate import Estimate, estimate
+from softcal.app.export.certificates.laboratory import Laboratory, read_laboratory
 from softcal.core.recording import Array
+from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.verdict import Verdict
 
 BANDS = 4

@@ -6,11 +6,20 @@ from reportlab.lib import colors
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer, Table, TableStyle
 
-from softcal.app.certificates.content import DECISION_RULE, METHOD, Certificate
-from softcal.app.certificates.fonts import BOLD, marked_up
-from softcal.app.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
-from softcal.app.certificates.parts import WIDTH, document_pdf, facts_table, flush, grid, paragraph, section, style
-from softcal.app.certificates.plots import SHOWN_S, estimate_plot, map_plot
+from softcal.app.export.certificates.content import DECISION_RULE, METHOD, Certificate
+from softcal.app.export.certificates.fonts import BOLD, marked_up
+from softcal.app.export.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
+from softcal.app.export.certificates.parts import (
+    WIDTH,
+    document_pdf,
+    facts_table,
+    flush,
+    grid,
+    paragraph,
+    section,
+    style,
+)
+from softcal.app.export.certificates.plots import SHOWN_S, estimate_plot, map_plot
 
 VERDICT_COLOURS = {"pass": "#1b7f3b", "conditional": "#8a6100", "fail": "#b3261e", "retest": "#5a6472"}
 

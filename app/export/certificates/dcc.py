@@ -3,8 +3,8 @@
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from softcal.app.certificates.content import DECISION_RULE, METHOD, Certificate
-from softcal.app.certificates.laboratory import Party
+from softcal.app.export.certificates.content import DECISION_RULE, METHOD, Certificate
+from softcal.app.export.certificates.laboratory import Party
 
 SCHEMA_VERSION = "3.1.2"
 """Each schema accepts its own version alone: another one is another writer, never another number here."""

@@ -8,8 +8,8 @@ from reportlab.lib import colors
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer, Table, TableStyle
 
-from softcal.app.certificates.fonts import BOLD, marked_up
-from softcal.app.certificates.parts import WIDTH, document_pdf, facts_table, grid, paragraph, section, style
+from softcal.app.export.certificates.fonts import BOLD, marked_up
+from softcal.app.export.certificates.parts import WIDTH, document_pdf, facts_table, grid, paragraph, section, style
 
 GIVEN, NOT_GIVEN = "#1b7f3b", "#b3261e"
 MOST_AUDITS, MOST_SERIALS = 14, 30
