@@ -41,13 +41,16 @@ class AuditReading:
     def of(cls, kept: Mapping[str, object]) -> "AuditReading":
         """Read what `to_json` wrote."""
         ratios: list[float] = kept["ratios"]  # type: ignore[assignment]
+        gain, unit_rest, audit_rest, span = (
+            float(str(kept[name])) for name in ("gain", "unit_rest", "audit_rest", "span")
+        )
         return cls(
             output_sha256=str(kept["output_sha256"]),
             reference_sha256=str(kept["reference_sha256"]),
-            gain=float(str(kept["gain"])),
-            unit_rest=float(str(kept["unit_rest"])),
-            audit_rest=float(str(kept["audit_rest"])),
-            span=float(str(kept["span"])),
+            gain=gain,
+            unit_rest=unit_rest,
+            audit_rest=audit_rest,
+            span=span,
             ratios=tuple(map(float, ratios)),
         )
 
@@ -72,9 +75,15 @@ def read_audit(
     return AuditReading(
         output_sha256=content_sha256({"output": audit.unlabelled.output}, {}),
         reference_sha256=content_sha256({"reference": audit.reference}, {}),
-        gain=float(np.polyfit(audit.reference[rows], value[rows], 1)[0]),
+        gain=gain_of(value, audit.reference),
         unit_rest=float(np.quantile(recording.output, end)),
         audit_rest=float(np.quantile(audit.unlabelled.output, end)),
         span=float(high - low),
         ratios=tuple(float(f"{ratio:.6g}") for ratio in ratios),
     )
+
+
+def gain_of(value: Array, reference: Array) -> float:
+    """Return the slope of estimates over the reference (least squares), rows without an estimate left out."""
+    rows = np.isfinite(value)
+    return float(np.polyfit(reference[rows], value[rows], 1)[0])

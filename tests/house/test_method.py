@@ -16,6 +16,8 @@ ROOMS = ("unit", "maps", "use")
 NO_DECISION = {
     "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
     "core/unit/audit_reading.py": {"SHARES"},  # quantiles of the stored reading
+    # From three gains on a lot says what they show; 1 is the end of what a share can be. Neither is of one unit.
+    "core/unit/line_spread.py": {"LEAST_GAINS", "MOST_SPREAD"},
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
     "core/unit/explanation.py": {"DENSITY_BINS"},  # bars of a figure
     "core/maps/crossing.py": {"KEPT"},  # entries of a cache
