@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json, add_registry, registry_of, say_caution
+from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of, say_caution
 from softcal.app.export.names import FORMATS
 from softcal.app.output import Progress, print_table, say, write_json
 
@@ -62,6 +62,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     _add_certificate_options(parser)
     add_registry(parser)
     add_json(parser)
+    add_csv(parser)
     parser.set_defaults(run=run)
 
 

@@ -1,7 +1,8 @@
 """A lot folder: lot.toml, source/, units/, audit/ into core values. One unreadable unit never stops the others."""
 
+import hashlib
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,7 +83,33 @@ def open_lot_folder(folder: Path) -> LotFolder:
     strangers = sorted(set(audits) - set(units) - {lot.source})
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
+    remarks = (*remarks, *_same_files(units))
     return LotFolder(folder, lot, sources[lot.source], units, audits, remarks, line)
+
+
+def _same_files(units: Mapping[str, Path]) -> Iterator[str]:
+    """Say which units have one and the same file: one of the serials is wrong, or a file was copied."""
+    by_size: dict[int, list[str]] = {}
+    for serial, path in units.items():
+        by_size.setdefault(path.stat().st_size, []).append(serial)
+    for alike in by_size.values():
+        if len(alike) > 1:
+            yield from _same_content({serial: units[serial] for serial in alike})
+
+
+def _same_content(units: Mapping[str, Path]) -> Iterator[str]:
+    by_hash: dict[str, list[str]] = {}
+    for serial, path in units.items():
+        with path.open("rb") as file:
+            by_hash.setdefault(hashlib.file_digest(file, "sha256").hexdigest(), []).append(serial)
+    for serials in by_hash.values():
+        if len(serials) > 1:
+            yield same_recording(serials)
+
+
+def same_recording(serials: Sequence[str]) -> str:
+    """Return the remark on serials that have one and the same recording."""
+    return f"units {', '.join(serials)} have one and the same recording; check which serial it belongs to"
 
 
 def _recordings(folder: Path) -> dict[str, Path]:
