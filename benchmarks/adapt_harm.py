@@ -13,13 +13,13 @@ from scipy.stats import spearmanr
 from simulated_use import ACTIVITIES, CURVES, Activity, Style, cycles, read, station
 
 from softcal.app.use.adapt import source_calibration
-from softcal.core.estimate import estimate
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate
 from softcal.core.use.adapter import AdaptConfig, Adapter
 
 SAMPLES = 15_000
@@ -189,7 +189,7 @@ class Run:
     @property
     def is_bad(self) -> bool:
         """Whether the last third was estimated with more than the error at which recalibration is due."""
-        return self.last[1] > AdaptConfig().alarm_ratio * self.promised
+        return self.last[1] > AdaptConfig().method.doubt.alarm_ratio * self.promised
 
     @property
     def worse(self) -> float:

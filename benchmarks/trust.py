@@ -16,11 +16,12 @@ import numpy as np
 from map_methods import print_table
 from plotly.subplots import make_subplots
 from scipy.stats import beta
+from screens_common import chromium
 from trust_lots import GOOD, FittedUnit, covered, drawn_lots, fitted, measured_lots
 
 from softcal.core.quality.acceptance import Promise
-from softcal.core.quality.conformal import least_risk, pooled_scale
-from softcal.core.quality.release import AuditedUnit, release
+from softcal.core.quality.conformal import least_risk, unit_scale
+from softcal.core.quality.release import AuditedUnit, least_passing, release
 from softcal.core.unit.verdict import Limit
 
 AUDITS = (0, 3, 5, 10, 20)
@@ -53,7 +54,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 24), metavar=("FIRST", "LAST"))
     parser.add_argument("--cache", type=Path, default=Path(gettempdir()) / "softcal-trust", help="fits are kept here")
     parser.add_argument("--measured", action="store_true", help="the recordings of shared/data in place of drawn lots")
-    parser.add_argument("--figure", type=Path, help="draw what audits buy into this file")
+    parser.add_argument("--figure", type=Path, help="draw what audits buy: .html, or .png by chromium")
     options = parser.parse_args()
     if options.measured:
         report(by_lot(fitted(measured_lots, "measured", options.cache)))
@@ -97,14 +98,16 @@ def released_on(lots: Lots, audits: int, draws: int = DRAWS, risk: float = RISK)
 
 
 def _draw(audited: Sequence[FittedUnit], rest: Sequence[FittedUnit], others: int, promise: Promise) -> Draw:
+    held = sum(u.truth <= u.limit for u in audited)
     decision = release(
         {u.serial: u.forecast for u in rest},
         [AuditedUnit(u.serial, u.forecast, u.truth) for u in audited],
         Limit("N", next((u.limit for u in rest), 1.0)),
         promise,
+        least_passing(len(audited) + len(rest) + others, held),
     )
     released = [u for u in rest if u.serial in decision.released]
-    scale = pooled_scale([np.array(u.scores) for u in audited], 0.9) if audited else 1.0
+    scale = unit_scale([u.scores for u in audited], 0.9) if audited else 1.0
     share = {u.serial: float(covered(u, scale)) for u in rest}
     return Draw(
         len(rest) + others,
@@ -121,7 +124,7 @@ def print_without_audits(lots: Lots) -> None:
     rows = []
     for kind in dict.fromkeys(kind for kind, _ in lots):
         units = [u for (k, _), group in lots.items() if k == kind for u in group]
-        passed, mapped = [u for u in units if u.word == "pass"], [u for u in units if u.scores]
+        passed, mapped = [u for u in units if u.word == "pass"], [u for u in units if u.sample]
         ratio = np.exp(np.median([np.log(u.truth / u.forecast) for u in mapped]))
         beyond = sum(u.truth > u.limit for u in passed)
         cover = np.quantile([covered(u, 1.0) for u in mapped], (0.1, 0.5))
@@ -195,7 +198,7 @@ def print_audits(lots: Lots) -> None:
 
 def print_deciles(lots: Lots) -> None:
     """Print true over forecast error by decile of the forecast over the limit."""
-    units = sorted((u for group in lots.values() for u in group if u.scores), key=lambda u: u.forecast / u.limit)
+    units = sorted((u for group in lots.values() for u in group if u.sample), key=lambda u: u.forecast / u.limit)
     rows = []
     for part in np.array_split(np.arange(len(units)), 10):
         chosen = [units[k] for k in part]
@@ -244,7 +247,14 @@ def draw_figure(lots: Lots, file: Path) -> None:
     figure.update_xaxes(title_text="audits a lot").update_yaxes(rangemode="tozero").update_layout(
         template="simple_white"
     )
-    figure.write_html(file, include_plotlyjs="cdn")
+    if file.suffix != ".png":
+        figure.write_html(file, include_plotlyjs="cdn")
+        return
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 1100, "height": 430}, device_scale_factor=1.5)
+        page.set_content(figure.to_html(include_plotlyjs=True, config={"displayModeBar": False}))
+        page.locator(".main-svg").first.wait_for()
+        page.screenshot(path=file)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ there. One run at a time per station is a unique index of the database, not a ru
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import astuple, fields
+from dataclasses import fields
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -14,7 +14,8 @@ from sqlalchemy.exc import IntegrityError
 
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
-from softcal.db.database import Database
+from softcal.core.reason import Reason, packed, reason, to_kept
+from softcal.db.database import Database, OncePerCut
 from softcal.db.tables import heartbeats, orders, run_signals
 
 SILENT_AFTER = timedelta(seconds=3)
@@ -26,11 +27,11 @@ SIGNAL_FIELDS = ("t_s", "output", "stage_mm", "force_N")
 RUNS = tuple(kind for kind in OrderKind if kind.is_run)
 
 
-class OrderQueue:
+class OrderQueue(OncePerCut):
     """Orders, runs and heartbeats of the stations of a registry. Every call is one short transaction."""
 
     def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
-        self._database, self._clock = database, clock
+        self.database, self._clock = database, clock
 
     def place(self, order: Order) -> None:
         """Ask a station for something; the same order id again changes nothing.
@@ -40,7 +41,7 @@ class OrderQueue:
         """
         values = {name: getattr(order, name) for name in ORDER_FIELDS} | {"created": order.created or self._clock()}
         progress = _progress_values(Progress(order.order_id, RunState.QUEUED))
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             known = select(orders.c.order_id).where(orders.c.order_id == order.order_id)
             if connection.execute(known).first() is not None:
                 return
@@ -53,7 +54,7 @@ class OrderQueue:
     def take(self, station: str) -> Order | None:
         """Return the station's next order and mark it running; what is no run (STOP) comes before everything else."""
         query = select(orders).where(orders.c.station == station, orders.c.state == RunState.QUEUED)
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             found = connection.execute(query.order_by(orders.c.created, orders.c.order_id)).mappings().all()
             if not found:
                 return None
@@ -64,7 +65,7 @@ class OrderQueue:
 
     def report(self, progress: Progress) -> None:
         """Write how far an order is. An order that is over stays as it ended."""
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             values = _progress_values(progress) | {"changed_at": self._clock()}
             open_order = update(orders).where(
                 orders.c.order_id == progress.order_id, orders.c.state.in_([RunState.QUEUED, RunState.RUNNING])
@@ -80,27 +81,27 @@ class OrderQueue:
         Raises:
             InputError: there is no such order.
         """
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             row = connection.execute(select(orders).where(orders.c.order_id == order_id)).mappings().first()
             if row is None:
-                raise InputError(f"order {order_id!r} is not in the registry")
+                raise InputError(reason("name.no_order", order=repr(order_id)))
             return _progress(row, _signal(connection, order_id))
 
     def runs(self, station: str | None = None, count: int = 50) -> list[tuple[Order, Progress]]:
         """Return the newest orders with their progress, newest first, without the live signal."""
         query = select(orders).order_by(orders.c.created.desc(), orders.c.order_id).limit(count)
         query = query if station is None else query.where(orders.c.station == station)
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             rows = connection.execute(query).mappings()
             return [(_order(row), _progress(row, Signal())) for row in rows]
 
     def active(self, station: str) -> tuple[Order, Progress] | None:
         """Return the run that occupies a station, or None."""
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             row = connection.execute(_open_runs(station)).mappings().first()
             return None if row is None else (_order(row), _progress(row, _signal(connection, row["order_id"])))
 
-    def interrupt(self, station: str, message: str) -> list[str]:
+    def interrupt(self, station: str, message: Reason | str) -> list[str]:
         """Mark what a station left running when it died as an error; return the order ids.
 
         Called by a station that starts. What was queued is cancelled: nothing moves because of an old order.
@@ -109,20 +110,20 @@ class OrderQueue:
         left = select(orders.c.order_id, orders.c.state).where(
             orders.c.station == station, orders.c.state.in_(list(ended))
         )
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             rows = connection.execute(left.order_by(orders.c.created)).all()
             for order_id, state in rows:
-                values = {"state": ended[RunState(state)], "code": "E-INTERRUPTED", "message": message}
+                values = {"state": ended[RunState(state)], "code": "E-INTERRUPTED", "message": packed([message])}
                 mine = update(orders).where(orders.c.order_id == order_id)
                 connection.execute(mine.values(**values, changed_at=self._clock()))
         return [order_id for order_id, _ in rows]
 
-    def cancel_queued(self, station: str, message: str) -> list[str]:
+    def cancel_queued(self, station: str, message: Reason | str) -> list[str]:
         """Cancel the run that waits, if there is one: whoever says stop means that one too. Return the order ids."""
         waiting = (orders.c.station == station, orders.c.state == RunState.QUEUED, orders.c.kind.in_(RUNS))
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             order_ids = list(connection.execute(select(orders.c.order_id).where(*waiting)).scalars())
-            values = {"state": RunState.CANCELLED, "code": "E-STOPPED", "message": message}
+            values = {"state": RunState.CANCELLED, "code": "E-STOPPED", "message": packed([message])}
             mine = update(orders).where(orders.c.order_id.in_(order_ids))
             connection.execute(mine.values(**values, changed_at=self._clock()))
         return order_ids
@@ -133,28 +134,28 @@ class OrderQueue:
         Raises:
             InputError: another process serves this station; ports have one owner.
         """
-        gate = [list(astuple(condition)) for condition in heartbeat.gate]
-        values = vars(heartbeat) | {"reasons": list(heartbeat.reasons), "gate": gate}
+        gate = [[to_kept(c.name), c.is_good, to_kept(c.says)] for c in heartbeat.gate]
+        values = vars(heartbeat) | {"reasons": [to_kept(why) for why in heartbeat.reasons], "gate": gate}
         where = heartbeats.c.station == heartbeat.station
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             known = connection.execute(select(heartbeats).where(where).with_for_update()).mappings().first()
             if known is None:
                 self._first_beat(connection, values)
                 return
             is_alive = heartbeat.at - known["at"] <= SILENT_AFTER
             if is_alive and known["process"] != heartbeat.process and known["state"] != StationState.OFF:
-                raise InputError(f"station {heartbeat.station!r} is served by {known['process']}; stop that one first")
+                raise InputError(reason("station.served", station=repr(heartbeat.station), process=known["process"]))
             connection.execute(update(heartbeats).where(where).values(**values))
 
     def heartbeat(self, station: str) -> Heartbeat | None:
         """Return the last sign of life of a station, or None where there never was one."""
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             row = connection.execute(select(heartbeats).where(heartbeats.c.station == station)).mappings().first()
             return None if row is None else _heartbeat(row)
 
     def stations(self) -> list[Heartbeat]:
         """Return the last sign of life of every station, by name."""
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             rows = connection.execute(select(heartbeats).order_by(heartbeats.c.station)).mappings()
             return [_heartbeat(row) for row in rows]
 
@@ -167,13 +168,13 @@ class OrderQueue:
         try:
             connection.execute(insert(heartbeats).values(**values))
         except IntegrityError as error:
-            message = f"station {values['station']!r} was taken by another process in this moment; stop that one first"
+            message = reason("station.taken", station=repr(values["station"]))
             raise InputError(message) from error
 
-    def _busy(self, connection: Connection, station: str) -> str:
+    def _busy(self, connection: Connection, station: str) -> Reason:
         row = connection.execute(_open_runs(station)).mappings().one()
         what = f"{row['kind']} {row['serial']}".strip()
-        return f"station {station!r} has a run that is not over ({what}, {row['state']}); wait for it or stop it"
+        return reason("station.busy", station=repr(station), what=what, state=row["state"])
 
 
 def _open_runs(station: str) -> Select[Any]:
@@ -182,7 +183,7 @@ def _open_runs(station: str) -> Select[Any]:
 
 
 def _progress_values(progress: Progress) -> dict[str, object]:
-    return {name: getattr(progress, name) for name in PROGRESS_FIELDS}
+    return {name: getattr(progress, name) for name in PROGRESS_FIELDS} | {"message": packed(progress.message)}
 
 
 def _order(row: RowMapping) -> Order:

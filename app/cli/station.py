@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json, positive
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.cli.options import add_csv, add_json, positive
 from softcal.app.cli.station_service import add_service_actions
+from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -157,6 +157,7 @@ def _add_drivers(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     drivers.add_argument("--kind", metavar="KIND", help="this kind only, with what its keys mean")
     add_json(drivers)
+    add_csv(drivers)
     drivers.set_defaults(run=run_drivers)
 
 
@@ -329,7 +330,7 @@ def _recovered_row(run: "Recovered") -> tuple[str, str, str, int, str]:
 
 
 def _row(finding: "Finding") -> tuple[str, str, str, str]:
-    return finding.device, finding.what, finding.value, finding.cure or "good"
+    return str(finding.device), str(finding.what), str(finding.value), str(finding.cure or "good")
 
 
 def _progress() -> "OnProgress":

@@ -1,51 +1,24 @@
-"""What another process computes for a page: train f, compare networks and maps, diagnose a gap, check a rig.
+"""What another process computes for a page: calibrate a lot, train f, compare, diagnose a gap, check a rig, pack files.
 
 A job reads its request from the registry, tells how far it is, and leaves its result there; what it registers (a
 network) it registers as any command would.
 """
 
 import threading
-import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
+from softcal.app.jobs.outcome import Outcome, Teller
 from softcal.app.logs import log_crash
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import RunState
+from softcal.core.reason import packed, to_kept
 from softcal.core.recording import LabelledRecording
-from softcal.db.arrays import Arrays
 from softcal.db.job_board import Job, JobBoard
 from softcal.db.registry import Registry
 
 BEAT_S = 1.0
-REPORT_S = 0.4
-"""Between two reports; each is one transaction."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a job leaves: a sentence, JSON values, arrays."""
-
-    message: str
-    result: Mapping[str, Any] = field(default_factory=dict)
-    arrays: Arrays | None = None
-
-
-class Teller:
-    """Writes how far a job is, at most every `REPORT_S`."""
-
-    def __init__(self, board: JobBoard, job_id: str) -> None:
-        self._board, self._job_id, self._told_s = board, job_id, 0.0
-
-    def __call__(self, fraction: float, message: str, trace: Mapping[str, Any] | None = None) -> None:
-        """Tell fraction (0 ... 1), a sentence and live values."""
-        if time.monotonic() - self._told_s >= REPORT_S:
-            self._told_s = time.monotonic()
-            self._board.report(self._job_id, fraction, message, trace)
-
 
 Work = Callable[[Registry, Job, Teller], Outcome]
 
@@ -68,7 +41,7 @@ def run_job(registry: Registry, job_id: str, on_cancel: Callable[[], None]) -> R
         outcome = _work(job.kind)(registry, job, Teller(board, job_id))
         board.end(job_id, RunState.DONE, outcome.message, outcome.result, outcome.arrays)
     except SoftcalError as error:
-        board.end(job_id, RunState.ERROR, str(error))
+        board.end(job_id, RunState.ERROR, packed([error.reason]))
     except Exception as error:
         board.end(job_id, RunState.ERROR, log_crash(error, f"job {job.kind}"))
     finally:
@@ -89,7 +62,17 @@ def _beat(board: JobBoard, job_id: str, over: threading.Event, on_cancel: Callab
 
 
 def _work(kind: str) -> Work:
-    works: Mapping[str, Work] = {"train": train, "compare": compare, "diagnose": diagnose, "station_check": check}
+    from softcal.app.jobs import lot_jobs
+
+    works: Mapping[str, Work] = {
+        "train": train,
+        "compare": compare,
+        "diagnose": diagnose,
+        "station_check": check,
+        "demo": lot_jobs.demo,
+        "calibrate": lot_jobs.calibrate,
+        "archive": lot_jobs.archive,
+    }
     if kind not in works:
         raise InputError(f"jobs of kind {kind!r} are unknown to this version; known: {', '.join(works)}")
     return works[kind]
@@ -173,4 +156,7 @@ def check(registry: Registry, job: Job, tell: Teller) -> Outcome:
     file = None if request["file"] is None else Path(request["file"])
     tell(0.1, "")
     found = check_station(request["ports"], file, request["simulated"], request["may_move"])
-    return Outcome("", found.as_json() | {"toml": station_toml(found.config)})
+    findings = [
+        [to_kept(f.device), to_kept(f.what), to_kept(f.value), f.cure and to_kept(f.cure)] for f in found.findings
+    ]
+    return Outcome("", found.as_json() | {"found": findings, "toml": station_toml(found.config)})

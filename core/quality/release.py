@@ -27,7 +27,8 @@ LEAST_AUDITS = 5
 """The spread of fewer audits than this is a guess, whatever risk is asked for."""
 
 LEAST_PART = 0.5
-"""A lot is released by sample where at least this part of it passes; the few best of a poor lot are picked by luck."""
+"""A lot is released by sample where at least this part of it passes, of its candidates and of all its units; the few
+best of a poor lot are picked by luck."""
 
 LEAST_LOTS = 3
 """Audits of fewer lots than this say nothing firm about a lot without audits: how lots differ is not known."""
@@ -164,6 +165,8 @@ def release(
     audits: Sequence[AuditedUnit],
     limit: Limit,
     promise: Promise = Promise(),  # noqa: B008 - frozen
+    least: float = 0.0,
+    days: Mapping[str, float] | None = None,
 ) -> Release:
     """Choose which unmeasured units to release so that the promise holds for the released ones.
 
@@ -183,16 +186,37 @@ def release(
     """
     _check(forecasts)
     ratios, considered = audited_ratios(audits), len(forecasts)
-    ordered = sorted(forecasts, key=lambda serial: (forecasts[serial], serial))
-    errors = np.array([forecasts[serial] for serial in ordered])
+    days = days or {}
+    # What is left of the limit once another day has taken its part; without golden runs the limit itself.
+    limits = {serial: _left(limit.maximum_rmse, days.get(serial, 0.0)) for serial in forecasts}
+    need = {serial: forecasts[serial] / limits[serial] if limits[serial] else np.inf for serial in forecasts}
+    ordered = sorted(forecasts, key=lambda serial: (need[serial], serial))
+    needed = np.array([need[serial] for serial in ordered])
     count, factor = considered, ratios.bound(promise)
-    while (passing := int(np.count_nonzero(errors[:count] * factor <= limit.maximum_rmse))) < count:
+    least = max(LEAST_PART * considered, least, 1)
+    while (passing := int(np.count_nonzero(needed[:count] * factor <= 1))) < count:
         count = passing
-        if count < max(LEAST_PART * considered, 1):
+        if count < least:
             return Release((), factor, ratios, considered, promise, 1.0, 1.0)
         factor = ratios.bound(replace(promise, risk=promise.risk * count / considered))
+    if count < least:
+        return Release((), factor, ratios, considered, promise, 1.0, 1.0)
     said = _any_form(ratios, count / considered, promise) if count else (1.0, 1.0)
     return Release(tuple(ordered[:count]), factor, ratios, considered, promise, *said)
+
+
+def _left(limit: float, day: float) -> float:
+    return float(np.sqrt(max(limit**2 - day**2, 0.0)))
+
+
+def least_passing(units: int, held: int) -> float:
+    """Return how many unmeasured units must pass so that half of a whole lot does.
+
+    Args:
+        units: of the lot, those that a finding or refusal stands against among them.
+        held: of these, measured within the limit.
+    """
+    return LEAST_PART * units - held
 
 
 def audits_wanted(promise: Promise) -> int:

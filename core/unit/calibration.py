@@ -11,6 +11,7 @@ from softcal.core.identity import Settings
 from softcal.core.maps.interface import UnitMap, map_sha256
 from softcal.core.metrics import finite_or_none
 from softcal.core.reason import Reason
+from softcal.core.unit.audit_reading import AuditReading
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.knowledge import LoadKnowledge, known_by
 from softcal.core.unit.method import Method
@@ -30,7 +31,8 @@ class CalibrationRecord:
         map_sha256: content hash of the map alone.
         arrays: parameters of the map (names `map.*`), of the interval and support model (names `interval.*`).
         settings: JSON values beside the arrays, grouped: `map`, `interval`, `forecast`, `decision` (what was predicted
-            and what was measured), `method` (every number of the method).
+            and what was measured), `method` (every number of the method), `audit`
+            (what its audit says beside the error).
         predicted_rmse: forecast of the error against the reference, in the reference unit; None where none can be made.
         before_rmse, after_rmse, own_rmse: scores on an audit recording, in the reference unit; None without an audit.
         verdict: pass, conditional, fail or retest.
@@ -91,6 +93,18 @@ class CalibrationRecord:
             return Decision(Judgement(Verdict(self.verdict), self.reasons))
         return Decision.of(kept)  # type: ignore[arg-type]
 
+    @property
+    def load_rms(self) -> float | None:
+        """RMS load above rest that its recording shows, in the reference unit; None in records of older versions."""
+        kept = self.evidence.get("load_rms")
+        return None if kept is None else float(kept)
+
+    @property
+    def audit(self) -> AuditReading | None:
+        """What its audit says beside the error; None without one, and in records of older versions."""
+        kept = self.settings.get("audit")
+        return None if kept is None else AuditReading.of(kept)  # type: ignore[arg-type]
+
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
             raise ValueError(f"verdict {self.verdict!r} is none of {', '.join(VERDICTS)}")
@@ -112,6 +126,7 @@ class Calibration:
         evidence: numbers and words behind it.
         method: every number it was made with; None in records of versions that kept none.
         scores: errors on the unit's audit; None without one.
+        audit: what the audit says beside them; None without one, and in records of older versions.
     """
 
     serial: str
@@ -125,6 +140,7 @@ class Calibration:
     evidence: Mapping[str, float | str | None]
     method: Method | None = None
     scores: Scores | None = None
+    audit: AuditReading | None = None
 
     @property
     def predicted_rmse(self) -> float | None:
@@ -143,6 +159,7 @@ class Calibration:
             "decision": self.decision.to_json(),
             "method": None if self.method is None else dict(self.method.to_json()),
             "method_id": "" if self.method is None else self.method.id,
+            "audit": None if self.audit is None else self.audit.to_json(),
         }
         return CalibrationRecord(
             serial=self.serial,
@@ -192,6 +209,7 @@ class Calibration:
             evidence=record.evidence,
             method=record.method,
             scores=_scores(record),
+            audit=record.audit,
         )
 
 

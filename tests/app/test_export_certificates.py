@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 import xmlschema
 
-from softcal.app.certificates.content import Certificate, Uncertainty
-from softcal.app.certificates.dcc import SI_UNITS, certificate_xml
-from softcal.app.certificates.fonts import CANDIDATES
-from softcal.app.certificates.laboratory import Conditions, Laboratory, LoadCell, Party, Person, read_laboratory
-from softcal.app.certificates.pdf import certificate_pdf
+from softcal.app.export.certificates.content import Certificate, Uncertainty
+from softcal.app.export.certificates.dcc import SI_UNITS, certificate_xml
+from softcal.app.export.certificates.fonts import CANDIDATES
+from softcal.app.export.certificates.laboratory import Conditions, Laboratory, LoadCell, Party, Person, read_laboratory
+from softcal.app.export.certificates.pdf import certificate_pdf
 from softcal.core.errors import InputError
-from softcal.core.estimate import Estimate
+from softcal.core.unit.estimate import Estimate
 
 PROFILE = Path(__file__).parent / "dcc_profile"
 NAMESPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}

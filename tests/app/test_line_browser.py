@@ -10,7 +10,8 @@ import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
 
-from softcal.app.line.line import LineFacts, Screen, read_line, take_scan
+from softcal.app.line.facts import LineFacts, Screen, read_line
+from softcal.app.line.line import take_scan
 from softcal.core.orders import Order, OrderKind, RunState
 from softcal.db.connection import open_registry
 
@@ -76,7 +77,7 @@ def line(tmp_path_factory: pytest.TempPathFactory, serve: Callable, serve_statio
         while (progress := registry.order_queue.progress(source)).state.is_active:
             assert time.monotonic() < deadline_s, progress
             time.sleep(0.2)
-        assert progress.state is RunState.DONE, progress.message
+        assert progress.state is RunState.DONE, progress.text
         yield line
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from softcal.app.charts import palette
-from softcal.app.line.line import LineFacts, LotAtLine
+from softcal.app.line.facts import LineFacts, LotAtLine
 from softcal.app.line.place import Note, Place
 from softcal.app.texts import catalogue as texts
 from softcal.app.ui.components import line_card
@@ -18,7 +18,9 @@ from softcal.app.views.line import ACTIONS, KEYS, TONES, away_view, line_view
 from softcal.core.lot import Lot
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.line_rules import LineRules
-from softcal.db.entries import NetworkEntry, RunEntry
+from softcal.core.reason import Reason, plain, reason
+from softcal.core.unit.verdict import Verdict
+from softcal.db.entries import NetworkEntry, RunEntry, UnitStanding
 from softcal.db.network_release import NetworkState
 from softcal.station.service import CODES
 
@@ -47,7 +49,7 @@ def waits(serial: str = "A1", run: str = "", **more) -> Place:
 
 
 def result(verdict: str, times: int = 1) -> tuple[RunEntry, ...]:
-    return tuple(RunEntry("A1", NOW - timedelta(hours=1), verdict, ("because",)) for _ in range(times))
+    return tuple(RunEntry("A1", NOW - timedelta(hours=1), verdict, (plain("because"),)) for _ in range(times))
 
 
 def shown(**changes):
@@ -68,7 +70,7 @@ SITUATIONS = {
     "used_up": {"place": waits(), "results": result("fail", 2)},
     "closed": {"heartbeat": heartbeat(StationState.CLOSED, reasons=("no golden unit",))},
     "running": {"active": run(Progress("o1", RunState.RUNNING, "pressing", 0.4, 12.0))},
-    "stopped": {"heartbeat": heartbeat(StationState.STOPPED, reasons=(ERROR.message,)), "runs": (run(ERROR),)},
+    "stopped": {"heartbeat": heartbeat(StationState.STOPPED, reasons=(ERROR.text,)), "runs": (run(ERROR),)},
     "broken": {"runs": (run(replace(ERROR, code="E-INTERRUPTED")),)},
     "pass": {"runs": (run(),)},
     "conditional": {"runs": (run(replace(UNIT_DONE, verdict="conditional")),)},
@@ -116,8 +118,8 @@ def test_a_unit_that_waits_stands_there_and_not_the_result_of_the_one_before():
 
 
 def test_no_unit_in_the_fixture_is_said_so():
-    message = "no contact down to 40 mm; is a unit in the fixture and connected?"
-    empty = replace(ERROR, code="E-SAFETY", message=message)
+    message = reason("rig.aborted", why=reason("rig.no_contact", deepest_mm=40.0), state=Reason("left.lifted"))
+    empty = replace(ERROR, code="E-SAFETY", message=(message,))
     view = shown(heartbeat=heartbeat(StationState.STOPPED, reasons=(message,)), runs=(run(empty),))
     assert view.instruction.startswith("No unit was found in the fixture") and "safety" not in view.instruction
 
@@ -133,6 +135,38 @@ def test_a_good_unit_shows_its_error_and_nothing_of_how_the_limit_was_found():
     assert shown(runs=runs, results=results, lot=limited).details == (
         "Its error is expected to be 0.0712 N; the limit of the lot is 0.2 N.",
     )
+
+
+NEAR = reason("stuck", seconds=2.5)
+
+
+def test_a_card_and_its_chip_say_what_every_page_says_of_the_unit_now():
+    audited = UnitStanding("A1", "fail", (NEAR,), NOW)
+    view = shown(runs=(run(),), standings={"A1": audited})
+    assert (view.state, view.word, view.chips[0].word) == ("fail", "FAIL", "FAIL")
+    assert view.details[0] == SAY("plainly.stuck") and "Pass" in view.details[1]
+    assert view.why == (str(NEAR),)
+
+
+def test_a_run_that_judged_nothing_shows_no_older_verdict():
+    old = UnitStanding("A1", "pass", (), NOW - timedelta(days=1))
+    unjudged = run(replace(UNIT_DONE, verdict=""))
+    assert shown(runs=(unjudged,), standings={"A1": old}).state == "recorded"
+    assert shown(runs=(unjudged,), standings={"A1": replace(old, made_at=NOW)}).state == "pass"
+
+
+def test_of_several_units_of_one_run_the_worst_is_shown():
+    stands = {f"A1-{k}": UnitStanding(f"A1-{k}", word, (), NOW) for k, word in ((1, "pass"), (2, "conditional"))}
+    assert shown(runs=(run(),), standings=stands).state == "conditional"
+
+
+@pytest.mark.parametrize("language", texts.LANGUAGES)
+def test_the_line_and_the_desk_have_one_word_for_a_verdict(language):
+    say = partial(texts.text, language)
+    for word in Verdict:
+        now = run(replace(UNIT_DONE, verdict=str(word)))
+        view = line_view(facts(runs=(now,), results=result(str(word))), "", say)
+        assert view.word == view.chips[0].word == say(f"verdict.{word}").upper()
 
 
 def test_another_network_is_told_until_a_unit_was_pressed_with_it():
@@ -163,7 +197,7 @@ def test_every_sentence_about_a_scan_ends_with_the_next_run():
 def test_a_stop_names_what_happened_what_to_do_and_its_code():
     view = shown(**SITUATIONS["stopped"])
     assert "cable" in view.instruction and "F4" in view.instruction
-    assert view.details == (ERROR.message, "Code E-SILENT")
+    assert view.details == (ERROR.text, "Code E-SILENT")
 
 
 def test_a_station_that_stopped_between_runs_does_not_blame_the_last_run():
@@ -228,12 +262,13 @@ def test_what_comes_from_outside_is_shown_as_text():
         shown(runs=(run(serial="A1"),)),
         serial=evil,
         details=(evil,),
+        why=(evil,),
         cells=((evil, evil),),
         conditions=(Condition(evil, False, evil),),
         chips=(views_line.Chip(evil, "pass", evil),),
     )
     html = [
-        line_card.card_html(view),
+        line_card.card_html(view, evil),
         line_card.cells_html(view),
         line_card.conditions_html(view, evil),
         line_card.chips_html(view, evil, evil),

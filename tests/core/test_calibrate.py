@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.estimate import estimate
 from softcal.core.maps.config import MapConfig
 from softcal.core.metrics import rmse
 from softcal.core.reason import joined
@@ -16,6 +15,7 @@ from softcal.core.simulated_lot import FAULTS, LotDesign, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.calibrate import calibrate as calibrate_problem
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.explanation import contributions, explain
 from softcal.core.unit.findings import opening_findings
 from softcal.core.unit.method import Method
@@ -82,8 +82,8 @@ def test_the_record_is_lossless_and_json(calibrate, linear_network, good):
 
 
 def test_without_a_limit_the_verdict_says_where_its_limit_comes_from(calibrate, good):
-    assert "no limit was stated" in str(calibrate(good).decision.predicted.reasons[-1])
-    assert "stated for the lot" in str(calibrate(good, Limit("N", 0.5)).decision.predicted.reasons[-1])
+    assert "no limit was stated" in str(calibrate(good).decision.predicted.reasons[-2])
+    assert "stated for the lot" in str(calibrate(good, Limit("N", 0.5)).decision.predicted.reasons[-2])
 
 
 def test_a_generous_limit_is_held_by_the_forecast_alone_and_a_strict_one_fails(calibrate, good):

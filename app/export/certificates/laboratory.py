@@ -1,0 +1,157 @@
+"""Who calibrates, for whom, and with which load cell: a TOML file people keep beside their station."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from datetime import date
+from pathlib import Path
+from typing import Any, TypeVar
+
+import tomlkit
+
+from softcal.app.bootstrap import data_folder
+from softcal.app.files.atomic import write_text
+from softcal.core.errors import InputError
+
+NOT_STATED = "not stated"
+LABORATORY = "laboratory.toml"
+NO_COUNTRY = "ZZ"
+"""ISO 3166-1: no country, by agreement of its users."""
+
+
+@dataclass(frozen=True)
+class Party:
+    """A laboratory or customer; `country` is the ISO 3166-1 code."""
+
+    name: str = NOT_STATED
+    email: str = NOT_STATED
+    country: str = NO_COUNTRY
+    city: str = NOT_STATED
+
+    def __post_init__(self) -> None:
+        if len(self.country) != 2 or not self.country.isascii() or not self.country.isupper():
+            raise InputError(f"country {self.country!r}: two capital letters such as KR were expected")
+
+
+@dataclass(frozen=True)
+class Person:
+    """Who answers for the certificate."""
+
+    name: str = NOT_STATED
+    role: str = NOT_STATED
+
+
+@dataclass(frozen=True)
+class LoadCell:
+    """The reference instrument of the source's calibration and its own certificate.
+
+    Args:
+        issued_on, due_on: of its certificate.
+        uncertainty_N: expanded uncertainty U in N.
+        coverage_factor: k of U.
+    """
+
+    manufacturer: str = NOT_STATED
+    model: str = NOT_STATED
+    serial: str = NOT_STATED
+    certificate: str = NOT_STATED
+    certificate_sha256: str = ""
+    laboratory: str = NOT_STATED
+    issued_on: date | None = None
+    due_on: date | None = None
+    uncertainty_N: float | None = None
+    coverage_factor: float = 2.0
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether there is a certificate to trace to."""
+        return self.certificate != NOT_STATED
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Ambient conditions of the calibration."""
+
+    temperature_C: float | None = None
+    humidity_pct: float | None = None
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """Everything a certificate says that no recording knows."""
+
+    laboratory: Party = Party()
+    customer: Party = Party()
+    person: Person = Person()
+    load_cell: LoadCell = LoadCell()
+    conditions: Conditions = Conditions()
+
+
+Section = TypeVar("Section", Party, Person, LoadCell, Conditions)
+
+
+def read_laboratory(path: Path | None) -> Laboratory:
+    """Read the file; without one everything is "not stated", and the certificate says so.
+
+    Raises:
+        InputError: the file cannot be read, or a section, key or value is not known.
+    """
+    if path is None:
+        return Laboratory()
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as TOML: {error}") from error
+    known = [field.name for field in fields(Laboratory)]
+    unknown = [name for name in values if name not in known]
+    if unknown:
+        raise InputError(f"{path}: section [{unknown[0]}] is unknown; known: {', '.join(known)}")
+    return Laboratory(
+        laboratory=_section(path, values, "laboratory", Party()),
+        customer=_section(path, values, "customer", Party()),
+        person=_section(path, values, "person", Person()),
+        load_cell=_section(path, values, "load_cell", LoadCell()),
+        conditions=_section(path, values, "conditions", Conditions()),
+    )
+
+
+def kept_laboratory() -> Path | None:
+    """Return the file with what this machine's pages put on every certificate; None before it was filled in."""
+    file = data_folder() / LABORATORY
+    return file if file.is_file() else None
+
+
+def keep_laboratory(stated: Laboratory) -> Path:
+    """Keep what every certificate is to say, for all later ones; what is not stated is left out."""
+    document = tomlkit.document()
+    for section in fields(Laboratory):
+        values, usual = getattr(stated, section.name), section.default
+        table = {f.name: getattr(values, f.name) for f in fields(values)}
+        document[section.name] = {name: v for name, v in table.items() if v != getattr(usual, name)}
+    path = data_folder() / LABORATORY
+    write_text(path, tomlkit.dumps(document))
+    return path
+
+
+def _section(path: Path, values: Mapping[str, Any], name: str, default: Section) -> Section:
+    given = values.get(name, {})
+    known = [field.name for field in fields(default)]
+    if not isinstance(given, Mapping) or any(key not in known for key in given):
+        raise InputError(f"{path}: [{name}] takes {', '.join(known)}")
+    checked: dict[str, Any] = {key: _value(path, f"{name}.{key}", value) for key, value in given.items()}
+    return type(default)(**checked)
+
+
+def _value(path: Path, key: str, value: object) -> object:
+    is_number = key.endswith(("_N", "_C", "_pct", "_factor"))
+    wanted = "a number" if is_number else "a date such as 2026-01-31" if key.endswith("_on") else "a text"
+    fits = (
+        isinstance(value, int | float) and not isinstance(value, bool)
+        if is_number
+        else type(value) is date
+        if key.endswith("_on")
+        else isinstance(value, str) and bool(value.strip())
+    )
+    if not fits:
+        raise InputError(f"{path}: {key} is {value!r}; {wanted} was expected")
+    return float(value) if is_number else value  # type: ignore[arg-type]

@@ -1,0 +1,107 @@
+"""Parts that every document of softcal is set from: A4 pages with numbers, headings, tables of facts, paragraphs."""
+
+import io
+from collections.abc import Sequence
+
+from reportlab.lib import colors
+from reportlab.lib.pagesizes import A4
+from reportlab.lib.styles import ParagraphStyle
+from reportlab.lib.units import mm
+from reportlab.pdfgen.canvas import Canvas
+from reportlab.platypus import Flowable, KeepTogether, Paragraph, SimpleDocTemplate, Spacer, Table, TableStyle
+
+from softcal.app.export.certificates.fonts import BOLD, PLAIN, marked_up, register
+
+MARGIN = 18 * mm
+WIDTH = A4[0] - 2 * MARGIN
+FRAME_PADDING = 6  # ReportLab's own, inside the margins
+INK, QUIET, RULE = colors.HexColor("#1a1f26"), colors.HexColor("#5a6472"), colors.HexColor("#c9d0d8")
+
+
+def document_pdf(story: Sequence[Flowable], title: str, author: str, software: str, footer: str) -> bytes:
+    """Return a story as a PDF: vector text with embedded fonts, the same bytes for the same story."""
+    buffer = io.BytesIO()
+    document = SimpleDocTemplate(
+        buffer,
+        pagesize=A4,
+        leftMargin=MARGIN - FRAME_PADDING,
+        rightMargin=MARGIN - FRAME_PADDING,
+        topMargin=14 * mm,
+        bottomMargin=18 * mm,
+        title=title,
+        author=author,
+        creator=software,
+        invariant=1,
+    )
+
+    def canvas(*arguments: object, **options: object) -> Canvas:
+        return _NumberedCanvas(*arguments, footer=footer, **options)
+
+    document.build(list(story), canvasmaker=canvas)
+    return buffer.getvalue()
+
+
+class _NumberedCanvas(Canvas):  # type: ignore[misc]
+    """Knows the number of pages when it writes `Page 1 of 2`: pages are held back until all are laid out."""
+
+    def __init__(self, *arguments: object, footer: str, **options: object) -> None:
+        super().__init__(*arguments, **options)
+        self._footer, self._pages = footer, list[dict[str, object]]()
+
+    def showPage(self) -> None:  # noqa: N802  (a name of ReportLab's)
+        self._pages.append(dict(self.__dict__))
+        self._startPage()
+
+    def save(self) -> None:
+        pages = self._pages
+        for number, page in enumerate(pages, 1):
+            self.__dict__.update(page)
+            self.setFont(PLAIN, 7)
+            self.setFillColor(QUIET)
+            self.drawString(MARGIN, 12 * mm, self._footer)
+            self.drawRightString(A4[0] - MARGIN, 12 * mm, f"Page {number} of {len(pages)}")
+            super().showPage()
+        super().save()
+
+
+def section(title: str, body: Flowable) -> list[Flowable]:
+    """Return a heading over a body, kept together."""
+    heading = Paragraph(marked_up(title), style(10, BOLD))
+    return [Spacer(1, 4.5 * mm), KeepTogether([heading, Spacer(1, 1.5 * mm), body])]
+
+
+def facts_table(rows: Sequence[tuple[str, str]], size: float = 8) -> Flowable:
+    """Return a table of names and what is to be said of them."""
+    cells = [[paragraph(name, size, QUIET), paragraph(value, size)] for name, value in rows]
+    return Table(cells, colWidths=[38 * mm, WIDTH - 38 * mm], style=grid(size))
+
+
+def grid(size: float) -> TableStyle:
+    """Return lines under every row, text at this size in points."""
+    return TableStyle(
+        [
+            ("FONT", (0, 0), (-1, -1), PLAIN, size),
+            ("TEXTCOLOR", (0, 0), (-1, -1), INK),
+            ("LINEBELOW", (0, 0), (-1, -1), 0.4, RULE),
+            ("VALIGN", (0, 0), (-1, -1), "TOP"),
+            ("LEFTPADDING", (0, 0), (-1, -1), 0),
+            ("TOPPADDING", (0, 0), (-1, -1), 2),
+            ("BOTTOMPADDING", (0, 0), (-1, -1), 2.5),
+        ]
+    )
+
+
+def flush() -> TableStyle:
+    """Return a table without padding on the left."""
+    return TableStyle([("LEFTPADDING", (0, 0), (-1, -1), 0), ("VALIGN", (0, 0), (-1, -1), "TOP")])
+
+
+def paragraph(text: str, size: float = 8, colour: colors.Color = INK) -> Paragraph:
+    """Return plain text as a paragraph at this size in points."""
+    return Paragraph(marked_up(text), style(size, PLAIN, colour))
+
+
+def style(size: float, font: str, colour: colors.Color = INK) -> ParagraphStyle:
+    """Return the style of one font at this size in points."""
+    register()
+    return ParagraphStyle(f"{font}{size}", fontName=font, fontSize=size, leading=size * 1.35, textColor=colour)

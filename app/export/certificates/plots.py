@@ -1,0 +1,106 @@
+"""The two plots of a certificate as vector drawings: axes, curves and bands, nothing else."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from reportlab.graphics.shapes import Drawing, Line, Polygon, PolyLine, String
+from reportlab.lib import colors
+
+from softcal.app.export.certificates.content import Certificate
+from softcal.app.export.certificates.fonts import font_for
+from softcal.core.recording import Array
+
+SIZE = 7
+AXIS, CURVE, BAND = colors.HexColor("#5a6472"), colors.HexColor("#0b5cad"), colors.HexColor("#bcd6f2")
+LEFT, RIGHT, BOTTOM, TOP = 46.0, 8.0, 26.0, 8.0
+HEIGHT = 112.0
+SHOWN_S = 20.0
+"""So much of a recording is shown: enough for several presses, little enough to see the interval."""
+
+MOST_POINTS = 1200
+"""A curve is thinned to this many points: more cannot be told apart on paper."""
+
+
+def estimate_plot(facts: Certificate, width: float) -> Drawing:
+    """Draw the estimates of the unit's own recording over time, with their 90 % interval."""
+    found = facts.estimated
+    rows = np.flatnonzero(np.isfinite(found.estimate))
+    rows = rows[found.t_s[rows] <= found.t_s[rows[0]] + SHOWN_S]
+    rows = rows[:: max(1, math.ceil(len(rows) / MOST_POINTS))]
+    t_s, lower, upper = found.t_s[rows], found.lower[rows], found.upper[rows]
+    labels = "t, s", f"{facts.quantity}, {facts.reference_unit}"
+    axes = _Axes.around(t_s, np.concatenate([lower, upper]), width, HEIGHT, labels)
+    drawing = axes.drawing()
+    edge = axes.points(np.concatenate([t_s, t_s[::-1]]), np.concatenate([lower, upper[::-1]]))
+    drawing.add(Polygon(edge, fillColor=BAND, strokeColor=None))
+    drawing.add(PolyLine(axes.points(t_s, found.estimate[rows]), strokeColor=CURVE, strokeWidth=0.7))
+    return drawing
+
+
+def map_plot(facts: Certificate, width: float) -> Drawing:
+    """Draw which source output each steady output of the unit stands for."""
+    labels = f"output of unit {facts.serial}, {facts.output_unit}", f"source output, {facts.output_unit}"
+    axes = _Axes.around(facts.output, facts.mapped, width / 2, HEIGHT, labels)
+    drawing = axes.drawing()
+    drawing.add(PolyLine(axes.points(facts.output, facts.mapped), strokeColor=CURVE, strokeWidth=1.2))
+    return drawing
+
+
+@dataclass(frozen=True)
+class _Axes:
+    """A rectangle of data on a rectangle of paper."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    width: float
+    height: float
+    labels: tuple[str, str]
+
+    @classmethod
+    def around(cls, x: Array, y: Array, width: float, height: float, labels: tuple[str, str]) -> "_Axes":
+        return cls(_padded(x, 0.0), _padded(y, 0.04), width, height, labels)
+
+    def points(self, x: Array, y: Array) -> list[float]:
+        """Return paper coordinates as x, y, x, y, ..., rounded so that every machine writes the same file."""
+        across = LEFT + (x - self.x[0]) / (self.x[1] - self.x[0]) * (self.width - LEFT - RIGHT)
+        up = BOTTOM + (y - self.y[0]) / (self.y[1] - self.y[0]) * (self.height - BOTTOM - TOP)
+        flat: list[float] = np.round(np.stack([across, up], axis=1).ravel(), 2).tolist()
+        return flat
+
+    def drawing(self) -> Drawing:
+        """Return the empty plot: two axes with ticks and labels."""
+        drawing = Drawing(self.width, self.height)
+        right, top = self.width - RIGHT, self.height - TOP
+        drawing.add(Line(LEFT, BOTTOM, right, BOTTOM, strokeColor=AXIS, strokeWidth=0.5))
+        drawing.add(Line(LEFT, BOTTOM, LEFT, top, strokeColor=AXIS, strokeWidth=0.5))
+        for value in _ticks(*self.x):
+            at = self.points(np.array([value]), np.array([self.y[0]]))[0]
+            drawing.add(Line(at, BOTTOM, at, BOTTOM - 2, strokeColor=AXIS, strokeWidth=0.5))
+            drawing.add(_label(at, BOTTOM - 10, f"{value:g}", "middle"))
+        for value in _ticks(*self.y):
+            at = self.points(np.array([self.x[0]]), np.array([value]))[1]
+            drawing.add(Line(LEFT, at, LEFT - 2, at, strokeColor=AXIS, strokeWidth=0.5))
+            drawing.add(_label(LEFT - 4, at - 2.5, f"{value:g}", "end"))
+        drawing.add(_label((LEFT + right) / 2, 4, self.labels[0], "middle"))
+        drawing.add(_label(LEFT + 4, top - 6, self.labels[1], "start"))
+        return drawing
+
+
+def _label(x: float, y: float, text: str, anchor: str) -> String:
+    return String(x, y, text, fontName=font_for(text), fontSize=SIZE, fillColor=AXIS, textAnchor=anchor)
+
+
+def _padded(values: Array, share: float) -> tuple[float, float]:
+    low, high = float(values.min()), float(values.max())
+    margin = share * (high - low) or (abs(high) * 1e-3 or 1.0) * (high == low)
+    return low - margin, high + margin
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Return round numbers, about five, within [low, high]."""
+    raw = (high - low) / 5
+    decade = 10.0 ** math.floor(math.log10(raw))
+    step = next(f * decade for f in (1, 2, 5, 10) if raw <= f * decade)
+    first = math.ceil(low / step)
+    return [round(k * step, 12) for k in range(first, math.floor(high / step + 1e-9) + 1)]

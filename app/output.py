@@ -1,0 +1,163 @@
+"""What commands say: tables and JSON on standard output or in a named file, progress on standard error."""
+
+import json
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, redirect_stdout
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+from softcal.app.files.atomic import write_text
+from softcal.app.files.spreadsheet import csv_text, write_table
+from softcal.core.errors import InputError
+
+
+def say(line: str) -> None:
+    """Print one line of progress on standard error."""
+    print(shown(line), file=sys.stderr, flush=True)
+
+
+def shown(text: str) -> str:
+    """Return text whose control characters are shown by their codes: what a file said must not steer a terminal."""
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
+
+
+@dataclass
+class _Answer:
+    """Where the one machine-readable answer of a command goes.
+
+    Args:
+        stdout: standard output where the answer alone goes there; None where people read it.
+        csv: file of the table as CSV, `-` for standard output, None for none.
+    """
+
+    stdout: TextIO | None = None
+    csv: str | None = None
+
+
+_ANSWER: ContextVar[_Answer] = ContextVar("answer", default=_Answer())  # noqa: B039 - never changed in place
+
+
+@contextmanager
+def answering(json_target: str | None, csv_target: str | None) -> Iterator[None]:
+    """Keep standard output for the one answer that was asked for with `-`: what people read goes to standard error.
+
+    Raises:
+        InputError: JSON and CSV are both to go to standard output.
+    """
+    if json_target == "-" and csv_target == "-":
+        raise InputError("--json - and --csv - both want standard output; give one of them a file")
+    is_piped = "-" in (json_target, csv_target)
+    token = _ANSWER.set(_Answer(sys.stdout if is_piped else None, csv_target))
+    try:
+        with redirect_stdout(sys.stderr) if is_piped else nullcontext():
+            yield
+    finally:
+        _ANSWER.reset(token)
+
+
+def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Print a table; floats with four significant digits, None as a dash. With `--csv` it is written as CSV instead.
+
+    On a terminal it fits the width: long texts are wrapped, and verdicts have their colour unless NO_COLOR is set.
+    """
+    table, answer = [list(row) for row in rows], _ANSWER.get()
+    if answer.csv == "-" and answer.stdout is not None:
+        answer.stdout.write(csv_text(header, table))
+        return
+    if answer.csv is not None:
+        write_table(Path(answer.csv), header, table)
+    if answer.stdout is not None:
+        return
+    cells = [[_cell(value) for value in row] for row in table]
+    if sys.stdout.isatty():
+        _print_fitting(header, cells)
+    else:
+        _print_aligned([[*header], *cells])
+
+
+def _print_aligned(cells: list[list[str]]) -> None:
+    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
+    for k, row in enumerate(cells):
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+        if k == 0:
+            print("  ".join("-" * width for width in widths))
+
+
+COLOURS = {"pass": "green", "conditional": "yellow", "fail": "red", "retest": "magenta"}
+
+
+def _print_fitting(header: Sequence[str], cells: list[list[str]]) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="")
+    for name in header:
+        table.add_column(Text(name), overflow="fold")
+    for row in cells:
+        table.add_row(*(Text(cell, style=COLOURS.get(cell, "")) for cell in row))
+    Console(highlight=False).print(table)
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.4g}" if isinstance(value, float) else shown(str(value)).replace("\n", " ")
+
+
+def write_json(target: str, value: object) -> None:
+    """Write a result as JSON into a file, or on standard output where the target is `-`. NaN is refused."""
+    text = json.dumps(value, indent=2, allow_nan=False) + "\n"
+    if target == "-":
+        (_ANSWER.get().stdout or sys.stdout).write(text)
+    else:
+        write_text(Path(target), text)
+
+
+class Progress:
+    """Lines like `3/40 units, 12 s, 4.1 units/s, about 9 s left` on standard error: rewritten on a terminal.
+
+    Args:
+        what: what is counted, in the plural.
+        total: how many there are.
+        done: how many were done before; they count for the share and not for the speed.
+    """
+
+    def __init__(self, what: str, total: int, done: int = 0) -> None:
+        self._what, self._total, self._start, self._shown_s = what, total, time.monotonic(), 0.0
+        self._before = self._done = done
+
+    def step(self, note: str = "", count: int = 1) -> None:
+        """Count finished items and show where the work stands."""
+        self.reach(self._done + count, note)
+
+    def reach(self, done: int, note: str = "") -> None:
+        """Show that so many items are finished by now, whoever finished them."""
+        self._done = done
+        elapsed_s = time.monotonic() - self._start
+        is_last = self._done >= self._total
+        is_terminal = sys.stderr.isatty()
+        if not is_last and elapsed_s - self._shown_s < (0.1 if is_terminal else 5.0):
+            return
+        self._shown_s = elapsed_s
+        speed_per_s = (self._done - self._before) / max(elapsed_s, 1e-9)
+        line = f"{self._done}/{self._total} {self._what}, {_duration(elapsed_s)}"
+        if speed_per_s:
+            line += f", {speed_per_s:.3g} {self._what}/s"
+            line += "" if is_last else f", about {_duration((self._total - self._done) / speed_per_s)} left"
+        line += f"  {note}" if note else ""
+        print(
+            f"\r\x1b[K{line}" if is_terminal else line,
+            end="\n" if is_last or not is_terminal else "",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 100 else f"{seconds / 60:.0f} min"

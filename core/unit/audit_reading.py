@@ -1,0 +1,89 @@
+"""What a labelled recording of one unit says beside its error, kept with the calibration: nobody reads it again."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.identity import content_sha256
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+
+SHARES = np.linspace(0, 1, 101)
+"""Shares of the samples at which `AuditReading.ratios` are kept."""
+
+
+@dataclass(frozen=True)
+class AuditReading:
+    """One audit, read once.
+
+    Args:
+        output_sha256: content hash of the output alone: one recording that stands for two units is known by it.
+        reference_sha256: content hash of the reference.
+        gain: slope of the estimates over the reference (least squares): 1 where the unit reads its loads in full.
+        unit_rest, audit_rest: output at rest in the unit's recording and in the audit, in the output's unit.
+        span: of the output in the unit's recording, in the same.
+        ratios: (101,) quantiles of |residual| over the half-width of the 90 % interval, at `SHARES`.
+    """
+
+    output_sha256: str
+    reference_sha256: str
+    gain: float
+    unit_rest: float
+    audit_rest: float
+    span: float
+    ratios: tuple[float, ...]
+
+    def to_json(self) -> dict[str, object]:
+        """Return it as JSON values."""
+        return {**vars(self), "ratios": list(self.ratios)}
+
+    @classmethod
+    def of(cls, kept: Mapping[str, object]) -> "AuditReading":
+        """Read what `to_json` wrote."""
+        ratios: list[float] = kept["ratios"]  # type: ignore[assignment]
+        gain, unit_rest, audit_rest, span = (
+            float(str(kept[name])) for name in ("gain", "unit_rest", "audit_rest", "span")
+        )
+        return cls(
+            output_sha256=str(kept["output_sha256"]),
+            reference_sha256=str(kept["reference_sha256"]),
+            gain=gain,
+            unit_rest=unit_rest,
+            audit_rest=audit_rest,
+            span=span,
+            ratios=tuple(map(float, ratios)),
+        )
+
+
+def read_audit(
+    value: Array, half: Array, audit: LabelledRecording, recording: OutputRecording, rest: float
+) -> AuditReading:
+    """Compare estimates over an audit with its reference, and the audit with the recording its unit was fitted on.
+
+    Args:
+        value: (n,) estimates, NaN where there is none.
+        half: (n,) half-width of their 90 % interval, before audits of other units scaled it.
+        audit: labelled recording of the unit.
+        recording: of the same unit.
+        rest: share of the samples at whose quantile a unit is at rest.
+    """
+    rows = np.isfinite(value)
+    ratios = np.quantile((np.abs(value - audit.reference) / np.maximum(half, 1e-12))[rows], SHARES)
+    rising = np.corrcoef(audit.unlabelled.output, audit.reference)[0, 1]
+    end = rest if rising >= 0 else 1 - rest
+    low, high = np.quantile(recording.output, (rest, 1 - rest))
+    return AuditReading(
+        output_sha256=content_sha256({"output": audit.unlabelled.output}, {}),
+        reference_sha256=content_sha256({"reference": audit.reference}, {}),
+        gain=gain_of(value, audit.reference),
+        unit_rest=float(np.quantile(recording.output, end)),
+        audit_rest=float(np.quantile(audit.unlabelled.output, end)),
+        span=float(high - low),
+        ratios=tuple(float(f"{ratio:.6g}") for ratio in ratios),
+    )
+
+
+def gain_of(value: Array, reference: Array) -> float:
+    """Return the slope of estimates over the reference (least squares), rows without an estimate left out."""
+    rows = np.isfinite(value)
+    return float(np.polyfit(reference[rows], value[rows], 1)[0])
