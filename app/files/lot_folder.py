@@ -3,6 +3,7 @@
 import hashlib
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import tomlkit
 
 from softcal.app.files.atomic import write_text
 from softcal.app.files.recording_file import CSV, PARQUET, naming, read_labelled, read_recording
+from softcal.app.files.regular import read_regular
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -83,15 +85,15 @@ def open_lot_folder(folder: Path) -> LotFolder:
     strangers = sorted(set(audits) - set(units) - {lot.source})
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
-    remarks = (*remarks, *_same_files(units))
-    return LotFolder(folder, lot, sources[lot.source], units, audits, remarks, line)
+    return LotFolder(folder, lot, sources[lot.source], units, audits, (*remarks, *_same_files(units)), line)
 
 
 def _same_files(units: Mapping[str, Path]) -> Iterator[str]:
     """Say which units have one and the same file: one of the serials is wrong, or a file was copied."""
     by_size: dict[int, list[str]] = {}
     for serial, path in units.items():
-        by_size.setdefault(path.stat().st_size, []).append(serial)
+        if path.is_file():
+            by_size.setdefault(path.stat().st_size, []).append(serial)
     for alike in by_size.values():
         if len(alike) > 1:
             yield from _same_content({serial: units[serial] for serial in alike})
@@ -100,8 +102,10 @@ def _same_files(units: Mapping[str, Path]) -> Iterator[str]:
 def _same_content(units: Mapping[str, Path]) -> Iterator[str]:
     by_hash: dict[str, list[str]] = {}
     for serial, path in units.items():
-        with path.open("rb") as file:
-            by_hash.setdefault(hashlib.file_digest(file, "sha256").hexdigest(), []).append(serial)
+        # What cannot be read is the result of its unit and of no other.
+        with suppress(InputError):
+            content = read_regular(path, path.parent.parent)
+            by_hash.setdefault(hashlib.sha256(content).hexdigest(), []).append(serial)
     for serials in by_hash.values():
         if len(serials) > 1:
             yield same_recording(serials)
