@@ -1,6 +1,6 @@
 """What every part of the registry stands on: the database, who writes by which clock, and rows that leave a trace."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Any, Protocol
@@ -42,6 +42,11 @@ class RegistrySettings:
     clock: Clock = field(default=utc_now)
 
 
+def damaged(what: str) -> RegistryError:
+    """Return the error for what softcal has never written."""
+    return RegistryError(f"{what}; the registry is damaged; run `softcal registry verify` and go back to a backup")
+
+
 class RegistryBase(OncePerCut):
     """An open database with its origin: the name under which this registry writes its audit trail."""
 
@@ -81,6 +86,14 @@ class RegistryBase(OncePerCut):
                 f"{table.name} {key} is not what the audit trail tells of it: it was damaged or changed; run "
                 "`softcal registry verify` and go back to a backup"
             )
+
+    def _check_hidden(self, connection: Connection, table: Table, keys: Iterable[tuple[str | int, ...]]) -> None:
+        """Raise `RegistryError` where the audit trail tells of a row that was not found: an index hides it."""
+        wanted = [canonical_json(key) for key in keys]
+        query = select(audit.c.key).where(audit.c.entity == table.name, audit.c.key.in_(wanted)).limit(1)
+        hidden = connection.execute(query).scalar_one_or_none()
+        if hidden is not None:
+            raise damaged(f"{table.name} {hidden} was not found")
 
     def _actor(self, actor: str | None) -> str:
         return actor or self.settings.actor

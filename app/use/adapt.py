@@ -4,16 +4,18 @@ import hashlib
 from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from softcal.app.charts.adaptation import adaptation_figure
 from softcal.app.charts.trace import Trace
 from softcal.app.files.atomic import write_text
+from softcal.app.files.recording_file import PLAIN, ColumnNames
 from softcal.app.files.stream_file import estimate_writer, read_stream
 from softcal.app.registry.source import source_recording, unlabelled
 from softcal.core.errors import InputError
+from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
@@ -27,6 +29,7 @@ from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.adapter import AdaptConfig, Adapter, MapUpdate
+from softcal.core.use.method import UseMethod
 from softcal.db.registry import Registry
 
 REASON = "the source unit itself: the shared network needs no map"
@@ -137,6 +140,8 @@ class AdaptReport:
         flags: rows by flag; the empty flag are the trusted ones.
         verdicts: how often the map was followed, held or jumped.
         current: the correction in force.
+        method: every number that decides how it is followed.
+        changed: numbers of the method that differ from those the stream was followed with before.
         trace: the course of output, estimate and predicted error, thinned.
     """
 
@@ -146,6 +151,8 @@ class AdaptReport:
     mode: str
     current: MapUpdate
     lot: Lot
+    method: UseMethod
+    changed: list[str] = field(default_factory=list)
     rows: int = 0
     flags: Counter[str] = field(default_factory=Counter)
     verdicts: Counter[str] = field(default_factory=Counter)
@@ -181,11 +188,13 @@ class Follower:
         self._kept_until = -1 if newest is None else int(newest["sample"])
         self._began: int | None = 0
         self._state_until = -1
+        self._method_id = options.config.method.id
+        changed: list[str] = []
         last = registry.last_checkpoint(serial, unit.revision, stream)
         # A file that was broken off is begun again, and so is one whose content names its stream.
         has_begun = last is not None and options.stream is not None if is_repeatable else newest is not None
         if options.resume and last is not None:
-            self._restore(stream, last["state"])
+            changed = self._restore(stream, last["state"])
             self._began = last.get("began")
         elif not options.resume and has_begun:
             raise InputError(f"stream {stream!r} has begun already; go on with --resume, or give --stream another name")
@@ -195,11 +204,22 @@ class Follower:
         rate_Hz = unit.recording.sample_rate_Hz
         self._maps_rows, self._state_rows = (max(1, round(s * rate_Hz)) for s in (MAPS_S, options.checkpoint_s))
         self._since_maps = self._since_state = 0
-        self.report = AdaptReport(serial, unit.revision, stream, options.config.mode, self._adapter.current, unit.lot)
+        self.report = AdaptReport(
+            serial,
+            unit.revision,
+            stream,
+            options.config.mode,
+            self._adapter.current,
+            unit.lot,
+            options.config.method,
+            changed,
+        )
+        # Written once: from then on the newest step of the stream names the new method.
+        self._note_change = bool(changed) and newest is not None and newest.get("method") != self._method_id
 
-    def _restore(self, stream: str, state: Mapping[str, Any]) -> None:
+    def _restore(self, stream: str, state: Mapping[str, Any]) -> list[str]:
         try:
-            self._adapter.restore(state)
+            return self._adapter.restore(state)
         except InputError as error:
             begin = "begin again from the calibration with another --stream NAME"
             raise InputError(f"stream {stream!r} cannot be gone on with: {error}; {begin}") from error
@@ -249,13 +269,18 @@ class Follower:
     def checkpoint(self) -> None:
         """Keep every map since the last time and the state now, in one transaction."""
         state = {"event": "checkpoint", "state": self._adapter.state(), "began": self._began}
-        self._write({"stream": self.report.stream, "sample": self._adapter.row, **state})
+        place = {"stream": self.report.stream, "sample": self._adapter.row, "method": self._method_id}
+        self._write({**place, **state})
         self._since_state = 0
 
     def _write(self, state: dict[str, Any] | None) -> None:
         report = self.report
-        maps = [_entry(report.stream, update) for update in self._pending]
+        maps = [self._entry(update) for update in self._pending]
         new = [entry for entry in maps if int(entry["sample"]) > self._kept_until]
+        if self._note_change:
+            reason = f"the method has changed: {'; '.join(report.changed)}"
+            new.insert(0, self._entry(replace(report.current, verdict="method", reason=reason)))
+            self._note_change = False
         self._kept_until = max([self._kept_until, *(int(entry["sample"]) for entry in new)])
         if state is not None and self._adapter.row > self._state_until:
             self._state_until = self._adapter.row
@@ -266,6 +291,10 @@ class Follower:
         elif new and self._keeper is not None:
             self._writing = self._keeper.submit(self._registry.add_adaptations, report.serial, report.revision, new)
         self._pending, self._since_maps = [], 0
+
+    def _entry(self, update: MapUpdate) -> dict[str, Any]:
+        place = {"stream": self.report.stream, "sample": update.row, "event": update.verdict}
+        return {**place, **asdict(update), "method": self._method_id}
 
     def settle(self) -> None:
         """Wait until all that was to be kept is in the registry.
@@ -278,10 +307,6 @@ class Follower:
             self._writing = None
 
 
-def _entry(stream: str, update: MapUpdate) -> dict[str, Any]:
-    return {"stream": stream, "sample": update.row, "event": update.verdict, **asdict(update)}
-
-
 def adapt_file(
     registry: Registry,
     serial: str,
@@ -289,22 +314,29 @@ def adapt_file(
     target: Path,
     options: AdaptOptions = AdaptOptions(),  # noqa: B008 - frozen
     on_rows: Callable[[int], None] = lambda rows: None,
+    names: ColumnNames = PLAIN,
 ) -> AdaptReport:
     """Follow a recorded stream: `t_s, output` of `source` in, `t_s, estimate, lower, upper, flag` to `target`.
 
     A row of the result depends on no later row of `source`; `target` appears whole or not at all.
 
+    Args:
+        names: of the columns of `source`, where they are called otherwise.
+
     Raises:
-        InputError: `source` cannot be read, or the registry does not know the serial.
+        InputError: `source` cannot be read, the registry does not know the serial, or a stream is to go on without a
+            column of time.
     """
+    if options.resume and names.time is None:
+        raise InputError(f"{source}: --resume goes on in time; name the column of the time with --time-column")
     unit = unit_in_use(registry, serial, options.revision, options.lot_id)
-    stream = options.stream or _stream_of(source, options.config.mode)
+    stream = options.stream or _stream_of(source, options.config.mode, names)
     follower = Follower(registry, unit, stream, options, is_repeatable=True)
     if options.resume:
         follower.begin_file()
     kept = 0
     with estimate_writer(target) as writer:
-        for t_s, output in read_stream(source):
+        for t_s, output in read_stream(source, names):
             writer.write(follower.advance(t_s, output))
             on_rows(follower.report.rows)
             if follower.report.rows - kept >= FILE_MAPS_ROWS:
@@ -314,13 +346,14 @@ def adapt_file(
     return follower.report
 
 
-def _stream_of(source: Path, mode: str) -> str:
-    """Return a name that the same content always has."""
+def _stream_of(source: Path, mode: str, names: ColumnNames) -> str:
+    """Return a name that the same content, read the same way, always has."""
     if not source.is_file():
         raise InputError(f"{source}: there is no such file")
     with source.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return f"{source.name[:40]} {digest[:16]} {mode}"
+    read_as = "" if names == PLAIN else f" {content_sha256({}, asdict(names))[:8]}"
+    return f"{source.name[:40]} {digest[:16]} {mode}{read_as}"
 
 
 def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[str, object]:
@@ -338,6 +371,7 @@ def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[st
         "rows": report.rows,
         "flags": {flag: count for flag, count in sorted(report.flags.items()) if flag},
         "verdicts": dict(report.verdicts),
+        "method": {"id": report.method.id, "changed": report.changed, "numbers": report.method.to_json()},
         "predicted_rmse": report.current.predicted_rmse,
         "alarm": report.current.alarm or None,
         "maps": [{name: value for name, value in step.items() if name != "state"} for step in maps_of(course)],
