@@ -63,7 +63,7 @@ class ProcessView:
     chart: ControlChart | None
     broken: tuple[RuleBroken, ...]
     capability: Capability | None
-    refusal: str
+    refusal: Reason | None
 
 
 @dataclass(frozen=True)
@@ -189,12 +189,12 @@ def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessV
     try:
         chart = control_chart(np.array([value for _, value in known]))
     except InputError as error:
-        return ProcessView(serials, None, (), None, str(error))
+        return ProcessView(serials, None, (), None, error.reason)
     broken = _broken(chart, serials)
     try:
-        return ProcessView(serials, chart, broken, capability(chart, None, limit_rmse), "")
+        return ProcessView(serials, chart, broken, capability(chart, None, limit_rmse), None)
     except InputError as error:
-        return ProcessView(serials, chart, broken, None, str(error))
+        return ProcessView(serials, chart, broken, None, error.reason)
 
 
 def reason_kind(reason: str) -> str:
