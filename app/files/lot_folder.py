@@ -1,6 +1,7 @@
 """A lot folder: lot.toml, source/, units/, audit/ into core values. One unreadable unit never stops the others."""
 
 import hashlib
+import stat
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import tomlkit
 
 from softcal.app.files.atomic import write_text
 from softcal.app.files.recording_file import CSV, PARQUET, naming, read_labelled, read_recording
+from softcal.app.files.regular import read_regular
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.recording import LabelledRecording, OutputRecording
@@ -79,24 +81,35 @@ def open_lot_folder(folder: Path) -> LotFolder:
     strangers = sorted(set(audits) - set(units) - {lot.source})
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
-    return LotFolder(folder, lot, sources[lot.source], units, audits, (*remarks, *_same_files(units)))
+    return LotFolder(folder, lot, sources[lot.source], units, audits, (*remarks, *_same_files(units, folder)))
 
 
-def _same_files(units: Mapping[str, Path]) -> Iterator[str]:
-    """Say which units have one and the same file: one of the serials is wrong, or a file was copied."""
+def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
+    """Say which units have one and the same file: one of the serials is wrong, or a file was copied.
+
+    Whatever is no file, or cannot be read, is told as that unit's result later.
+    """
     by_size: dict[int, list[str]] = {}
     for serial, path in units.items():
-        by_size.setdefault(path.stat().st_size, []).append(serial)
+        try:
+            state = path.stat()
+        except OSError:
+            continue
+        if stat.S_ISREG(state.st_mode):
+            by_size.setdefault(state.st_size, []).append(serial)
     for alike in by_size.values():
         if len(alike) > 1:
-            yield from _same_content({serial: units[serial] for serial in alike})
+            yield from _same_content({serial: units[serial] for serial in alike}, root)
 
 
-def _same_content(units: Mapping[str, Path]) -> Iterator[str]:
+def _same_content(units: Mapping[str, Path], root: Path) -> Iterator[str]:
     by_hash: dict[str, list[str]] = {}
     for serial, path in units.items():
-        with path.open("rb") as file:
-            by_hash.setdefault(hashlib.file_digest(file, "sha256").hexdigest(), []).append(serial)
+        try:
+            content = read_regular(path, root)
+        except InputError:
+            continue
+        by_hash.setdefault(hashlib.sha256(content).hexdigest(), []).append(serial)
     for serials in by_hash.values():
         if len(serials) > 1:
             yield same_recording(serials)
