@@ -25,7 +25,7 @@ RATE_SHARE = 0.05
 
 
 @dataclass(frozen=True)
-class Finding:
+class SelfTestItem:
     """One thing the self-test looked at.
 
     Args:
@@ -45,7 +45,7 @@ class Finding:
         return not self.cure
 
 
-def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] = lambda: None) -> list[Finding]:
+def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] = lambda: None) -> list[SelfTestItem]:
     """Home the stage and move it a little, watched as any other move, then read every channel for some seconds.
 
     A device that fails is a finding, so that all faults are seen at once.
@@ -73,7 +73,7 @@ def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] =
     except Cancelled:
         raise
     except DeviceError as error:
-        findings.append(Finding("readers", "stream", "failed", str(error)))
+        findings.append(SelfTestItem("readers", "stream", "failed", str(error)))
     for reader in readers:
         findings += _stream_findings(reader, samples[reader.name])
     if bench.force is not None:
@@ -81,14 +81,16 @@ def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] =
     return findings
 
 
-def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -> list[Finding]:
+def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -> list[SelfTestItem]:
     if len(samples) < 10:
-        return [Finding(reader.name, "stream", f"{len(samples)} samples", "no stream; check cable, supply, firmware")]
+        return [
+            SelfTestItem(reader.name, "stream", f"{len(samples)} samples", "no stream; check cable, supply, firmware")
+        ]
     values = np.array([sample.values for sample in samples])
     noise = float(np.max(np.std(np.diff(values, axis=0), axis=0))) / np.sqrt(2)
     findings = [
-        Finding(reader.name, "reading", f"{', '.join(f'{v:.4g}' for v in values.mean(axis=0))} {reader.unit}"),
-        Finding(reader.name, "noise", f"{noise:.2g} {reader.unit}"),
+        SelfTestItem(reader.name, "reading", f"{', '.join(f'{v:.4g}' for v in values.mean(axis=0))} {reader.unit}"),
+        SelfTestItem(reader.name, "noise", f"{noise:.2g} {reader.unit}"),
     ]
     if samples[0].device_s is None:
         return findings
@@ -100,9 +102,11 @@ def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -
     drift = "clock far off; check its firmware" if abs(fit.rate - 1) > LARGEST_DRIFT else ""
     return [
         *findings,
-        Finding(reader.name, "rate", f"{rate_Hz:.4g} Hz", "" if is_right else slow),
-        Finding(reader.name, "clock drift", f"{_ppm(1 - fit.rate)} ppm, give or take {_ppm(LOOK_S / LISTEN_S)}", drift),
-        Finding(reader.name, "latency", f"median {1e3 * fit.late_s:.1f} ms, largest {1e3 * fit.latest_s:.1f} ms"),
+        SelfTestItem(reader.name, "rate", f"{rate_Hz:.4g} Hz", "" if is_right else slow),
+        SelfTestItem(
+            reader.name, "clock drift", f"{_ppm(1 - fit.rate)} ppm, give or take {_ppm(LOOK_S / LISTEN_S)}", drift
+        ),
+        SelfTestItem(reader.name, "latency", f"median {1e3 * fit.late_s:.1f} ms, largest {1e3 * fit.latest_s:.1f} ms"),
     ]
 
 
@@ -110,15 +114,15 @@ def _ppm(share: float) -> str:
     return f"{1e6 * share:.0f}"
 
 
-def _zero_findings(bench: Bench, samples: Sequence[Sample]) -> list[Finding]:
+def _zero_findings(bench: Bench, samples: Sequence[Sample]) -> list[SelfTestItem]:
     if not samples:
         return []
     zero_N, allowed_N = float(np.mean([sample.values[0] for sample in samples])), bench.config.safety.zero_N
     cure = "" if abs(zero_N) <= allowed_N else f"at most {allowed_N:g} N; unload the cell, then zero it"
-    return [Finding("load cell", "zero", f"{zero_N:+.3f} N", cure)]
+    return [SelfTestItem("load cell", "zero", f"{zero_N:+.3f} N", cure)]
 
 
-def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[Finding]:
+def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[SelfTestItem]:
     stage = bench.stage
     watched = WatchedBench(bench, None, on_wait)
     try:
@@ -126,12 +130,14 @@ def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[Finding]:
     except Cancelled:
         raise
     except DeviceError as error:
-        return [Finding("stage", "homing and moving", "failed", str(error))]
+        return [SelfTestItem("stage", "homing and moving", "failed", str(error))]
     cure = "" if abs(error_mm) < POSITION_MM else "it does not come back; check screws, belt and steps per mm"
     return [
-        Finding("stage", "homing", "found its switch"),
-        Finding("stage", "travel", f"{stage.travel_mm:g} mm, {stage.max_speed_mm_s:g} mm/s"),
-        Finding("stage", "out and back", f"{2 * down_mm:.3g} mm in {took_s:.2f} s, off by {error_mm:+.3f} mm", cure),
+        SelfTestItem("stage", "homing", "found its switch"),
+        SelfTestItem("stage", "travel", f"{stage.travel_mm:g} mm, {stage.max_speed_mm_s:g} mm/s"),
+        SelfTestItem(
+            "stage", "out and back", f"{2 * down_mm:.3g} mm in {took_s:.2f} s, off by {error_mm:+.3f} mm", cure
+        ),
         *_safety_findings(bench, watched),
     ]
 
@@ -156,21 +162,21 @@ def _go_out_and_back(watched: WatchedBench) -> tuple[float, float, float]:
     return took_s, down_mm, watched.readings.polls[-1].position_mm - began_mm
 
 
-def _safety_findings(bench: Bench, watched: WatchedBench) -> list[Finding]:
+def _safety_findings(bench: Bench, watched: WatchedBench) -> list[SelfTestItem]:
     """What a stop holds on this rig, in figures."""
     if bench.force is None:
         return []
     bounds, stage = watched.bounds, bench.stage
     settings = stage.unsafe_settings() if isinstance(stage, Advises) else ()
-    unsafe = [Finding("stage", "setting", value, cure) for value, cure in settings]
+    unsafe = [SelfTestItem("stage", "setting", value, cure) for value, cure in settings]
     safe = (
         f"{bounds.free_mm_s:.2g} mm/s where nothing was felt, {bounds.unknown_mm_s:.2g} mm/s where the unit was not "
         f"pressed yet, so that a stop ends below {bounds.ceiling_N:g} N"
     )
-    findings = [*unsafe, Finding("stage", "safe speed", safe)]
+    findings = [*unsafe, SelfTestItem("stage", "safe speed", safe)]
     if isinstance(stage, RunsOn):
         speed_mm_s = bench.config.safety.speed_mm_s
         on_s = stage.runs_on_s(speed_mm_s)
         value = f"at {speed_mm_s:g} mm/s at most {on_s:.2f} s and {on_s * speed_mm_s:.2g} mm"
-        findings.append(Finding("stage", "runs on when the host dies", value))
+        findings.append(SelfTestItem("stage", "runs on when the host dies", value))
     return findings

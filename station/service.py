@@ -26,7 +26,7 @@ from softcal.station.bench import Bench
 from softcal.station.interfaces import Reader, Stage
 from softcal.station.motion import Cancelled
 from softcal.station.recording import StationRecording
-from softcal.station.self_test import Finding, self_test
+from softcal.station.self_test import SelfTestItem, self_test
 from softcal.station.spool import Spool
 
 CODES: Mapping[type[SoftcalError], str] = {
@@ -93,7 +93,7 @@ class StationService:
         self.state = StationState.STARTING
         self.reasons: tuple[str, ...] = ()
         self.gate = Gate()
-        self.findings: list[Finding] = []
+        self.findings: list[SelfTestItem] = []
 
     @property
     def rig(self) -> RigFacts:

@@ -15,7 +15,7 @@ from softcal.core.gap.next_experiment import NextExperiment, propose
 from softcal.core.gap.place import likely_stages, loose_noise
 from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
-from softcal.core.gap.search import Search, SearchConfig
+from softcal.core.gap.search import EffectSearch, SearchConfig
 from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
 from softcal.core.gap.strangers import name_of
 from softcal.core.recording import Array
@@ -25,7 +25,7 @@ from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.record import twin_record
 from softcal.core.twin.simulate import Twin
 
-Verdict = Literal["no_gap", "explained", "ambiguous", "unknown"]
+DiagnosisVerdict = Literal["no_gap", "explained", "ambiguous", "unknown"]
 SCHEMA = "softcal.gap/1"
 
 UNKNOWN_TRUST = 0.3
@@ -43,7 +43,7 @@ class ParameterEstimate:
 
 
 @dataclass(frozen=True)
-class Cause:
+class RankedCause:
     """One effect of the catalogue and how it stands.
 
     Args:
@@ -60,7 +60,7 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class Place:
+class GapPlace:
     """One line of where the gap lies."""
 
     stage: str
@@ -84,13 +84,13 @@ class Diagnosis:
     """
 
     case: Case
-    verdict: Verdict
+    verdict: DiagnosisVerdict
     base: Fit
     best: Fit
     named: Fit
     rivals: tuple[Fit, ...]
-    causes: tuple[Cause, ...]
-    places: tuple[Place, ...]
+    causes: tuple[RankedCause, ...]
+    places: tuple[GapPlace, ...]
     maps: tuple[Map, ...]
     regimes: tuple[Regime, ...]
     gap: dict[str, ChannelGap]
@@ -169,7 +169,7 @@ def diagnose(
         config: how wide the search goes.
     """
     say = progress or (lambda _: None)
-    search = Search(case, config, say)
+    search = EffectSearch(case, config, say)
     search.run()
     best = search.best
     logs = log_evidences(search.fits)
@@ -207,7 +207,7 @@ def diagnose(
     )
 
 
-def _verdict(search: Search, group: tuple[Fit, ...]) -> Verdict:
+def _verdict(search: EffectSearch, group: tuple[Fit, ...]) -> DiagnosisVerdict:
     best = search.best
     if search.stranger is not None:
         return "unknown"
@@ -233,7 +233,9 @@ def chances_of(
     return {i: 0.5 * (p + exact[i]) if i in added else p for i, p in chances.items()}
 
 
-def _causes(search: Search, named: tuple[Fit, ...], chances: dict[str, float], held_out: float) -> tuple[Cause, ...]:
+def _causes(
+    search: EffectSearch, named: tuple[Fit, ...], chances: dict[str, float], held_out: float
+) -> tuple[RankedCause, ...]:
     shares = shares_of(search, search.best)
     causes = []
     for effect in EFFECTS.values():
@@ -241,11 +243,11 @@ def _causes(search: Search, named: tuple[Fit, ...], chances: dict[str, float], h
         found = with_it[0] if with_it else search.fits.get((effect.id,))
         parameters = estimates_of(found, effect.id) if found is not None else {}
         share = shares.get(effect.id, 0.0) * held_out
-        causes.append(Cause(effect.id, effect.stage, chances[effect.id], share, parameters))
+        causes.append(RankedCause(effect.id, effect.stage, chances[effect.id], share, parameters))
     return tuple(sorted(causes, key=lambda c: (-c.probability, -c.shrink)))
 
 
-def shares_of(search: Search, best: Fit) -> dict[str, float]:
+def shares_of(search: EffectSearch, best: Fit) -> dict[str, float]:
     """Split the explained χ² among the causes: the mean of adding each one first and adding it last."""
     ids = best.hypothesis.ids
     if len(ids) < 2:
@@ -281,8 +283,12 @@ def _named(effect: Effect, coordinates: Array, margin: Array) -> dict[str, Param
 
 
 def _places(
-    search: Search, causes: tuple[Cause, ...], maps: tuple[Map, ...], found: tuple[Regime, ...], verdict: Verdict
-) -> tuple[Place, ...]:
+    search: EffectSearch,
+    causes: tuple[RankedCause, ...],
+    maps: tuple[Map, ...],
+    found: tuple[Regime, ...],
+    verdict: DiagnosisVerdict,
+) -> tuple[GapPlace, ...]:
     if verdict == "no_gap":
         return ()
     dirty = ", ".join(m.name for m in maps if m.structure.is_significant) or "none"
@@ -296,13 +302,13 @@ def _places(
         total = sum(c.shrink for c in named) or 1.0
         places = []
         for c in named:
-            place = Place(c.stage, channel, regime, c.shrink / total, f"{c.effect}; {detail}")
+            place = GapPlace(c.stage, channel, regime, c.shrink / total, f"{c.effect}; {detail}")
             alias = _open_aliases(search.best).get(c.effect)
             places += [place] if alias is None else _held_open(place, alias)
     at = max(places, key=lambda p: p.share).stage
     for r in found[:4]:
         where = f"{r.share:.0%} of the gap's energy in this regime, {r.lift:.1f} times its share of time"
-        places.append(Place(at, r.channel.split("_")[0], r.name, r.share, where))
+        places.append(GapPlace(at, r.channel.split("_")[0], r.name, r.share, where))
     return tuple(places)
 
 
@@ -312,13 +318,15 @@ def _open_aliases(best: Fit) -> dict[str, Alias]:
     return {i: alias for i, alias in aliases.items() if alias is not None and not is_told(best.problem.case, alias)}
 
 
-def _held_open(place: Place, alias: Alias) -> list[Place]:
+def _held_open(place: GapPlace, alias: Alias) -> list[GapPlace]:
     """Split the place of a cause that has an alias between the stages of both."""
     own, other = (1.0 - alias.share) * place.share, alias.share * place.share
     return [replace(place, share=own), replace(place, stage=alias.stage, share=other, detail=f"or {alias.detail}")]
 
 
-def _unknown_places(search: Search, maps: tuple[Map, ...], channel: str, regime: str, detail: str) -> list[Place]:
+def _unknown_places(
+    search: EffectSearch, maps: tuple[Map, ...], channel: str, regime: str, detail: str
+) -> list[GapPlace]:
     """Where a gap lies that nothing in the catalogue explains: the likeliest stage first, with those it may also be."""
     share = float(np.clip(search.share(search.best), 0.0, 1.0))
     loose = loose_noise(search.best)
@@ -332,11 +340,11 @@ def _unknown_places(search: Search, maps: tuple[Map, ...], channel: str, regime:
         stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.hypothesis.ids)) or ("unknown",)
     rest = "nothing in it the rest" if search.stranger is None else "but less well than this"
     text = f"{detail}; the catalogue explains {share:.0%} of the structured gap, {rest}"
-    others = [Place(s, channel, regime, 0.4 / (len(stages) - 1), "possible by the same maps") for s in stages[1:]]
-    return [Place(stages[0], channel, regime, 0.6 if others else 1.0, text), *others]
+    others = [GapPlace(s, channel, regime, 0.4 / (len(stages) - 1), "possible by the same maps") for s in stages[1:]]
+    return [GapPlace(stages[0], channel, regime, 0.6 if others else 1.0, text), *others]
 
 
-def _next(case: Case, search: Search, group: tuple[Fit, ...], verdict: Verdict) -> NextExperiment:
+def _next(case: Case, search: EffectSearch, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
     proposed = propose(case, group, search.depth_mm, search.force_N) if verdict != "unknown" else None
     if proposed is not None:
         return proposed

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
-from softcal.core.maps.affine import Affine, Identity
+from softcal.core.maps.affine import Affine, IdentityFamily
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.exact import Exact
@@ -19,7 +19,7 @@ from softcal.core.maps.phase import Phase
 from softcal.core.maps.synchronous import Synchronous
 
 _LISTED: tuple[MapFamily, ...] = (
-    Identity(),
+    IdentityFamily(),
     Affine(),
     LabelShift(),
     Monotone(),

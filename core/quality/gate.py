@@ -8,7 +8,7 @@ from softcal.core.orders import Condition, OrderKind
 
 
 @dataclass(frozen=True)
-class CellCertificate:
+class CellAtGate:
     """The load cell's calibration, from its certificate (a DCC or typed in).
 
     Args:
@@ -86,7 +86,7 @@ class StationFacts:
     """
 
     now: datetime
-    certificate: CellCertificate | None
+    certificate: CellAtGate | None
     largest_force_N: float
     shift_began: datetime
     golden: GoldenCheck | None

@@ -25,7 +25,7 @@ _TRAVEL = re.compile(r"([+-]?\d+(?:\.\d+)?) ?(mm|in)?")
 
 
 @dataclass(frozen=True)
-class Status:
+class StandStatus:
     """What the stand answers to `p`.
 
     Args:
@@ -59,7 +59,7 @@ def to_gauge(command: str) -> bytes:
     return b"/" + command.encode() + b"\\"
 
 
-def parse_status(line: bytes) -> Status:
+def parse_status(line: bytes) -> StandStatus:
     """Return the answer to `p`.
 
     Raises:
@@ -68,7 +68,7 @@ def parse_status(line: bytes) -> Status:
     found = _STATUS.fullmatch(line.decode("ascii", "replace").strip())
     if not found:
         raise BadReply(f"stage: answered {line[:40]!r}; a status such as `S M UL` was expected")
-    return Status(found[1], found[2], found[3] or "")
+    return StandStatus(found[1], found[2], found[3] or "")
 
 
 def parse_travel_mm(line: bytes) -> float:

@@ -19,7 +19,7 @@ from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
 from softcal.app.texts.reasons import told
 from softcal.core.orders import OrderKind, RunState
 from softcal.core.quality import gate as station_gate
-from softcal.core.quality.gate import CellCertificate, GoldenCheck, RigFacts, StationFacts, may_run
+from softcal.core.quality.gate import CellAtGate, GoldenCheck, RigFacts, StationFacts, may_run
 from softcal.core.use import tracker as drift
 from softcal.db import people
 from softcal.station import (
@@ -125,11 +125,11 @@ def test_what_the_self_test_looks_at_has_a_korean_name(english_in: Callable[[str
 
 NOW = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
 GOOD = StationFacts(
-    NOW, CellCertificate("K-17", date(2027, 1, 1), 20.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", True),
+    NOW, CellAtGate("K-17", date(2027, 1, 1), 20.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", True),
     RigFacts(timedelta(hours=2), is_homed=True),
 )  # fmt: skip
 BAD = StationFacts(
-    NOW, CellCertificate("K-17", date(2026, 1, 1), 9.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", False),
+    NOW, CellAtGate("K-17", date(2026, 1, 1), 9.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", False),
     RigFacts(homing_fault="stage: homing failed: ALARM:9 (homing switch was not found)", zero_return_N=1.0),
 )  # fmt: skip
 FAULT = "load cell: reads 3 N unloaded, at most 0.5 N is allowed"
