@@ -6,10 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import DeviceError
+from softcal.core.reason import Reason, plain, reason
 from softcal.station.bench import Bench
 from softcal.station.clock import fit_clock, seen_rate_Hz
 from softcal.station.interfaces import Advises, ForceReader, Readout, RunsOn, Sample
 from softcal.station.motion import Cancelled
+from softcal.station.named import named
 from softcal.station.recording import LARGEST_DRIFT
 from softcal.station.watched import WatchedBench
 
@@ -19,6 +21,8 @@ LOOK_S = 0.001
 
 STEP_MM, STEP_S = 2.0, 10.0
 """The stage goes down by at most so much, and for at most so long: what is in the way is to be met slowly."""
+
+STAGE = named("stage")
 
 POSITION_MM = 0.02
 RATE_SHARE = 0.05
@@ -32,17 +36,17 @@ class SelfTestItem:
         device: stage, load cell, sensor readout.
         what: the quantity.
         value: what was found, with its unit.
-        cure: what to do; "" when it is good.
+        cure: what to do; None when it is good.
     """
 
-    device: str
-    what: str
-    value: str
-    cure: str = ""
+    device: Reason
+    what: Reason
+    value: Reason
+    cure: Reason | None = None
 
     @property
     def is_good(self) -> bool:
-        return not self.cure
+        return self.cure is None
 
 
 def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] = lambda: None) -> list[SelfTestItem]:
@@ -73,7 +77,9 @@ def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] =
     except Cancelled:
         raise
     except DeviceError as error:
-        findings.append(SelfTestItem("readers", "stream", "failed", str(error)))
+        findings.append(
+            SelfTestItem(Reason("device.readers"), Reason("check.stream"), Reason("found.failed"), error.reason)
+        )
     for reader in readers:
         findings += _stream_findings(reader, samples[reader.name])
     if bench.force is not None:
@@ -84,13 +90,22 @@ def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] =
 def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -> list[SelfTestItem]:
     if len(samples) < 10:
         return [
-            SelfTestItem(reader.name, "stream", f"{len(samples)} samples", "no stream; check cable, supply, firmware")
+            SelfTestItem(
+                named(reader.name),
+                Reason("check.stream"),
+                reason("found.samples", count=len(samples)),
+                Reason("cure.no_stream"),
+            )
         ]
     values = np.array([sample.values for sample in samples])
     noise = float(np.max(np.std(np.diff(values, axis=0), axis=0))) / np.sqrt(2)
     findings = [
-        SelfTestItem(reader.name, "reading", f"{', '.join(f'{v:.4g}' for v in values.mean(axis=0))} {reader.unit}"),
-        SelfTestItem(reader.name, "noise", f"{noise:.2g} {reader.unit}"),
+        SelfTestItem(
+            named(reader.name),
+            Reason("check.reading"),
+            reason("found.reading", values=", ".join(f"{v:.4g}" for v in values.mean(axis=0)), unit=reader.unit),
+        ),
+        SelfTestItem(named(reader.name), Reason("check.noise"), reason("found.noise", noise=noise, unit=reader.unit)),
     ]
     if samples[0].device_s is None:
         return findings
@@ -98,15 +113,24 @@ def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -
     fit = fit_clock(device_s, np.array([sample.host_s for sample in samples]))
     rate_Hz = seen_rate_Hz(device_s)
     is_right = abs(rate_Hz / reader.rate_Hz - 1) < RATE_SHARE
-    slow = f"{reader.rate_Hz:g} Hz were expected; correct rate_Hz in the station file or the firmware"
-    drift = "clock far off; check its firmware" if abs(fit.rate - 1) > LARGEST_DRIFT else ""
+    slow = reason("cure.rate", rate_Hz=reader.rate_Hz)
+    drift = Reason("cure.clock") if abs(fit.rate - 1) > LARGEST_DRIFT else None
     return [
         *findings,
-        SelfTestItem(reader.name, "rate", f"{rate_Hz:.4g} Hz", "" if is_right else slow),
         SelfTestItem(
-            reader.name, "clock drift", f"{_ppm(1 - fit.rate)} ppm, give or take {_ppm(LOOK_S / LISTEN_S)}", drift
+            named(reader.name), Reason("check.rate"), reason("found.rate", rate_Hz=rate_Hz), None if is_right else slow
         ),
-        SelfTestItem(reader.name, "latency", f"median {1e3 * fit.late_s:.1f} ms, largest {1e3 * fit.latest_s:.1f} ms"),
+        SelfTestItem(
+            named(reader.name),
+            Reason("check.drift"),
+            reason("found.drift", drift_ppm=_ppm(1 - fit.rate), doubt_ppm=_ppm(LOOK_S / LISTEN_S)),
+            drift,
+        ),
+        SelfTestItem(
+            named(reader.name),
+            Reason("check.latency"),
+            reason("found.latency", middle_ms=1000.0 * fit.late_s, most_ms=1000.0 * fit.latest_s),
+        ),
     ]
 
 
@@ -118,8 +142,8 @@ def _zero_findings(bench: Bench, samples: Sequence[Sample]) -> list[SelfTestItem
     if not samples:
         return []
     zero_N, allowed_N = float(np.mean([sample.values[0] for sample in samples])), bench.config.safety.zero_N
-    cure = "" if abs(zero_N) <= allowed_N else f"at most {allowed_N:g} N; unload the cell, then zero it"
-    return [SelfTestItem("load cell", "zero", f"{zero_N:+.3f} N", cure)]
+    cure = None if abs(zero_N) <= allowed_N else reason("cure.zero", allowed_N=allowed_N)
+    return [SelfTestItem(named("load cell"), Reason("check.zero"), reason("found.zero", zero_N=zero_N), cure)]
 
 
 def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[SelfTestItem]:
@@ -130,13 +154,20 @@ def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[SelfTestI
     except Cancelled:
         raise
     except DeviceError as error:
-        return [SelfTestItem("stage", "homing and moving", "failed", str(error))]
-    cure = "" if abs(error_mm) < POSITION_MM else "it does not come back; check screws, belt and steps per mm"
+        return [SelfTestItem(STAGE, Reason("check.homing_moving"), Reason("found.failed"), error.reason)]
+    cure = None if abs(error_mm) < POSITION_MM else Reason("cure.return")
     return [
-        SelfTestItem("stage", "homing", "found its switch"),
-        SelfTestItem("stage", "travel", f"{stage.travel_mm:g} mm, {stage.max_speed_mm_s:g} mm/s"),
+        SelfTestItem(STAGE, Reason("check.homing"), Reason("found.switch")),
         SelfTestItem(
-            "stage", "out and back", f"{2 * down_mm:.3g} mm in {took_s:.2f} s, off by {error_mm:+.3f} mm", cure
+            STAGE,
+            Reason("check.travel"),
+            reason("found.travel", travel_mm=stage.travel_mm, speed_mm_s=stage.max_speed_mm_s),
+        ),
+        SelfTestItem(
+            STAGE,
+            Reason("check.return"),
+            reason("found.return", way_mm=2 * down_mm, took_s=took_s, error_mm=error_mm),
+            cure,
         ),
         *_safety_findings(bench, watched),
     ]
@@ -158,7 +189,7 @@ def _go_out_and_back(watched: WatchedBench) -> tuple[float, float, float]:
     took_s, count = bench.clock.now_s() - began_s, len(watched.readings.polls)
     watched.motion.wait(0.4)
     if len(watched.readings.polls) == count:
-        raise DeviceError("stage: does not say where it is; check its cable")
+        raise DeviceError(Reason("rig.no_position.known"))
     return took_s, down_mm, watched.readings.polls[-1].position_mm - began_mm
 
 
@@ -168,15 +199,14 @@ def _safety_findings(bench: Bench, watched: WatchedBench) -> list[SelfTestItem]:
         return []
     bounds, stage = watched.bounds, bench.stage
     settings = stage.unsafe_settings() if isinstance(stage, Advises) else ()
-    unsafe = [SelfTestItem("stage", "setting", value, cure) for value, cure in settings]
-    safe = (
-        f"{bounds.free_mm_s:.2g} mm/s where nothing was felt, {bounds.unknown_mm_s:.2g} mm/s where the unit was not "
-        f"pressed yet, so that a stop ends below {bounds.ceiling_N:g} N"
+    unsafe = [SelfTestItem(STAGE, Reason("check.setting"), plain(value), cure) for value, cure in settings]
+    safe = reason(
+        "found.safe_speed", free_mm_s=bounds.free_mm_s, unknown_mm_s=bounds.unknown_mm_s, ceiling_N=bounds.ceiling_N
     )
-    findings = [*unsafe, SelfTestItem("stage", "safe speed", safe)]
+    findings = [*unsafe, SelfTestItem(STAGE, Reason("check.safe_speed"), safe)]
     if isinstance(stage, RunsOn):
         speed_mm_s = bench.config.safety.speed_mm_s
         on_s = stage.runs_on_s(speed_mm_s)
-        value = f"at {speed_mm_s:g} mm/s at most {on_s:.2f} s and {on_s * speed_mm_s:.2g} mm"
-        findings.append(SelfTestItem("stage", "runs on when the host dies", value))
+        value = reason("found.runs_on", speed_mm_s=speed_mm_s, on_s=on_s, way_mm=on_s * speed_mm_s)
+        findings.append(SelfTestItem(STAGE, Reason("check.runs_on"), value))
     return findings
