@@ -16,6 +16,7 @@ import numpy as np
 from map_methods import print_table
 from plotly.subplots import make_subplots
 from scipy.stats import beta
+from screens_common import chromium
 from trust_lots import GOOD, FittedUnit, covered, drawn_lots, fitted, measured_lots
 
 from softcal.core.quality.acceptance import Promise
@@ -53,7 +54,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 24), metavar=("FIRST", "LAST"))
     parser.add_argument("--cache", type=Path, default=Path(gettempdir()) / "softcal-trust", help="fits are kept here")
     parser.add_argument("--measured", action="store_true", help="the recordings of shared/data in place of drawn lots")
-    parser.add_argument("--figure", type=Path, help="draw what audits buy into this file")
+    parser.add_argument("--figure", type=Path, help="draw what audits buy: .html, or .png by chromium")
     options = parser.parse_args()
     if options.measured:
         report(by_lot(fitted(measured_lots, "measured", options.cache)))
@@ -233,12 +234,12 @@ def draw_figure(lots: Lots, file: Path) -> None:
         chosen = {key: units for key, units in lots.items() if (key[0] in GOOD) == is_good}
         runs = [[d for g in released_on(chosen, n, risk=max(RISK, least_risk(n))).values() for d in g] for n in counts]
         released = [sum(d.released for d in run) for run in runs]
-        shares = [100 * r / max(sum(d.unmeasured for d in run), 1) for r, run in zip(released, runs, strict=True)]
+        good = [100 * sum(d.released - d.beyond for d in run) / max(sum(d.good for d in run), 1) for run in runs]
         beyond = [100 * sum(d.beyond for d in run) / max(r, 1) for r, run in zip(released, runs, strict=True)]
-        traces += [(1, counts, shares, label, colour, "solid"), (2, counts, beyond, label, colour, "solid")]
+        traces += [(1, counts, good, label, colour, "solid"), (2, counts, beyond, label, colour, "solid")]
     promised = [100 * max(RISK, least_risk(n)) for n in counts]
     traces.append((2, counts, promised, "risk promised", "#333333", "dash"))
-    titles = ("released, % of the unmeasured units", "beyond the limit, % of the released")
+    titles = ("released, % of the good unmeasured units", "beyond the limit, % of the released")
     figure = make_subplots(1, 2, subplot_titles=titles)
     for column, x, y, name, colour, dash in traces:
         line = {"color": colour, "dash": dash}
@@ -246,7 +247,14 @@ def draw_figure(lots: Lots, file: Path) -> None:
     figure.update_xaxes(title_text="audits a lot").update_yaxes(rangemode="tozero").update_layout(
         template="simple_white"
     )
-    figure.write_html(file, include_plotlyjs="cdn")
+    if file.suffix != ".png":
+        figure.write_html(file, include_plotlyjs="cdn")
+        return
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 1100, "height": 430}, device_scale_factor=1.5)
+        page.set_content(figure.to_html(include_plotlyjs=True, config={"displayModeBar": False}))
+        page.locator(".main-svg").first.wait_for()
+        page.screenshot(path=file)
 
 
 if __name__ == "__main__":

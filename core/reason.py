@@ -1,10 +1,16 @@
-"""Why a unit got its verdict: a code with typed values. English stands here, other languages in app/texts."""
+"""What softcal says: a code with typed values. English stands in core, other languages in app/texts.
+
+The sentences on units and verdicts stand here, those of stations, their gates and the registry in `rig_sentences`.
+"""
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Union
+from string import Formatter
+from typing import Any, Union
+
+from softcal.core.rig_sentences import SENTENCES
 
 Value = Union[str, float, int, "Reason"]
 
@@ -39,6 +45,10 @@ ENGLISH: Mapping[str, str] = {
         "not released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
         "above the limit {limit:.3g} {unit}; measure this unit"
     ),
+    "sampled.day": (
+        "not released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
+        "within the limit {limit:.3g} {unit}, but not with the {day:.3g} {unit} that golden runs show from day to day"
+    ),
     "sampled.part": (
         "not released by sample: fewer than half of the lot would pass after {audits}; measure this unit, or find out "
         "why forecasts of this lot are out by {centre:.2f}"
@@ -46,6 +56,14 @@ ENGLISH: Mapping[str, str] = {
     "sampled.beyond": (
         "forecast {rmse:.3g} {unit} times {centre:.2f}, the mean of measured over forecast error of {audits}, is above "
         "the limit {limit:.3g} {unit}"
+    ),
+    "line.stated": (
+        "the forecast holds {rmse:.3g} {unit} for the line: it loads units that give the same output {share:.1%} "
+        "differently, as was stated for it"
+    ),
+    "line.open": (
+        "no output shows how hard the line pressed: a spread of {share:.1%} of the load, the default where none is "
+        "stated, is {rmse:.3g} {unit} beside the forecast; state [line] in lot.toml, or audit"
     ),
     "trimmed": "trimmed by {loads} known loads: RMSE there {before:.3g}, now {after:.3g}; not measured since",
     "predicted_otherwise": "before the audit it was predicted {verdict}: {why}",
@@ -103,6 +121,54 @@ ENGLISH: Mapping[str, str] = {
     ),
     "part.uncertain": "is uncertain by {doubt:.3g} {unit}",
     "part.no_nearer": "brings the unit's use no nearer to the source's (overlap {gained:+.0%})",
+    # What is wrong with recordings that a diagnosis is given, and what would repair them.
+    "data.rate": "the time stamps show {seen:.4g} Hz, sample_rate_Hz says {stated:.4g} Hz",
+    "data.repair.rate": "correct the one that is wrong; if the time stamps are right, sample_rate_Hz is {seen:.4g}",
+    "data.repair.unit": "multiply {channel} by {factor:.4g}: it looks like {unit}",
+    "data.swapped_columns.steps": "another column than output_V stands on the steps of the ADC, output_V does not",
+    "data.swapped_columns.smooth": "force_N is as smooth as a commanded position, stage_mm as noisy as a force",
+    "data.repair.swap": "exchange the headings {one} and {other}",
+    "data.out_of_range.output": (
+        "output_V reaches {worst:.6g} V, an ADC with {vref:.4g} V cannot read that; {count} samples out of range"
+    ),
+    "data.out_of_range.strays": (
+        "{count} samples of {channel} lie far out, up to {worst:.6g} {unit}; nearly all others from {low:.4g} to "
+        "{high:.4g} {unit}"
+    ),
+    "data.repair.samples": "leave out the {count} samples, or record the run again; check cable and transmission",
+    "data.repair.sign": "reverse the sign of {channel}",
+    "data.swapped_runs": (
+        "{channel} does not follow the other columns of its run (correlation {now:.2f}), but those of another run "
+        "({exchanged:.2f})"
+    ),
+    "data.repair.exchange": "exchange {channel} of runs {one:g} and {other:g}",
+    "data.sign": "{channel} moves against the press: a press makes stage, force and output larger",
+    "data.swapped_divider": (
+        "the output falls when the sensor is pressed (correlation {correlation:.2f}): sensor and series resistor are "
+        "exchanged in the divider"
+    ),
+    "data.repair.divider": "exchange them, or take Vref less the output where that is how it is wired",
+    "data.unit.stiffness": (
+        "peak force over depth is {seen:.3g} N/mm; pads have {low:.3g} to {high:.3g} N/mm; state stiffness_N_mm in "
+        "recording.json if this one is right"
+    ),
+    "data.unit.size": "{channel} moves by {seen:.3g} {unit}, far from what a pad is pressed by",
+    "data.repair.gain": "multiply {channel} by {factor:.4g}, or find out what changed its gain",
+    "data.repair.zero": "subtract {offset:.4g} {unit} from {channel}: its zero was not set",
+    "data.run.apart": "{channel} of this run is {ratio:.3g} times what the other runs show",
+    "data.run.gain": (
+        "{channel} of this run is {ratio:.4g} times what all other runs show; that alone explains {share:.0%} of what "
+        "the twin leaves"
+    ),
+    "data.run.zero": (
+        "{channel} of this run is off by {offset:+.4g} {unit} from all other runs; that alone explains {share:.0%} of "
+        "what the twin leaves"
+    ),
+    "data.run.other_unit": (
+        "this run fits a unit of other stiffness ({stiffness:+.0%}), resistance ({resistance:+.0%}) and sensitivity "
+        "({sensitivity:+.0%}) than all other runs; that alone explains {share:.0%} of what the twin leaves"
+    ),
+    "data.repair.other_unit": "leave the run out, or record it again with this unit",
     # Why there is no map at all.
     "no_swing": "output makes no swing that stands out of its noise; press the unit and record it again",
     "still": "output stays at {level:.6g} {unit}; press the unit and record again",
@@ -118,13 +184,14 @@ ENGLISH: Mapping[str, str] = {
     "wrong_loads": "its known loads cannot be used: {error}",
     "worker_died": "the process that fitted it died; calibrate the lot again",
     "defect": "softcal could not calibrate it ({error}); this is a defect of softcal, the log has the details",
+    **SENTENCES,
 }
 """One sentence a code. Values stand in braces with their format; a value that is a reason is a phrase of its own."""
 
 
 @dataclass(frozen=True)
 class Reason:
-    """One thing that bears on a verdict.
+    """One thing that is said of a unit, a station or a file.
 
     Args:
         code: which sentence of `ENGLISH`.
@@ -151,7 +218,7 @@ class Reason:
             sentences: by code, as `ENGLISH`; what a language lacks is said in English.
         """
         values = {name: v.said(sentences) if isinstance(v, Reason) else v for name, v in self.values.items()}
-        return sentences.get(self.code, ENGLISH[self.code]).format(**values)
+        return filled(sentences.get(self.code, ENGLISH[self.code]), values)
 
     def to_json(self) -> dict[str, object]:
         """Return it as JSON values; `of` reads it back."""
@@ -174,8 +241,25 @@ class Reason:
         return cls(code, {name: cls.of(v) if isinstance(v, Mapping) else v for name, v in values.items()})
 
 
-def reason(code: str, **values: Value) -> Reason:
-    """Return the reason of a code; NumPy numbers become plain ones, so that the reason can be kept as JSON."""
+class _Filler(Formatter):
+    """Fills a sentence; a word in the place of a number ("nan", or a value of another version) stands as it is."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        text: str = super().format_field(value, "" if isinstance(value, str) else format_spec)
+        return text
+
+
+def filled(sentence: str, values: Mapping[str, object]) -> str:
+    """Return a sentence with its values filled in."""
+    return _Filler().vformat(sentence, (), values)
+
+
+def reason(code: str, /, **values: Value) -> Reason:
+    """Return the reason of a code, its values as JSON can keep them.
+
+    NumPy numbers become plain ones. A number that is none (nan, inf) becomes its word: whatever a device reported, the
+    sentence about it is said.
+    """
     return Reason(code, {name: _plain_value(value) for name, value in values.items()})
 
 
@@ -190,9 +274,12 @@ def to_kept(why: Reason | str) -> object:
     return str(found) if found.code == PLAIN else found.to_json()
 
 
-def packed(reasons: Iterable[Reason]) -> str:
+def packed(reasons: Iterable[Reason | str]) -> str:
     """Return reasons as one text for a column that holds messages; `unpacked` reads them back."""
-    return json.dumps([why.to_json() for why in reasons], ensure_ascii=False)
+    said = tuple(map(Reason.of, reasons))
+    if not any(why.code != PLAIN for why in said):
+        return joined(said)
+    return json.dumps([why.to_json() for why in said], ensure_ascii=False)
 
 
 def unpacked(message: str) -> tuple[Reason, ...]:
@@ -200,6 +287,18 @@ def unpacked(message: str) -> tuple[Reason, ...]:
     if not message.startswith('[{"code"'):
         return (plain(message),) if message else ()
     return tuple(map(Reason.of, json.loads(message)))
+
+
+def several(reasons: Sequence[Reason]) -> Reason:
+    """Return reasons as one, where a single one is wanted."""
+    first, *rest = reasons
+    return reason("and", first=first, rest=several(rest)) if rest else first
+
+
+def root_of(why: Reason) -> Reason:
+    """Return what a run died of, without what became of its stage."""
+    inner = why.values.get("why") if why.code == "rig.aborted" else None
+    return root_of(inner) if isinstance(inner, Reason) else why
 
 
 def joined(reasons: Iterable[Reason]) -> str:
@@ -211,6 +310,4 @@ def _plain_value(value: Value) -> Value:
     if isinstance(value, str | Reason):
         return value
     number = value.item() if hasattr(value, "item") else value
-    if isinstance(number, float) and not math.isfinite(number):
-        raise ValueError(f"a reason cannot hold {number}")
-    return number
+    return str(number) if isinstance(number, float) and not math.isfinite(number) else number

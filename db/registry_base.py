@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from sqlalchemy import Connection, RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import InputError, RegistryError
+from softcal.core.reason import reason
 from softcal.db import history
 from softcal.db.database import Database, OncePerCut
 from softcal.db.tables import audit, canonical_json, lots, registry_info, units
@@ -106,7 +107,7 @@ class RegistryBase(OncePerCut):
         row = connection.execute(KNOWN_LOT, {"lot": lot_id}).mappings().first()
         if row is None:
             known = connection.execute(select(lots.c.id).order_by(lots.c.id).limit(6)).scalars().all()
-            raise InputError(f"lot {lot_id!r} is not in the registry; it holds {_some(known)}")
+            raise InputError(reason("name.no_such_lot", lot=repr(lot_id), known=_some(known)))
         self._check_row(connection, lots, row)
         return row
 
@@ -118,7 +119,7 @@ class RegistryBase(OncePerCut):
     def _known_serial(self, connection: Connection, serial: str) -> None:
         if connection.execute(select(units.c.serial).where(units.c.serial == serial).limit(1)).first() is None:
             known = connection.execute(select(units.c.serial).distinct().order_by(units.c.serial).limit(6)).scalars()
-            raise InputError(f"serial {serial!r} is not in the registry; it holds {_some(known.all())}")
+            raise InputError(reason("name.no_such_serial", serial=repr(serial), known=_some(known.all())))
 
 
 def _some(names: Any) -> str:

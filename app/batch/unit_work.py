@@ -15,6 +15,7 @@ from softcal.core.reason import reason
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Limit, Verdict
 
@@ -58,12 +59,14 @@ class SharedWork:
         source: the source's recording, the shared network and all that the method in force derives from them.
         own: how own calibrations are trained on audits, for comparison; None trains none.
         limit: the lot's limit; None derives one from the source's own error.
+        line: how differently the line presses units, where it was stated.
     """
 
     lot: Lot
     source: SourceModel
     own: NetworkConfig | None
     limit: Limit | None
+    line: LineSpread | None = None
 
 
 @dataclass(frozen=True)
@@ -125,11 +128,12 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
         return UnitOutcome(task.item_id, task.serial, refusal)
     if task.anchors is not None:
         try:
-            check_loads(shared.source.source, task.anchors, "the unit was not calibrated")
+            known = shared.source.method.map.anchors
+            check_loads(shared.source.source, task.anchors, "the unit was not calibrated", known)
         except InputError as error:
             refusal = Refusal(Verdict.RETEST, reason("wrong_loads", error=str(error)))
             return UnitOutcome(task.item_id, task.serial, refusal, recording, audit)
-    problem = UnitProblem(shared.source, recording, shared.limit, task.anchors, audit, shared.own)
+    problem = UnitProblem(shared.source, recording, shared.limit, task.anchors, audit, shared.own, shared.line)
     if problem.input_sha256 in task.known:
         return UnitOutcome(task.item_id, task.serial, Known(problem.input_sha256))
     return UnitOutcome(task.item_id, task.serial, calibrated(problem), recording, audit)

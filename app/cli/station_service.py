@@ -5,18 +5,18 @@ import signal
 import time
 import uuid
 from dataclasses import replace
-from datetime import date, timedelta
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_json, add_network, add_registry, network_config, positive, registry_of
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import DeviceError, InputError
-from softcal.core.orders import Order, OrderKind, Progress, RunState
-from softcal.core.reason import joined, unpacked
+from softcal.core.orders import Order, OrderKind, Progress, RunState, StationState
 
 if TYPE_CHECKING:
     from softcal.core.orders import Heartbeat
+    from softcal.db.order_queue import OrderQueue
     from softcal.db.registry import Registry
 
 PATIENCE_S = 10.0
@@ -210,7 +210,7 @@ def run_order(options: argparse.Namespace) -> int:
     order_id = uuid.uuid4().hex
     with registry_of(options, create=False) as registry:
         queue = registry.order_queue
-        if not queue.is_answering(options.name):
+        if not _is_there(queue, options.name):
             raise DeviceError(f"station {options.name!r} is not served; start `softcal station serve` first")
         facts = (options.serial, options.lot, current_user(), options.reason)
         queue.place(Order(order_id, options.name, kind, *facts))
@@ -221,11 +221,22 @@ def run_order(options: argparse.Namespace) -> int:
             progress = _followed(registry, options.name, order_id)
     if options.json:
         write_json(options.json, _order_json(options, progress))
-    said = joined(unpacked(progress.message))
-    say(f"{f'{kind} {options.serial}'.strip()}: {progress.verdict or progress.state}: {said}")
+    say(f"{f'{kind} {options.serial}'.strip()}: {progress.verdict or progress.state}: {progress.text}")
     if progress.state is not RunState.DONE:
         return 2 if progress.code == "E-ORDER" else 3
     return 0 if progress.verdict in ("", "pass") else 1
+
+
+def _is_there(queue: "OrderQueue", station: str) -> bool:
+    """Return whether a station's service is there: its beat is fresh, or late while its process is seen to live."""
+    from softcal.app.line.place import is_alive
+    from softcal.db.order_queue import TAKEN_OVER_AFTER
+
+    beat = queue.heartbeat(station)
+    if beat is None or beat.state is StationState.OFF or is_alive(beat.process) is False:
+        return False
+    is_late_alone = bool(is_alive(beat.process)) and datetime.now(UTC) - beat.at <= TAKEN_OVER_AFTER
+    return is_late_alone or queue.is_answering(station)
 
 
 def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
@@ -237,7 +248,7 @@ def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
             shown = step
             left = f", about {progress.remaining_s:.0f} s left" if progress.remaining_s else ""
             say(f"{100 * progress.fraction:3.0f} % {progress.phase}{left}")
-        if registry.order_queue.is_answering(station):
+        if _is_there(registry.order_queue, station):
             heard_s = time.monotonic()
         elif time.monotonic() - heard_s > PATIENCE_S:
             raise DeviceError(
@@ -248,8 +259,8 @@ def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
 
 
 def _order_json(options: argparse.Namespace, progress: Progress) -> dict[str, object]:
-    names = ("order_id", "state", "code", "message", "verdict", "recording_sha256")
-    facts = {name: getattr(progress, name) for name in names}
+    names = ("order_id", "state", "code", "verdict", "recording_sha256")
+    facts = {name: getattr(progress, name) for name in names} | {"message": progress.text}
     return {"schema": "softcal.station-order/1", "kind": options.kind, "serial": options.serial, **facts}
 
 
@@ -290,9 +301,9 @@ def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> d
         "state": beat.state.value if is_there or beat.state == "off" else f"not answering (was {beat.state})",
         "at": f"{beat.at:%Y-%m-%d %H:%M:%S} UTC",
         "process": beat.process,
-        "reasons": list(beat.reasons),
+        "reasons": list(map(str, beat.reasons)),
         "is_overridden": beat.is_overridden,
-        "gate": [vars(condition) for condition in beat.gate],
+        "gate": [{"name": str(c.name), "is_good": c.is_good, "says": str(c.says)} for c in beat.gate],
         "run": run,
         "quarantine": list(held),
     }

@@ -1,9 +1,9 @@
 """A lot folder: lot.toml, source/, units/, audit/ into core values. One unreadable unit never stops the others."""
 
 import hashlib
-import stat
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from softcal.app.files.regular import read_regular
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.line_spread import LineSpread
 
 KNOWN_KEYS = {
     "": {"sample_rate_Hz", "source"},
@@ -22,6 +23,7 @@ KNOWN_KEYS = {
     "reference": {"quantity", "unit"},
     "output": {"unit", "sample_rate_Hz", "source"},
     "limit": {"rmse"},
+    "line": {"load_spread", "day_spread"},
 }
 """Keys of lot.toml by table. The two bare keys may also stand in [lot] or [output], where TOML puts what follows."""
 
@@ -37,6 +39,7 @@ class LotFolder:
         unit_paths: recording of each target unit by serial.
         audit_paths: labelled recordings that only score, by serial.
         remarks: what in the folder was not understood, in words.
+        line: how differently the line presses units, where `lot.toml` states it.
     """
 
     root: Path
@@ -45,6 +48,7 @@ class LotFolder:
     unit_paths: Mapping[str, Path]
     audit_paths: Mapping[str, Path]
     remarks: tuple[str, ...] = ()
+    line: LineSpread | None = None
 
     def read_source(self) -> LabelledRecording:
         """Read the source unit's labelled recording."""
@@ -72,7 +76,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such lot folder; make one with `softcal import`")
-    lot, remarks = _read_lot_toml(folder / "lot.toml")
+    lot, line, remarks = _read_lot_toml(folder / "lot.toml")
     sources = _recordings(folder / "source")
     if lot.source not in sources:
         seen = ", ".join(sources) or "nothing"
@@ -81,7 +85,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     strangers = sorted(set(audits) - set(units) - {lot.source})
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
-    return LotFolder(folder, lot, sources[lot.source], units, audits, (*remarks, *_same_files(units, folder)))
+    return LotFolder(folder, lot, sources[lot.source], units, audits, (*remarks, *_same_files(units, folder)), line)
 
 
 def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
@@ -91,12 +95,8 @@ def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
     """
     by_size: dict[int, list[str]] = {}
     for serial, path in units.items():
-        try:
-            state = path.stat()
-        except OSError:
-            continue
-        if stat.S_ISREG(state.st_mode):
-            by_size.setdefault(state.st_size, []).append(serial)
+        if path.is_file():
+            by_size.setdefault(path.stat().st_size, []).append(serial)
     for alike in by_size.values():
         if len(alike) > 1:
             yield from _same_content({serial: units[serial] for serial in alike}, root)
@@ -105,11 +105,10 @@ def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
 def _same_content(units: Mapping[str, Path], root: Path) -> Iterator[str]:
     by_hash: dict[str, list[str]] = {}
     for serial, path in units.items():
-        try:
+        # What cannot be read is the result of its unit and of no other.
+        with suppress(InputError):
             content = read_regular(path, root)
-        except InputError:
-            continue
-        by_hash.setdefault(hashlib.sha256(content).hexdigest(), []).append(serial)
+            by_hash.setdefault(hashlib.sha256(content).hexdigest(), []).append(serial)
     for serials in by_hash.values():
         if len(serials) > 1:
             yield same_recording(serials)
@@ -135,7 +134,7 @@ def _recordings(folder: Path) -> dict[str, Path]:
     return found
 
 
-def _read_lot_toml(path: Path) -> tuple[Lot, tuple[str, ...]]:
+def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, tuple[str, ...]]:
     if not path.is_file():
         raise InputError(f"{path}: there is no lot.toml; `softcal import` writes one")
     try:
@@ -143,11 +142,18 @@ def _read_lot_toml(path: Path) -> tuple[Lot, tuple[str, ...]]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
     with naming(path):
-        tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit")}
+        tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit", "line")}
         for name, table in tables.items():
             if not isinstance(table, dict):
                 raise InputError(f"[{name}] must be a table")
-        return _lot(content, tables), tuple(_unknown_keys(path, content))
+        return _lot(content, tables), _line(tables["line"]), tuple(_unknown_keys(path, content))
+
+
+def _line(table: Mapping[str, object]) -> LineSpread | None:
+    if not table:
+        return None
+    load, day = (_number(table.get(name, 0.0), f"[line] {name}") for name in ("load_spread", "day_spread"))
+    return LineSpread(load, day)
 
 
 def _lot(content: Mapping[str, object], tables: Mapping[str, Mapping[str, object]]) -> Lot:

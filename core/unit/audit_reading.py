@@ -11,9 +11,6 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 SHARES = np.linspace(0, 1, 101)
 """Shares of the samples at which `AuditReading.ratios` are kept."""
 
-REST = 0.02
-"""Share of the samples at whose quantile a unit is at rest."""
-
 
 @dataclass(frozen=True)
 class AuditReading:
@@ -44,12 +41,23 @@ class AuditReading:
     def of(cls, kept: Mapping[str, object]) -> "AuditReading":
         """Read what `to_json` wrote."""
         ratios: list[float] = kept["ratios"]  # type: ignore[assignment]
-        numbers = {name: float(str(kept[name])) for name in ("gain", "unit_rest", "audit_rest", "span")}
-        hashes = {name: str(kept[name]) for name in ("output_sha256", "reference_sha256")}
-        return cls(**hashes, **numbers, ratios=tuple(map(float, ratios)))
+        gain, unit_rest, audit_rest, span = (
+            float(str(kept[name])) for name in ("gain", "unit_rest", "audit_rest", "span")
+        )
+        return cls(
+            output_sha256=str(kept["output_sha256"]),
+            reference_sha256=str(kept["reference_sha256"]),
+            gain=gain,
+            unit_rest=unit_rest,
+            audit_rest=audit_rest,
+            span=span,
+            ratios=tuple(map(float, ratios)),
+        )
 
 
-def read_audit(value: Array, half: Array, audit: LabelledRecording, recording: OutputRecording) -> AuditReading:
+def read_audit(
+    value: Array, half: Array, audit: LabelledRecording, recording: OutputRecording, rest: float
+) -> AuditReading:
     """Compare estimates over an audit with its reference, and the audit with the recording its unit was fitted on.
 
     Args:
@@ -57,18 +65,25 @@ def read_audit(value: Array, half: Array, audit: LabelledRecording, recording: O
         half: (n,) half-width of their 90 % interval, before audits of other units scaled it.
         audit: labelled recording of the unit.
         recording: of the same unit.
+        rest: share of the samples at whose quantile a unit is at rest.
     """
     rows = np.isfinite(value)
     ratios = np.quantile((np.abs(value - audit.reference) / np.maximum(half, 1e-12))[rows], SHARES)
     rising = np.corrcoef(audit.unlabelled.output, audit.reference)[0, 1]
-    end = REST if rising >= 0 else 1 - REST
-    low, high = np.quantile(recording.output, (REST, 1 - REST))
+    end = rest if rising >= 0 else 1 - rest
+    low, high = np.quantile(recording.output, (rest, 1 - rest))
     return AuditReading(
         output_sha256=content_sha256({"output": audit.unlabelled.output}, {}),
         reference_sha256=content_sha256({"reference": audit.reference}, {}),
-        gain=float(np.polyfit(audit.reference[rows], value[rows], 1)[0]),
+        gain=gain_of(value, audit.reference),
         unit_rest=float(np.quantile(recording.output, end)),
         audit_rest=float(np.quantile(audit.unlabelled.output, end)),
         span=float(high - low),
         ratios=tuple(float(f"{ratio:.6g}") for ratio in ratios),
     )
+
+
+def gain_of(value: Array, reference: Array) -> float:
+    """Return the slope of estimates over the reference (least squares), rows without an estimate left out."""
+    rows = np.isfinite(value)
+    return float(np.polyfit(reference[rows], value[rows], 1)[0])

@@ -21,16 +21,18 @@ from softcal.core.maps.synchrony import paired_rows
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.audit_reading import read_audit
+from softcal.core.unit.audit_reading import gain_of, read_audit
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.findings import map_findings, opening_findings
-from softcal.core.unit.forecast import MapEvidence, Trial, forecast_error, gather_evidence, variance_table
+from softcal.core.unit.forecast import MapEvidence, Trial, forecast_error, gather_evidence, rms_load, variance_table
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
+from softcal.core.unit.line_spread import LineSpread, line_reason
 from softcal.core.unit.method import Method
 from softcal.core.unit.own_forecast import forecast_own, own_terms
 from softcal.core.unit.scoring import Scores, score_map
 from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Finding, Judgement, Limit, decide, decide_audited, default_limit
 from softcal.core.windows import TAPS
 
@@ -46,6 +48,7 @@ class UnitProblem:
         anchors: known loads of the unit, where someone took them.
         audit: labelled recording of the unit, which only measures; None where there is none.
         own: how the unit's own calibration is trained on its audit, for comparison; None trains none.
+        line: how differently the line presses units, where somebody stated it.
     """
 
     source: SourceModel
@@ -54,6 +57,7 @@ class UnitProblem:
     anchors: Anchors | None = None
     audit: LabelledRecording | None = None
     own: NetworkConfig | None = None
+    line: LineSpread | None = None
 
     @property
     def input_sha256(self) -> str:
@@ -78,6 +82,7 @@ def input_sha256(facts: UnitProblem, method: Method) -> str:
         "audit": None if audit is None else audit.sha256,
         # Without an audit no own calibration is trained, whatever was asked.
         "own": None if audit is None or facts.own is None else asdict(facts.own),
+        **({} if facts.line is None else {"line": facts.line.to_json()}),
     }
     return content_sha256({}, settings)
 
@@ -115,7 +120,7 @@ def calibrate(problem: UnitProblem) -> Calibration:
         interval=model.interval.widened(variance_table(model, evidence)),
         output_limits=limits,
         forecast=forecast,
-        decision=Decision(decide(forecast, limit, findings), _measured(problem, scores, limit)),
+        decision=Decision(_predicted(problem, evidence, forecast, limit, findings), _measured(problem, scores, limit)),
         knowledge=evidence.knowledge,
         evidence=_numbers(model, target, chosen, evidence, limit, findings),
         method=method,
@@ -136,7 +141,13 @@ def with_audit(
         recording: the one it was calibrated from.
     """
     found = estimate(network, calibration, audit.unlabelled)
-    return replace(calibration, audit=read_audit(found.estimate, found.upper - found.estimate, audit, recording))
+    half, rest = found.upper - found.estimate, (calibration.method or Method()).decision.audit_rest
+    return replace(calibration, audit=read_audit(found.estimate, half, audit, recording, rest))
+
+
+def read_gain(network: Network, calibration: Calibration, recording: LabelledRecording) -> float:
+    """Return the slope of a unit's estimates over the reference: 1 where it reads its loads in full."""
+    return gain_of(estimate(network, calibration, recording.unlabelled).estimate, recording.reference)
 
 
 def _limit(problem: UnitProblem) -> Limit:
@@ -150,6 +161,21 @@ def _limit(problem: UnitProblem) -> Limit:
 
 def _scores(problem: UnitProblem, unit_map: UnitMap, audit: LabelledRecording) -> Scores:
     return score_map(problem.source.network, unit_map, audit, problem.own, problem.source.method.decision)
+
+
+def _predicted(
+    problem: UnitProblem,
+    evidence: MapEvidence,
+    forecast: ErrorForecast,
+    limit: Limit,
+    findings: tuple[Finding, ...],
+) -> Judgement:
+    """Decide on the forecast, and say last what the line adds that no recording shows."""
+    judgement, config = decide(forecast, limit, findings), problem.source.method.line
+    share = (problem.line or LineSpread(config.load_spread, config.day_spread)).share
+    load = rms_load(evidence.estimate, problem.source.method.forecast)
+    said = line_reason(share, load, limit.unit, problem.line is not None)
+    return replace(judgement, reasons=(*judgement.reasons, said))
 
 
 def _measured(problem: UnitProblem, scores: Scores | None, limit: Limit) -> Judgement | None:
@@ -174,6 +200,7 @@ def _evidence(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap, limits: 
         trials=trials,
         gain_error=float(chosen.evidence.get("gain_error", 0.0)),
         is_anchored=problem.anchors is not None,
+        line=problem.line,
     )
 
 
@@ -185,7 +212,7 @@ def _trials(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap) -> list[Tr
     """
     if chosen.family != Synchronous.name:
         return []
-    source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony)
+    source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony, fit.config.synchrony)
     if not np.isfinite(fit.synchrony.until_s):
         return [Trial(chosen.unit_map, source_rows, target_rows)]
     parts = problem.source.method.forecast.opening_parts
@@ -231,6 +258,7 @@ def _numbers(
         **{f"map_{name}": value for name, value in chosen.evidence.items()},
         **{f"u_{name}": value for name, value in evidence.budget.items()},
         "correction_rms": evidence.correction_rms,
+        "load_rms": rms_load(evidence.estimate, model.method.forecast),
         "limit_rmse": limit.maximum_rmse,
         "limit_origin": str(limit.origin),
         "findings": ", ".join(finding.kind for finding in findings),
