@@ -2,31 +2,30 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import date, datetime
+from datetime import date, datetime, timedelta
 
 import numpy as np
 
 from softcal.app.batch.audit import lot_audit, lot_limit
 from softcal.core.lot import Lot
-from softcal.core.quality.acceptance import tolerance_factor
+from softcal.core.quality.acceptance import Promise, tolerance_factor
 from softcal.core.quality.audit_check import check_audits
 from softcal.core.quality.conformal import unit_scale
-from softcal.core.quality.qualification import PastAudit, Qualification, QualificationRules, qualify
+from softcal.core.quality.qualification import PastAudit, Qualification, qualify
 from softcal.core.quality.release import AuditedUnit, audits_wanted
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.audit_reading import AuditReading
 from softcal.core.unit.calibrate import read_gain, with_audit
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.line_spread import SeenGains, seen_gains
-from softcal.core.unit.method import CONFIDENCE
+from softcal.core.unit.method import CONFIDENCE, Method
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.db.entries import MadeCalibration, UnitStanding
 from softcal.db.registry import Registry
 
 RELEASABLE = (Verdict.PASS, Verdict.CONDITIONAL)
-RULES = QualificationRules()
-MOST_AUDITS = 40
-"""Audited units that the scale of the intervals is made of."""
+RULES = Method().release
+PROMISE = Promise(RULES.risk, RULES.confidence)
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class AuditEvidence:
         """
         if self.days is None or load_rms is None:
             return 0.0
-        return tolerance_factor(self.days.count, self.days.count - 1, RULES.promise) * self.days.spread * load_rms
+        return tolerance_factor(self.days.count, self.days.count - 1, PROMISE) * self.days.spread * load_rms
 
 
 Audited = Mapping[str, tuple[AuditedUnit, UnitStanding, MadeCalibration]]
@@ -87,7 +86,7 @@ class AuditReader:
         here = [audit for audit, _, made in audited.values() if made.method_id == method_id]
         readings = {serial: self._reading(lot_id, made) for serial, (_, _, made) in audited.items()}
         check_audits({serial: reading for serial, reading in readings.items() if reading is not None})
-        past = [] if len(here) >= audits_wanted(RULES.promise) else self._past(lot)
+        past = [] if len(here) >= audits_wanted(PROMISE) else self._past(lot)
         # Audits of this lot under another method say as much as those of another lot: nothing.
         past += [
             PastAudit(audit, lot.sensor_model, made.method_id, standing.made_at)
@@ -103,7 +102,8 @@ class AuditReader:
     def _days(self, lot: Lot, now: datetime) -> SeenGains | None:
         """Return the gains of golden units of this sensor model, one a day, each about its unit's own mean."""
         gains: list[float] = []
-        for serial in sorted({run.serial for run in self._registry.golden_runs(since=now - RULES.lasts)}):
+        since = now - timedelta(days=RULES.lasts_days)
+        for serial in sorted({run.serial for run in self._registry.golden_runs(since=since)}):
             for known in self._registry.lots_of(serial):
                 if lot.sensor_model and self._registry.lot(known).sensor_model == lot.sensor_model:
                     by_day = self._gains_by_day(known, serial, now)
@@ -114,7 +114,7 @@ class AuditReader:
         registry, days = self._registry, dict[date, list[float]]()
         stored = registry.calibration(serial, lot_id=lot_id)
         for entry in registry.recordings(lot_id, serial, "audit"):
-            if now - entry.added_at > RULES.lasts:
+            if now - entry.added_at > timedelta(days=RULES.lasts_days):
                 continue
             key = entry.sha256, stored.revision
             if key not in self._golden:
@@ -166,7 +166,7 @@ class AuditReader:
     def _interval_scale(self, qualification: Qualification, lot_id: str) -> float:
         """Return the factor on the intervals that the audited units ask for."""
         readings = []
-        for audit in qualification.audits[:MOST_AUDITS]:
+        for audit in qualification.audits[: RULES.most_audits]:
             lot = audit.lot_id or lot_id
             standing = self._registry.standings(lot, [audit.serial]).get(audit.serial)
             if standing is not None and standing.made is not None:

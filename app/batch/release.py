@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from softcal.app.batch.audit_evidence import RELEASABLE, RULES, AuditEvidence, AuditReader
+from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
 from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.release import least_passing
@@ -145,7 +145,7 @@ def _decided(evidence: AuditEvidence, units: Mapping[str, MadeCalibration], leas
         forecasts,
         evidence.qualification,
         evidence.limit,
-        RULES.promise,
+        PROMISE,
         interval_scale=evidence.interval_scale,
         least=least,
         seen=evidence.seen,

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import beta, nct, norm
 
 from softcal.core.errors import InputError
+from softcal.core.unit.method import ReleaseConfig
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,8 @@ class Promise:
         InputError: one of them is no share.
     """
 
-    risk: float = 0.10
-    confidence: float = 0.90
+    risk: float = ReleaseConfig.risk
+    confidence: float = ReleaseConfig.confidence
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

@@ -10,6 +10,7 @@ from scipy.stats import beta
 
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
+from softcal.core.unit.method import ReleaseConfig
 
 
 def upper_bound(scores: Array, risk: float) -> float:
@@ -74,24 +75,25 @@ def pooled_scale(groups: Sequence[Array], coverage: float, has_unseen: bool = Fa
     return float("inf") if reached == len(order) else float(scores[order][reached])
 
 
-LEAST_COVERAGE, MOST_UNITS = 0.80, 0.10
-"""An interval covers at least this share of the samples of all but this share of the units."""
-
-
-def unit_scale(groups: Sequence[Array], coverage: float) -> float:
+def unit_scale(
+    groups: Sequence[Array],
+    coverage: float,
+    rules: ReleaseConfig = ReleaseConfig(),  # noqa: B008 - frozen
+) -> float:
     """Return the factor on an interval's half-width that serves the samples on average and the units one by one.
 
-    The larger of `pooled_scale` and the conformal bound of the units' own factors for `LEAST_COVERAGE`. Where units are
-    alike it is the first; where each was pressed with another force, the second: one more unit has less than that share
-    of its samples covered with probability `MOST_UNITS` at most. Of fewer units than that takes, the widest counts.
+    The larger of `pooled_scale` and the conformal bound of the units' own factors for `rules.least_coverage`. Where
+    units are alike it is the first; where each was pressed with another force, the second: one more unit has less than
+    that share of its samples covered with probability `rules.most_units` at most. Of fewer units than that takes, the
+    widest counts.
 
     Args:
         groups: per audited unit, (n,) |residual| over half-width of its samples.
         coverage: share of samples, between 0 and 1.
     """
     pooled = pooled_scale(groups, coverage)
-    own = np.array([np.quantile(group, LEAST_COVERAGE) for group in groups])
-    bound = upper_bound(own, MOST_UNITS)
+    own = np.array([np.quantile(group, rules.least_coverage) for group in groups])
+    bound = upper_bound(own, rules.most_units)
     return max(pooled, bound if np.isfinite(bound) else float(own.max()))
 
 

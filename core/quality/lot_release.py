@@ -7,9 +7,10 @@ import numpy as np
 
 from softcal.core.quality.acceptance import Promise
 from softcal.core.quality.qualification import Qualification
-from softcal.core.quality.release import LEAST_PART, AuditedUnit, PromisedRelease, release
+from softcal.core.quality.release import AuditedUnit, PromisedRelease, release
 from softcal.core.reason import Reason, Value, plain, reason
 from softcal.core.unit.line_spread import SeenGains
+from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Judgement, Limit, Verdict
 
 
@@ -158,8 +159,8 @@ def _statement(
         return f"no unit is left to release by sample: {seen}"
     if not found.released:
         return (
-            f"no unit is released by sample: {seen}; fewer than {LEAST_PART:.0%} of the lot, or of the other "
-            f"{len(forecasts)} units, would pass at {found.factor:.2g} x their forecast"
+            f"no unit is released by sample: {seen}; fewer than {ReleaseConfig.least_part:.0%} of the lot, or of the "
+            f"other {len(forecasts)} units, would pass at {found.factor:.2g} x their forecast"
         )
     return (
         f"with {seen}: at most {promise.risk:.0%} of the {len(found.released)} units released by sample (of "

@@ -2,7 +2,8 @@
 
 from softcal.core.quality.acceptance import Promise, audits_by_count, failing_share, tolerance_factor
 from softcal.core.quality.conformal import least_risk
-from softcal.core.quality.release import LEAST_AUDITS, audits_wanted
+from softcal.core.quality.release import audits_wanted
+from softcal.core.unit.method import ReleaseConfig
 
 PROMISE_HEADER = ("if all hold", "beyond, on average", "beyond, at 90 %", "margin needed", "promise of 1 in 10")
 
@@ -13,7 +14,7 @@ def promise_rows(promise: Promise = Promise()) -> list[list[object]]:  # noqa: B
     The average and the share at a confidence hold for errors of any form. The margin is by how many standard deviations
     of the log ratio the mean must stay below the limit for the promise by variables (ISO 3951).
     """
-    counts = sorted({3, LEAST_AUDITS, audits_wanted(promise), 10, 20, audits_by_count(promise)})
+    counts = sorted({3, ReleaseConfig.least_audits, audits_wanted(promise), 10, 20, audits_by_count(promise)})
     return [_row(count, promise) for count in counts]
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 from softcal.core.quality.acceptance import Promise
-from softcal.core.quality.release import LEAST_LOTS, AuditedUnit, audits_wanted
+from softcal.core.quality.release import AuditedUnit, audits_wanted
+from softcal.core.unit.method import ReleaseConfig
 
 THIS_LOT, EARLIER_LOTS, NONE = "this lot", "earlier lots", "none"
 
@@ -30,19 +31,6 @@ class PastAudit:
     method_id: str
     made_at: datetime
     has_failed: bool = False
-
-
-@dataclass(frozen=True)
-class QualificationRules:
-    """What a qualification takes.
-
-    Args:
-        promise: what released units are to keep to.
-        lasts: how long an audit of an earlier lot counts.
-    """
-
-    promise: Promise = Promise()
-    lasts: timedelta = timedelta(days=365)
 
 
 @dataclass(frozen=True)
@@ -74,13 +62,13 @@ def qualify(
     sensor_model: str,
     method_id: str,
     golden_failed_at: datetime | None = None,
-    rules: QualificationRules = QualificationRules(),  # noqa: B008 - frozen
+    rules: ReleaseConfig = ReleaseConfig(),  # noqa: B008 - frozen
 ) -> Qualification:
     """Say whether and on what audits the units of a lot may be released.
 
     Enough audits of the lot itself outrank all others. Audits of earlier lots count where they are of the same product
-    and method, not older than `rules.lasts`, of three lots at least, and no later audit or golden unit failed: a
-    failure withdraws everything before it.
+    and method, not older than `rules.lasts_days`, of `rules.least_lots` lots at least, and no later audit or golden
+    unit failed: a failure withdraws everything before it.
 
     Args:
         here: audits of this lot.
@@ -89,19 +77,20 @@ def qualify(
         sensor_model, method_id: of this lot.
         golden_failed_at: when a golden unit last failed on the line that presses this lot.
     """
-    wanted = audits_wanted(rules.promise)
+    wanted = audits_wanted(Promise(rules.risk, rules.confidence))
     if len(here) >= wanted:
         return Qualification(THIS_LOT, tuple(here), 0, f"{len(here)} audited units of this lot")
     missing = wanted - len(here)
     if not sensor_model:
         return _none(missing, len(here), "the lot names no sensor_model, so no earlier lot counts for it")
     same = [audit for audit in past if (audit.sensor_model, audit.method_id) == (sensor_model, method_id)]
-    fresh = [audit for audit in same if now - audit.made_at <= rules.lasts]
+    lasts = timedelta(days=rules.lasts_days)
+    fresh = [audit for audit in same if now - audit.made_at <= lasts]
     failed = [audit.made_at for audit in fresh if audit.has_failed]
     since = max([*failed, *([golden_failed_at] if golden_failed_at else [])], default=None)
     standing = [audit for audit in fresh if since is None or audit.made_at > since]
     lots = {audit.unit.lot_id for audit in standing}
-    if len(standing) + len(here) >= wanted and len(lots) >= LEAST_LOTS:
+    if len(standing) + len(here) >= wanted and len(lots) >= rules.least_lots:
         audits = (*here, *(audit.unit for audit in standing))
         return Qualification(EARLIER_LOTS, audits, 0, f"{len(standing)} audited units of {len(lots)} earlier lots")
     return _none(missing, len(here), _why(past, same, fresh, standing, rules))
@@ -117,15 +106,15 @@ def _why(
     same: Sequence[PastAudit],
     fresh: Sequence[PastAudit],
     standing: Sequence[PastAudit],
-    rules: QualificationRules,
+    rules: ReleaseConfig,
 ) -> str:
     if not past:
         return "no earlier lot was audited"
     if not same:
         return "the audits of earlier lots are of another sensor model or method"
     if not fresh:
-        return f"the audits of earlier lots are older than {rules.lasts.days} days"
+        return f"the audits of earlier lots are older than {rules.lasts_days:g} days"
     if len(standing) < len(fresh):
         return "a failed audit or golden unit withdrew what earlier lots had shown"
     lots = len({audit.unit.lot_id for audit in standing})
-    return f"{len(standing)} audited units of {lots} earlier lots are too few ({LEAST_LOTS} lots are needed)"
+    return f"{len(standing)} audited units of {lots} earlier lots are too few ({rules.least_lots} lots are needed)"

@@ -14,24 +14,10 @@ from softcal.core.errors import InputError
 from softcal.core.quality.acceptance import Promise, tolerance_factor
 from softcal.core.quality.conformal import least_units, share_beyond
 from softcal.core.recording import Array
+from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Limit
 
-LEAST_SPREAD = 0.10
-"""A standard deviation of log(measured / forecast) from unit to unit that a few audits cannot prove to be smaller."""
-
-RESERVE = 10.0
-"""A bound is taken at a tenth of the error the promise allows: 99 % for 90 %. At 90 % one poor lot in ten would be let
-through, and among kinds of lot that are mostly poor those are all that is released."""
-
-LEAST_AUDITS = 5
-"""The spread of fewer audits than this is a guess, whatever risk is asked for."""
-
-LEAST_PART = 0.5
-"""A lot is released by sample where at least this part of it passes, of its candidates and of all its units; the few
-best of a poor lot are picked by luck."""
-
-LEAST_LOTS = 3
-"""Audits of fewer lots than this say nothing firm about a lot without audits: how lots differ is not known."""
+RULES = ReleaseConfig()
 
 
 @dataclass(frozen=True)
@@ -84,18 +70,18 @@ class Ratios:
     count: float
     degrees: float
 
-    def bound(self, promise: Promise) -> float:
+    def bound(self, promise: Promise, rules: ReleaseConfig = RULES) -> float:
         """Return the factor that measured / forecast of all but a share `risk` of the units stays below.
 
         The larger of exp(mean + k SD), which holds with the promise's confidence where the ratios are near log-normal
         (ISO 16269-6, the method of ISO 3951), and the largest ratio seen, which one unit in audits + 1 exceeds whatever
         form the ratios have. Infinite where the audits are too few.
         """
-        if self.audits < LEAST_AUDITS or (self.lots > 1 and self.lots < LEAST_LOTS):
+        if self.audits < rules.least_audits or (self.lots > 1 and self.lots < rules.least_lots):
             return float("inf")
-        reckoned = replace(promise, confidence=1 - (1 - promise.confidence) / RESERVE)
+        reckoned = replace(promise, confidence=1 - (1 - promise.confidence) / rules.reserve)
         factor = tolerance_factor(self.count, self.degrees, reckoned)
-        return float(np.exp(max(self.largest, self.centre + factor * max(self.spread, LEAST_SPREAD))))
+        return float(np.exp(max(self.largest, self.centre + factor * max(self.spread, rules.least_spread))))
 
 
 @dataclass(frozen=True)
@@ -122,7 +108,7 @@ class PromisedRelease:
     risk_any_form: float
 
 
-def audited_ratios(audits: Sequence[AuditedUnit]) -> Ratios:
+def audited_ratios(audits: Sequence[AuditedUnit], rules: ReleaseConfig = RULES) -> Ratios:
     """Return what the audited units show; units of several lots show how lots differ as well.
 
     Over lots the variance of one more unit is that of the lots' means and what one unit adds to it (one-way random
@@ -145,15 +131,15 @@ def audited_ratios(audits: Sequence[AuditedUnit]) -> Ratios:
         (group,) = groups
         spread = float(np.std(group, ddof=1))
         return Ratios(len(group), 1, float(group.mean()), spread, largest, len(group), len(group) - 1)
-    return _over_lots(groups, largest)
+    return _over_lots(groups, largest, rules.least_spread)
 
 
-def _over_lots(groups: Sequence[Array], largest: float) -> Ratios:
+def _over_lots(groups: Sequence[Array], largest: float, least_spread: float) -> Ratios:
     sizes, means = np.array([len(group) for group in groups]), np.array([group.mean() for group in groups])
     free = float(np.sum(sizes - 1))
     squares = sum(float(np.sum((group - group.mean()) ** 2)) for group in groups)
     within = squares / free * (1 - float(np.mean(1 / sizes))) if free else 0.0
-    between = max(float(np.var(means, ddof=1)), LEAST_SPREAD**2 / len(groups))
+    between = max(float(np.var(means, ddof=1)), least_spread**2 / len(groups))
     whole = between + within
     degrees = whole**2 / (between**2 / (len(groups) - 1) + (within**2 / free if free else 0.0))
     count = len(groups) * whole / between
@@ -167,6 +153,7 @@ def release(
     promise: Promise = Promise(),  # noqa: B008 - frozen
     least: float = 0.0,
     days: Mapping[str, float] | None = None,
+    rules: ReleaseConfig = RULES,
 ) -> PromisedRelease:
     """Choose which unmeasured units to release so that the promise holds for the released ones.
 
@@ -180,25 +167,26 @@ def release(
         audits: of the same lot, drawn at random; or of several earlier lots.
         limit: largest acceptable RMSE.
         promise: what is to hold for the released units.
+        rules: the numbers behind it.
 
     Raises:
         InputError: a unit was audited twice, or a forecast is no positive number.
     """
     _check(forecasts)
-    ratios, considered = audited_ratios(audits), len(forecasts)
+    ratios, considered = audited_ratios(audits, rules), len(forecasts)
     days = days or {}
     # What is left of the limit once another day has taken its part; without golden runs the limit itself.
     limits = {serial: _left(limit.maximum_rmse, days.get(serial, 0.0)) for serial in forecasts}
     need = {serial: forecasts[serial] / limits[serial] if limits[serial] else np.inf for serial in forecasts}
     ordered = sorted(forecasts, key=lambda serial: (need[serial], serial))
     needed = np.array([need[serial] for serial in ordered])
-    count, factor = considered, ratios.bound(promise)
-    least = max(LEAST_PART * considered, least, 1)
+    count, factor = considered, ratios.bound(promise, rules)
+    least = max(rules.least_part * considered, least, 1)
     while (passing := int(np.count_nonzero(needed[:count] * factor <= 1))) < count:
         count = passing
         if count < least:
             return PromisedRelease((), factor, ratios, considered, promise, 1.0, 1.0)
-        factor = ratios.bound(replace(promise, risk=promise.risk * count / considered))
+        factor = ratios.bound(replace(promise, risk=promise.risk * count / considered), rules)
     if count < least:
         return PromisedRelease((), factor, ratios, considered, promise, 1.0, 1.0)
     said = _any_form(ratios, count / considered, promise) if count else (1.0, 1.0)
@@ -209,14 +197,14 @@ def _left(limit: float, day: float) -> float:
     return float(np.sqrt(max(limit**2 - day**2, 0.0)))
 
 
-def least_passing(units: int, held: int) -> float:
+def least_passing(units: int, held: int, rules: ReleaseConfig = RULES) -> float:
     """Return how many unmeasured units must pass so that half of a whole lot does.
 
     Args:
         units: of the lot, those that a finding or refusal stands against among them.
         held: of these, measured within the limit.
     """
-    return LEAST_PART * units - held
+    return rules.least_part * units - held
 
 
 def audits_wanted(promise: Promise) -> int:

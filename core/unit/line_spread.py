@@ -11,9 +11,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.reason import Reason, reason
-
-LEAST_GAINS = 3
-"""Fewer audited units or golden runs than this show no spread."""
+from softcal.core.unit.method import ReleaseConfig
 
 MOST_SPREAD = 1.0
 
@@ -72,9 +70,9 @@ class SeenGains:
     spread: float
 
 
-def seen_gains(gains: Sequence[float]) -> SeenGains | None:
-    """Return mean and spread of gains; None where there are too few, or one is not positive."""
-    if len(gains) < LEAST_GAINS or min(gains) <= 0:
+def seen_gains(gains: Sequence[float], least: int = ReleaseConfig.least_gains) -> SeenGains | None:
+    """Return mean and spread of gains; None where there are fewer than `least`, or one is not positive."""
+    if len(gains) < least or min(gains) <= 0:
         return None
     logs = np.log(gains)
     return SeenGains(len(gains), float(np.exp(logs.mean())), float(np.std(logs, ddof=1)))

@@ -230,6 +230,49 @@ class DecisionConfig:
 
 
 @dataclass(frozen=True)
+class ReleaseConfig:
+    """When units that nobody measured pass on the audits of others (`core/quality/release.py`, `audit_check.py`).
+
+    Args:
+        risk: largest share of released units beyond the limit that is promised.
+        confidence: probability that lots released by the rule keep to it.
+        least_spread: SD of log(measured / forecast) from unit to unit that a few audits cannot prove to be smaller.
+        reserve: a bound is taken at this part of the error that the promise allows: 10 makes 99 % of 90 %. Else one
+            poor lot in ten is let through, and of kinds of lot that are mostly poor those are all that is released.
+        least_audits: the spread of fewer audits is a guess, whatever risk is asked for.
+        least_part: a lot is released by sample where at least this part of it passes; the few best of a poor lot are
+            picked by luck.
+        least_lots: audits of fewer lots say nothing firm about a lot without audits: how lots differ is not known.
+        lasts_days: how long an audit of an earlier lot counts.
+        most_audits: audited units that the scale of the intervals is made of.
+        least_coverage, most_units: an interval covers at least the first share of the samples of all but the second
+            share of the units.
+        least_gains: fewer audited units or golden runs than this show no spread of a line or its days.
+        most_gain: audits whose gains differ by this factor contradict one another.
+        least_others: an audit is out of line with at least so many others.
+        same_rest, other_rest: shares of a unit's span; outputs at rest nearer than the first are one unit's, further
+            apart than the second two.
+    """
+
+    risk: float = setting(0.10)
+    confidence: float = setting(0.90)
+    least_spread: float = setting(0.10)
+    reserve: float = setting(10.0, "benchmarks/trust.py on seeds 0-24; tested on seeds 24-48")
+    least_audits: int = setting(5)
+    least_part: float = setting(0.5)
+    least_lots: int = setting(3)
+    lasts_days: float = setting(365.0)
+    most_audits: int = setting(40)
+    least_coverage: float = setting(0.80)
+    most_units: float = setting(0.10)
+    least_gains: int = setting(3)
+    most_gain: float = setting(3.0, "as findings.stretch")
+    least_others: int = setting(3)
+    same_rest: float = setting(0.01)
+    other_rest: float = setting(0.05)
+
+
+@dataclass(frozen=True)
 class Method:
     """How a unit is calibrated and judged; one configuration for every sensor and data set.
 
@@ -237,7 +280,8 @@ class Method:
         version: raised when the code computes otherwise from the same numbers.
         taps, levels, confidence: of windows and intervals.
         range_margin: an estimate further than this share of the source's range beyond it is out of range.
-        map, source, stage_check, health, forecast, knowledge, line, findings, decision: a section a module.
+        map, source, stage_check, health, forecast, knowledge, line, findings, decision, release: a section a
+            module.
     """
 
     version: int = setting(2, "raised by hand")
@@ -254,6 +298,7 @@ class Method:
     line: LineConfig = field(default_factory=LineConfig)
     findings: FindingConfig = field(default_factory=FindingConfig)
     decision: DecisionConfig = field(default_factory=DecisionConfig)
+    release: ReleaseConfig = field(default_factory=ReleaseConfig)
 
     def __post_init__(self) -> None:
         if (self.taps, self.levels, self.confidence) != (TAPS, LEVELS, CONFIDENCE):

@@ -14,8 +14,9 @@ from softcal.core.quality.acceptance import (
     tolerance_factor,
 )
 from softcal.core.quality.conformal import least_risk, least_units, pooled_scale, share_beyond, unit_scale, upper_bound
-from softcal.core.quality.qualification import PastAudit, QualificationRules, qualify
+from softcal.core.quality.qualification import PastAudit, qualify
 from softcal.core.quality.release import AuditedUnit, audited_ratios, least_passing, release
+from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Limit
 
 LIMIT = Limit("N", 1.0)
@@ -238,7 +239,7 @@ def test_a_failed_golden_unit_withdraws_what_was_audited_before_it():
 
 def test_audits_made_after_a_failure_qualify_again():
     past = _past(days=30, failed=True) + _past(days=5)
-    assert qualify([], past, NOW, "EG", "m1", rules=QualificationRules()).is_given
+    assert qualify([], past, NOW, "EG", "m1", rules=ReleaseConfig()).is_given
 
 
 def test_the_interval_serves_one_more_unit_however_differently_units_were_pressed():

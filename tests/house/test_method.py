@@ -16,8 +16,7 @@ ROOMS = ("unit", "maps", "use")
 NO_DECISION = {
     "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
     "core/unit/audit_reading.py": {"SHARES"},  # quantiles of the stored reading
-    # From three gains on a lot says what they show; 1 is the end of what a share can be. Neither is of one unit.
-    "core/unit/line_spread.py": {"LEAST_GAINS", "MOST_SPREAD"},
+    "core/unit/line_spread.py": {"MOST_SPREAD"},  # 1, the end of what a share can be
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
     "core/unit/explanation.py": {"DENSITY_BINS"},  # bars of a figure
     "core/maps/crossing.py": {"KEPT"},  # entries of a cache
@@ -98,6 +97,15 @@ def test_no_function_holds_a_number_that_decides(room: str) -> None:
 def test_explained_numbers_are_there() -> None:
     for place, explained in EXPLAINED.items():
         assert set(explained) <= {text for text, _ in literals(CORE.parent / place)}, place
+
+
+RELEASE = ("acceptance", "audit_check", "conformal", "lot_release", "qualification", "release")
+"""Modules of core/quality that decide which units pass on the audits of others."""
+
+
+@pytest.mark.parametrize("module", RELEASE)
+def test_no_number_of_a_release_by_sample_stands_outside_the_method(module: str) -> None:
+    assert set(constants(CORE / "quality" / f"{module}.py")) == set()
 
 
 @pytest.mark.parametrize("room", ROOMS)
