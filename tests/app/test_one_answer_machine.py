@@ -1,6 +1,7 @@
 """Batches, lines, changes of files, restores, synchronisations and rollbacks in any order: what is in use is what a
 simple model of events says. The fit is faked, everything else is real."""
 
+import contextlib
 import itertools
 import shutil
 import tempfile
@@ -140,16 +141,42 @@ class OneAnswerMachine(RuleBasedStateMachine):
         folder = LotFolder(self.folder / side, LOT, self.folder, paths, {})
         with mock.patch.object(lot_work, "work_on", fake_work):
             told = LotWork(folder, self.registries[side], SHARED, BatchConfig(), Watch()).results()
-        for serial, number in files.items():
-            seen = self.seen[side][serial]
-            results = [event for event in seen if event.number is None or event.asked is not None]
-            newest = max(results, key=lambda event: event.at, default=None)
-            if newest is None or newest.work != number:
-                if number == BAD:
-                    seen.add(Event(next(self.ticks), None, frozenset(), None, BAD))
-                else:
-                    self.put(side, serial, number, number)
+        for serial in files:
+            self.answered(side, serial)
         assert {serial: result.verdict for serial, result in told.items()} == {s: self.verdict(side, s) for s in files}
+
+    def answered(self, side: str, serial: str) -> None:
+        """What a batch that comes to a unit does."""
+        number, seen = self.files[side][serial], self.seen[side][serial]
+        results = [event for event in seen if event.number is None or event.asked is not None]
+        newest = max(results, key=lambda event: event.at, default=None)
+        if newest is None or newest.work != number:
+            if number == BAD:
+                seen.add(Event(next(self.ticks), None, frozenset(), None, BAD))
+            else:
+                self.put(side, serial, number, number)
+
+    @rule(side=st.sampled_from(SIDES), number=st.integers(0, 2))
+    def batch_that_is_broken_off(self, side: str, number: int) -> None:
+        """Every file is another one; the batch ends after the first unit it keeps."""
+        files = self.files[side]
+        for serial in SERIALS:
+            (self.folder / side / f"{serial}.csv").write_text(str(number))
+            files[serial] = number
+        paths = {serial: self.folder / side / f"{serial}.csv" for serial in files}
+        folder = LotFolder(self.folder / side, LOT, self.folder, paths, {})
+        kept: list[str] = []
+
+        def end(result) -> None:
+            kept.append(result.serial)
+            raise KeyboardInterrupt
+
+        # What was asked for by the same file before is put into use before anything is queued.
+        asked_before = [s for s in files if any(e.work == number and e.asked == number for e in self.seen[side][s])]
+        with mock.patch.object(lot_work, "work_on", fake_work), contextlib.suppress(KeyboardInterrupt):
+            LotWork(folder, self.registries[side], SHARED, BatchConfig(chunk=1), Watch(on_unit=end)).results()
+        for serial in (*asked_before, *kept):
+            self.answered(side, serial)
 
     @rule(side=st.sampled_from(SIDES), serial=st.sampled_from(SERIALS), number=st.integers(1, 2))
     def press(self, side: str, serial: str, number: int) -> None:
