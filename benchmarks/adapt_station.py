@@ -119,6 +119,6 @@ def follow(unit: StationUnit, t_s: Array, output_V: Array, force_N: Array) -> li
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, nargs=2, default=(100, 104), metavar=("FIRST", "LAST"))
+    parser.add_argument("--seeds", type=int, nargs=2, default=(100, 101), metavar=("FIRST", "LAST"))
     header = ["seed", "use", "drift", "no adaptation [N]", "improved [N]", "ratio", "under alarm [%]", "at the end"]
     print_markdown(header, rows(range(*parser.parse_args().seeds)))
