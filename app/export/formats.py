@@ -210,7 +210,7 @@ def _plugin_files(point: EntryPoint, write: Callable[[CalibratedUnit], Any], uni
     # What a plug-in writes may give numbers: a unit that is not released has none of it.
     unit.check_usable()
     try:
-        files = write(unit)
+        files: dict[str, bytes] = write(unit)
     except UnitRefused:
         raise
     except Exception as error:
