@@ -225,4 +225,4 @@ def _plugin_files(point: EntryPoint, write: Callable[[CalibratedUnit], Any], uni
         raise InputError(
             f"{who(point, KIND)}: gave no files; names with the serial {unit.serial} and bytes were expected"
         )
-    return files
+    return dict(files)
