@@ -155,10 +155,14 @@ def lot_limit(registry: Registry, lot_id: str) -> Limit:
         InputError: none was stated, and no unit was calibrated yet.
     """
     lot = registry.lot(lot_id)
-    if lot.limit_rmse is not None:
-        return Limit(lot.reference_unit, lot.limit_rmse)
     serial = next((unit.serial for unit in _targets(registry, lot_id) if unit.revision is not None), None)
     if serial is None:
+        if lot.limit_rmse is not None:
+            return Limit(lot.reference_unit, lot.limit_rmse)
         raise InputError(f"lot {lot_id!r} states no limit and has no calibrated unit yet; run `softcal batch` first")
     evidence = registry.calibration(serial, lot_id=lot_id).record.evidence
-    return Limit(lot.reference_unit, float(str(evidence["limit_rmse"])), plain(str(evidence["limit_origin"])))
+    expanded = float(str(evidence.get("reference_expanded", 0.0)))
+    if lot.limit_rmse is not None:
+        return Limit(lot.reference_unit, lot.limit_rmse, reference_expanded=expanded)
+    origin = plain(str(evidence["limit_origin"]))
+    return Limit(lot.reference_unit, float(str(evidence["limit_rmse"])), origin, expanded)

@@ -10,6 +10,7 @@ from softcal.app.batch.report import BatchReport, UnitResult
 from softcal.app.batch.train import train_or_find
 from softcal.app.batch.unit_work import SharedWork
 from softcal.app.files.lot_folder import LotFolder
+from softcal.app.registry.reference import state_reference
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.verdict import stated_limit
 from softcal.db.entries import UnitStanding
@@ -31,7 +32,8 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     own = config.network if config.score_own else None
     model = make_source_model(source, trained.network, method=config.method)
     lot = registry.lot(folder.lot.id)
-    shared = SharedWork(folder.lot, model, own, stated_limit(lot.reference_unit, lot.limit_rmse))
+    reference = state_reference(registry, lot.id, folder.reference, config.actor)
+    shared = SharedWork(folder.lot, model, own, stated_limit(lot.reference_unit, lot.limit_rmse), reference)
     watch.on_start(len(folder.unit_paths))
     results = LotWork(folder, registry, shared, config, watch).results()
     ordered = tuple(results[serial] for serial in folder.unit_paths)

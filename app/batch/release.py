@@ -18,7 +18,7 @@ from softcal.core.quality.release import AuditedUnit
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Decision, Verdict
+from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import MadeCalibration, StoredCalibration, UnitEntry
 from softcal.db.registry import Registry
 
@@ -195,7 +195,7 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
         decided: on its lot; the unit must be among `forecasts`.
     """
     judgement = decided.judgement(base.serial)
-    decision = Decision(base.decision.predicted, None, judgement)
+    decision = replace(base.decision, measured=None, sampled=judgement)
     scale, width = decided.forecast_scale, decided.interval_scale
     forecast = None
     if base.settings.get("forecast") is not None and base.predicted_rmse is not None:

@@ -12,6 +12,7 @@ from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import NetworkConfig
 from softcal.core.reason import reason
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.source_model import SourceModel
@@ -57,12 +58,14 @@ class SharedWork:
         source: the source's recording, the shared network and all that the method in force derives from them.
         own: how own calibrations are trained on audits, for comparison; None trains none.
         limit: the lot's limit; None derives one from the source's own error.
+        reference: what the source was compared with; None where nobody said.
     """
 
     lot: Lot
     source: SourceModel
     own: NetworkConfig | None
     limit: Limit | None
+    reference: Reference | None = None
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
     except InputError as error:
         refusal = Refusal(Verdict.RETEST, reason("unreadable", error=str(error)))
         return UnitOutcome(task.item_id, task.serial, refusal)
-    problem = UnitProblem(shared.source, recording, shared.limit, task.anchors, audit, shared.own)
+    problem = UnitProblem(shared.source, recording, shared.limit, task.anchors, audit, shared.own, shared.reference)
     if problem.input_sha256 in task.known:
         return UnitOutcome(task.item_id, task.serial, Known(problem.input_sha256))
     return UnitOutcome(task.item_id, task.serial, calibrated(problem), recording, audit)

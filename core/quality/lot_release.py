@@ -56,7 +56,7 @@ class LotRelease:
             return Judgement(Verdict.PASS, (reason("sampled.released", factor=factor, **facts, **risks),))
         if rmse * centre > limit:
             return Judgement(Verdict.FAIL, (reason("sampled.beyond", centre=centre, **facts),))
-        if rmse * factor <= limit:
+        if rmse * factor <= self.limit.acceptance_rmse:
             return Judgement(
                 Verdict.CONDITIONAL, (reason("sampled.part", centre=centre, audits=self._audits(self.found)),)
             )

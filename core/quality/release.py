@@ -186,7 +186,7 @@ def release(
     ordered = sorted(forecasts, key=lambda serial: (forecasts[serial], serial))
     errors = np.array([forecasts[serial] for serial in ordered])
     count, factor = considered, ratios.bound(promise)
-    while (passing := int(np.count_nonzero(errors[:count] * factor <= limit.maximum_rmse))) < count:
+    while (passing := int(np.count_nonzero(errors[:count] * factor <= limit.acceptance_rmse))) < count:
         count = passing
         if count < max(LEAST_PART * considered, 1):
             return Release((), factor, ratios, considered, promise, 1.0, 1.0)

@@ -19,10 +19,20 @@ from softcal.core.maps.phase import Phase
 from softcal.core.maps.synchronous import Synchronous
 from softcal.core.maps.synchrony import paired_rows
 from softcal.core.network.config import NetworkConfig
-from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.reason import Reason
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.findings import map_findings, opening_findings
-from softcal.core.unit.forecast import MapEvidence, Trial, forecast_error, gather_evidence, variance_table
+from softcal.core.unit.forecast import (
+    MapEvidence,
+    Trial,
+    forecast_error,
+    gather_evidence,
+    load_levels,
+    rms,
+    variance_table,
+)
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
 from softcal.core.unit.method import Method
 from softcal.core.unit.own_forecast import forecast_own, own_terms
@@ -43,6 +53,7 @@ class UnitProblem:
         anchors: known loads of the unit, where someone took them.
         audit: labelled recording of the unit, which only measures; None where there is none.
         own: how the unit's own calibration is trained on its audit, for comparison; None trains none.
+        reference: what the source was compared with; None where nobody said, and nothing is traced to it.
     """
 
     source: SourceModel
@@ -51,6 +62,7 @@ class UnitProblem:
     anchors: Anchors | None = None
     audit: LabelledRecording | None = None
     own: NetworkConfig | None = None
+    reference: Reference | None = None
 
     @property
     def input_sha256(self) -> str:
@@ -66,7 +78,7 @@ def input_sha256(facts: UnitProblem, method: Method) -> str:
         method: every number of the calibration.
     """
     anchors, audit = facts.anchors, facts.audit
-    settings = {
+    settings: dict[str, object] = {
         "recording": facts.recording.sha256,
         "network": facts.source.network.id,
         "method": method.id,
@@ -76,6 +88,8 @@ def input_sha256(facts: UnitProblem, method: Method) -> str:
         # Without an audit no own calibration is trained, whatever was asked.
         "own": None if audit is None or facts.own is None else asdict(facts.own),
     }
+    if facts.reference is not None:
+        settings["reference"] = facts.reference.to_json()
     return content_sha256({}, settings)
 
 
@@ -109,15 +123,25 @@ def calibrate(problem: UnitProblem) -> Calibration:
         serial=target.serial,
         network_id=model.network.id,
         unit_map=chosen.unit_map,
-        interval=model.interval.widened(variance_table(model, evidence)),
+        interval=model.interval.widened(variance_table(model, evidence) + _reference_variance(problem)),
         output_limits=limits,
         forecast=forecast,
-        decision=Decision(decide(forecast, limit, findings), _measured(problem, scores, limit)),
+        decision=Decision(decide(forecast, limit, findings), _measured(problem, scores, limit), bars=_bars(problem)),
         knowledge=evidence.knowledge,
         evidence=_numbers(model, target, chosen, evidence, limit, findings),
         method=method,
         scores=scores,
+        reference=problem.reference,
     )
+
+
+def _bars(problem: UnitProblem) -> tuple[Reason, ...]:
+    return () if problem.reference is None else problem.reference.bars(float(problem.source.source.reference.max()))
+
+
+def _reference_variance(problem: UnitProblem) -> Array:
+    reference, loads = problem.reference, load_levels(problem.source)
+    return np.zeros_like(loads) if reference is None else reference.variance(loads)
 
 
 def _limit(problem: UnitProblem) -> Limit:
@@ -126,7 +150,10 @@ def _limit(problem: UnitProblem) -> Limit:
     limit = problem.limit or default_limit(unit, model.held_out_rmse, model.method.decision)
     if limit.unit != unit:
         raise InputError(f"limit is in {limit.unit}, the reference in {unit}; state it in that")
-    return limit
+    if problem.reference is None:
+        return limit
+    factor = model.method.decision.coverage_factor
+    return replace(limit, reference_expanded=problem.reference.expanded(rms(model.source.reference), factor))
 
 
 def _scores(problem: UnitProblem, unit_map: UnitMap, audit: LabelledRecording) -> Scores:
@@ -214,6 +241,7 @@ def _numbers(
         "correction_rms": evidence.correction_rms,
         "limit_rmse": limit.maximum_rmse,
         "limit_origin": str(limit.origin),
+        "reference_expanded": limit.reference_expanded,
         "findings": ", ".join(finding.kind for finding in findings),
         **{f"own_{name}": value for name, value in own.items()},
         "own_rmse_forecast": forecast_own(own, evidence.knowledge),

@@ -51,7 +51,7 @@ class MapEvidence:
     @property
     def correction_rms(self) -> float:
         """RMS difference between doing something and doing nothing, in the reference unit."""
-        return _rms(self.estimate - self.unmapped)
+        return rms(self.estimate - self.unmapped)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +106,11 @@ def gather_evidence(
     cells = interval.direction(shape), interval.column(estimate)
     overlap, speed = use_overlap(model, shape), _fast(shape) / _fast(model.shape)
     budget = {
-        "model": _rms(model.residuals.rmse_table[cells]),
-        "disagreement": _rms(disagreement),
-        "stability": _rms(stability),
-        "support": interval.sensitivity * _rms(distance),
-        "shift": _rms(np.quantile(estimate, quantiles) - np.quantile(model.estimate, quantiles)),
+        "model": rms(model.residuals.rmse_table[cells]),
+        "disagreement": rms(disagreement),
+        "stability": rms(stability),
+        "support": interval.sensitivity * rms(distance),
+        "shift": rms(np.quantile(estimate, quantiles) - np.quantile(model.estimate, quantiles)),
         "rest": _rest_spread(model, estimate, shape),
         "resolution": _resolution(model, target, mapped, raw),
         "clipping": _clipping(model, target, limits),
@@ -122,7 +122,7 @@ def gather_evidence(
         **_stage_terms(model, target, unit_map),
     }
     if trials:
-        budget["paired"] = _rms(np.concatenate([_misread(model, target, trial) for trial in trials]))
+        budget["paired"] = rms(np.concatenate([_misread(model, target, trial) for trial in trials]))
     unmapped_overlap = use_overlap(model, interval.support.shape(raw))
     return MapEvidence(
         rows,
@@ -177,12 +177,13 @@ def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
     if not knowledge.is_placed and budget["gain"]:
         pattern = 0.5 * pattern + 0.5 * _load_pattern(model, evidence)
     reach = model.method.forecast.reach
-    beyond = unseen * _beyond(_levels(model), evidence.estimate, reach)
+    beyond = unseen * _beyond(load_levels(model), evidence.estimate, reach)
     spread_out = map_variance(budget, knowledge) - (unseen * budget["extrapolation"]) ** 2
     return knowledge.config.interval_share * spread_out * pattern + beyond**2
 
 
-def _levels(model: SourceModel) -> Array:
+def load_levels(model: SourceModel) -> Array:
+    """Return the middle of each load level of the interval, (LEVELS,) in the reference unit."""
     low, high = model.interval.low, model.interval.high
     return low + (np.arange(LEVELS) + 0.5) * (high - low) / LEVELS
 
@@ -201,7 +202,7 @@ def _disagreement_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
 
 def _load_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     """Return the squared load over its mean square in the unit's recording: (LEVELS,)."""
-    load = np.maximum(_levels(model) - _rest_level(evidence.estimate), 0.0)
+    load = np.maximum(load_levels(model) - _rest_level(evidence.estimate), 0.0)
     return np.asarray((load / max(_load(evidence.estimate), 1e-12)) ** 2)
 
 
@@ -210,7 +211,8 @@ def _smooth(table: Array) -> Array:
     return np.stack([np.convolve(row, kernel, mode="same") for row in table])
 
 
-def _rms(values: Array) -> float:
+def rms(values: Array) -> float:
+    """Return the root mean square; 0 of nothing."""
     return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else 0.0
 
 
@@ -254,7 +256,7 @@ def _clipping(model: SourceModel, target: OutputRecording, limits: OutputLimits)
 
 def _load(estimate: Array) -> float:
     """Return the RMS load above rest: what an error of the gain is multiplied with."""
-    return _rms(estimate - _rest_level(estimate))
+    return rms(estimate - _rest_level(estimate))
 
 
 def _rest_level(estimate: Array) -> float:
@@ -288,7 +290,7 @@ def _misread(model: SourceModel, target: OutputRecording, trial: Trial) -> Array
 
 def _extrapolation(model: SourceModel, estimate: Array) -> float:
     """Return the RMS distance of the source's loads from the range of loads this unit has shown."""
-    return _rms(_beyond(model.estimate, estimate, model.method.forecast.reach))
+    return rms(_beyond(model.estimate, estimate, model.method.forecast.reach))
 
 
 def _beyond(load: Array, estimate: Array, shares: tuple[float, float]) -> Array:

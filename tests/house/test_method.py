@@ -16,6 +16,7 @@ NO_DECISION = {
     "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
     "core/unit/explanation.py": {"DENSITY_BINS"},  # bars of a figure
+    "core/unit/budget.py": {"COVERAGE", "DIVISORS"},  # what a certificate states, and the GUM's distributions
     "core/maps/crossing.py": {"KEPT"},  # entries of a cache
     "core/maps/synchrony.py": {"NONE"},  # zeros
 }
