@@ -13,13 +13,13 @@ from scipy.stats import spearmanr
 from simulated_use import ACTIVITIES, CURVES, Activity, Style, cycles, read, station
 
 from softcal.app.use.adapt import source_calibration
-from softcal.core.estimate import estimate
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate
 from softcal.core.use.adapter import AdaptConfig, Adapter
 
 SAMPLES = 15_000

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from simulated_cases import Case, cases, coverage
 
-from softcal.core.estimate import estimate
 from softcal.core.simulated_lot import GOOD
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.knowledge import KnowledgeTable
 from softcal.core.unit.uncertainty import DIRECTIONS
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.estimate import Estimate, estimate
 from softcal.core.maps.interface import FitProblem
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
@@ -16,6 +15,7 @@ from softcal.core.recording import Array, LabelledRecording
 from softcal.core.simulated_lot import FAULTS, SHIFTS, LotDesign, SimulatedUnit, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.source_model import SourceModel, make_source_model
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)

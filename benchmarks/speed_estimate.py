@@ -11,11 +11,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from softcal.core.estimate import estimate
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.health import OutputLimits, run_lengths
 from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.source_model import make_source_model

@@ -19,8 +19,8 @@ from scipy.stats import beta
 from trust_lots import GOOD, FittedUnit, covered, drawn_lots, fitted, measured_lots
 
 from softcal.core.quality.acceptance import Promise
-from softcal.core.quality.conformal import least_risk, pooled_scale
-from softcal.core.quality.release import AuditedUnit, release
+from softcal.core.quality.conformal import least_risk, unit_scale
+from softcal.core.quality.release import AuditedUnit, least_passing, release
 from softcal.core.unit.verdict import Limit
 
 AUDITS = (0, 3, 5, 10, 20)
@@ -97,14 +97,16 @@ def released_on(lots: Lots, audits: int, draws: int = DRAWS, risk: float = RISK)
 
 
 def _draw(audited: Sequence[FittedUnit], rest: Sequence[FittedUnit], others: int, promise: Promise) -> Draw:
+    held = sum(u.truth <= u.limit for u in audited)
     decision = release(
         {u.serial: u.forecast for u in rest},
         [AuditedUnit(u.serial, u.forecast, u.truth) for u in audited],
         Limit("N", next((u.limit for u in rest), 1.0)),
         promise,
+        least_passing(len(audited) + len(rest) + others, held),
     )
     released = [u for u in rest if u.serial in decision.released]
-    scale = pooled_scale([np.array(u.scores) for u in audited], 0.9) if audited else 1.0
+    scale = unit_scale([u.scores for u in audited], 0.9) if audited else 1.0
     share = {u.serial: float(covered(u, scale)) for u in rest}
     return Draw(
         len(rest) + others,
@@ -121,7 +123,7 @@ def print_without_audits(lots: Lots) -> None:
     rows = []
     for kind in dict.fromkeys(kind for kind, _ in lots):
         units = [u for (k, _), group in lots.items() if k == kind for u in group]
-        passed, mapped = [u for u in units if u.word == "pass"], [u for u in units if u.scores]
+        passed, mapped = [u for u in units if u.word == "pass"], [u for u in units if u.sample]
         ratio = np.exp(np.median([np.log(u.truth / u.forecast) for u in mapped]))
         beyond = sum(u.truth > u.limit for u in passed)
         cover = np.quantile([covered(u, 1.0) for u in mapped], (0.1, 0.5))
@@ -195,7 +197,7 @@ def print_audits(lots: Lots) -> None:
 
 def print_deciles(lots: Lots) -> None:
     """Print true over forecast error by decile of the forecast over the limit."""
-    units = sorted((u for group in lots.values() for u in group if u.scores), key=lambda u: u.forecast / u.limit)
+    units = sorted((u for group in lots.values() for u in group if u.sample), key=lambda u: u.forecast / u.limit)
     rows = []
     for part in np.array_split(np.arange(len(units)), 10):
         chosen = [units[k] for k in part]

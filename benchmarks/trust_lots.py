@@ -8,18 +8,21 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from map_methods import DATA, egain, insole, taxel, taxels
+from numpy.typing import NDArray
 from simulated_cases import NETWORK
 
 from softcal.core.challenge.draw import draw_case
 from softcal.core.challenge.lot import press_lot
 from softcal.core.challenge.rig import Measured
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.estimate import estimate
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LineEffects, LotDesign, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import Estimate, estimate
+from softcal.core.unit.forecast import rms_load
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.verdict import Verdict, default_limit
 
@@ -28,8 +31,8 @@ UNITS, MANY, MANY_EVERY = 14, 26, 6
 
 SPREAD, DAY = LineEffects(load_spread=0.12), LineEffects(day_gain=0.08, day_zero=0.03)
 OWN = "own programme"
-LEVELS = np.linspace(0, 1, 101)
-"""Quantiles kept of what a unit's residuals are of its interval's half-width."""
+KEPT = 240
+"""Instants of an audit that are kept with a fit."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,9 @@ class FittedUnit:
         limit: of its lot.
         word: what the forecast and the findings say without any audit.
         is_vetoed: whether a finding, not the forecast, sets its word to fail or retest.
-        scores: (101,) quantiles of |residual| over half-width on the audit; empty for a refused unit.
+        knowledge: how its loads were known.
+        load: RMS load above rest that its recording shows, in the reference unit.
+        sample: (3, n) estimate, reference and half-width at evenly spaced instants of the audit; empty if refused.
     """
 
     kind: str
@@ -55,7 +60,17 @@ class FittedUnit:
     limit: float
     word: str
     is_vetoed: bool
-    scores: tuple[float, ...]
+    knowledge: str = ""
+    load: float = 0.0
+    sample: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def scores(self) -> Array:
+        """|residual| over half-width, (n,); empty for a refused unit."""
+        if not self.sample:
+            return np.empty(0)
+        estimate, reference, half = np.array(self.sample)
+        return np.asarray(np.abs(estimate - reference) / half)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,15 +178,25 @@ def skin(place: str) -> LabelledRecording:
 
 
 def fitted(lots: Callable[[], Iterator[RawLot]], name: str, cache: Path) -> list[FittedUnit]:
-    """Return the units of lots, fitted now or read from the cache's file of this name."""
-    file = cache / f"{name}.jsonl"
-    if file.exists():
-        return [FittedUnit(**json.loads(line)) for line in file.read_text().splitlines()]
-    models: dict[str, SourceModel] = {}
-    units = [unit for lot in lots() for unit in _fit_lot(lot, models)]
-    cache.mkdir(parents=True, exist_ok=True)
-    file.write_text("".join(json.dumps(asdict(unit)) + "\n" for unit in units))
+    """Return the units of lots, fitted now or read from the cache, which has a folder of this name and a file a lot."""
+    folder, models, units = cache / name, {}, []  # type: ignore[var-annotated]
+    if (folder / "whole").exists():
+        return [unit for file in sorted(folder.glob("*.jsonl")) for unit in _read(file)]
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, lot in enumerate(lots()):
+        file = folder / f"{k:03d}.jsonl"
+        if not file.exists():
+            rows = [json.dumps(asdict(unit)) + "\n" for unit in _fit_lot(lot, models)]
+            part = file.with_suffix(".part")
+            part.write_text("".join(rows))
+            part.rename(file)
+        units += _read(file)
+    (folder / "whole").touch()
     return units
+
+
+def _read(file: Path) -> list[FittedUnit]:
+    return [FittedUnit(**json.loads(line)) for line in file.read_text().splitlines()]
 
 
 def _fit_lot(lot: RawLot, models: dict[str, SourceModel]) -> Iterator[FittedUnit]:
@@ -190,12 +215,10 @@ def _fit_unit(lot: RawLot, unit: RawUnit, model: SourceModel) -> FittedUnit:
         calibration = calibrate(UnitProblem(model, unit.recording))
         result = estimate(model.network, calibration, unit.audit.unlabelled)
     except (UnitRefused, InputError):
-        return FittedUnit(lot.kind, lot.name, serial, float("inf"), float("inf"), float("inf"), limit, "fail", True, ())
+        return FittedUnit(lot.kind, lot.name, serial, float("inf"), float("inf"), float("inf"), limit, "fail", True)
     forecast, predicted = calibration.forecast, calibration.decision.predicted
     rows = np.isfinite(result.estimate)
     assert forecast is not None  # noqa: S101
-    residual = np.abs(result.estimate - unit.audit.reference)[rows]
-    scores = residual / np.maximum(result.upper - result.estimate, 1e-12)[rows]
     is_vetoed = predicted.verdict in (Verdict.FAIL, Verdict.RETEST) and forecast.rmse <= limit
     return FittedUnit(
         lot.kind,
@@ -207,10 +230,25 @@ def _fit_unit(lot: RawLot, unit: RawUnit, model: SourceModel) -> FittedUnit:
         limit,
         str(predicted.verdict),
         is_vetoed,
-        tuple(np.round(np.quantile(scores, LEVELS), 4).tolist()),
+        calibration.knowledge.kind,
+        _load(model, calibration, unit.recording),
+        _sample(result, unit.audit, rows),
     )
 
 
-def covered(unit: FittedUnit, scale: float | Array) -> Array:
+def _load(model: SourceModel, calibration: Calibration, recording: OutputRecording) -> float:
+    spread = np.linspace(0, len(recording.windows) - 1, model.method.forecast.rows).astype(np.int64)
+    return rms_load(model.network.evaluate(calibration.unit_map.apply(recording.windows[np.unique(spread)])))
+
+
+def _sample(result: Estimate, audit: LabelledRecording, rows: NDArray[np.bool_]) -> tuple[tuple[float, ...], ...]:
+    at = np.flatnonzero(rows)
+    at = at[np.linspace(0, len(at) - 1, KEPT).astype(np.int64)]
+    half = np.maximum(result.upper - result.estimate, 1e-12)
+    columns = (result.estimate[at], audit.reference[at], half[at])
+    return tuple(tuple(float(f"{value:.5g}") for value in column) for column in columns)
+
+
+def covered(unit: FittedUnit, scale: float) -> float:
     """Return the share of the unit's samples within its interval times `scale`."""
-    return np.asarray(np.interp(scale, unit.scores, LEVELS))
+    return float(np.mean(unit.scores <= scale))

@@ -40,7 +40,7 @@ ENGLISH: Mapping[str, str] = {
     ),
     "reference_uncertain": "the reference's own uncertainty U = {expanded:.3g} {unit} (k = 2) leaves no room to pass",
     "harmful": "worse than doing nothing: RMSE {after:.3g} {unit} with the map, {before:.3g} {unit} without it",
-    "forecast_only": "a forecast promises nothing before units of the lot were audited: see `softcal lot audit-plan`",
+    "forecast_only": "a forecast promises nothing before units of the lot were audited",
     "not_qualified": "not released by sample: {why}",
     "part.here": "{audits} audited units of this lot",
     "part.of_lots": "{audits} audited units of {lots} earlier lots",
@@ -128,7 +128,8 @@ ENGLISH: Mapping[str, str] = {
     "few.positions": "{windows} windows at equal stage positions; at least {enough} are needed",
     "no_position": "stage position is not in both recordings; windows cannot be paired by it",
     "unreadable": "recording not readable: {error}",
-    "worker_died": "the process that fitted it died; run the batch again with --jobs 1 to see why",
+    "wrong_loads": "its known loads cannot be used: {error}",
+    "worker_died": "the process that fitted it died; calibrate the lot again",
     "defect": "softcal could not calibrate it ({error}); this is a defect of softcal, the log has the details",
 }
 """One sentence a code. Values stand in braces with their format; a value that is a reason is a phrase of its own."""

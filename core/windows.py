@@ -1,8 +1,12 @@
 """The window of the time-delay network: the last 15 output samples, newest last. Nothing else knows the number."""
 
-import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 TAPS = 15
 
@@ -21,9 +25,13 @@ def windows(signal: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     if len(signal) < TAPS:
         raise ValueError(f"{len(signal)} samples, at least {TAPS} are needed for one window")
+    from numpy.lib.stride_tricks import sliding_window_view
+
     return sliding_window_view(signal, TAPS)
 
 
 def resting(levels: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the windows (n, TAPS) of a sensor whose output stands still at each of (n,) levels."""
+    import numpy as np
+
     return np.repeat(levels[:, None], TAPS, axis=1)

@@ -4,20 +4,23 @@ A large array is a blob of its own, named by its hash in the blob of the small o
 common (the source's support model, equal time stamps) is kept once.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load, save
 from sqlalchemy import Connection, bindparam, insert, select
 
 from softcal.core.errors import RegistryError
 from softcal.db.tables import blobs, canonical_json
 
-Arrays = Mapping[str, NDArray[np.generic]]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Arrays = Mapping[str, NDArray[np.generic]]
 
 KNOWN_BLOB = select(blobs.c.size).where(blobs.c.sha256 == bindparam("sha"))
 READ_BLOB = select(blobs.c.data).where(blobs.c.sha256 == bindparam("sha"))
@@ -33,6 +36,10 @@ ARRAYS, ARRAY = "arrays", "array"
 
 def put_arrays(connection: Connection, arrays: Arrays) -> str:
     """Store named arrays once and return the SHA-256 (hex) of the bytes that name and hold them."""
+    # Imported here and below: whoever lists units reads no array.
+    import numpy as np
+    from safetensors.numpy import save
+
     # safetensors takes the buffer as it lies; a view with strides would be stored wrongly.
     whole = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     large = {name: array for name, array in whole.items() if array.nbytes >= OWN_BLOB_BYTES}
@@ -48,6 +55,9 @@ def get_arrays(connection: Connection, sha256: str) -> dict[str, NDArray[np.gene
     Raises:
         RegistryError: nothing is stored there, or its bytes are not the ones that were stored.
     """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
     content = get_bytes(connection, sha256)
     try:
         arrays = dict(load(content))

@@ -1,19 +1,23 @@
 """Calibrations with their full history per serial: revisions, rollbacks and refusals."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import Connection, RowMapping, bindparam, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.reason import Reason, to_kept
-from softcal.core.unit.calibration import CalibrationRecord
 from softcal.db.arrays import get_arrays, put_arrays
 from softcal.db.entries import StoredCalibration
 from softcal.db.in_use import InUseTable, heads_of, lots_of, names_several, newest_of_unit
 from softcal.db.lot_tables import unit_entries
 from softcal.db.records import PLAIN_FIELDS, record_of
 from softcal.db.tables import calibrations, networks, refusals
+
+if TYPE_CHECKING:
+    from softcal.core.unit.calibration import CalibrationRecord
 
 NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), calibrations.c.origin.desc())
 """No registry writes a revision older than the one it follows. Which one is in use is not told by this order."""

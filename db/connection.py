@@ -2,7 +2,6 @@
 
 from softcal.core.errors import RegistryError
 from softcal.db.database import Database, check_schema, open_database, schema_of
-from softcal.db.maintenance import migrate
 from softcal.db.registry import Registry
 from softcal.db.registry_base import RegistrySettings
 
@@ -31,4 +30,6 @@ def _schema(database: Database, create: bool) -> str:
         return schema
     if not create:
         raise RegistryError(f"registry {database.name}: there is no registry yet; `softcal batch` or `demo` makes one")
+    from softcal.db.maintenance import migrate
+
     return migrate(database)

@@ -8,13 +8,15 @@ import random
 import sqlite3
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
-from typing import cast
+from types import FunctionType
+from typing import Any, TypeVar, cast
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, make_url, text
-from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError
 from sqlalchemy.pool import StaticPool
 
 from softcal.core.errors import RegistryError
@@ -28,8 +30,27 @@ LOOK_EVERY_S = (0.001, 0.005)
 
 IN_MEMORY = (None, "", ":memory:")
 STATEMENT_TIMEOUT = "120s"
+AGAIN_AFTER_S = 0.5
+"""How long to wait before what was cut is done once more: the server may just be ending all connections."""
+
 WRITER_LOCK = 1_900_178
 """Key of the PostgreSQL advisory lock that puts writers of the audit chain in a row."""
+
+
+Answer = TypeVar("Answer")
+
+
+class ConnectionCut(RegistryError):
+    """The connection to the server broke.
+
+    Args:
+        is_undone: nothing of the transaction was kept; False where it broke while it was being kept.
+    """
+
+    def __init__(self, message: str, is_undone: bool) -> None:
+        super().__init__(message)
+        self.is_undone = is_undone
+        self.was_repeated = False
 
 
 class Database:
@@ -88,12 +109,36 @@ class Database:
         if joined is not None:
             yield joined
             return
-        with self._errors_in_words(), self.engine.connect() as connection:
+        with self._errors_in_words() as phase, self.engine.connect() as connection:
             connection.execution_options(softcal_writes=True)
             with connection.begin(), self._joinable("writer", connection):
                 if in_turn and not self.is_sqlite:
                     connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": WRITER_LOCK})
                 yield connection
+                # What follows is the commit: of a connection cut from here on nobody knows what was kept.
+                phase["is_committing"] = True
+
+    def once_more(self, action: Callable[[], Answer], *, is_repeatable: bool = False) -> Answer:
+        """Do whole transactions, and do them once more where their connection was cut.
+
+        Inside a transaction that goes on around it an action is done once: what came before it is lost, too.
+
+        Args:
+            is_repeatable: doing it twice changes nothing; otherwise it is repeated only where nothing was kept.
+        """
+        if self._joined("writer") or self._joined("reader"):
+            return action()
+        try:
+            return action()
+        except ConnectionCut as cut:
+            if cut.was_repeated or not (cut.is_undone or is_repeatable):
+                raise
+        time.sleep(AGAIN_AFTER_S)
+        try:
+            return action()
+        except ConnectionCut as cut:
+            cut.was_repeated = True
+            raise
 
     @contextmanager
     def outside_transactions(self) -> Iterator[sqlite3.Connection]:
@@ -121,14 +166,47 @@ class Database:
             setattr(self._thread, role, None)
 
     @contextmanager
-    def _errors_in_words(self) -> Iterator[None]:
+    def _errors_in_words(self) -> Iterator[dict[str, bool]]:
+        phase = {"is_committing": False}
         try:
-            yield
+            yield phase
         except (SQLAlchemyError, sqlite3.Error) as error:
             what = without_password(_first_line(error), self.engine.url)
+            if phase["is_committing"] and not self.is_sqlite and isinstance(error, OperationalError):
+                raise ConnectionCut(
+                    f"registry {self.name}: {what}; this happened while the change was being kept: look whether it "
+                    "is there before you repeat it",
+                    is_undone=False,
+                ) from error
+            if isinstance(error, DBAPIError) and error.connection_invalidated:
+                cut = f"registry {self.name}: {what}; nothing was changed; run it again when the server answers"
+                raise ConnectionCut(cut, is_undone=True) from error
             if "permission denied" in what:
                 what += "; the database account may not do this, ask who manages the registry to do it"
             raise RegistryError(f"registry {self.name}: {what}; nothing was changed") from error
+
+
+class OncePerCut:
+    """Gives every public method a second try where its connection was cut; each is whole transactions.
+
+    A method that makes several transactions repeats those that were kept: they must change nothing the second time.
+    """
+
+    database: Database
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name, method in list(vars(cls).items()):
+            if isinstance(method, FunctionType) and not name.startswith("_"):
+                setattr(cls, name, _once_more(method))
+
+
+def _once_more(method: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(method)
+    def done(self: OncePerCut, *arguments: Any, **options: Any) -> Any:
+        return self.database.once_more(lambda: method(self, *arguments, **options))
+
+    return done
 
 
 def open_database(url: str, *, create: bool = True) -> Database:

@@ -3,12 +3,19 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import date, datetime
+from typing import TYPE_CHECKING
 
 from softcal.core.errors import InputError
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.reason import Reason
-from softcal.core.unit.calibration import CalibrationRecord
-from softcal.core.unit.verdict import Decision
+
+if TYPE_CHECKING:
+    from softcal.core.unit.audit_reading import AuditReading
+    from softcal.core.unit.calibration import CalibrationRecord
+    from softcal.core.unit.verdict import Decision
+
+Heads = dict[str, tuple[int, str]]
+"""Number and hash of the last row of each chain of the audit trail."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +78,7 @@ class StoredCalibration:
         is_conflict: two registries put different maps into use, this one among them; a person has to decide.
     """
 
-    record: CalibrationRecord
+    record: "CalibrationRecord"
     lot_id: str
     revision: int
     made_at: datetime
@@ -89,7 +96,7 @@ class StoredCalibration:
 
 REPORTED = (
     *("serial", "verdict", "reasons", "family", "map_sha256", "predicted_rmse", "before_rmse", "after_rmse"),
-    *("own_rmse", "fit_s", "decision", "method_id", "forecast_rmse"),
+    *("own_rmse", "fit_s", "decision", "method_id", "forecast_rmse", "audit"),
 )
 """Fields of `MadeCalibration` that `CalibrationRecord` has under the same name."""
 
@@ -108,6 +115,7 @@ class MadeCalibration:
         decision: what was predicted and what was measured.
         method_id: the method it was made with; empty where an older version kept none.
         forecast_rmse: forecast before audits of other units scaled it.
+        audit: what its audit says beside the error; None without one, and in records of older versions.
     """
 
     serial: str
@@ -122,12 +130,13 @@ class MadeCalibration:
     own_rmse: float | None
     fit_s: float | None
     knowledge: str
-    decision: Decision
+    decision: "Decision"
     method_id: str
     forecast_rmse: float | None = None
+    audit: "AuditReading | None" = None
 
     @classmethod
-    def of(cls, record: CalibrationRecord, revision: int) -> "MadeCalibration":
+    def of(cls, record: "CalibrationRecord", revision: int) -> "MadeCalibration":
         """Return what a report needs of a calibration."""
         plain = {name: getattr(record, name) for name in REPORTED}
         return cls(**plain, revision=revision, knowledge=str(record.knowledge))
@@ -251,6 +260,18 @@ class AuditRow:
 
     def with_hash(self, value: str) -> "AuditRow":
         return replace(self, hash=value)
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """The last rows of the audit trail as they were written down outside the database.
+
+    Args:
+        where: when and where, for the fault's line.
+    """
+
+    heads: Heads
+    where: str
 
 
 @dataclass(frozen=True)

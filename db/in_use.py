@@ -113,14 +113,13 @@ class InUseTable(RegistryBase):
         A unit with a conflict is to be decided by a person: its verdict is retest.
         """
         found: dict[str, UnitStanding] = {}
-        with self.database.reading() as connection:
-            undecided = {serial for _, serial in conflicts_of(connection, lot_id)}
         for part in _parts(serials):
             with self.database.reading() as connection:
+                undecided = {serial for _, serial in conflicts_of(connection, lot_id, part)}
                 for row in connection.execute(_newest_statements(lot_id, part)).mappings():
                     made = MadeCalibration.of(record_of(row, {}, row["settings"]), row["revision"])
                     found[made.serial] = UnitStanding(made.serial, made.verdict, made.reasons, row["stated_at"], made)
-                for serial in undecided & set(part):
+                for serial in undecided:
                     reason = plain(conflict_line(connection, lot_id, serial))
                     found[serial] = UnitStanding(serial, UNDECIDED, (reason,), found[serial].made_at)
                 r = refusals.c
@@ -233,8 +232,14 @@ def names_several(connection: Connection, heads: Sequence[RowMapping]) -> bool:
     return len(found) > 1
 
 
-def conflicts_of(connection: Connection, lot_id: str | None = None, serial: str | None = None) -> list[tuple[str, str]]:
-    """Return lot and serial of the units for which registries put different maps into use."""
+def conflicts_of(
+    connection: Connection, lot_id: str | None = None, serials: Sequence[str] | None = None
+) -> list[tuple[str, str]]:
+    """Return lot and serial of the units for which registries put different maps into use.
+
+    Args:
+        lot_id, serials: of this lot, of these units only.
+    """
     if len(history.origins(connection)) < 2:
         return []
     u, follower = in_use.c, in_use.alias()
@@ -251,7 +256,7 @@ def conflicts_of(connection: Connection, lot_id: str | None = None, serial: str 
     query = select(u.lot_id, u.serial).select_from(in_use).join(calibrations, OF_STATEMENT)
     query = query.where(~is_followed.correlate(in_use).exists()).group_by(u.lot_id, u.serial).having(differ)
     query = query if lot_id is None else query.where(u.lot_id == lot_id)
-    query = query if serial is None else query.where(u.serial == serial)
+    query = query if serials is None else query.where(u.serial.in_(serials))
     return [(lot, name) for lot, name in connection.execute(query.order_by(u.lot_id, u.serial))]
 
 

@@ -3,19 +3,24 @@
 The page writes the request and reads how far it is; the process that computes need not know the page, nor outlive it.
 """
 
+from __future__ import annotations
+
 import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import RowMapping, Select, insert, select, update
 
 from softcal.core.errors import InputError
 from softcal.core.orders import RunState
-from softcal.db.arrays import Arrays, get_arrays, put_arrays
-from softcal.db.database import Database
+from softcal.db.arrays import get_arrays, put_arrays
+from softcal.db.database import Database, OncePerCut
 from softcal.db.tables import jobs
+
+if TYPE_CHECKING:
+    from softcal.db.arrays import Arrays
 
 SILENT_AFTER = timedelta(seconds=15)
 """A running job whose process gave no sign of life for longer is dead."""
@@ -68,18 +73,18 @@ class Job:
         return self.state.is_active and now - self.beaten_at > patience
 
 
-class JobBoard:
+class JobBoard(OncePerCut):
     """The jobs of a registry. Every call is one short transaction."""
 
     def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
-        self._database, self._clock = database, clock
+        self.database, self._clock = database, clock
 
     def place(self, kind: str, request: Mapping[str, Any], actor: str) -> str:
         """Ask for a computation and return its id."""
         now, job_id = self._clock(), uuid.uuid4().hex
         values = {"job_id": job_id, "kind": kind, "request": dict(request), "actor": actor, "created": now}
         fresh = {"state": RunState.QUEUED, "fraction": 0.0, "message": "", "trace": {}, "result": {}}
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             connection.execute(insert(jobs).values(**values, **fresh, is_cancel_wanted=False, beaten_at=now))
         return job_id
 
@@ -89,7 +94,7 @@ class JobBoard:
         Raises:
             InputError: there is no such job, or it was taken or cancelled already.
         """
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             running = {"state": RunState.RUNNING, "beaten_at": self._clock()}
             queued = update(jobs).where(jobs.c.job_id == job_id, jobs.c.state == RunState.QUEUED)
             if not connection.execute(queued.values(**running)).rowcount:
@@ -104,7 +109,7 @@ class JobBoard:
     def beat(self, job_id: str) -> bool:
         """Give a sign of life; return whether somebody wants the job stopped."""
         self._change(job_id, {})
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             return bool(connection.execute(select(jobs.c.is_cancel_wanted).where(jobs.c.job_id == job_id)).scalar())
 
     def end(
@@ -116,7 +121,7 @@ class JobBoard:
         arrays: Arrays | None = None,
     ) -> None:
         """Write how a job ended, once."""
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             blob = None if arrays is None else put_arrays(connection, arrays)
             values = {"state": state, "message": message, "result": dict(result or {}), "blob_sha256": blob}
             done = {"fraction": 1.0} if state is RunState.DONE else {}
@@ -136,7 +141,7 @@ class JobBoard:
         Raises:
             InputError: there is none of this id.
         """
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             row = connection.execute(select(jobs).where(jobs.c.job_id == job_id)).mappings().first()
         if row is None:
             raise InputError(f"job {job_id!r} is not in the registry")
@@ -146,20 +151,20 @@ class JobBoard:
         """Return the newest jobs, newest first, without traces and results."""
         query: Select[Any] = select(*BRIEF).order_by(jobs.c.created.desc(), jobs.c.job_id).limit(count)
         query = query if kind is None else query.where(jobs.c.kind == kind)
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             return [_job(row) for row in connection.execute(query).mappings()]
 
     def arrays(self, job: Job) -> Arrays:
         """Return the arrays a job left; none where it made none."""
         if job.blob_sha256 is None:
             return {}
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             return get_arrays(connection, job.blob_sha256)
 
     def _change(self, job_id: str, values: Mapping[str, Any], *, is_beat: bool = True) -> None:
         beat = {"beaten_at": self._clock()} if is_beat else {}
         open_job = update(jobs).where(jobs.c.job_id == job_id, jobs.c.state.in_(OPEN))
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             connection.execute(open_job.values(**values, **beat))
 
 

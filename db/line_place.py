@@ -9,20 +9,20 @@ from typing import Any
 from sqlalchemy import insert, select, update
 from sqlalchemy.exc import IntegrityError
 
-from softcal.db.database import Database
+from softcal.db.database import Database, OncePerCut
 from softcal.db.tables import line_places
 
 
-class LinePlaces:
+class LinePlaces(OncePerCut):
     """The place of each station's line. Every call is one short transaction."""
 
     def __init__(self, database: Database) -> None:
-        self._database = database
+        self.database = database
 
     def read(self, station: str) -> tuple[int, Mapping[str, Any]]:
         """Return version and values of a station's place; version 0 and nothing where nobody was there yet."""
         query = select(line_places.c.version, line_places.c.place).where(line_places.c.station == station)
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             row = connection.execute(query).first()
             return (0, {}) if row is None else (row.version, row.place)
 
@@ -34,7 +34,7 @@ class LinePlaces:
         """
         where = (line_places.c.station == station, line_places.c.version == seen_version)
         values = {"station": station, "version": seen_version + 1, "place": dict(place)}
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             if seen_version:
                 return connection.execute(update(line_places).where(*where).values(**values)).rowcount == 1
             try:

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Connection, RowMapping, Subquery, Table, and_, case, func, or_, select, tuple_
 
 from softcal.core.errors import InputError
 from softcal.core.reason import Reason, plain
-from softcal.core.unit.verdict import Verdict
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, UnitEntry
 from softcal.db.in_use import OF_STATEMENT, conflict_line, conflicts_of, of_this_method
@@ -18,7 +18,15 @@ from softcal.db.tables import calibrations, in_use, refusals, units
 ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
 MADE_FIELDS = ("revision", "family", "map_sha256", *ERRORS)
-SEVERITY = {str(verdict): -verdict.severity for verdict in sorted(Verdict, key=lambda v: -v.severity)}
+
+
+@cache
+def _severities() -> dict[str, int]:
+    """Return verdicts, the worst first, with how they sort."""
+    # Only who sorts or counts verdicts waits for the numerics behind them.
+    from softcal.core.unit.verdict import Verdict
+
+    return {str(verdict): -verdict.severity for verdict in sorted(Verdict, key=lambda v: -v.severity)}
 
 
 @dataclass(frozen=True)
@@ -85,17 +93,23 @@ class LotPages(RegistryBase):
     def find_serials(self, text: str, count: int = 50) -> list[str]:
         """Return serials of target units with a result that hold a text in any case; those that begin with it first."""
         has_result = or_(
-            select(calibrations.c.serial).where(calibrations.c.serial == units.c.serial).exists(),
-            select(refusals.c.serial).where(refusals.c.serial == units.c.serial).exists(),
+            *(
+                select(table.c.serial)
+                .where(table.c.lot_id == units.c.lot_id, table.c.serial == units.c.serial)
+                .exists()
+                for table in (calibrations, refusals)
+            )
         )
-        name = func.lower(units.c.serial)
         query = select(units.c.serial).distinct().where(units.c.role == "target", has_result)
+        order: list[ColumnElement[Any]] = [units.c.serial]
         if text:
+            # Without a text the index of the serials gives the first ones, and nothing else is read.
+            name = func.lower(units.c.serial)
             query = query.where(name.contains(text.lower(), autoescape=True))
-        begins = case((name.startswith(text.lower(), autoescape=True), 0), else_=1)
+            begins = case((name.startswith(text.lower(), autoescape=True), 0), else_=1)
+            query, order = query.add_columns(begins), [begins, *order]
         with self.database.reading() as connection:
-            found = query.add_columns(begins.label("begins")).order_by("begins", units.c.serial).limit(count)
-            return [str(serial) for serial, _ in connection.execute(found)]
+            return [str(row[0]) for row in connection.execute(query.order_by(*order).limit(count))]
 
     def verdict_counts(self, lot_id: str) -> dict[str, int]:
         """Return a lot's target units by the verdict of their newest result; `none` counts those without."""
@@ -104,16 +118,17 @@ class LotPages(RegistryBase):
             table = _standing(lot_id, _undecided(connection, lot_id))
             verdict = func.coalesce(table.c.verdict, "none")
             found = {str(v): int(n) for v, n in connection.execute(select(verdict, func.count()).group_by(verdict))}
-        return {name: found.get(name, 0) for name in (*SEVERITY, "none")}
+        return {name: found.get(name, 0) for name in (*_severities(), "none")}
 
     def lot_errors(self, lot_id: str) -> list[UnitErrors]:
         """Return the errors of every target unit with a map, by serial."""
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
             table = _standing(lot_id, _undecided(connection, lot_id))
-            query = select(table.c.serial, table.c.verdict, *(table.c[name] for name in ERRORS))
-            rows = connection.execute(query.where(table.c.revision.is_not(None)).order_by(table.c.serial))
-            return [UnitErrors(*row) for row in rows]
+            query = select(table.c.revision, table.c.serial, table.c.verdict, *(table.c[name] for name in ERRORS))
+            # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
+            rows = connection.execute(query.order_by(table.c.serial))
+            return [UnitErrors(*row) for revision, *row in rows if revision is not None]
 
     def change_marker(self, lot_id: str) -> str:
         """Return text that changes whenever a unit, result, limit, rule, network, release or check is added.
@@ -177,7 +192,7 @@ def _condition(table: Subquery, wanted: UnitFilter) -> ColumnElement[bool]:
 
 def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
     if wanted.sort == "severity":
-        severity = case(SEVERITY, value=table.c.verdict, else_=1)
+        severity = case(_severities(), value=table.c.verdict, else_=1)
         return [severity, table.c.predicted_rmse.desc().nulls_last(), table.c.serial]
     column = table.c[wanted.sort]
     first = (column.desc() if wanted.is_descending else column.asc()).nulls_last()

@@ -166,10 +166,13 @@ def unit_entries(connection: Connection, lot_id: str | None, serial: str | None)
     for row in connection.execute(_in_use(lot_id, serial)).mappings():
         facts = {field: row[field] for field in (*RESULT_FIELDS, "made_at")}
         entries[row["lot_id"], row["serial"]] |= facts | {"is_stale": not row["is_this_method"]}
-    for unit in conflicts_of(connection, lot_id, serial):
+    for unit in conflicts_of(connection, lot_id, None if serial is None else [serial]):
         undecided = {"verdict": UNDECIDED, "reasons": [conflict_line(connection, *unit)], "is_conflict": True}
         entries[unit] |= dict.fromkeys(RESULT_FIELDS) | undecided | {"is_stale": False}
     refused = _of(select(refusals), refusals, lot_id, serial).order_by(refusals.c.made_at)
+    if serial is not None:
+        # Refusals are found by lot and serial; by serial alone all of them would be read.
+        refused = refused.where(refusals.c.lot_id.in_({lot for lot, _ in entries}))
     for row in connection.execute(refused).mappings():
         entry = entries[row["lot_id"], row["serial"]]
         if "made_at" not in entry or row["made_at"] > entry["made_at"]:

@@ -3,7 +3,6 @@
 import hashlib
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from sqlalchemy import Connection, Table, insert, inspect, select, text
@@ -14,6 +13,7 @@ from softcal.db import checks, history, tables
 from softcal.db.adoption import adopt
 from softcal.db.arrays import ARRAY, ARRAYS, parts_of
 from softcal.db.database import Database, schema_of
+from softcal.db.entries import Anchor
 from softcal.db.tables import AUDITED, blobs, canonical_json, metadata
 
 BLOB_KINDS = (ARRAYS, ARRAY, "document", "job")
@@ -59,21 +59,6 @@ def _known_schema(connection: Connection) -> str | None:
         return None
     found: str | None = connection.execute(text("SELECT version_num FROM alembic_version")).scalar_one_or_none()
     return found
-
-
-Heads = dict[str, tuple[int, str]]
-
-
-@dataclass(frozen=True)
-class Anchor:
-    """Number and hash of the last row of each chain, as they were written down outside the database.
-
-    Args:
-        where: when and where, for the fault's line.
-    """
-
-    heads: Heads
-    where: str
 
 
 def faults(

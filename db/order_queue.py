@@ -14,7 +14,7 @@ from sqlalchemy.exc import IntegrityError
 
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
-from softcal.db.database import Database
+from softcal.db.database import Database, OncePerCut
 from softcal.db.tables import heartbeats, orders, run_signals
 
 SILENT_AFTER = timedelta(seconds=3)
@@ -26,11 +26,11 @@ SIGNAL_FIELDS = ("t_s", "output", "stage_mm", "force_N")
 RUNS = tuple(kind for kind in OrderKind if kind.is_run)
 
 
-class OrderQueue:
+class OrderQueue(OncePerCut):
     """Orders, runs and heartbeats of the stations of a registry. Every call is one short transaction."""
 
     def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
-        self._database, self._clock = database, clock
+        self.database, self._clock = database, clock
 
     def place(self, order: Order) -> None:
         """Ask a station for something; the same order id again changes nothing.
@@ -40,7 +40,7 @@ class OrderQueue:
         """
         values = {name: getattr(order, name) for name in ORDER_FIELDS} | {"created": order.created or self._clock()}
         progress = _progress_values(Progress(order.order_id, RunState.QUEUED))
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             known = select(orders.c.order_id).where(orders.c.order_id == order.order_id)
             if connection.execute(known).first() is not None:
                 return
@@ -53,7 +53,7 @@ class OrderQueue:
     def take(self, station: str) -> Order | None:
         """Return the station's next order and mark it running; what is no run (STOP) comes before everything else."""
         query = select(orders).where(orders.c.station == station, orders.c.state == RunState.QUEUED)
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             found = connection.execute(query.order_by(orders.c.created, orders.c.order_id)).mappings().all()
             if not found:
                 return None
@@ -64,7 +64,7 @@ class OrderQueue:
 
     def report(self, progress: Progress) -> None:
         """Write how far an order is. An order that is over stays as it ended."""
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             values = _progress_values(progress) | {"changed_at": self._clock()}
             open_order = update(orders).where(
                 orders.c.order_id == progress.order_id, orders.c.state.in_([RunState.QUEUED, RunState.RUNNING])
@@ -80,7 +80,7 @@ class OrderQueue:
         Raises:
             InputError: there is no such order.
         """
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             row = connection.execute(select(orders).where(orders.c.order_id == order_id)).mappings().first()
             if row is None:
                 raise InputError(f"order {order_id!r} is not in the registry")
@@ -90,13 +90,13 @@ class OrderQueue:
         """Return the newest orders with their progress, newest first, without the live signal."""
         query = select(orders).order_by(orders.c.created.desc(), orders.c.order_id).limit(count)
         query = query if station is None else query.where(orders.c.station == station)
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             rows = connection.execute(query).mappings()
             return [(_order(row), _progress(row, Signal())) for row in rows]
 
     def active(self, station: str) -> tuple[Order, Progress] | None:
         """Return the run that occupies a station, or None."""
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             row = connection.execute(_open_runs(station)).mappings().first()
             return None if row is None else (_order(row), _progress(row, _signal(connection, row["order_id"])))
 
@@ -109,7 +109,7 @@ class OrderQueue:
         left = select(orders.c.order_id, orders.c.state).where(
             orders.c.station == station, orders.c.state.in_(list(ended))
         )
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             rows = connection.execute(left.order_by(orders.c.created)).all()
             for order_id, state in rows:
                 values = {"state": ended[RunState(state)], "code": "E-INTERRUPTED", "message": message}
@@ -120,7 +120,7 @@ class OrderQueue:
     def cancel_queued(self, station: str, message: str) -> list[str]:
         """Cancel the run that waits, if there is one: whoever says stop means that one too. Return the order ids."""
         waiting = (orders.c.station == station, orders.c.state == RunState.QUEUED, orders.c.kind.in_(RUNS))
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             order_ids = list(connection.execute(select(orders.c.order_id).where(*waiting)).scalars())
             values = {"state": RunState.CANCELLED, "code": "E-STOPPED", "message": message}
             mine = update(orders).where(orders.c.order_id.in_(order_ids))
@@ -136,7 +136,7 @@ class OrderQueue:
         gate = [list(astuple(condition)) for condition in heartbeat.gate]
         values = vars(heartbeat) | {"reasons": list(heartbeat.reasons), "gate": gate}
         where = heartbeats.c.station == heartbeat.station
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             known = connection.execute(select(heartbeats).where(where).with_for_update()).mappings().first()
             if known is None:
                 self._first_beat(connection, values)
@@ -148,13 +148,13 @@ class OrderQueue:
 
     def heartbeat(self, station: str) -> Heartbeat | None:
         """Return the last sign of life of a station, or None where there never was one."""
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             row = connection.execute(select(heartbeats).where(heartbeats.c.station == station)).mappings().first()
             return None if row is None else _heartbeat(row)
 
     def stations(self) -> list[Heartbeat]:
         """Return the last sign of life of every station, by name."""
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             rows = connection.execute(select(heartbeats).order_by(heartbeats.c.station)).mappings()
             return [_heartbeat(row) for row in rows]
 

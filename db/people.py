@@ -3,9 +3,8 @@
 import hashlib
 from datetime import timedelta
 from functools import cache
+from typing import TYPE_CHECKING
 
-from argon2 import PasswordHasher
-from argon2.exceptions import InvalidHashError, VerificationError
 from sqlalchemy import Connection, RowMapping, insert, select, update
 
 from softcal.core.errors import InputError
@@ -13,6 +12,9 @@ from softcal.db import history
 from softcal.db.entries import User
 from softcal.db.registry_base import RegistryBase
 from softcal.db.tables import users
+
+if TYPE_CHECKING:
+    from argon2 import PasswordHasher
 
 ROLES = ("operator", "engineer", "quality")
 SHORTEST_PIN = 4
@@ -25,13 +27,20 @@ PERMISSIONS = {
     "engineer": frozenset({"calibrate", "look", "set_limit", "rollback", "override", "set_up", "release"}),
     "quality": frozenset({"look", "set_limit", "rollback", "override", "people", "audit", "release"}),
 }
-_HASHER = PasswordHasher()
+
+
+@cache
+def _hasher() -> "PasswordHasher":
+    # Only who signs in or sets a PIN pays for it.
+    from argon2 import PasswordHasher
+
+    return PasswordHasher()
 
 
 @cache
 def _nobody() -> str:
     """Return a hash that no PIN has; made once, and not at import: a quarter of a second on a slow machine."""
-    return _HASHER.hash("nobody has this PIN")
+    return _hasher().hash("nobody has this PIN")
 
 
 class People(RegistryBase):
@@ -74,7 +83,7 @@ class People(RegistryBase):
             user = User(name, role, is_active, version + 1)
             values = vars(user) | {"failures": 0, "locked_until": None, "changed_at": self.settings.clock()}
             if pin is not None:
-                values["pin_hash"] = _HASHER.hash(pin)
+                values["pin_hash"] = _hasher().hash(pin)
             statement = insert(users) if known is None else update(users).where(users.c.name == name)
             connection.execute(statement.values(**values))
             before = people_as_told(known) if known else None
@@ -147,8 +156,10 @@ def _refusal(row: RowMapping | None, is_locked: bool, is_right: bool) -> str:
 
 
 def _is_pin(stored: str, pin: str) -> bool:
+    from argon2.exceptions import InvalidHashError, VerificationError
+
     try:
-        return _HASHER.verify(stored, pin)
+        return _hasher().verify(stored, pin)
     except (VerificationError, InvalidHashError):
         return False
 

@@ -1,21 +1,26 @@
 """Recordings and shared networks, both addressed by the hash of their content."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from sqlalchemy import Connection, RowMapping, select
 
 from softcal.core.errors import InputError
-from softcal.core.identity import Settings
-from softcal.core.network.network import Network
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.db.arrays import get_arrays, put_arrays
 from softcal.db.entries import NetworkEntry, RecordingEntry
 from softcal.db.registry_base import RegistryBase
 from softcal.db.tables import networks, recordings
 
+if TYPE_CHECKING:
+    from softcal.core.identity import Settings
+    from softcal.core.network.network import Network
+    from softcal.core.recording import Array, LabelledRecording, OutputRecording
+
+    Recording = OutputRecording | LabelledRecording
+
 KINDS = ("source", "unit", "audit")
-Recording = OutputRecording | LabelledRecording
 
 
 class RecordingTables(RegistryBase):
@@ -30,7 +35,7 @@ class RecordingTables(RegistryBase):
         Raises:
             InputError: the lot is not registered.
         """
-        if kind not in KINDS or (kind == "unit") == isinstance(recording, LabelledRecording):
+        if kind not in KINDS or (kind == "unit") == ("reference" in recording.arrays()):
             raise ValueError(f"{type(recording).__name__} of kind {kind!r}; only `unit` recordings have no reference")
         with self.database.writing() as connection:
             self._lot_row(connection, lot_id)
@@ -56,7 +61,7 @@ class RecordingTables(RegistryBase):
             if row is None:
                 raise InputError(f"recording {sha256[:12]} is not in the registry")
             self._check_row(connection, recordings, row)
-            return _recording(row, cast(dict[str, Array], get_arrays(connection, row["blob_sha256"])))
+            return _recording(row, cast("dict[str, Array]", get_arrays(connection, row["blob_sha256"])))
 
     def recordings(self, lot_id: str, serial: str | None = None, kind: str | None = None) -> list[RecordingEntry]:
         """Return what is known of a lot's recordings, oldest first, without reading their samples."""
@@ -108,11 +113,13 @@ class RecordingTables(RegistryBase):
 
     def network(self, network_id: str) -> Network:
         """Return a network by its id, or raise `InputError`."""
+        from softcal.core.network.network import Network
+
         with self.database.reading() as connection:
             row = _network_row(connection, network_id)
             self._check_row(connection, networks, row)
             return Network.from_arrays(
-                cast(dict[str, Array], get_arrays(connection, row["blob_sha256"])), row["settings"]
+                cast("dict[str, Array]", get_arrays(connection, row["blob_sha256"])), row["settings"]
             )
 
     def network_entry(self, network_id: str) -> NetworkEntry:
@@ -141,6 +148,9 @@ def _network_row(connection: Connection, network_id: str) -> RowMapping:
 
 
 def _recording(row: RowMapping, arrays: Mapping[str, Array]) -> Recording:
+    # Whoever lists units reads none.
+    from softcal.core.recording import LabelledRecording, OutputRecording
+
     unlabelled = OutputRecording(
         row["serial"],
         arrays["t_s"],

@@ -1,13 +1,17 @@
 """Calibrations as columns of a table and back."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import RowMapping
 
-from softcal.core.identity import Settings
 from softcal.core.reason import Reason
-from softcal.core.unit.calibration import CalibrationRecord
+
+if TYPE_CHECKING:
+    from softcal.core.identity import Settings
+    from softcal.core.unit.calibration import CalibrationRecord
 
 PLAIN_FIELDS = (
     "serial",
@@ -28,6 +32,9 @@ PLAIN_FIELDS = (
 
 def record_of(row: RowMapping, arrays: Mapping[str, Any], settings: Settings) -> CalibrationRecord:
     """Return the calibration of a row, with the arrays and settings that belong to it."""
+    # Whoever lists units needs none.
+    from softcal.core.unit.calibration import CalibrationRecord
+
     return CalibrationRecord(
         **{field: row[field] for field in PLAIN_FIELDS},
         arrays=arrays,

@@ -13,13 +13,12 @@ from softcal.core.errors import InputError
 from softcal.db import history
 from softcal.db.adaptation_tables import AdaptationTables
 from softcal.db.calibration_tables import CalibrationTables
-from softcal.db.entries import AuditRow
+from softcal.db.entries import Anchor, AuditRow, Heads
 from softcal.db.job_board import JobBoard
 from softcal.db.line_place import LinePlaces
 from softcal.db.line_rules import LineRulesTable
 from softcal.db.lot_pages import LotPages
 from softcal.db.lot_tables import LotTables
-from softcal.db.maintenance import Anchor, Heads, faults
 from softcal.db.network_release import NetworkReleases
 from softcal.db.order_queue import OrderQueue
 from softcal.db.people import People
@@ -131,6 +130,9 @@ class Registry(
     ) -> list[str]:
         """Check the database, every blob, every row and the audit chain; return one line per fault, none when all is
         well. `db.maintenance.faults` says what the arguments mean."""
+        # Only the check pays for what it needs.
+        from softcal.db.maintenance import faults
+
         with self.database.reading() as connection:
             return list(faults(connection, is_quick=is_quick, anchors=anchors, on_step=on_step))
 

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.db import history
-from softcal.db.database import Database
+from softcal.db.database import Database, OncePerCut
 from softcal.db.tables import audit, canonical_json, lots, registry_info, units
 
 TICK = timedelta(microseconds=1)
@@ -41,7 +41,7 @@ class RegistrySettings:
     clock: Clock = field(default=utc_now)
 
 
-class RegistryBase:
+class RegistryBase(OncePerCut):
     """An open database with its origin: the name under which this registry writes its audit trail."""
 
     def __init__(self, database: Database, settings: RegistrySettings) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, and_, delete, func, or_, select, update
 
-from softcal.db.database import Database
+from softcal.db.database import Database, OncePerCut
 from softcal.db.tables import work_items
 
 MOST_ATTEMPTS = 3
@@ -55,11 +55,11 @@ class WorkItem:
     attempts: int
 
 
-class WorkQueue:
+class WorkQueue(OncePerCut):
     """The work items of a registry. Every call is one short transaction, or part of the one it is called in."""
 
     def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
-        self._database, self._clock = database, clock
+        self.database, self._clock = database, clock
 
     def enqueue(self, work: WorkSet, inputs: Mapping[str, str]) -> int:
         """Queue what is not queued or claimed yet and return how many items are new.
@@ -75,11 +75,11 @@ class WorkQueue:
         named = {"lot_id": work.lot_id, "kind": work.kind, "work_set": work.name}
         fresh = {**named, **FREE, "attempts": 0, "changed_at": now}
         rows = [{**fresh, "serial": serial, "input_sha256": sha256} for serial, sha256 in inputs.items()]
-        with self._database.writing() as connection:
+        with self.database.writing() as connection:
             self._forget_abandoned(connection, work)
         new = 0
         for part in _parts(rows):
-            with self._database.writing() as connection:
+            with self.database.writing() as connection:
                 new += connection.execute(self._insert_new(), part, execution_options=COUNTED).rowcount
                 serials = c.serial.in_([row["serial"] for row in part])
                 failed = update(work_items).where(*_of(work), c.state == "failed", serials)
@@ -94,7 +94,7 @@ class WorkQueue:
         Claimants never wait for one another: rows another one is just taking are passed over.
         """
         now, c = self._clock(), work_items.c
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             taken = self._free(connection, work, count, c.state == "queued")
             if len(taken) < count:
                 # No lease runs for so long: it was written by a clock that is ahead, or by nobody.
@@ -116,7 +116,7 @@ class WorkQueue:
         """Push the lease of all of one's items further out; return how many are still one's own."""
         now, c = self._clock(), work_items.c
         mine = select(c.id).where(c.owner == owner, c.state == "claimed").with_for_update(skip_locked=True)
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             ids = connection.execute(mine).scalars().all()
             for part in _parts(ids):
                 rows = update(work_items).where(c.id.in_(part))
@@ -127,14 +127,14 @@ class WorkQueue:
         """Return which items are still one's own; inside a transaction nobody can take them before it ends."""
         c = work_items.c
         mine = select(c.id).where(c.id.in_(list(item_ids)), c.owner == owner, c.state == "claimed")
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             return set(connection.execute(mine.order_by(c.id).with_for_update()).scalars())
 
     def finish(self, owner: str, item_id: int) -> bool:
         """Take a done item out. False: the lease ran out and the item is another one's by now; drop the result."""
         c = work_items.c
         mine = delete(work_items).where(c.id == item_id, c.owner == owner, c.state == "claimed")
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             return connection.execute(mine).rowcount == 1
 
     def give_back(self, owner: str) -> int:
@@ -148,7 +148,7 @@ class WorkQueue:
     def owners(self, work: WorkSet) -> list[str]:
         """Return who holds items of a work."""
         owner = work_items.c.owner
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             query = select(owner).where(*_of(work), work_items.c.state == "claimed").distinct().order_by(owner)
             return list(connection.execute(query).scalars())
 
@@ -156,7 +156,7 @@ class WorkQueue:
         """Return the items of a set whose workers died too often."""
         c = work_items.c
         query = select(c.id, c.serial, c.input_sha256, c.attempts).where(*_of(work), c.state == "failed")
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             return [WorkItem(*row) for row in connection.execute(query.order_by(c.id))]
 
     def counts(self, lot_id: str | None = None, work: WorkSet | None = None) -> dict[str, int]:
@@ -164,13 +164,13 @@ class WorkQueue:
         query: Select[Any] = select(work_items.c.state, func.count()).group_by(work_items.c.state)
         query = query if lot_id is None else query.where(work_items.c.lot_id == lot_id)
         query = query if work is None else query.where(*_of(work))
-        with self._database.reading() as connection:
+        with self.database.reading() as connection:
             found = {str(state): int(count) for state, count in connection.execute(query)}
         return {state: found.get(state, 0) for state in STATES}
 
     def _insert_new(self) -> Any:
         # A dialect takes a tenth of a second to load: who only reads needs neither.
-        if self._database.is_sqlite:
+        if self.database.is_sqlite:
             from sqlalchemy.dialects.sqlite import insert as on_sqlite
 
             return on_sqlite(work_items).on_conflict_do_nothing()
@@ -193,7 +193,7 @@ class WorkQueue:
     def _free_again(self, owner: str, **more: Any) -> int:
         c = work_items.c
         mine = update(work_items).where(c.owner == owner, c.state == "claimed")
-        with self._database.writing(in_turn=False) as connection:
+        with self.database.writing(in_turn=False) as connection:
             return connection.execute(mine.values(**FREE, **more, changed_at=self._clock())).rowcount
 
 

@@ -10,6 +10,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_type_hints
 
+import tomlkit
+
 from softcal.core.errors import InputError
 from softcal.station.transport import wire_of
 
@@ -214,15 +216,21 @@ def station_from_table(content: dict[str, Any]) -> StationConfig:
 
 def station_toml(config: StationConfig) -> str:
     """Return the station file of a configuration, every key in it and what it means, to be read and edited."""
-    lines = [f"name = {_toml(config.name)}"]
+    document = tomlkit.document()
+    document["name"] = config.name
     for name in _SECTIONS:
         section = getattr(config, name)
         if isinstance(section, DeviceConfig):
             section = with_own_keys(section)
-        if section is not None:
-            lines += ["", f"[{name}]", *(f"# {line.strip()}" for line in meanings(type(section)))]
-            lines += [f"{f.name} = {_toml(getattr(section, f.name))}" for f in fields(section)]
-    return "\n".join(lines) + "\n"
+        if section is None:
+            continue
+        table = tomlkit.table()
+        for line in meanings(type(section)):
+            table.add(tomlkit.comment(line.strip()))
+        for f in fields(section):
+            table[f.name] = getattr(section, f.name)
+        document[name] = table
+    return tomlkit.dumps(document)
 
 
 def meanings(kind: type[Any]) -> list[str]:
@@ -320,11 +328,3 @@ def _typed(name: str, value: object, kind: object) -> object:
 def _within(name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
         raise InputError(f"{name} is {value:g}; a value in [{low:g}, {high:g}] was expected")
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    return repr(value)

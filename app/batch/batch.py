@@ -32,7 +32,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     own = config.network if config.score_own else None
     model = make_source_model(source, trained.network, method=config.method)
     lot = registry.lot(folder.lot.id)
-    reference = state_reference(registry, lot.id, folder.reference, config.actor)
+    reference = state_reference(registry, lot.id, folder.reference, source, config.actor)
     shared = SharedWork(folder.lot, model, own, stated_limit(lot.reference_unit, lot.limit_rmse), reference)
     watch.on_start(len(folder.unit_paths))
     results = LotWork(folder, registry, shared, config, watch).results()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from softcal.app.registry.reference import lot_reference
-from softcal.app.source import source_model, unlabelled
+from softcal.app.registry.source import source_model, unlabelled
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.config import MapConfig
 from softcal.core.recording import LabelledRecording, OutputRecording

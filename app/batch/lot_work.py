@@ -254,19 +254,21 @@ class LotWork:
         """Register what is still this batch's own, and close its items, in one transaction."""
         if outcome.work_s and outcome.units:
             self._unit_s = outcome.work_s / len(outcome.units)
-        kept = []
-        with self._registry.transaction():
-            mine = claims.queue.held(claims.owner, [unit.task_id for unit in outcome.units])
-            for unit in outcome.units:
-                if unit.task_id in mine:
-                    self._register(unit)
-                    claims.queue.finish(claims.owner, unit.task_id)
-                    kept.append(unit.serial)
-            results = self._told(kept)
+        # What was kept although the connection broke is this batch's own no more, and is not kept twice.
+        results = self._registry.database.once_more(lambda: self._kept(claims, outcome), is_repeatable=True)
         for result in results.values():
             revision = result.made and result.made.revision
             note("unit", lot=self._lot_id, serial=result.serial, verdict=result.verdict, revision=revision)
         return list(results.values())
+
+    def _kept(self, claims: Claims, outcome: ChunkOutcome) -> dict[str, UnitResult]:
+        with self._registry.transaction():
+            mine = claims.queue.held(claims.owner, [unit.task_id for unit in outcome.units])
+            kept = [unit for unit in outcome.units if unit.task_id in mine]
+            for unit in kept:
+                self._register(unit)
+                claims.queue.finish(claims.owner, unit.task_id)
+            return self._told([unit.serial for unit in kept])
 
     def _register(self, unit: UnitOutcome) -> None:
         """Keep the result of a unit; one that cannot be stored is a unit that cannot be calibrated."""

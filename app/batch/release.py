@@ -1,165 +1,145 @@
 """Release the unmeasured units of a lot on its audits: read from the registry, decided, kept as revisions."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
 
-from softcal.app.batch.audit import lot_audit, lot_limit
-from softcal.core.errors import InputError
-from softcal.core.estimate import estimate
+from softcal.app.batch.audit_evidence import RELEASABLE, RULES, AuditEvidence, AuditReader
 from softcal.core.identity import content_sha256
-from softcal.core.quality.conformal import pooled_scale
 from softcal.core.quality.lot_release import LotRelease, release_lot
-from softcal.core.quality.qualification import PastAudit, Qualification, QualificationRules, qualify
-from softcal.core.quality.release import AuditedUnit
-from softcal.core.recording import Array, LabelledRecording
-from softcal.core.unit.calibration import Calibration, CalibrationRecord
+from softcal.core.quality.release import least_passing
+from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Verdict
-from softcal.db.entries import MadeCalibration, StoredCalibration, UnitEntry
+from softcal.db.entries import MadeCalibration, StoredCalibration, UnitStanding
 from softcal.db.registry import Registry
 
 STATEMENT = "lot_release"
 WHY = "decided on the audits of the lot"
-RELEASABLE = (Verdict.PASS, Verdict.CONDITIONAL)
-RULES = QualificationRules()
-MOST_AUDITS = 40
-"""Audited units whose recordings are read for the scale of the intervals."""
 
 
 def update_release(
-    registry: Registry, lot_id: str, actor: str | None = None, only: str | None = None, now: datetime | None = None
+    registry: Registry, lot_id: str, actor: str | None = None, now: datetime | None = None
 ) -> LotRelease | None:
     """Decide on the unmeasured units of a lot, and keep what changed.
 
     Args:
-        only: keep the decision on this unit alone, as the line does that has just pressed it.
         now: the time of the decision.
 
     Returns:
         None where the lot has no unit with a forecast yet.
 
     Raises:
-        InputError: two audits are one recording; nothing was released.
+        InputError: the audits cannot all be true; nothing was released.
     """
     decided = decide_release(registry, lot_id, now or datetime.now(UTC))
     if decided is None:
         return None
     with registry.transaction():
-        for serial in decided.forecasts if only is None else [only] if only in decided.forecasts else []:
+        for serial in decided.forecasts:
             _keep(registry, lot_id, serial, decided, actor)
-        if only is None:
-            _tell(registry, lot_id, decided, actor)
+        _tell(registry, lot_id, decided, actor)
     return decided
 
 
 def decide_release(registry: Registry, lot_id: str, now: datetime) -> LotRelease | None:
-    """Decide on the unmeasured units of a lot; nothing is written."""
-    units = dict(_units(registry, lot_id))
-    if not units:
+    """Decide on the unmeasured units of a lot; nothing is written. None where it has no unit with a forecast yet."""
+    units = _whole_lot(registry, lot_id)
+    made = _made(units)
+    if not made:
         return None
-    here = _audits(registry, lot_id, units)
-    _check_recordings(registry, lot_id, [audit.serial for audit in here])
-    method_id = next(iter(units.values()))[1].method_id
-    qualification = qualify(
-        here,
-        list(_past(registry, lot_id)),
-        now,
-        registry.lot(lot_id).sensor_model,
-        method_id,
-        _golden_failed(registry),
-        RULES,
-    )
-    forecasts = {
-        serial: made.forecast_rmse
-        for serial, (_, made) in units.items()
+    evidence = AuditReader(registry).evidence(lot_id, made[0].method_id, now)
+    return _decided(evidence, _forecasts(made), _least(units))
+
+
+@dataclass(frozen=True)
+class _Standing:
+    """What a line knows of a lot: the evidence it decided on last, and its units as they were then or came since.
+
+    Args:
+        forecasts: of the unmeasured units, by serial.
+        least: number of them that must pass.
+    """
+
+    evidence: AuditEvidence
+    forecasts: Mapping[str, float]
+    least: float = 0.0
+
+
+class LineRelease:
+    """Decides on units one by one as a line presses them.
+
+    The other units of the lot are read again only where the audits say something new; units that another station
+    presses meanwhile count from then on. `update_release` decides on the whole lot.
+
+    Args:
+        registry: of the line.
+    """
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry, self._reader = registry, AuditReader(registry)
+        self._standing: dict[str, _Standing] = {}
+
+    def press(self, lot_id: str, serial: str, actor: str | None = None, now: datetime | None = None) -> None:
+        """Decide on a unit that was calibrated just now, and keep what changed.
+
+        Raises:
+            InputError: the audits cannot all be true; nothing was released.
+        """
+        registry = self._registry
+        pressed = _made(registry.standings(lot_id, [serial]))
+        if not pressed:
+            self._standing.pop(lot_id, None)
+            return
+        evidence = self._reader.evidence(lot_id, pressed[0].method_id, now or datetime.now(UTC))
+        known = self._standing.get(lot_id, _Standing(evidence, {}))
+        if known.evidence != evidence or lot_id not in self._standing:
+            known = self._look(lot_id, evidence)
+        others = {other: rmse for other, rmse in known.forecasts.items() if other != serial}
+        known = replace(known, forecasts={**others, **_forecasts(pressed)})
+        self._standing[lot_id] = known
+        decided = _decided(evidence, known.forecasts, known.least)
+        if serial in decided.forecasts:
+            with registry.transaction():
+                _keep(registry, lot_id, serial, decided, actor)
+
+    def _look(self, lot_id: str, evidence: AuditEvidence) -> _Standing:
+        """Return where the other units of a lot stand; without a qualification none of them matters."""
+        if not evidence.qualification.is_given:
+            return _Standing(evidence, {})
+        units = _whole_lot(self._registry, lot_id)
+        return _Standing(evidence, _forecasts(_made(units)), _least(units))
+
+
+def _whole_lot(registry: Registry, lot_id: str) -> Mapping[str, UnitStanding]:
+    return registry.standings(lot_id, [unit.serial for unit in registry.units(lot_id) if unit.role == "target"])
+
+
+def _made(units: Mapping[str, UnitStanding]) -> list[MadeCalibration]:
+    """Return the calibrations in use, where no later refusal stands against them."""
+    return [standing.made for standing in units.values() if standing.made is not None]
+
+
+def _least(units: Mapping[str, UnitStanding]) -> float:
+    """Return how many units must pass unmeasured so that half of the lot does."""
+    held = [made for made in _made(units) if made.is_audited and made.verdict in RELEASABLE]
+    return least_passing(len(units), len(held))
+
+
+def _forecasts(units: Sequence[MadeCalibration]) -> dict[str, float]:
+    """Return the forecasts of the units that nobody measured and no finding stands against."""
+    return {
+        made.serial: made.forecast_rmse
+        for made in units
         if not made.is_audited and made.decision.predicted.verdict in RELEASABLE and made.forecast_rmse
     }
-    scale = _interval_scale(registry, qualification, lot_id)
-    return release_lot(forecasts, qualification, lot_limit(registry, lot_id), RULES.promise, scale)
 
 
-def _units(registry: Registry, lot_id: str) -> Iterator[tuple[str, tuple[UnitEntry, MadeCalibration]]]:
-    """Yield target units with their newest calibration, where no later refusal stands against it."""
-    targets = {unit.serial: unit for unit in registry.units(lot_id) if unit.role == "target"}
-    for serial, standing in registry.standings(lot_id, list(targets)).items():
-        if standing.made is not None:
-            yield serial, (targets[serial], standing.made)
-
-
-def _audits(
-    registry: Registry, lot_id: str, units: Mapping[str, tuple[UnitEntry, MadeCalibration]]
-) -> list[AuditedUnit]:
-    """Return the audited units that speak for the others: a random draw, where one was written down."""
-    plan = lot_audit(registry, lot_id)
-    doubtful = () if plan is None else plan.plan.doubtful
-    return [
-        AuditedUnit(serial, made.forecast_rmse, made.after_rmse, lot_id)
-        for serial, (_, made) in units.items()
-        if serial not in doubtful and _is_audit(made) and made.forecast_rmse and made.after_rmse
-    ]
-
-
-def _is_audit(made: MadeCalibration) -> bool:
-    return made.is_audited and made.decision.predicted.verdict in RELEASABLE
-
-
-def _past(registry: Registry, lot_id: str) -> Iterator[PastAudit]:
-    """Yield the audits of all other lots of the registry."""
-    wanted = registry.lot(lot_id).sensor_model
-    for lot in registry.lots():
-        if lot.id == lot_id or not wanted or lot.sensor_model != wanted:
-            continue
-        units = dict(_units(registry, lot.id))
-        for audit in _audits(registry, lot.id, units):
-            unit, made = units[audit.serial]
-            failed = made.verdict == Verdict.FAIL and made.decision.predicted.verdict == Verdict.PASS
-            yield PastAudit(audit, lot.sensor_model, made.method_id, unit.made_at or datetime.now(UTC), failed)
-
-
-def _golden_failed(registry: Registry) -> datetime | None:
-    return max((run.made_at for run in registry.golden_runs() if not run.passed), default=None)
-
-
-def _check_recordings(registry: Registry, lot_id: str, serials: Sequence[str]) -> None:
-    """Refuse one recording that stands for two units."""
-    owners: dict[str, str] = {}
-    for entry in registry.recordings(lot_id, kind="audit"):
-        if entry.serial not in serials:
-            continue
-        recording = registry.recording(entry.sha256)
-        output = recording.unlabelled.output if isinstance(recording, LabelledRecording) else recording.output
-        first = owners.setdefault(content_sha256({"output": output}, {}), entry.serial)
-        if first != entry.serial:
-            raise InputError(
-                f"the audits of {first} and {entry.serial} are one recording; one is of another unit; nothing "
-                "was released: put the right file into audit/ and run the batch again"
-            )
-
-
-def _interval_scale(registry: Registry, qualification: Qualification, lot_id: str) -> float:
-    """Return the factor by which the intervals of the audited units would have covered 90 % of their samples."""
-    groups = []
-    for audit in qualification.audits[:MOST_AUDITS]:
-        scores = _scores(registry, audit.serial, audit.lot_id or lot_id)
-        if scores is not None:
-            groups.append(scores)
-    return pooled_scale(groups, 0.9) if groups else 1.0
-
-
-def _scores(registry: Registry, serial: str, lot_id: str) -> Array | None:
-    audits = registry.recordings(lot_id, serial, "audit")
-    recording = registry.recording(audits[-1].sha256) if audits else None
-    if not isinstance(recording, LabelledRecording):
-        return None
-    calibration = Calibration.from_record(registry.calibration(serial, lot_id=lot_id).record)
-    found = estimate(registry.network(calibration.network_id), calibration, recording.unlabelled)
-    rows = np.isfinite(found.estimate)
-    half = np.maximum(found.upper - found.estimate, 1e-12)
-    return np.asarray((np.abs(found.estimate - recording.reference) / half)[rows])
+def _decided(evidence: AuditEvidence, forecasts: Mapping[str, float], least: float) -> LotRelease:
+    qualification, limit = evidence.qualification, evidence.limit
+    return release_lot(forecasts, qualification, limit, RULES.promise, evidence.interval_scale, least)
 
 
 def _keep(registry: Registry, lot_id: str, serial: str, decided: LotRelease, actor: str | None) -> None:

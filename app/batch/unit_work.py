@@ -8,6 +8,7 @@ from softcal.app.batch.calibrating import Refusal, calibrated
 from softcal.app.files.recording_file import read_labelled, read_recording
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.maps.anchors import check_loads
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import NetworkConfig
 from softcal.core.reason import reason
@@ -125,6 +126,12 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
     except InputError as error:
         refusal = Refusal(Verdict.RETEST, reason("unreadable", error=str(error)))
         return UnitOutcome(task.item_id, task.serial, refusal)
+    if task.anchors is not None:
+        try:
+            check_loads(shared.source.source, task.anchors, "the unit was not calibrated")
+        except InputError as error:
+            refusal = Refusal(Verdict.RETEST, reason("wrong_loads", error=str(error)))
+            return UnitOutcome(task.item_id, task.serial, refusal, recording, audit)
     problem = UnitProblem(shared.source, recording, shared.limit, task.anchors, audit, shared.own, shared.reference)
     if problem.input_sha256 in task.known:
         return UnitOutcome(task.item_id, task.serial, Known(problem.input_sha256))

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from softcal.app.use.trace import Trace
+from softcal.app.charts.trace import Trace
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of, say_caution
-from softcal.app.cli.output import Progress, say, write_json
+from softcal.app.output import Progress, say, write_json
 
 if TYPE_CHECKING:
     from softcal.app.use.adapt import AdaptOptions, AdaptReport

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_json, add_network, add_registry, batch_watch, network_config, registry_of
-from softcal.app.cli.output import print_table, say, shown, write_json
+from softcal.app.output import print_table, say, shown, write_json
 
 if TYPE_CHECKING:
     from softcal.app.batch.report import BatchReport
@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
         if options.out is not None:
             _write_files(registry, report, options.out)
         if options.plots is not None:
-            from softcal.app.batch.explain import explain_units
+            from softcal.app.charts.why_page import explain_units
 
             mapped = [u.serial for u in report.units if u.made is not None]
             explain_units(registry, mapped, options.plots, report.lot_id)

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from softcal.app.cli.options import add_json, add_network, batch_watch, network_config
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
   softcal demo

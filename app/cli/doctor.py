@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 
 from softcal.app.cli.options import add_json, add_registry
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.output import print_table, say, write_json
 
 DONE = 0
 EXAMPLES = """examples:

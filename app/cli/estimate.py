@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of, say_caution
-from softcal.app.cli.output import say, write_json
+from softcal.app.output import say, write_json
 
 EXAMPLES = """examples:
   softcal estimate --serial A1 recording.csv --out estimate.csv

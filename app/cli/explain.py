@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of
-from softcal.app.cli.output import print_table, say, shown, write_json
+from softcal.app.output import print_table, say, shown, write_json
 
 EXAMPLES = """examples:
   softcal explain --serial A1
@@ -35,7 +35,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 def run(options: argparse.Namespace) -> int:
     """Print reasons and budget, write the figure."""
-    from softcal.app.batch.explain import explain_unit, why_json
+    from softcal.app.charts.why_page import explain_unit, why_json
     from softcal.app.views.unit import unit_view
     from softcal.core.reason import joined
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_json, add_registry, registry_of, say_caution
-from softcal.app.cli.output import Progress, print_table, say, write_json
 from softcal.app.export.names import FORMATS
+from softcal.app.output import Progress, print_table, say, write_json
 
 if TYPE_CHECKING:
     from softcal.app.export.calibrated_unit import ExportOptions

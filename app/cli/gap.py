@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from softcal.app.cli import gap_challenge, gap_effects, gap_transfer
 from softcal.app.cli.options import add_json
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:

@@ -88,8 +88,8 @@ def _add_score(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 
 def _challenge(options: argparse.Namespace) -> int:
-    from softcal.app.cli.output import Progress, say
     from softcal.app.gap.challenge import make_challenge
+    from softcal.app.output import Progress, say
 
     folder: Path = options.out
     seal_file = options.seal or folder.parent / f"{folder.name}.seal.json"
@@ -111,8 +111,8 @@ def _ask(options: argparse.Namespace) -> int:
 
 
 def _score(options: argparse.Namespace) -> int:
-    from softcal.app.cli.output import write_json
     from softcal.app.gap.challenge import score_challenge
+    from softcal.app.output import write_json
 
     sheet = score_challenge(options.folder, options.reports, options.seal)
     if options.json:
@@ -123,7 +123,7 @@ def _score(options: argparse.Namespace) -> int:
 
 
 def _below_floors(sheet: "ScoreSheet") -> int:
-    from softcal.app.cli.output import say
+    from softcal.app.output import say
     from softcal.core.challenge.floors import shortfalls
 
     told = shortfalls(sheet)
@@ -133,7 +133,7 @@ def _below_floors(sheet: "ScoreSheet") -> int:
 
 
 def _print(sheet: "ScoreSheet") -> None:
-    from softcal.app.cli.output import print_table
+    from softcal.app.output import print_table
 
     header = ("line", "measure", "hits", "of", "share", "95 % interval")
     print_table(header, [_cells(row) for row in (*sheet.rows, *sheet.shrink.rows) if row.count])

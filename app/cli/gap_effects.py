@@ -29,7 +29,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 
 def _list(options: argparse.Namespace) -> int:
-    from softcal.app.cli.output import print_table, write_json
+    from softcal.app.output import print_table, write_json
     from softcal.core.twin.catalogue import EFFECTS
 
     if options.json:

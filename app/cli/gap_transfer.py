@@ -38,8 +38,8 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 
 def _transfer(options: argparse.Namespace) -> int:
-    from softcal.app.cli.output import print_table, say, write_json
     from softcal.app.gap.transfer import check_transfer
+    from softcal.app.output import print_table, say, write_json
 
     found = check_transfer(options.report, options.lot, options.seed, say)
     if options.json:

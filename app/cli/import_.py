@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.output import say, write_json
+from softcal.app.output import say, write_json
 from softcal.core.errors import InputError
 
 EXAMPLES = """examples:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from softcal.app.cli.options import add_json
-from softcal.app.cli.output import print_table, write_json
+from softcal.app.output import print_table, write_json
 
 EXAMPLES = """examples:
   softcal inspect files/unit-A1.ssc

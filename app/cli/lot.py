@@ -6,7 +6,7 @@ from pathlib import Path
 
 from softcal.app.bootstrap import open_chosen_registry
 from softcal.app.cli.options import add_json, add_network, add_registry, network_config
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 from softcal.core.quality.line_rules import LETTERS, RETESTS
 
@@ -115,8 +115,8 @@ def _add_release(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 def _release(options: argparse.Namespace) -> int:
     from softcal.app.batch.release import update_release
-    from softcal.app.certificates.lot_facts import lot_statement_facts
-    from softcal.app.certificates.lot_statement import lot_statement_pdf
+    from softcal.app.export.certificates.lot_facts import lot_statement_facts
+    from softcal.app.export.certificates.lot_statement import lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
 
     lot_id = _lot_id(options.lot)

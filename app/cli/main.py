@@ -6,6 +6,7 @@ import sys
 from importlib.metadata import version
 from typing import Any
 
+from softcal.app.extras import missing_extra
 from softcal.core.errors import DeviceError, InputError, RegistryError, SoftcalError
 
 DONE, SOME_UNIT_NOT_PASSED, WRONG_USE, RIG_FAILED, REGISTRY_FAILED = 0, 1, 2, 3, 4
@@ -69,10 +70,16 @@ def _outcome(options: argparse.Namespace) -> tuple[int, str]:
     except BrokenPipeError:
         sys.stderr.close()
         return DONE, ""
+    except ModuleNotFoundError as error:
+        return WRONG_USE, missing_extra(error) or _crash(options, error)
     except Exception as error:
-        from softcal.app.logs import log_crash
+        return WRONG_USE, _crash(options, error)
 
-        return WRONG_USE, log_crash(error, str(options.run.__module__))
+
+def _crash(options: argparse.Namespace, error: Exception) -> str:
+    from softcal.app.logs import log_crash
+
+    return log_crash(error, str(options.run.__module__))
 
 
 def _log_of(options: argparse.Namespace, arguments: list[str]) -> Any:

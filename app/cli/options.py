@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.output import Progress, say
+from softcal.app.output import Progress, say
 
 if TYPE_CHECKING:
     from softcal.app.batch.lot_work import Watch

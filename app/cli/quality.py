@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from softcal.app.bootstrap import open_chosen_registry
 from softcal.app.cli.options import add_json, add_registry
-from softcal.app.cli.output import print_table, write_json
+from softcal.app.output import print_table, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:

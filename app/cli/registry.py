@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from softcal.app.bootstrap import open_chosen_registry, registry_url
 from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry
-from softcal.app.cli.output import print_table, say, shown, write_json
+from softcal.app.output import print_table, say, shown, write_json
 from softcal.core.errors import RegistryError
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def _answer(options: argparse.Namespace, line: str, value: dict[str, object]) ->
 
 def _list(options: argparse.Namespace) -> int:
     from softcal.app.files.spreadsheet import write_table
-    from softcal.app.registry.maintenance import UNIT_HEADER, unit_json, unit_row
+    from softcal.app.registry.listing import UNIT_HEADER, unit_json, unit_row
 
     with _existing(options) as registry:
         units = registry.units(options.lot)
@@ -116,7 +116,7 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _history(options: argparse.Namespace) -> int:
-    from softcal.app.registry.maintenance import HISTORY_HEADER, history_json, history_row, only_lot
+    from softcal.app.registry.listing import HISTORY_HEADER, history_json, history_row, only_lot
 
     with _existing(options) as registry:
         units = [unit for unit in registry.units(serial=options.serial) if options.lot in (None, unit.lot_id)]

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_json, positive
-from softcal.app.cli.output import print_table, say, write_json
 from softcal.app.cli.station_service import add_service_actions
+from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:

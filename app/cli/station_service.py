@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_json, add_network, add_registry, network_config, positive, registry_of
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import DeviceError, InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.reason import joined, unpacked

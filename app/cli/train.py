@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from softcal.app.cli.options import add_json, add_network, add_registry, network_config, registry_of, say_epoch
-from softcal.app.cli.output import print_table, say, write_json
+from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
   softcal train lot-1
@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
             network_config(options),
             on_epoch=lambda report: say_epoch(report, lot.reference_unit),
         )
-        state_reference(registry, lot.id, folder.reference)
+        state_reference(registry, lot.id, folder.reference, source)
     network = trained.network
     print_table(
         ["lot", "source", "network", "layers", "status", f"validation RMSE [{lot.reference_unit}]", "train_s"],

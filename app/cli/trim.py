@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from softcal.app.cli.options import add_json, add_registry, registry_of
-from softcal.app.cli.output import say, write_json
+from softcal.app.output import say, write_json
 
 EXAMPLES = """examples:
   softcal trim --serial A1 --loads loads.csv       columns output, reference: the output at rest under each known load

@@ -6,9 +6,8 @@ from functools import cached_property
 from pathlib import Path
 
 from softcal.app.export.signature import SigningKey
-from softcal.app.source import source_recording, source_sha256, unlabelled
+from softcal.app.registry.source import source_recording, source_sha256, unlabelled
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.estimate import estimate
 from softcal.core.export.blob import NetworkFile
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, build_network_file, build_unit_file
@@ -16,6 +15,7 @@ from softcal.core.lot import Lot
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.verdict import Release, Verdict
 from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry

@@ -137,15 +137,15 @@ def _onnx_files(unit: CalibratedUnit) -> dict[str, bytes]:
 
 
 def _pdf_files(unit: CalibratedUnit) -> dict[str, bytes]:
-    from softcal.app.certificates.content import certificate_of
-    from softcal.app.certificates.pdf import certificate_pdf
+    from softcal.app.export.certificates.content import certificate_of
+    from softcal.app.export.certificates.pdf import certificate_pdf
 
     return {f"certificate-{unit.serial}.pdf": certificate_pdf(certificate_of(unit))}
 
 
 def _dcc_files(unit: CalibratedUnit) -> dict[str, bytes]:
-    from softcal.app.certificates.content import certificate_of
-    from softcal.app.certificates.dcc import certificate_xml
+    from softcal.app.export.certificates.content import certificate_of
+    from softcal.app.export.certificates.dcc import certificate_xml
 
     return {f"certificate-{unit.serial}.xml": certificate_xml(certificate_of(unit))}
 

@@ -56,6 +56,7 @@ class ImportPlan:
         sheet: sheet of an Excel file; None takes the first.
         serials: serial of each file in order; None takes the file names.
         most_cells: a table with more is refused before it is read.
+        without: serials that are left out.
     """
 
     files: Sequence[Path]
@@ -67,6 +68,7 @@ class ImportPlan:
     sheet: str | None = None
     serials: Sequence[str] | None = None
     most_cells: int = MOST_CELLS
+    without: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +136,79 @@ def _write_unit(path: Path, unit: ImportedUnit) -> None:
     write_columns(path, columns)
 
 
+@dataclass(frozen=True, eq=False)
+class LookedAt:
+    """What one table, or one column of it, would become.
+
+    Args:
+        file: name of the table.
+        serial: of the unit; "" where the table as a whole cannot be read.
+        unit: as read; None where it would be refused.
+        problem: why it would be refused; "" where it would not.
+    """
+
+    file: str
+    serial: str
+    unit: ImportedUnit | None
+    problem: str = ""
+
+
+def look_through(plan: ImportPlan) -> list[LookedAt]:
+    """Read every unit and say which would be refused and why; nothing is written.
+
+    A plan with only the files that can be read, without the serials that have a problem, can be imported.
+    """
+    found: list[LookedAt] = []
+    taken: set[str] = set()
+    for k, path in enumerate(plan.files):
+        try:
+            table = read_table(path, plan.sheet, most_cells=plan.most_cells)
+            outputs = _outputs(plan, table, path)
+        except InputError as error:
+            found.append(LookedAt(path.name, "", None, _without_folder(error, path)))
+            continue
+        for output in outputs:
+            serial = _serial(plan, k, path, output)
+            try:
+                unit = _checked(plan, table, path, output, serial, taken)
+                found.append(LookedAt(path.name, serial, unit))
+            except InputError as error:
+                found.append(LookedAt(path.name, serial, None, _without_folder(error, path)))
+    return found
+
+
+def _without_folder(error: InputError, path: Path) -> str:
+    return str(error).replace(f"{path}: ", "").replace(str(path), path.name)
+
+
+def _outputs(plan: ImportPlan, table: "pd.DataFrame", path: Path) -> list[str]:
+    if not plan.columns.is_wide:
+        return [plan.columns.output]
+    outputs = [str(c) for c in table.columns if fnmatch.fnmatchcase(str(c), plan.columns.output)]
+    if not outputs:
+        raise InputError(f"{path}: no column matches {plan.columns.output!r}")
+    return outputs
+
+
+def _serial(plan: ImportPlan, number: int, path: Path, output: str) -> str:
+    if plan.columns.is_wide:
+        return output
+    return plan.serials[number] if plan.serials else path.stem
+
+
+def _checked(
+    plan: ImportPlan, table: "pd.DataFrame", path: Path, output: str, serial: str, taken: set[str]
+) -> ImportedUnit:
+    """Read one unit whose serial is not among those that were taken before."""
+    with naming(path):
+        check_serial(serial)
+        if serial in taken:
+            raise InputError(f"serial {serial!r} comes twice; every unit needs its own")
+        unit = _read_unit(table, path, output, serial, plan)
+    taken.add(serial)
+    return unit
+
+
 def _read_units(plan: ImportPlan) -> dict[str, ImportedUnit]:
     if not plan.files:
         raise InputError("no file to import; name at least one CSV, Excel or Parquet file")
@@ -142,21 +217,14 @@ def _read_units(plan: ImportPlan) -> dict[str, ImportedUnit]:
             f"{len(plan.serials)} serials for {len(plan.files)} files; give one --serial per file, in order"
         )
     units: dict[str, ImportedUnit] = {}
+    taken: set[str] = set()
     for k, path in enumerate(plan.files):
         table = read_table(path, plan.sheet, most_cells=plan.most_cells)
-        if plan.columns.is_wide:
-            outputs = [str(c) for c in table.columns if fnmatch.fnmatchcase(str(c), plan.columns.output)]
-            if not outputs:
-                raise InputError(f"{path}: no column matches {plan.columns.output!r}")
-        else:
-            outputs = [plan.columns.output]
-        for output in outputs:
-            serial = output if plan.columns.is_wide else (plan.serials[k] if plan.serials else path.stem)
-            with naming(path):
-                check_serial(serial)
-                if serial in units:
-                    raise InputError(f"serial {serial!r} comes twice; every unit needs its own")
-                units[serial] = _read_unit(table, path, output, serial, plan)
+        for output in _outputs(plan, table, path):
+            serial = _serial(plan, k, path, output)
+            if serial in plan.without:
+                continue
+            units[serial] = _checked(plan, table, path, output, serial, taken)
     return units
 
 

@@ -4,6 +4,8 @@ import math
 import tomllib
 from pathlib import Path
 
+import tomlkit
+
 from softcal.core.errors import InputError
 from softcal.core.profiles import Profile, moves
 
@@ -44,9 +46,12 @@ def profile_toml(profile: Profile) -> str:
         else:
             rows.append([segment.target_mm, abs(segment.target_mm - at_mm) / segment.duration_s, 0.0])
         at_mm = segment.target_mm
-    lines = [f"  [{target_mm!r}, {speed_mm_s!r}, {hold_s!r}]," for target_mm, speed_mm_s, hold_s in rows]
-    heading = f"# target mm, speed mm/s, hold s; {profile.duration_s:.1f} s in all"
-    return "\n".join([f'name = "{profile.name}"', "", heading, "moves = [", *lines, "]"]) + "\n"
+    document = tomlkit.document()
+    document["name"] = profile.name
+    document.add(tomlkit.nl())
+    document.add(tomlkit.comment(f"target mm, speed mm/s, hold s; {profile.duration_s:.1f} s in all"))
+    document["moves"] = tomlkit.item(rows).multiline(True)
+    return tomlkit.dumps(document)
 
 
 def _move(path: Path, k: int, row: object) -> tuple[float, float, float]:

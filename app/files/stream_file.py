@@ -11,8 +11,8 @@ import numpy as np
 from softcal.app.files.atomic import whole_file
 from softcal.app.files.recording_file import CSV, PARQUET, named_column, read_table, shown
 from softcal.core.errors import InputError
-from softcal.core.estimate import Estimate
 from softcal.core.recording import Array
+from softcal.core.unit.estimate import Estimate
 from softcal.core.windows import TAPS
 
 if TYPE_CHECKING:

@@ -17,10 +17,10 @@ from softcal.app.gap.challenge import ask_rig, make_challenge, open_challenge
 from softcal.app.gap.diagnose import diagnose_case, run_views
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
-from softcal.db.arrays import Arrays
 
 if TYPE_CHECKING:
     from softcal.app.charts.gap import RunView
+    from softcal.db.arrays import Arrays
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
 LARGEST_RUN_BYTES = 50_000_000
@@ -107,7 +107,7 @@ def store_upload(name: str, runs: Sequence[bytes], metadata: Mapping[str, object
     return target
 
 
-def diagnosis_outcome(folder: Path, progress: Callable[[str], None]) -> tuple[dict[str, Any], Arrays]:
+def diagnosis_outcome(folder: Path, progress: Callable[[str], None]) -> "tuple[dict[str, Any], Arrays]":
     """Diagnose a case and return its report with a list of runs, and the arrays of their figures."""
     diagnosis = diagnose_case(folder, progress)
     views = run_views(diagnosis)
@@ -124,7 +124,7 @@ def diagnosis_outcome(folder: Path, progress: Callable[[str], None]) -> tuple[di
     return report | {"runs": _plain(runs)}, {name: np.asarray(a, dtype=np.float32) for name, a in arrays.items()}
 
 
-def run_views_of(report: Mapping[str, Any], arrays: Arrays) -> list["RunView"]:
+def run_views_of(report: Mapping[str, Any], arrays: "Arrays") -> list["RunView"]:
     """Return the runs of a kept diagnosis, ready for its figures."""
     from softcal.app.charts.gap import ChannelView, RunView
 

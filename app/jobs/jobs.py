@@ -1,51 +1,23 @@
-"""What another process computes for a page: train f, compare networks and maps, diagnose a gap, check a rig.
+"""What another process computes for a page: calibrate a lot, train f, compare, diagnose a gap, check a rig, pack files.
 
 A job reads its request from the registry, tells how far it is, and leaves its result there; what it registers (a
 network) it registers as any command would.
 """
 
 import threading
-import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
+from softcal.app.jobs.outcome import Outcome, Teller
 from softcal.app.logs import log_crash
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import RunState
 from softcal.core.recording import LabelledRecording
-from softcal.db.arrays import Arrays
 from softcal.db.job_board import Job, JobBoard
 from softcal.db.registry import Registry
 
 BEAT_S = 1.0
-REPORT_S = 0.4
-"""Between two reports; each is one transaction."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a job leaves: a sentence, JSON values, arrays."""
-
-    message: str
-    result: Mapping[str, Any] = field(default_factory=dict)
-    arrays: Arrays | None = None
-
-
-class Teller:
-    """Writes how far a job is, at most every `REPORT_S`."""
-
-    def __init__(self, board: JobBoard, job_id: str) -> None:
-        self._board, self._job_id, self._told_s = board, job_id, 0.0
-
-    def __call__(self, fraction: float, message: str, trace: Mapping[str, Any] | None = None) -> None:
-        """Tell fraction (0 ... 1), a sentence and live values."""
-        if time.monotonic() - self._told_s >= REPORT_S:
-            self._told_s = time.monotonic()
-            self._board.report(self._job_id, fraction, message, trace)
-
 
 Work = Callable[[Registry, Job, Teller], Outcome]
 
@@ -89,7 +61,17 @@ def _beat(board: JobBoard, job_id: str, over: threading.Event, on_cancel: Callab
 
 
 def _work(kind: str) -> Work:
-    works: Mapping[str, Work] = {"train": train, "compare": compare, "diagnose": diagnose, "station_check": check}
+    from softcal.app.jobs import lot_jobs
+
+    works: Mapping[str, Work] = {
+        "train": train,
+        "compare": compare,
+        "diagnose": diagnose,
+        "station_check": check,
+        "demo": lot_jobs.demo,
+        "calibrate": lot_jobs.calibrate,
+        "archive": lot_jobs.archive,
+    }
     if kind not in works:
         raise InputError(f"jobs of kind {kind!r} are unknown to this version; known: {', '.join(works)}")
     return works[kind]

@@ -24,17 +24,26 @@ def start_job(registry: Registry, kind: str, request: Mapping[str, Any], actor: 
 
 def launch(job_id: str) -> None:
     """Start the process of a job on the registry of the environment; it outlives this one."""
-    with (log_folder() / "jobs.log").open("ab") as log:
+    _detached(["softcal.app.jobs.process", job_id], "jobs.log", f"job {job_id}", THREADS)
+
+
+def start_simulated_station(name: str) -> None:
+    """Start a simulated station's service on the registry of the environment; it outlives this process."""
+    _detached(["softcal.app.cli.main", "station", "serve", "--simulated", "--name", name], "station.log", name, {})
+
+
+def _detached(arguments: list[str], log_name: str, name: str, more: dict[str, str]) -> None:
+    with (log_folder() / log_name).open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "softcal.app.jobs.process", job_id],
+            [sys.executable, "-m", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=log,
             start_new_session=True,
-            env=dict(os.environ) | THREADS,
+            env=dict(os.environ) | more,
         )
     # Somebody has to take note of its end, or it stays in the table of processes for as long as the screens run.
-    threading.Thread(target=process.wait, name=f"job {job_id}", daemon=True).start()
+    threading.Thread(target=process.wait, name=name, daemon=True).start()
 
 
 def main(job_id: str) -> None:

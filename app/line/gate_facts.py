@@ -5,9 +5,8 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from softcal.app.use.estimate import calibrated_unit
+from softcal.app.registry.unit import calibrated_unit
 from softcal.core.errors import InputError
-from softcal.core.estimate import estimate
 from softcal.core.orders import OrderKind
 from softcal.core.quality.control_chart import control_chart
 from softcal.core.quality.gate import (
@@ -21,6 +20,7 @@ from softcal.core.quality.gate import (
     quarantined,
 )
 from softcal.core.recording import LabelledRecording
+from softcal.core.unit.estimate import estimate
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
 from softcal.station.config import StationConfig

@@ -1,230 +1,26 @@
-"""The operator's use cases: read where the line stands, take a scan, order what it means. No Streamlit here.
+"""The operator's use cases: take a scan, order what it means. No Streamlit here.
 
-Everything shown comes from rows of the registry, so that a reload, a killed screen and a second one show the same.
 START alone ever orders a run, and only of the unit that was scanned since the last run, stop, refusal or restart:
 after any of these nobody knows which unit is in the hand, and it is asked for. OK takes as read and moves nothing.
 """
 
 import uuid
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
 
-from softcal.app.line.place import Note, Place, is_alive, read_place, write_place
+from softcal.app.line.facts import LineFacts, LotAtLine, Screen, read_line
+from softcal.app.line.place import Note, Place, write_place
 from softcal.app.line.scan_codes import Scan, read_scan
 from softcal.app.line.serials import is_unheard_of
 from softcal.core.errors import InputError
-from softcal.core.lot import Lot, check_serial
-from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
-from softcal.core.quality.line_rules import LineRules
-from softcal.db.entries import RunEntry
-from softcal.db.network_release import NetworkState
-from softcal.db.order_queue import SILENT_AFTER
+from softcal.core.lot import check_serial
+from softcal.core.orders import Order, OrderKind, RunState
 from softcal.db.registry import Registry
 
-NEWEST_RUNS = 40
 NEWEST_LOTS = 8
 MOST_CONFLICTS = 5
-HUNG_AFTER = timedelta(seconds=15)
-"""A service whose process is seen to live may be late with its beat for so long: it trains, or the machine is busy."""
 
 BADGE_MARK = " (badge)"
 """Behind a name that a badge gave: nobody has shown that it is theirs."""
-
-Run = tuple[Order, Progress]
-
-
-@dataclass(frozen=True)
-class Screen:
-    """One screen of a line.
-
-    Args:
-        station: chosen; "" leaves it to the only one.
-        tab: tells screens apart.
-        seen: version of the place that it showed when the key was pressed; None where nobody can say.
-    """
-
-    station: str = ""
-    tab: str = ""
-    seen: int | None = None
-
-
-@dataclass(frozen=True)
-class LotAtLine:
-    """What a line needs to know of a lot.
-
-    Args:
-        lot, rules: the lot and its rules at the line.
-        network: the released network, by which a unit gets its verdict; None where there is none.
-        counts: its units by verdict, `none` without.
-    """
-
-    lot: Lot
-    rules: LineRules
-    network: NetworkState | None
-    counts: Mapping[str, int]
-
-    @property
-    def id(self) -> str:
-        """Name of the lot."""
-        return self.lot.id
-
-
-@dataclass(frozen=True)
-class LineFacts:
-    """Where a line stands.
-
-    Args:
-        now: this instant.
-        stations: every station that ever gave a sign of life.
-        heartbeat: of the chosen one; None where there is none.
-        is_alive: whether its process lives; None where that cannot be seen from here.
-        lots: of the registry.
-        lot: chosen or last used.
-        active: the run that occupies the station.
-        runs: newest runs of the station, newest first.
-        place: what stands there beside the runs.
-        results: in this lot, oldest first, of the unit that waits, else of the unit pressed last.
-    """
-
-    now: datetime
-    stations: tuple[str, ...] = ()
-    heartbeat: Heartbeat | None = None
-    is_alive: bool | None = None
-    lots: tuple[str, ...] = ()
-    lot: LotAtLine | None = None
-    active: Run | None = None
-    runs: tuple[Run, ...] = ()
-    place: Place = Place()
-    results: tuple[RunEntry, ...] = ()
-
-    @property
-    def station(self) -> str:
-        """Name of the station, "" where none is chosen."""
-        return self.heartbeat.station if self.heartbeat else ""
-
-    @property
-    def is_answering(self) -> bool:
-        """Whether the station's service is there: its process is seen to live, or its beat is fresh."""
-        beat = self.heartbeat
-        if beat is None or beat.state is StationState.OFF or self.is_alive is False:
-            return False
-        return self.now - beat.at <= (HUNG_AFTER if self.is_alive else SILENT_AFTER)
-
-    @property
-    def is_stopped(self) -> bool:
-        """Whether somebody must acknowledge before anything moves; so too while the station is late with its beat."""
-        return self.heartbeat is not None and self.heartbeat.state is StationState.STOPPED
-
-    @property
-    def newest_run(self) -> str:
-        """Id of the newest run, over or not; "" before the first."""
-        run = self.active or (self.runs[0] if self.runs else None)
-        return run[0].order_id if run else ""
-
-    @property
-    def newest(self) -> Run | None:
-        """The newest run that is over."""
-        return next((run for run in self.runs if not run[1].state.is_active), None)
-
-    @property
-    def is_in_doubt(self) -> bool:
-        """Whether the unit in the hand changed, or became unknown, since the newest run."""
-        return self.place.after_run == self.newest_run
-
-    @property
-    def serial(self) -> str:
-        """The unit that was scanned and not pressed yet; "" where nobody knows which one is in the hand."""
-        is_same_service = self.heartbeat is not None and self.place.process == self.heartbeat.process
-        return self.place.serial if self.is_in_doubt and is_same_service else ""
-
-    @property
-    def is_golden(self) -> bool:
-        """Whether the unit that waits is a golden one."""
-        return bool(self.serial) and self.place.is_golden
-
-    @property
-    def may_press(self) -> bool:
-        """Whether the station takes a run of the unit that waits now."""
-        beat = self.heartbeat
-        is_closed = beat is None or beat.state in (StationState.CLOSED, StationState.STARTING)
-        is_open_to_golden = beat is not None and beat.state is StationState.CLOSED and self.is_golden
-        return self.is_answering and (not is_closed or is_open_to_golden)
-
-    @property
-    def retests_left(self) -> int:
-        """How often the unit that `results` are of may be pressed again."""
-        if self.lot is None or not self.results:
-            return 0
-        return self.lot.rules.retests_left(self.results[-1].verdict, len(self.results))
-
-    @property
-    def open_question(self) -> str:
-        """What a person has to say yes to before the unit that waits may be pressed; "" where nothing is open."""
-        if not self.serial or self.is_golden:
-            return ""
-        if self.results and self.retests_left == 0:
-            return "used_up"
-        if self.place.is_confirmed or (self.results and self.results[-1].verdict == "retest"):
-            return ""
-        return "ask" if self.results else "ask_new" if self.place.is_new else ""
-
-    @property
-    def operator(self) -> str:
-        """Name that the badge of this shift gave; "" without."""
-        return "" if self.place.is_badge_over(self.now) else self.place.operator
-
-    @property
-    def note(self) -> Note | None:
-        """The sentence about the last scan, as long as it matters: of what was refused in a run until the next scan."""
-        note = self.place.note
-        if note is None or note.run != self.newest_run:
-            return None
-        if not note.is_meanwhile or self.active is not None:
-            return note
-        return replace(note, key="meanwhile") if note.key == "busy" else None
-
-
-def read_line(
-    registry: Registry, screen: Screen, look_at_lot: Callable[[Registry, str], LotAtLine] | None = None
-) -> LineFacts:
-    """Read where a line stands.
-
-    Args:
-        look_at_lot: reads a lot; a screen that asks twice a second gives one that remembers.
-
-    Raises:
-        RegistryError: the registry is away.
-    """
-    queue, now = registry.order_queue, datetime.now(UTC)
-    beats = queue.stations()
-    chosen = [beat for beat in beats if beat.station == screen.station] or (beats if len(beats) == 1 else [])
-    facts = LineFacts(now, tuple(b.station for b in beats), lots=tuple(registry.lot_ids()))
-    if chosen:
-        facts = _at_station(registry, facts, chosen[0])
-    last_lot = next((run[0].lot_id for run in facts.runs if run[0].lot_id), "")
-    wanted = (facts.place.lot_id, last_lot)
-    lot_id = next((lot for lot in wanted if lot in facts.lots), facts.lots[0] if len(facts.lots) == 1 else "")
-    if not lot_id:
-        return facts
-    facts = replace(facts, lot=(look_at_lot or read_lot)(registry, lot_id))
-    subject = facts.serial or (facts.newest[0].serial if facts.newest else "")
-    return replace(facts, results=tuple(registry.runs(lot_id, subject)) if subject else ())
-
-
-def _at_station(registry: Registry, facts: LineFacts, beat: Heartbeat) -> LineFacts:
-    # In this order: a run that begins between two looks must not find a place that was read after it.
-    place = read_place(registry.line_places, beat.station)
-    active = registry.order_queue.active(beat.station)
-    runs = tuple(run for run in registry.order_queue.runs(beat.station, NEWEST_RUNS) if run[0].kind.is_run)
-    return replace(facts, heartbeat=beat, is_alive=is_alive(beat.process), active=active, runs=runs, place=place)
-
-
-def read_lot(registry: Registry, lot_id: str) -> LotAtLine:
-    """Read what a line needs to know of a lot."""
-    lot = registry.lot(lot_id)
-    counts = registry.verdict_counts(lot.id)
-    return LotAtLine(lot, registry.line_rules(lot), registry.released_network(lot.id), counts)
 
 
 @dataclass(frozen=True)

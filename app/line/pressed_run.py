@@ -5,11 +5,12 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 from softcal.app.batch.calibrating import Refusal, calibrated
-from softcal.app.batch.release import update_release
+from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import check_golden, quarantine
+from softcal.app.line.serials import numbered
 from softcal.app.registry.reference import lot_reference, state_reference
-from softcal.app.source import source_model
+from softcal.app.registry.source import source_model
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.network.config import EpochReport, NetworkConfig
@@ -55,6 +56,7 @@ class RunKeeper:
         self._registry, self._station, self._reference = registry, station, reference
         self._network, self._method = network, method
         self._source: tuple[str, SourceModel] | None = None
+        self._release = LineRelease(registry)
 
     def check(self, order: Order) -> None:
         """Raise `InputError` where the run of an order could not be kept; asked before anything moves."""
@@ -128,7 +130,7 @@ class RunKeeper:
         )
         used = None if self._reference is None else replace(self._reference, used_on=datetime.now(UTC).date())
         trained = train_or_find(lot, source, self._registry, self._network, order.actor or None, on_epoch)
-        state_reference(self._registry, lot.id, used, order.actor or None)
+        state_reference(self._registry, lot.id, used, source, order.actor or None)
         rmse = trained.metrics["validation_rmse"]
         message = f"source recorded, shared network trained: {rmse:.3g} {lot.reference_unit} on held-out blocks"
         return replace(done, message=message, recording_sha256=source.sha256)
@@ -145,7 +147,7 @@ class RunKeeper:
         known = registry.find_calibration(unit.serial, problem.input_sha256, lot_id=lot.id)
         if known is not None:
             registry.put_in_use(lot.id, unit.serial, problem.input_sha256, "line", actor=order.actor or None)
-            update_release(registry, lot.id, order.actor or None, only=unit.serial)
+            self._release.press(lot.id, unit.serial, order.actor or None)
             kept = registry.calibration(unit.serial, lot_id=lot.id).record
             return sha256, (kept.verdict, kept.reasons)
         return sha256, self._calibrate(lot, problem, order)
@@ -157,7 +159,7 @@ class RunKeeper:
             registry.add_refusal(lot.id, serial, str(made.verdict), (made.reason,), actor=actor)
             return str(made.verdict), (made.reason,)
         registry.add_calibration(lot.id, made, actor=actor, reason=order.reason or f"pressed on {self._station}")
-        update_release(registry, lot.id, actor, only=serial)
+        self._release.press(lot.id, serial, actor)
         kept = registry.calibration(serial).record
         return kept.verdict, kept.reasons
 
@@ -182,7 +184,7 @@ def _units(order: Order, recording: StationRecording) -> list[OutputRecording]:
     channels = recording.output.shape[1]
     if channels == 1:
         return [recording.output_recording(0, order.serial)]
-    return [recording.output_recording(channel, f"{order.serial}-{channel + 1}") for channel in range(channels)]
+    return [recording.output_recording(channel, numbered(order.serial, channel)) for channel in range(channels)]
 
 
 def _epoch_line(report: EpochReport) -> str:

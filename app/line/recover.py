@@ -8,6 +8,7 @@ import numpy as np
 
 from softcal.app.files.recording_file import write_columns
 from softcal.app.line.rig import SERIALS_APART, columns
+from softcal.app.line.serials import numbered
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial
 from softcal.station.recording import restore
@@ -86,4 +87,4 @@ def _serials(run: SpooledRun, channels: int) -> list[str]:
     """Return the serial of each channel: as the run was told, else numbered behind the substrate's."""
     serial = run.header.get("serial", "unknown")
     told = run.header.get("serials", serial).split(SERIALS_APART)
-    return told if len(told) == channels else [f"{serial}-{channel + 1}" for channel in range(channels)]
+    return told if len(told) == channels else [numbered(serial, channel) for channel in range(channels)]

@@ -42,3 +42,8 @@ def _is_planned_by_name(registry: Registry, lot: Lot) -> bool:
     """Whether the lot holds a unit that was registered and never recorded."""
     waiting = registry.unit_page(lot.id, UnitFilter(verdicts=("none",)), size=1).units
     return any(not registry.recordings(lot.id, unit.serial) for unit in waiting)
+
+
+def numbered(serial: str, channel: int) -> str:
+    """Return the serial of one unit among several that are pressed at once; channels count from 0."""
+    return f"{serial}-{channel + 1}"

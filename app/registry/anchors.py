@@ -7,7 +7,7 @@ from pathlib import Path
 from softcal.app.bootstrap import data_folder
 from softcal.core.errors import InputError, RegistryError, SoftcalError
 from softcal.db.database import open_database
-from softcal.db.maintenance import Anchor, Heads
+from softcal.db.entries import Anchor, Heads
 from softcal.db.registry import Registry
 
 NAME = "audit-heads.jsonl"

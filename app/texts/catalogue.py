@@ -1,4 +1,4 @@
-"""The words of the screens, from one catalogue file."""
+"""The words of the screens: one catalogue, from the files beside this one."""
 
 import tomllib
 from functools import cache
@@ -11,8 +11,17 @@ LANGUAGES = {"en": "English", "ko": "한국어"}
 
 @cache
 def catalogue() -> dict[str, dict[str, str]]:
-    """Return every text by language and key; what the numerics say is English in `core.reason`."""
-    texts: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_name("texts.toml").read_text(encoding="utf-8"))
+    """Return every text by language and key; what the numerics say is English in `core.reason`.
+
+    Raises:
+        ValueError: a text stands in two files.
+    """
+    texts: dict[str, dict[str, str]] = {language: {} for language in LANGUAGES}
+    for file in sorted(Path(__file__).parent.glob("*.toml")):
+        for language, said in tomllib.loads(file.read_text(encoding="utf-8")).items():
+            if twice := texts[language].keys() & said.keys():
+                raise ValueError(f"{file.name} says again what another file says: {', '.join(sorted(twice))}")
+            texts[language] |= said
     texts["en"] |= {f"reason.{code}": sentence for code, sentence in ENGLISH.items()}
     return texts
 

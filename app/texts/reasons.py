@@ -16,7 +16,7 @@ from softcal.core.reason import PLAIN, Reason, unpacked
 
 Words = Callable[..., str]
 
-PREFIX, MESSAGE = "reason.", "message."
+PREFIX, PLAINLY, MESSAGE = "reason.", "plainly.", "message."
 BETWEEN = "; "
 REMEMBERED = 2048
 
@@ -36,6 +36,19 @@ def said(reason: str | Reason, words: Words) -> str:
         return reason
     key, values = found
     return words(key, **{name: said(value, words) for name, value in values.items()})
+
+
+def plainly(reason: str | Reason, words: Words) -> str:
+    """Return a reason for who stands at the line: what is wrong, without numbers; one kept as a sentence as it is."""
+    if not isinstance(reason, Reason) or reason.code == PLAIN:
+        return said(reason, words)
+    # A forecast and a measurement are told apart, and how near to the limit they are.
+    parts = (reason.values.get("source"), reason.values.get("relation"))
+    ends = [part.code.removeprefix("part") for part in parts if isinstance(part, Reason)]
+    try:
+        return words(f"{PLAINLY}{reason.code}{''.join(ends)}")
+    except KeyError:
+        return said(reason, words)
 
 
 def all_said(reasons: Iterable[str | Reason], words: Words) -> str:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softcal.app.bootstrap import registry_url
-from softcal.app.cli.output import say
+from softcal.app.output import say
 from softcal.app.ui.guard import HOSTS_VARIABLE
 from softcal.core.errors import InputError
 

@@ -5,7 +5,7 @@ import secrets
 
 import streamlit as st
 
-from softcal.app.line.line import LotAtLine, Screen, read_lot
+from softcal.app.line.facts import LotAtLine, Screen, read_lot
 from softcal.app.line.rig import spool_folder
 from softcal.app.ui.browser_memory import recall
 from softcal.app.ui.registry_of_server import registry

@@ -8,7 +8,7 @@ from streamlit.navigation.page import Page as StreamlitPage
 from softcal.app.ui.account import is_signed_in, person
 from softcal.app.ui.browser_memory import keep
 from softcal.app.ui.components.liveness import liveness
-from softcal.app.ui.desk import errors_in_words, readable, words
+from softcal.app.ui.desk import errors_in_words, readable, registry, words
 from softcal.app.ui.pages import pages_for
 
 # A file of our own: a named icon would be fetched from outside.
@@ -23,14 +23,18 @@ def run() -> None:
     liveness()
     with errors_in_words():
         sections: dict[str, list[StreamlitPage]] = {"": []}
-        for entry in pages_for(person()):
+        is_empty = not registry().lot_ids()
+        for entry in pages_for(person(), is_empty):
             title = say(f"section.{entry.section}") if entry.section else ""
             sections.setdefault(title, []).append(
                 st.Page(entry.render, title=_title(entry.name), url_path=entry.name, icon=f":material/{entry.icon}:")
             )
-        # The default page has no address of its own: a hidden one leads to the first that the person may open.
+        # The default page has no address of its own: a hidden one leads to the start while there is nothing yet, later
+        # to what the person works with.
+        bar = sections[""]
+        first = bar[0] if is_empty or bar[0].url_path != "start" else bar[1]
         home = st.Page(
-            lambda: st.switch_page(sections[""][0]),
+            lambda: st.switch_page(first),
             title=say("app.title"),
             url_path="home",
             default=True,

@@ -22,16 +22,22 @@ class PageEntry:
         icon: of Streamlit's bundled Material symbols.
         actions: of `PERMISSIONS`; a role that has one of them may open the page. Empty: everybody.
         section: menu it stands in, key of its title `section.NAME`; "" stands in the bar itself.
+        begins: whether everybody may open it while the registry knows no lot yet.
     """
 
     name: str
     icon: str
     actions: tuple[str, ...] = ()
     section: str = ""
+    begins: bool = False
 
-    def is_open_to(self, user: User) -> bool:
-        """Whether a person may open it."""
-        return not self.actions or any(may(user, action) for action in self.actions)
+    def is_open_to(self, user: User, is_empty: bool = False) -> bool:
+        """Whether a person may open it.
+
+        Args:
+            is_empty: the registry knows no lot yet.
+        """
+        return not self.actions or (self.begins and is_empty) or any(may(user, action) for action in self.actions)
 
     @property
     def render(self) -> Callable[[], None]:
@@ -44,10 +50,14 @@ class PageEntry:
 
 
 PAGES = (
+    PageEntry("start", "flag", ("set_up",), begins=True),
     PageEntry("line", "play_circle", ("calibrate",)),
     PageEntry("lot", "inventory_2", ("look",)),
     PageEntry("unit", "memory", ("look",)),
+    PageEntry("compare", "compare_arrows", ("look",)),
+    PageEntry("release", "inventory", ("look",)),
     PageEntry("long_term", "timeline", ("look",)),
+    PageEntry("new_lot", "upload_file", ("set_up",), "calibrate"),
     PageEntry("source", "straighten", ("set_up",), "calibrate"),
     PageEntry("networks", "hub", ("set_up", "release"), "calibrate"),
     PageEntry("limits", "rule", ("set_limit",), "calibrate"),
@@ -61,6 +71,6 @@ PAGES = (
 )
 
 
-def pages_for(user: User) -> tuple[PageEntry, ...]:
-    """Return the pages a person may open, in the order of the navigation."""
-    return tuple(page for page in PAGES if page.is_open_to(user))
+def pages_for(user: User, is_empty: bool = False) -> tuple[PageEntry, ...]:
+    """Return the pages a person may open, in the order of the navigation; `is_empty` as in `PageEntry.is_open_to`."""
+    return tuple(page for page in PAGES if page.is_open_to(user, is_empty))

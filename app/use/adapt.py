@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from softcal.app.charts.adaptation import adaptation_figure
+from softcal.app.charts.trace import Trace
 from softcal.app.files.atomic import write_text
 from softcal.app.files.stream_file import estimate_writer, read_stream
-from softcal.app.source import source_recording, unlabelled
-from softcal.app.use.trace import Trace
+from softcal.app.registry.source import source_recording, unlabelled
 from softcal.core.errors import InputError
-from softcal.core.estimate import Estimate
 from softcal.core.lot import Lot
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
 from softcal.core.reason import plain
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import Estimate
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.source_model import make_source_model

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Protocol
 from urllib.parse import urlsplit
 
-from softcal.app.cli.output import say
+from softcal.app.output import say
 from softcal.core.errors import InputError
-from softcal.core.estimate import Estimate
+from softcal.core.unit.estimate import Estimate
 
 HEADER = "t_s,estimate,lower,upper,flag\n"
 RETRY_S = 1.0

@@ -11,7 +11,7 @@ from typing import IO, TypeAlias
 
 import numpy as np
 
-from softcal.app.cli.output import say
+from softcal.app.output import say
 from softcal.core.errors import BadReply, InputError, NoReply
 from softcal.station.bench import open_readout, open_simulated_bench
 from softcal.station.clock import HostClock

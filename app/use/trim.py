@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from softcal.app.files.anchors import read_anchors
-from softcal.app.source import source_recording, unlabelled
+from softcal.app.registry.source import source_recording, unlabelled
 from softcal.core.identity import content_sha256
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256

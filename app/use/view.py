@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from softcal.core.estimate import Estimate
+from softcal.core.unit.estimate import Estimate
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -3,14 +3,26 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from softcal.app.line.line import LineFacts, Run
-from softcal.app.texts.reasons import parted, said, told
+from softcal.app.line.facts import SHOWN_RUNS, LineFacts, Run, standing_of
+from softcal.app.texts.reasons import parted, plainly, said, told
 from softcal.app.views.common import number, phase_said
 from softcal.core.orders import Condition, OrderKind, Progress, RunState, Signal
+from softcal.core.reason import Reason
 
 Words = Callable[..., str]
 
-NEWEST_CHIPS = 14
+MOST_SENTENCES = 3
+VERDICTS = {
+    "pass": "pass",
+    "conditional": "conditional",
+    "fail": "fail",
+    "retest": "retest",
+    "retest_used_up": "retest",
+    "golden_pass": "pass",
+    "golden_fail": "fail",
+}
+"""State → verdict whose word it shows: the desk's word in capitals, so that both say the same of a unit."""
+
 TONES = {
     "no_station": "stopped",
     "silent": "stopped",
@@ -80,7 +92,8 @@ class LineView:
         word: READY, RUNNING, PASS, FAIL, STOPPED, ... in the language of the screen.
         serial: the unit that is meant, "" without.
         instruction: the one thing to do now.
-        details: what an engineer asks for: reasons, the message of the station, its code.
+        details: plain sentences: why it is so, what the station says, its code.
+        why: the same reasons with their numbers; shown when somebody asks.
         conditions: what the gate looked at; shown before a run.
         cells: (label, value) that are always visible.
         chips: the last units, newest first.
@@ -95,6 +108,7 @@ class LineView:
     serial: str
     instruction: str
     details: tuple[str, ...] = ()
+    why: tuple[str, ...] = ()
     conditions: tuple[Condition, ...] = ()
     cells: tuple[tuple[str, str], ...] = ()
     chips: tuple[Chip, ...] = ()
@@ -140,10 +154,11 @@ def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
     progress = run[1] if run and state == "running" else None
     return LineView(
         state=state,
-        word=words(f"line.{state}"),
+        word=state_word(state, words),
         serial=serial,
         instruction=_instruction(facts, state, serial, run, words),
         details=(*_details(facts, state, run, words), *_news(facts, state, words)),
+        why=_why(facts, state, run, words),
         conditions=_conditions(facts, words) if state in ("armed", "closed", "ready", "hand") else (),
         cells=_cells(facts, operator, words),
         chips=_chips(facts, words),
@@ -154,6 +169,11 @@ def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
         signal=progress.signal if progress else Signal(),
         version=facts.place.version,
     )
+
+
+def state_word(state: str, words: Words) -> str:
+    """Return the word of a state; a verdict's is the word that every other page has for it."""
+    return words(f"verdict.{VERDICTS[state]}").upper() if state in VERDICTS else words(f"line.{state}")
 
 
 def note_said(facts: LineFacts, words: Words) -> tuple[str, bool] | None:
@@ -216,9 +236,19 @@ def _after_run(facts: LineFacts, run: Run) -> tuple[str, Run | None]:
         return _idle(facts), None
     if order.kind is OrderKind.GOLDEN:
         return f"golden_{progress.verdict or 'fail'}", run
-    if progress.verdict == "retest" and not facts.retests_left:
+    verdict = verdict_of(facts, run)
+    if verdict == "retest" and not facts.retests_left:
         return "retest_used_up", run
-    return progress.verdict or "recorded", run
+    return verdict or "recorded", run
+
+
+def verdict_of(facts: LineFacts, run: Run) -> str:
+    """Return the verdict of a run's unit as every page says it now, of several units the worst; "" without one.
+
+    The run keeps what was decided when it was pressed; an audit, a new limit or a batch may have decided since.
+    """
+    now = standing_of(facts, run)
+    return now[0].verdict if now else run[1].verdict
 
 
 def _actions(facts: LineFacts, state: str) -> tuple[str, ...]:
@@ -230,7 +260,7 @@ def _actions(facts: LineFacts, state: str) -> tuple[str, ...]:
 def _instruction(facts: LineFacts, state: str, serial: str, run: Run | None, words: Words) -> str:
     values = {"serial": serial, "lot": facts.lot.id if facts.lot else "", "station": facts.station}
     if state == "ask":
-        last = facts.results[-1]
+        last = facts.standings.get(serial) or facts.results[-1]
         values |= {"verdict": words(f"verdict.{last.verdict}"), "at": f"{last.made_at.astimezone():%Y-%m-%d %H:%M}"}
         return words("line.ask.do", **values, left=facts.retests_left)
     if run is not None and state in ("broken", "stopped"):
@@ -245,29 +275,58 @@ def _details(facts: LineFacts, state: str, run: Run | None, words: Words) -> tup
     if state == "stopped" and beat is not None:
         code = (words("line.code", code=run[1].code),) if run else ()
         return (*(told(reason, words) for reason in beat.reasons), *code)
-    if state in ("ask", "used_up"):
-        return tuple(said(reason, words) for reason in facts.results[-1].reasons[:2])
     if state == "armed" and facts.lot is not None and facts.lot.network is None:
         return (words("line.no_network"),)
-    if state == "pass":
-        return _result(facts, words)
+    if state == "pass" and run is not None:
+        return (*_result(facts, run, words), *_changed(facts, run, words))
+    code = (words("line.code", code=run[1].code),) if run is not None and run[1].code and state != "running" else ()
+    return (*_plain(_reasons(facts, state, run), words), *_changed(facts, run, words), *code)
+
+
+def _reasons(facts: LineFacts, state: str, run: Run | None) -> tuple[str | Reason, ...]:
+    """Return why the unit of a card stands as it does."""
+    if state in ("ask", "used_up"):
+        return (facts.standings.get(facts.serial) or facts.results[-1]).reasons
     if run is None or state == "running":
         return ()
-    parts = [said(reason, words) for reason in parted(run[1].message)]
-    code = (words("line.code", code=run[1].code),) if run[1].code else ()
-    return (*parts[:3], *code)
+    now = standing_of(facts, run)
+    return now[0].reasons if now else tuple(parted(run[1].message))
 
 
-def _result(facts: LineFacts, words: Words) -> tuple[str, ...]:
+def _plain(reasons: tuple[str | Reason, ...], words: Words) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(plainly(reason, words) for reason in reasons))[:MOST_SENTENCES]
+
+
+def _why(facts: LineFacts, state: str, run: Run | None, words: Words) -> tuple[str, ...]:
+    """Return the reasons with their numbers, where the card says them without."""
+    reasons = _reasons(facts, state, run) if state not in ("closed", "stopped", "broken") else ()
+    numbered = tuple(said(reason, words) for reason in reasons)
+    return numbered if state == "pass" or numbered != _plain(reasons, words) else ()
+
+
+def _changed(facts: LineFacts, run: Run | None, words: Words) -> tuple[str, ...]:
+    """Return the sentence that somebody or something decided anew since the unit was pressed."""
+    now = standing_of(facts, run) if run else ()
+    if run is None or not now or run[1].verdict in ("", now[0].verdict):
+        return ()
+    at = f"{now[0].made_at.astimezone():%Y-%m-%d %H:%M}"
+    return (words("line.changed", verdict=words(f"verdict.{run[1].verdict}"), at=at),)
+
+
+def _result(facts: LineFacts, run: Run, words: Words) -> tuple[str, ...]:
     """Return what a good unit got: its own error beside the lot's limit, and nothing of how either was found."""
-    rmse = facts.results[-1].predicted_rmse if facts.results else None
+    now = standing_of(facts, run)
+    made = now[0].made if now else None
+    kind, rmse = "", facts.results[-1].predicted_rmse if facts.results else None
+    if made is not None:
+        kind, rmse = (".measured", made.after_rmse) if made.is_audited else ("", made.predicted_rmse)
     if facts.lot is None or rmse is None:
         return ()
     lot = facts.lot.lot
+    said_rmse = number(rmse, lot.reference_unit)
     if lot.limit_rmse is None:
-        return (words("line.result", rmse=number(rmse, lot.reference_unit)),)
-    limit = number(lot.limit_rmse, lot.reference_unit)
-    return (words("line.result.limit", rmse=number(rmse, lot.reference_unit), limit=limit),)
+        return (words(f"line.result{kind}", rmse=said_rmse),)
+    return (words(f"line.result{kind}.limit", rmse=said_rmse, limit=number(lot.limit_rmse, lot.reference_unit)),)
 
 
 def _news(facts: LineFacts, state: str, words: Words) -> tuple[str, ...]:
@@ -322,13 +381,13 @@ def _badge_said(facts: LineFacts, words: Words) -> str:
 def _chips(facts: LineFacts, words: Words) -> tuple[Chip, ...]:
     lot_id = facts.lot.id if facts.lot else ""
     over = [r for r in facts.runs if r[0].kind is OrderKind.UNIT and r[0].lot_id == lot_id and not r[1].state.is_active]
-    return tuple(_chip(run, words) for run in over[:NEWEST_CHIPS])
+    return tuple(_chip(facts, run, words) for run in over[:SHOWN_RUNS])
 
 
-def _chip(run: Run, words: Words) -> Chip:
+def _chip(facts: LineFacts, run: Run, words: Words) -> Chip:
     order, progress = run
-    state = "broken" if progress.state is not RunState.DONE else progress.verdict or "recorded"
-    return Chip(order.serial, TONES[state], words(f"line.{state}"))
+    state = "broken" if progress.state is not RunState.DONE else verdict_of(facts, run) or "recorded"
+    return Chip(order.serial, TONES[state], state_word(state, words))
 
 
 def _code_key(progress: Progress, words: Words) -> str:

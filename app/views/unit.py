@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.app.source import source_model, unlabelled
-from softcal.core.estimate import Estimate, estimate
+from softcal.app.registry.source import source_model, unlabelled
 from softcal.core.lot import Lot
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.explanation import Explanation, explain
 from softcal.core.unit.method import Method
 from softcal.core.windows import resting

@@ -57,10 +57,12 @@ class IntegerLayer:
     def apply(self, inputs: Integers, is_rectified: bool) -> Integers:
         """Carry (n, columns) activations through the layer: (n, rows)."""
         # Doubles hold every sum below 2^53 exactly, and unlike integers they multiply fast.
+        # NumPy has no fast integer product; the proof above keeps every sum below 2^53, where doubles are exact.
         sums = inputs.astype(np.float64) @ self.weights.T.astype(np.float64)
         accumulator = sums.astype(np.int64) + self.bias
         if is_rectified:
             accumulator = np.maximum(accumulator, 0)
+        # Two shifts around a 14-bit multiplier: a 32 x 32 bit product does not fit the smallest cores.
         product = (accumulator >> self.shift1) * self.multiplier
         rounded = (product + (np.int64(1) << (self.shift2 - 1))) >> self.shift2
         clipped: Integers = np.clip(rounded, -ACTIVATION_MAX, ACTIVATION_MAX)
@@ -75,6 +77,7 @@ def check_no_overflow(layer: IntegerLayer) -> None:
     """
     if np.abs(layer.weights).max(initial=0) > ACTIVATION_MAX:
         raise ValueError(f"a weight of {np.abs(layer.weights).max()} is outside ± {ACTIVATION_MAX}")
+    # The worst input has every sign against us: proved once here, the device checks nothing at run time.
     bound = np.abs(layer.weights).sum(axis=1) * ACTIVATION_MAX + np.abs(layer.bias)
     _require(bound <= ACCUMULATOR_MAX, bound, "can reach {} in its accumulator, 2^31 - 1 is the most")
     _require((layer.shift1 >= 0) & (layer.shift1 <= 31), layer.shift1, "shifts by {}, 0 ... 31 is allowed")
@@ -121,9 +124,11 @@ class PiecewiseMap:
     def apply(self, codes: Integers) -> Integers:
         """Carry codes of any shape into source-space counts, rounding halves away from the left knot."""
         inside = np.clip(codes, self.codes[0], self.codes[-1])
+        # The last knot begins no segment of its own.
         left = np.minimum(np.searchsorted(self.codes, inside, side="right") - 1, len(self.codes) - 2)
         span = self.codes[left + 1] - self.codes[left]
         rise = self.values[left + 1] - self.values[left]
+        # Rounded on the size and signed afterwards: falling and rising maps round alike.
         step = (np.abs(rise) * (inside - self.codes[left]) + span // 2) // span
         mapped: Integers = self.values[left] + np.sign(rise) * step
         return mapped
@@ -226,6 +231,7 @@ class DeviceMap:
         """Return what enters the device's ring for each code."""
         if self.curve is not None:
             return self.curve.apply(codes)
+        # Code 0 would be -32768, the one value outside the symmetric range of the proof.
         return np.maximum(codes - CODE_CENTRE, -ACTIVATION_MAX)
 
     def on_windows(self, ring: Integers) -> Integers:

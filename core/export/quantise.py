@@ -139,10 +139,12 @@ def _quantise_row(weights: Array, bias: float, scale_out: float) -> _Row:
     """Quantise one row; `weights` are in real units per input count."""
     largest = float(np.abs(weights).max(initial=0.0))
     # Rounding may add half a step for every weight, and the bias carries the rounding of the first shift.
+    # The finest step that can still not overflow: steps are chosen by the proof, not by trial.
     budget = ACCUMULATOR_MAX - len(weights) * ACTIVATION_MAX - 2**16
     reach = float(np.abs(weights).sum()) * ACTIVATION_MAX + abs(bias)
     if reach == 0.0:
         return _Row([0] * len(weights), 0, MULTIPLIER_MIN, 0, 14)
+    # Either the largest weight or the sum of all of them sets the step.
     step = max(largest / ACTIVATION_MAX, reach / budget)
     integers = [round(float(w) / step) for w in weights]
     integer_bias = round(bias / step)
@@ -190,6 +192,7 @@ def _quantise_matrix(linear: Linear, network: IntegerNetwork) -> IntegerLayer:
 
 def _quantise_curve(curve: Curve, scale: InputScale, network: IntegerNetwork) -> PiecewiseMap:
     held = _within_counts(curve, network)
+    # Knots closer than one code fall together; one of them is kept.
     codes, first = np.unique(scale.codes(held.outputs), return_index=True)
     counts = np.rint((held.values[first] - network.input_zero) / network.input_lsb)
     return PiecewiseMap(codes, np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64))
@@ -199,6 +202,7 @@ def _within_counts(curve: Curve, network: IntegerNetwork) -> Curve:
     """Cut a curve where it leaves the network's counts: to clip its knots instead would bend what lies between."""
     outputs, values = curve.outputs, curve.values
     reach = network.input_lsb * ACTIVATION_MAX
+    # Interpolated from value to output, which needs values in rising order; a falling sensor has them the other way.
     order = np.argsort(values, kind="stable")
     bounds = [b for b in (network.input_zero - reach, network.input_zero + reach) if values.min() < b < values.max()]
     inside = np.abs(values - network.input_zero) <= reach

@@ -132,6 +132,7 @@ class _Normal:
         moved = (windows - self._centre) / self._spread
         wanted = (mapped - self._centre) / self._spread
         estimate, slope = network.gradient(found)
+        # Estimates in units of the window: both parts of the sum then count in the same measure.
         scale = float(np.sqrt(np.mean(slope**2)))
         slope = slope / scale
         missing = (network.evaluate(mapped) - estimate) / (scale * self._spread)
@@ -153,11 +154,13 @@ class _Normal:
     def solved(self, is_wide: bool) -> Mix | None:
         """Return the best mix on the device's integers; None where a weight is too large for them."""
         most, most_sum = (WIDE_WEIGHT_MAX, MOST_ROW_SUM) if is_wide else (WEIGHT_MAX, TAPS * WEIGHT_MAX)
+        # The share that stays is fixed first: every other unknown is linear beside it.
         keep = int(np.clip(round(KEEP_ONE * float(np.linalg.solve(self._matrix, self._right)[-1])), 0, 255))
         weights = self.weights(keep / KEEP_ONE)
         filled = np.maximum(np.abs(weights).max(axis=1) / most, np.abs(weights).sum(axis=1) / most_sum)
         if not np.all(np.isfinite(filled)) or filled.max() > 1 / KEEP_ONE:
             return None
+        # The largest shift at which a row still fits its bytes is the finest step it can have.
         room = np.log2(1 / KEEP_ONE / np.maximum(filled, 2.0**-MOST_SHIFT / most))
         shift = np.clip(np.floor(room), 0, MOST_SHIFT).astype(np.int64)
         step = 1 / (KEEP_ONE * 2.0**shift)
@@ -187,12 +190,14 @@ class _Normal:
         split = TAPS * self._count
         free, bound = self._matrix[:split, :split], self._matrix[:split, split:-1]
         scale = np.tile(step, TAPS)
+        # Biases are real numbers and follow the weights: taken out (a Schur complement) before the weights are rounded.
         metric = free - bound @ np.linalg.solve(self._matrix[split:-1, split:-1], bound.T)
         metric = metric * np.outer(scale, scale)
         wanted = best.T.reshape(-1) / scale
         found = np.clip(np.rint(wanted), -WEIGHT_MAX, WEIGHT_MAX)
         pull, own = metric @ (found - wanted), np.diag(metric)
         for _ in range(MOST_STEPS):
+            # The best whole step of each weight alone; of these the one that gains most is made (coordinate descent).
             move = np.clip(np.rint(-pull / own), -WEIGHT_MAX - found, WEIGHT_MAX - found)
             gain = -(pull * move + own * move**2 / 2)
             at = int(np.argmax(gain))

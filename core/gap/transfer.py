@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.estimate import estimate
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.training import fit_network
@@ -15,6 +14,7 @@ from softcal.core.simulated_lot import LotDesign
 from softcal.core.twin.simulate import Twin, simulate
 from softcal.core.twin.spread import LotSpread, draw_lot
 from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.source_model import make_source_model
 
 NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, patience=10, batch=128)

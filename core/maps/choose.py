@@ -50,8 +50,10 @@ def choose_map(problem: FitProblem) -> ChosenMap:
     forced = problem.config.family
     if forced != DEFAULT:
         candidates = {forced: family(forced).fit(problem)} | _fitted(problem, ("identity", "label_shift"))
+        # The others are fitted all the same: where they disagree the estimate is uncertain.
         name, evidence = forced, {"decision": f"{forced}, as configured"}
     else:
+        # Pairs need what not every recording has; these four need the output alone.
         candidates = _fitted(problem, ("identity", "affine", "label_shift", "monotone"))
         name, evidence = _decide(problem, candidates)
     chosen = candidates.pop(name)
@@ -83,6 +85,7 @@ def _decide(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, d
         "rank_correlation": synchrony.rank_correlation,
         "synchrony_sigma": synchrony.sigma,
     }
+    # In order of trust: the first that can be fitted is taken, since a known pair beats any matched distribution.
     for name, is_offered, why in (
         ("synchronous", synchrony.is_synchronous and not is_opening, "pressed by the source's load at the same time"),
         ("phase", problem.target.stage_mm is not None, "windows paired at equal stage position and history"),
@@ -110,6 +113,7 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     target_rate, source_rate = (
         _swing_rate(recording, problem.config.crossing) for recording in (problem.target, problem.source.unlabelled)
     )
+    # Noise that passes for presses shows as far more swings than the source has.
     rate = target_rate / max(source_rate, 1e-9)
     mapped = candidates["label_shift"].apply(problem.target.windows)
     dwell, _ = level_weights(problem.source.windows, mapped, config.dwell_cells)
@@ -123,6 +127,7 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
     if rate > config.unlike_rate:
         why = "swings far more often than the source: only rest level and hardest presses are matched; abstain"
         return "label_shift", numbers | {"decision": why}
+    # Both gain and rest must be indistinguishable: a map that is not needed only adds its own error.
     is_same_gain = abs(np.log(match.gain)) < config.clear * match.gain_error
     is_same_rest = abs(match.rest_shift) < config.clear * match.rest_error
     if match.gain_error < config.sharp and is_same_gain and is_same_rest:

@@ -66,7 +66,9 @@ def level_path(recording: OutputRecording, average: int, config: CrossingConfig)
         average: samples averaged against noise before turning points are sought (`averaging_length`).
         config: what counts as a swing.
     """
+    # A share of the range: no unit, gain or readout changes what counts as a swing.
     threshold = config.threshold * robust_range(recording.output, config)
+    # Neighbours of an average share most of their samples: a third of its length loses no turning point.
     step, levels, turns = max(1, average // 3), [], []
     for part in recording.segments:
         signal = moving_mean(recording.output[part], average)[::step]
@@ -104,6 +106,7 @@ def turning_points(signal: Array, threshold: float) -> Indices:
             extreme, rising = k, not rising
     if extreme != found[-1]:
         found.append(extreme)
+    # Indices of the candidates, not of the samples, were collected above.
     return candidates[found]
 
 
@@ -130,6 +133,7 @@ def averaging_length(recording: OutputRecording, config: CrossingConfig) -> int:
 
 def robust_range(values: Array, config: CrossingConfig) -> float:
     """Return the span between the level at rest and the level of the hardest presses."""
+    # Not minimum and maximum: one spike would set the range of a whole recording.
     low, high = np.quantile(values, config.robust_range)
     return float(high - low)
 
@@ -139,5 +143,6 @@ def moving_mean(signal: Array, length: int) -> Array:
     length = min(length, len(signal))
     if length <= 1:
         return signal
+    # Running sums cost the same for any length; np.convolve grows with it.
     total = np.concatenate([[0.0], np.cumsum(signal)])
     return np.asarray((total[length:] - total[:-length]) / length)

@@ -28,6 +28,7 @@ class CurveMap:
 
     def __call__(self, samples: Array) -> Array:
         """Carry samples of any shape; beyond the knots the curve goes straight on."""
+        # np.interp holds its last value. A sensor pressed harder than it was calibrated must go on rising.
         inside = np.interp(samples, self.knots, self.values)
         slopes = np.diff(self.values) / np.diff(self.knots)
         below = np.minimum(samples - self.knots[0], 0.0) * slopes[0]
@@ -74,10 +75,13 @@ def continued(curve: CurveMap, source_span: float, config: CurveConfig) -> Curve
     span = float(knots[-1] - knots[0])
     thirds = np.interp(knots[0] + span * np.array([0.0, 1.0, 2.0, 3.0]) / 3, knots, values)
     gain = max(float(thirds[3] - thirds[0]) / span, 1e-6)
+    # Compared in the source's space, where both ranges have one unit.
     covered = min(1.0, float(thirds[3] - thirds[0]) / max(source_span, 1e-300))
     prior = config.gain_prior**2
     trust = prior / (prior + (config.blind_spread * (1 - covered)) ** 2)
+    # Local slopes at the ends are noise; held near the whole gain they cannot run away beyond the recording.
     outer = np.clip(np.array([thirds[1] - thirds[0], thirds[3] - thirds[2]]) * 3 / span, gain / 2, gain * 2)
+    # Trust scales the logarithm: no trust gives a gain of 1, whole trust the slope that was seen.
     below, above = np.exp(trust * np.log(outer)) * config.far * span
     return CurveMap(
         np.concatenate([[knots[0] - config.far * span], knots, [knots[-1] + config.far * span]]),
@@ -95,5 +99,7 @@ def monotone_curve(knots: Array, values: Array, family: str) -> CurveMap:
     """
     order = np.argsort(knots, kind="stable")
     unique, place = np.unique(knots[order], return_inverse=True)
+    # Quantised outputs repeat; a curve has one value at each of them.
     means = np.bincount(place, values[order]) / np.bincount(place)
+    # Equal quantiles rise already; this takes out rounding only, where isotonic regression would cost more.
     return CurveMap(unique, np.maximum.accumulate(means), family)

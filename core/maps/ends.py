@@ -56,11 +56,13 @@ def match_ends(source: LabelledRecording, target: OutputRecording, config: MapCo
         UnitRefused: the unit's output makes no swing that stands out of its noise.
     """
     known = source.unlabelled
+    # A sensor may fall under load. From here on every level is taken in the direction of loading.
     sign = 1.0 if np.corrcoef(known.output, source.reference)[0, 1] >= 0 else -1.0
     is_patchy, ends = _is_patchy(target, config), config.ends
     if is_patchy:
         average = ends.patch_average
     else:
+        # The same average on both: it lowers peaks, and must lower them alike.
         average = max(averaging_length(recording, config.crossing) for recording in (known, target))
     shown = _whole(target, average, sign, config)
     noise = output_noise(target)
@@ -76,9 +78,11 @@ def match_ends(source: LabelledRecording, target: OutputRecording, config: MapCo
 def _matched(
     stretches: Ends, others: Ends, shown: Ends, sign: float, noise_share: float, gain_prior: float
 ) -> EndMatch:
+    # Logarithms: a unit twice as sensitive and one half as sensitive are equally far from the source.
     log_gain = np.log(np.maximum(stretches.span, 1e-6 * stretches.span.max()) / shown.span[0])
     prior = gain_prior**2
     shrink = prior / (prior + noise_share**2)
+    # The smallest exponent is taken out first: all weights would underflow where every stretch is far.
     weight = np.exp(-0.5 * (log_gain**2 - np.min(log_gain**2)) / prior)
     weight /= weight.sum()
     gain = float(np.exp(shrink * (weight @ log_gain)))
@@ -93,6 +97,7 @@ def _matched(
         gain=gain,
         offset=sign * offset,
         gain_error=float(np.hypot(np.std(spread), (1 - shrink) * gain_prior)),
+        # Taken at the level of rest: an offset at output 0 means nothing on a sensor that rests at 2 V.
         rest_shift=sign * (offset + (gain - 1) * float(shown.rest[0])),
         rest_error=float(np.sqrt(rest_variance)),
     )
@@ -103,6 +108,7 @@ def _smoothed(recording: OutputRecording, average: int) -> Array:
     """Output averaged over neighbours inside each segment, one value per sample."""
     parts = []
     for part in recording.segments:
+        # Never across a gap: what lies on its two sides was not recorded together.
         mean = moving_mean(recording.output[part], average)
         before = (part.stop - part.start - len(mean)) // 2
         parts.append(np.pad(mean, (before, part.stop - part.start - len(mean) - before), mode="edge"))
@@ -114,7 +120,9 @@ def output_noise(recording: OutputRecording) -> float:
     """Return the standard deviation of the noise from second differences, at least that of the readout's steps."""
     bends = np.concatenate([np.diff(recording.output[part], 2) for part in recording.segments])
     step = float(np.min(np.diff(np.unique(recording.output)), initial=np.inf))
+    # 0.6745 makes a standard deviation of a median; a second difference has six times the variance of one sample.
     noise = float(np.median(np.abs(bends))) / 0.6745 / np.sqrt(6) if len(bends) else 0.0
+    # A coarse converter hides its noise: what is left is the rounding, uniform over one step.
     return max(noise, step / np.sqrt(12) if np.isfinite(step) else 0.0)
 
 
@@ -160,12 +168,14 @@ def _peak(path: LevelPath | None, level: Array, sign: float, place: tuple[int, i
     if part is None or not part.swings:
         return float(np.quantile(level, config.ends.patch_peak_share))
     upper = np.array(config.ends.peak_shares)
+    # The path is kept in output units: under load a falling sensor goes towards its low end.
     shares = upper if sign > 0 else 1 - upper
     return sign * float(part.quantiles(shares).mean())
 
 
 def _patches(source: OutputRecording, target: OutputRecording, average: int, sign: float, config: MapConfig) -> Ends:
     """Return the ends of as many and as long pieces of the source as the unit's recording consists of, drawn anew."""
+    # A fixed seed: the same recordings must always give the same map.
     level, rng = sign * _smoothed(source, average), np.random.default_rng(0)
     pieces, length = len(target.segments), max(1, len(target) // len(target.segments))
     starts = rng.integers(0, max(1, len(source) - length), (config.ends.stretches, pieces))

@@ -32,7 +32,9 @@ class Joint:
         label = problem.source.window_reference[source_rows] / problem.network.reference_scale
         target = problem.target.windows[spread_rows(len(problem.target.windows), config.joint_windows)]
         distance = squared_distances(target, source)
+        # Windows and labels are both made free of units, or one of them would decide alone.
         distance /= float(np.mean(np.var(source, axis=0))) * source.shape[1]
+        # The problem has many local minima: descent starts where means and scales already agree.
         matched = (target - target.mean()) / max(float(target.std()), 1e-12) * source.std() + source.mean()
         estimate = problem.network.evaluate(matched) / problem.network.reference_scale
         smoother = _Smoother(target, config.ridge)
@@ -41,6 +43,7 @@ class Joint:
             cost = distance + config.label_weight * (estimate[:, None] - label[None, :]) ** 2
             trial = solve_exact(cost)
             total = float(np.sum(trial * cost))
+            # Each step lowers the objective; below a ten-thousandth it only trades rounding.
             if total >= best * (1 - 1e-4):
                 break
             plan, best = trial, total
@@ -56,11 +59,13 @@ class _Smoother:
     """Kernel ridge regression on fixed windows: labels in, fitted values out."""
 
     def __init__(self, inputs: Array, ridge: float) -> None:
+        # The median heuristic: the kernel is as wide as windows usually are apart, whatever their unit.
         squared = squared_distances(inputs, inputs)
         kernel = np.exp(-squared / max(float(np.median(squared)), 1e-12))
         regularised = kernel + ridge * len(inputs) / 100 * np.eye(len(inputs))
         self._hat = np.linalg.solve(regularised, kernel)
 
     def __call__(self, labels: Array) -> Array:
+        # The ridge draws towards 0: centred, it draws towards the mean load instead.
         middle = float(labels.mean())
         return np.asarray(middle + self._hat.T @ (labels - middle))

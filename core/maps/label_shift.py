@@ -51,15 +51,18 @@ def level_weights(source: Array, mapped_target: Array, cells: int) -> tuple[floa
         Total variation distance between the shares of time per level and direction (0 ... 1), and (n,) weights of the
         source windows, mean 1.
     """
+    # Equal shares of the source per cell: each ratio below is then known equally well.
     edges = np.quantile(source[:, -1], np.linspace(0, 1, cells + 1)[1:-1])
     source_cell, target_cell = _cells(source, edges), _cells(mapped_target, edges)
     source_share = np.bincount(source_cell, minlength=2 * cells) / len(source)
     target_share = np.bincount(target_cell, minlength=2 * cells) / len(mapped_target)
+    # A cell the source never visited counts as one sample, or a single stray would weigh without bound.
     ratio = target_share / np.maximum(source_share, 1.0 / len(source))
     weights = ratio[source_cell]
     return float(np.abs(source_share - target_share).sum() / 2), weights / max(float(weights.mean()), 1e-12)
 
 
 def _cells(windows: Array, edges: Array) -> NDArray[np.int64]:
+    # Loading and unloading pass a level at different loads (hysteresis): they are counted apart.
     rising = windows[:, -5:].mean(axis=1) > windows[:, :5].mean(axis=1)
     return np.asarray(2 * np.searchsorted(edges, windows[:, -1]) + rising, dtype=np.int64)

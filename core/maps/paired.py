@@ -14,8 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
-from scipy.optimize import isotonic_regression
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
@@ -168,6 +166,9 @@ class _Pairs:
         return DynamicMap(curve, theta[len(self._knots) :].reshape(shapes, shapes), self._family)
 
     def _monotone(self, theta: Array) -> Array:
+        # Imported here: whoever applies a map does not wait for scipy.
+        from scipy.optimize import isotonic_regression
+
         count = len(self._knots)
         return np.concatenate([isotonic_regression(theta[:count]).x, theta[count:]])
 
@@ -177,6 +178,8 @@ class _Pairs:
 
     def _penalty(self, theta: Array, shapes: int) -> tuple[Array, Array]:
         """Return what is asked of a map without any pair, as residuals whose squares are added, and their Jacobian."""
+        from scipy.linalg import block_diag
+
         count, network = len(self._knots), self._network
         estimate, slope = network.gradient(resting(theta[:count]))
         of_answer = self.config.stiffness**0.5 / network.reference_scale * self._bend
@@ -234,6 +237,8 @@ def _hat_gradient(target: Array, knots: Array, per_sample: Array) -> Array:
 
 def _static_regression(target: Array, source: Array, knots: Array, stiffness: float) -> Array:
     """Values at the knots that carry mean window levels onto mean window levels, smooth and monotone."""
+    from scipy.optimize import isotonic_regression
+
     segment, share = _place(target.mean(axis=1), knots)
     hats = np.zeros((len(target), len(knots)))
     hats[np.arange(len(target)), segment] = 1 - share

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
@@ -53,16 +52,22 @@ def paired_by_stage(
     """
     if source.stage_mm is None or target.stage_mm is None:
         raise UnitRefused(reason("no_position"))
+    # Imported here: whoever applies a map does not wait for scipy.
+    from scipy.spatial import cKDTree
+
     phase = config.phase
     known, asked = (stage_histories(r, r.stage_mm, phase) for r in (source, target) if r.stage_mm is not None)
     travel_mm = float(np.ptp(target.stage_mm))
+    # Twice as many as the fit reads: some of them find no partner.
     rows = np.linspace(0, len(asked) - 1, min(2 * config.pairs.pairs, len(asked))).astype(np.int64)
     distance_mm, nearest = np.empty(len(rows)), np.empty(len(rows), np.int64)
     seen = _seen_entries(target, phase)[rows]
+    # One tree for each length of known history: what lies before a gap must not be compared as if it were known.
     for entries in np.unique(seen):
         group = seen == entries
         tree = cKDTree(known[:, :entries])
         distance_mm[group], nearest[group] = tree.query(asked[rows[group], :entries])
+    # A share of the travel, so that one number serves strokes of 1 mm and of 20 mm.
     alike = distance_mm <= phase.near_share * travel_mm
     if travel_mm <= 0 or alike.sum() < phase.min_pairs:
         raise UnitRefused(reason("few.positions", windows=int(alike.sum()), enough=phase.min_pairs))
@@ -82,7 +87,9 @@ def _seen_entries(recording: OutputRecording, config: PhaseConfig) -> NDArray[np
     Before a recording begins the stage is taken to have stood where it begins.
     """
     begins_s = np.concatenate([np.full(s.stop - s.start, recording.t_s[s.start]) for s in recording.segments])
+    # Nothing moved before the first sample; only gaps inside hide movements.
     begins_s[recording.segments[0]] = -np.inf
     ago_s = np.array(config.history) / recording.sample_rate_Hz
+    # Half a sample of slack: times are kept in floating point.
     is_seen = recording.t_s[:, None] - ago_s >= begins_s[:, None] - 0.5 / recording.sample_rate_Hz
     return np.asarray(is_seen[recording.window_rows].sum(axis=1))

@@ -3,15 +3,18 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from softcal.core.identity import Settings
 from softcal.core.maps.config import PlanConfig
 from softcal.core.recording import Array
 from softcal.core.windows import windows
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +37,17 @@ class TransportMap:
     neighbours: int = PlanConfig.neighbours
 
     @cached_property
-    def _tree(self) -> cKDTree:
+    def _tree(self) -> "cKDTree":
+        # Imported here: whoever applies another map does not wait for scipy.
+        from scipy.spatial import cKDTree
+
         return cKDTree(self.stored)
 
     def apply(self, windows: Array) -> Array:
         """Carry (n, taps) target windows into the source's window space."""
         distance, row = self._tree.query(windows, k=min(self.neighbours, len(self.stored)))
         distance, row = distance.reshape(len(windows), -1), row.reshape(len(windows), -1)
+        # The small term keeps a stored window, at distance 0, finite: it then outweighs all others.
         closeness = 1.0 / (distance**2 + 1e-12 * (1.0 + float(np.ptp(self.stored)) ** 2))
         share = closeness / closeness.sum(axis=1, keepdims=True)
         return np.asarray(windows + np.einsum("nk,nkt->nt", share, self.displacement[row]))

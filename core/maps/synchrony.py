@@ -80,13 +80,16 @@ def _compared(
     # scipy.stats and scipy.optimize take a second to load: naming a calibration needs neither.
     from scipy.stats import rankdata
 
+    # Linear between samples: the two recordings never share their instants exactly.
     a = rankdata(np.interp(time_s, seen, np.interp(seen, source.t_s, source.output)))
     b = rankdata(np.interp(time_s, seen, np.interp(seen, target.t_s, target.output)))
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return NONE
+    # One scale would miss slow loads or drown in noise; a scale needs twenty of its lengths to judge.
     found = [_detail(a, b, scale, rate_Hz, config) for scale in config.scales if 20 * scale <= len(time_s)]
     detail, sigma, lag = max(found, key=lambda item: item[1])
     stands_out = detail >= config.min_detail and sigma >= config.min_sigma
+    # A lag that does not stand out is chance. A wrong lag pairs foreign loads; no lag at worst pairs none.
     lag = lag if stands_out else 0
     a, b = (moving_mean(ranks, config.rank_average) for ranks in (a, np.roll(b, lag)))
     correlation = float(np.corrcoef(a, b)[0, 1])
@@ -111,8 +114,11 @@ def _opening_end(source: OutputRecording, target: OutputRecording, maps: MapConf
     if len(turns) <= config.least_swings:
         return None
     first = known = int(turns[config.least_swings])
+    # The curve of a longer opening differs from that of a shorter one, so its end is sought again until it stays.
     for _ in range(config.most_steps):
         off = np.abs(moving_mean(_off_curve(a, b, known), settled)) / span
+        # What the opening itself leaves of the curve (noise, hysteresis) is no sign of its end. Not the maximum: one
+        # outlier inside must not let foreign loads in.
         shown = float(np.quantile(off[: max(known - settled, 1)], 0.9))
         allowed = max(config.same_curve, config.off_curve * shown)
         left = np.flatnonzero(off[first:] > allowed)
@@ -120,6 +126,7 @@ def _opening_end(source: OutputRecording, target: OutputRecording, maps: MapConf
         if end == known:
             break
         known = end
+    # The loads part before the outputs do: averages and hysteresis still hold the old ones.
     end = known - round(config.guard_s * rate_Hz)
     if end < first or robust_range(a[:end], maps.crossing) < config.least_span * span:
         return None
@@ -153,7 +160,9 @@ def paired_rows(source: OutputRecording, target: OutputRecording, synchrony: Syn
     """
     source_s, target_s = source.t_s[source.window_rows], target.t_s[target.window_rows] - synchrony.lag_s
     right = np.clip(np.searchsorted(source_s, target_s), 1, len(source_s) - 1)
+    # A boolean as 0 or 1: one place to the left where the earlier sample is the closer one.
     nearest = right - (target_s - source_s[right - 1] < source_s[right] - target_s)
+    # Half a sample and a little rounding: no instant is paired across a gap.
     close = np.abs(source_s[nearest] - target_s) <= 0.51 / source.sample_rate_Hz
     close &= target_s <= synchrony.until_s
     return nearest[close].astype(np.int64), np.flatnonzero(close).astype(np.int64)
@@ -171,12 +180,14 @@ def _covered(recording: OutputRecording, time_s: Array) -> NDArray[np.bool_]:
 def _detail(a: Array, b: Array, scale: int, rate_Hz: float, config: SynchronyConfig) -> tuple[float, float, int]:
     x, y = _band(a, scale), _band(b, scale)
     spectrum = np.fft.rfft(x) * np.conj(np.fft.rfft(y))
+    # All lags at once by the correlation theorem; its ends wrap around, which is why only a quarter is searched.
     every = np.fft.irfft(spectrum, len(x)) / (np.std(x) * np.std(y) * len(x) + 1e-300)
     reach = min(len(x) // 4, round(config.longest_lag_s * rate_Hz))
     near = np.concatenate([every[: reach + 1], every[-reach:]])
     # Slow loads leave the peak flat: without a clear gain the clocks are taken as equal.
     best = 0 if near[0] >= config.clear_gain * near.max() else int(np.argmax(near))
     lag = best if best <= reach else best - len(near)
+    # Unrelated lags say what chance alone gives on this very recording: no assumption on its noise is needed.
     far = every[10 * scale : -10 * scale] if len(every) > 40 * scale else every
     # Periodic presses agree again one period later; the largest agreement elsewhere counts as much as the usual one.
     spread = max(float(np.std(far)), 1e-12)

@@ -80,6 +80,7 @@ class Network:
     @cached_property
     def _folded(self) -> tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]:
         """Layers in float32 with both standardisations folded in, so that evaluation is products and ReLU alone."""
+        # The mean stays outside: folded into the bias it would cost the digits of a small swing on a large rest value.
         weights, biases = [w.copy() for w in self.weights], [b.copy() for b in self.biases]
         weights[0] = weights[0] / self.output_scale
         weights[-1] = weights[-1] * self.reference_scale
@@ -116,6 +117,7 @@ class Network:
         Returns:
             (n,) estimates and (n, taps) their derivatives, reference unit per output unit.
         """
+        # By hand and not by torch: the batch estimates without importing it.
         hidden, active = (windows - self.output_mean).astype(np.float32), []
         for weight, bias in self._folded[:-1]:
             hidden = hidden @ weight

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from softcal.core.errors import InputError
 from softcal.core.network.config import EpochReport, Mask, NetworkConfig
@@ -51,9 +50,11 @@ def fit_network(
     """
     check_trainable(source)
     inputs, reference = source.windows, source.window_reference
+    # One mean and one scale for all taps: taps scaled each by itself would bend the shape of a window.
     output_mean, output_scale = float(source.unlabelled.output.mean()), float(source.unlabelled.output.std())
     reference_mean, reference_scale = float(reference.mean()), float(reference.std())
     validation = validation_blocks(len(inputs), config.validation_share)
+    # Windows that share samples with a validating one would let it be learnt by heart.
     training = ~_near(validation, TAPS)
     x = ((inputs - output_mean) / output_scale).astype(np.float32)
     y = ((reference - reference_mean) / reference_scale).astype(np.float32)[:, None]
@@ -75,6 +76,7 @@ def fit_network(
     )
     error = network.evaluate(inputs[validation]) - reference[validation]
     rmse = float(np.sqrt(np.mean(error**2)))
+    # Both scales: the held-out blocks may lie where the load hardly moves, and the mean is then a good estimate.
     if rmse > 0.95 * float(reference[validation].std()) and rmse > 0.5 * reference_scale:
         raise InputError(
             f"source {source.serial}: f errs by {rmse:.4g} {source.reference_unit} on held-out parts, no better than "
@@ -102,6 +104,7 @@ def check_trainable(source: LabelledRecording) -> None:
             raise InputError(f"{where}: {name} is constant at {values[0]:.6g} {unit}; record the source again")
     for name, limit in (("highest", output.max()), ("lowest", output.min())):
         stuck = output == limit
+        # A sensor at rest is flat as well; clipped is what stays flat while the load goes on.
         if stuck.mean() > 0.02 and np.ptp(np.quantile(reference[stuck], [0.05, 0.95])) > 0.25 * np.ptp(reference):
             raise InputError(
                 f"{where}: output stays at its {name} value {limit:.6g} {source.unlabelled.output_unit} in "
@@ -119,6 +122,7 @@ def validation_blocks(count: int, share: float) -> Mask:
     Returns:
         (count,) True where a window validates; a guard of TAPS windows beside each block belongs to neither side.
     """
+    # Blocks in time, never single windows: neighbours share fourteen of fifteen samples.
     blocks = int(np.clip(count // (10 * TAPS), 2, 10))
     length = max(1, round(share * count / blocks))
     mask = np.zeros(count, dtype=bool)
@@ -137,6 +141,9 @@ def merge_members(members: list[list[tuple[Array, Array]]]) -> tuple[tuple[Array
     Args:
         members: per member its layers (weight (inputs, outputs), bias (outputs,)).
     """
+    # Imported here: whoever reads a calibration must not wait for scipy.
+    from scipy.linalg import block_diag
+
     if len(members) == 1:
         return tuple(w for w, _ in members[0]), tuple(b for _, b in members[0])
     weights, biases = [], []

@@ -88,6 +88,7 @@ class _Training:
                 best, best_epoch, plateau, kept = error, epoch, 0, self._state()
             else:
                 plateau += 1
+                # Three smaller rates are tried before training stops.
                 if plateau % max(1, self._config.patience // 3) == 0:
                     self._halve_rate()
             if on_epoch is not None:
@@ -119,6 +120,7 @@ class _Training:
             loss = torch.nn.functional.mse_loss(self._forward(self._x[rows]), self._y[rows])
             loss.backward()  # type: ignore[no-untyped-call]
             self._optimiser.step()
+            # The last batch of an epoch is smaller; a plain mean over batches would weigh it too much.
             total += float(loss.detach()) * len(rows)
         return float((total / len(self._x)) ** 0.5)
 

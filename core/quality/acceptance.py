@@ -3,12 +3,11 @@
 By attributes after ISO 2859-2 and by variables after ISO 3951-2, restated as bounds on the share of failing units.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.stats import beta, hypergeom, nct, norm
+from scipy.stats import beta, nct, norm
 
 from softcal.core.errors import InputError
 
@@ -32,18 +31,6 @@ class Promise:
         for name, value in vars(self).items():
             if not 0 < value < 1:
                 raise InputError(f"{name} {value:g}; a number between 0 and 1 was expected, such as 0.1 for 1 in 10")
-
-
-def failing_upper(population: int, checked: int, failed: int, confidence: float) -> int:
-    """Return the largest number of failing units in the population that the sample does not contradict.
-
-    The largest D with P(at most `failed` among `checked` | D of `population`) > 1 - confidence (hypergeometric).
-    """
-    if checked >= population:
-        return failed
-    candidates = np.arange(failed, population - (checked - failed) + 1)
-    plausible = hypergeom.cdf(failed, population, candidates, checked) > 1 - confidence
-    return int(candidates[plausible].max())
 
 
 def failing_share(checked: int, failed: int, confidence: float) -> float:
@@ -74,35 +61,3 @@ def tolerance_factor(count: float, degrees: float, promise: Promise) -> float:
         return float("inf")
     shift = norm.ppf(1 - promise.risk) * np.sqrt(count)
     return float(nct.ppf(promise.confidence, degrees, shift) / np.sqrt(count))
-
-
-def curtailed_after(failures: Sequence[bool], allowed: int = 0) -> int | None:
-    """Return after how many audits, in the order of the draw, a lot is lost: the count that goes beyond `allowed`.
-
-    Stopping there changes no decision: the full plan would have refused the lot too (curtailed inspection, ISO 2859-1).
-    None where the lot is not lost.
-    """
-    lost = np.flatnonzero(np.cumsum(failures) > allowed)
-    return int(lost[0]) + 1 if len(lost) else None
-
-
-def look_confidence(confidence: float, looks: int) -> float:
-    """Return the confidence each of several looks must reach so that stopping at the first that does keeps the whole.
-
-    The error is spent evenly (Bonferroni). Wald's sequential test saves nothing here: to accept a share below 0.1 at
-    confidence 0.9 without a failure it needs 22 audits as well.
-    """
-    if looks < 1:
-        raise InputError(f"{looks} looks; at least one was expected")
-    return 1 - (1 - confidence) / looks
-
-
-def draw_units(serials: Sequence[str], count: int, seed: int) -> tuple[str, ...]:
-    """Draw units at random, in the order they are to be audited; equal serials and seed give an equal draw.
-
-    A longer draw of the same seed begins with the shorter one, so that a plan can be extended.
-    """
-    if count < 1:
-        raise InputError(f"{count} audits; at least one unit was expected")
-    ordered = sorted(set(serials))
-    return tuple(ordered[k] for k in np.random.default_rng(seed).permutation(len(ordered))[:count])

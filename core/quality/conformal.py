@@ -65,11 +65,34 @@ def pooled_scale(groups: Sequence[Array], coverage: float, has_unseen: bool = Fa
     if not groups:
         raise InputError("no audited unit: a scale for the intervals needs one at least")
     scores = np.concatenate(groups)
+    # Weights by unit, not by sample: a long recording is no more evidence on other units than a short one.
     units = len(groups) + (1 if has_unseen else 0)
     weight = np.repeat([1 / (units * len(group)) for group in groups], [len(group) for group in groups])
     order = np.argsort(scores)
+    # Cumulative sums round: without the margin an exact share would take one sample too many.
     reached = np.searchsorted(np.cumsum(weight[order]), coverage - 1e-12)
     return float("inf") if reached == len(order) else float(scores[order][reached])
+
+
+LEAST_COVERAGE, MOST_UNITS = 0.80, 0.10
+"""An interval covers at least this share of the samples of all but this share of the units."""
+
+
+def unit_scale(groups: Sequence[Array], coverage: float) -> float:
+    """Return the factor on an interval's half-width that serves the samples on average and the units one by one.
+
+    The larger of `pooled_scale` and the conformal bound of the units' own factors for `LEAST_COVERAGE`. Where units are
+    alike it is the first; where each was pressed with another force, the second: one more unit has less than that share
+    of its samples covered with probability `MOST_UNITS` at most. Of fewer units than that takes, the widest counts.
+
+    Args:
+        groups: per audited unit, (n,) |residual| over half-width of its samples.
+        coverage: share of samples, between 0 and 1.
+    """
+    pooled = pooled_scale(groups, coverage)
+    own = np.array([np.quantile(group, LEAST_COVERAGE) for group in groups])
+    bound = upper_bound(own, MOST_UNITS)
+    return max(pooled, bound if np.isfinite(bound) else float(own.max()))
 
 
 def _rank(count: int, risk: float) -> int:

@@ -153,6 +153,7 @@ def quarantined(
     known = sorted((check for check in checks if check.at <= now), key=lambda check: check.at)
     if not known or known[-1].is_in_control:
         return ()
+    # Between the last good and the first bad check nobody knows when the station went wrong: all of them are suspect.
     good = [check.at for check in known if check.is_in_control]
     since = good[-1] if good else datetime.min.replace(tzinfo=now.tzinfo)
     return tuple(serial for serial, at in sorted(pressed, key=lambda unit: unit[1]) if since < at <= now)
@@ -184,6 +185,7 @@ def _certificate(facts: StationFacts) -> list[Condition]:
 def _warm_up(facts: StationFacts) -> Condition:
     left = facts.warm_up - facts.rig.powered
     if left > timedelta(0):
+        # Rounded up: "0 more min" beside a closed gate would be a riddle.
         minutes = -(-int(left.total_seconds()) // 60)
         return Condition("warm-up", False, f"the load cell warms up for {minutes} more min; wait")
     return Condition("warm-up", True, f"the load cell is on for {int(facts.rig.powered.total_seconds()) // 60} min")

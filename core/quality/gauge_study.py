@@ -86,12 +86,14 @@ def study_by_anova(measured: Array, pooling_alpha: float = POOLING_ALPHA) -> Gau
     ss_part = appraisers * trials * np.sum((by_part - mean) ** 2)
     ss_appraiser = parts * trials * np.sum((by_appraiser - mean) ** 2)
     ss_cells = trials * np.sum((cells - mean) ** 2)
+    # A difference of sums that are nearly equal may round below 0.
     ss_interaction = max(0.0, ss_cells - ss_part - ss_appraiser)
     ss_error = float(np.sum((measured - cells[:, :, None]) ** 2))
     df_interaction, df_error = (parts - 1) * (appraisers - 1), parts * appraisers * (trials - 1)
     ms_part, ms_appraiser = ss_part / (parts - 1), ss_appraiser / (appraisers - 1)
     ms_interaction, ms_error = ss_interaction / df_interaction, ss_error / df_error
     p = float(stats.f.sf(ms_interaction / ms_error, df_interaction, df_error)) if ms_error > 0 else 0.0
+    # What cannot be told from repeatability is counted there: kept apart it would only make both less certain.
     if p > pooling_alpha:
         ms_error = (ss_interaction + ss_error) / (df_interaction + df_error)
         ms_interaction, interaction = ms_error, 0.0

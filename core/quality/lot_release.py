@@ -97,6 +97,7 @@ def release_lot(
     limit: Limit,
     promise: Promise,
     interval_scale: float = 1.0,
+    least: float = 0.0,
 ) -> LotRelease:
     """Decide on the units of a lot that nobody measured.
 
@@ -106,8 +107,9 @@ def release_lot(
         limit: of the lot, in the forecasts' unit.
         promise: what is to hold for the released units.
         interval_scale: factor on their intervals, from the same audits.
+        least: number of units that must pass, or none is released.
     """
-    found = release(forecasts, qualification.audits, limit, promise) if qualification.is_given else None
+    found = release(forecasts, qualification.audits, limit, promise, least) if qualification.is_given else None
     statement = _statement(forecasts, qualification.audits, found, qualification, limit, promise)
     return LotRelease(qualification, limit, promise, forecasts, found, interval_scale, statement)
 
@@ -129,8 +131,8 @@ def _statement(
         return f"no unit is left to release by sample: {seen}"
     if not found.released:
         return (
-            f"no unit is released by sample: {seen}; fewer than {LEAST_PART:.0%} of the other {len(forecasts)} units "
-            f"would pass at {found.factor:.2g} x their forecast"
+            f"no unit is released by sample: {seen}; fewer than {LEAST_PART:.0%} of the lot, or of the other "
+            f"{len(forecasts)} units, would pass at {found.factor:.2g} x their forecast"
         )
     return (
         f"with {seen}: at most {promise.risk:.0%} of the {len(found.released)} units released by sample (of "

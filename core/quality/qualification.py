@@ -108,7 +108,7 @@ def qualify(
 
 
 def _none(missing: int, here: int, why: str) -> Qualification:
-    wanted = f"audit {missing} more units of this lot, drawn by `softcal lot audit-plan`"
+    wanted = f"audit {missing} more units of this lot, drawn by its audit plan"
     return Qualification(NONE, (), missing, f"{here} audited units of this lot; {why}; {wanted}")
 
 

@@ -27,7 +27,8 @@ LEAST_AUDITS = 5
 """The spread of fewer audits than this is a guess, whatever risk is asked for."""
 
 LEAST_PART = 0.5
-"""A lot is released by sample where at least this part of it passes; the few best of a poor lot are picked by luck."""
+"""A lot is released by sample where at least this part of it passes, of its candidates and of all its units; the few
+best of a poor lot are picked by luck."""
 
 LEAST_LOTS = 3
 """Audits of fewer lots than this say nothing firm about a lot without audits: how lots differ is not known."""
@@ -164,6 +165,7 @@ def release(
     audits: Sequence[AuditedUnit],
     limit: Limit,
     promise: Promise = Promise(),  # noqa: B008 - frozen
+    least: float = 0.0,
 ) -> Release:
     """Choose which unmeasured units to release so that the promise holds for the released ones.
 
@@ -186,13 +188,26 @@ def release(
     ordered = sorted(forecasts, key=lambda serial: (forecasts[serial], serial))
     errors = np.array([forecasts[serial] for serial in ordered])
     count, factor = considered, ratios.bound(promise)
+    least = max(LEAST_PART * considered, least, 1)
     while (passing := int(np.count_nonzero(errors[:count] * factor <= limit.acceptance_rmse))) < count:
         count = passing
-        if count < max(LEAST_PART * considered, 1):
+        if count < least:
             return Release((), factor, ratios, considered, promise, 1.0, 1.0)
         factor = ratios.bound(replace(promise, risk=promise.risk * count / considered))
+    if count < least:
+        return Release((), factor, ratios, considered, promise, 1.0, 1.0)
     said = _any_form(ratios, count / considered, promise) if count else (1.0, 1.0)
     return Release(tuple(ordered[:count]), factor, ratios, considered, promise, *said)
+
+
+def least_passing(units: int, held: int) -> float:
+    """Return how many unmeasured units must pass so that half of a whole lot does.
+
+    Args:
+        units: of the lot, those that a finding or refusal stands against among them.
+        held: of these, measured within the limit.
+    """
+    return LEAST_PART * units - held
 
 
 def audits_wanted(promise: Promise) -> int:

@@ -42,9 +42,11 @@ def _clock_skew(flow: Flow, values: Sequence[float], state: Memory) -> None:
 
 
 def _dropped_samples(flow: Flow, _: Sequence[float], state: Memory) -> None:
+    # The median: the step across a gap is no sampling period.
     period_s = float(np.median(flow.step_s[flow.step_s > 0])) if np.any(flow.step_s > 0) else 0.0
     wanted_s = flow.t_s.copy()
     for lost_at_s, count in flow.episodes.get("dropped_samples", ()):
+        # Later samples close up: each loss moves all that follow it.
         wanted_s = wanted_s + count * period_s * (flow.t_s >= lost_at_s)
     _read_at(flow, wanted_s, state)
 

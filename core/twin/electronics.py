@@ -44,6 +44,7 @@ def _mains_hum(flow: Flow, values: Sequence[float], _: Memory) -> None:
 
 
 def _adc_saturation(flow: Flow, values: Sequence[float], _: Memory) -> None:
+    # A hard ceiling here, a soft one among the forms: amplifiers differ in how they clip.
     flow.output_V = np.minimum(flow.output_V, values[0])
 
 

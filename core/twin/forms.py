@@ -48,6 +48,7 @@ def two(step: Step, what: str) -> Maker:
     def make(effect: Effect) -> Form:
         size, shape = effect.parameters
         second = (replace(size, name=f"{size.name}2"), replace(shape, name=f"{shape.name}2"))
+        # Half the size each, one faster and one slower: both alike would be a saddle that descent never leaves.
         carry = ((0, 0.5), (1, 1 / SPLIT), (0, 0.5), (1, SPLIT))
         return in_form(step, what, (size, shape, *second), carry)(effect)
 

@@ -41,6 +41,7 @@ def soft_contact(travel: Array, toe: float, compliance: float, k1: float, k3: fl
     x = 0.0
     for k in range(len(travel)):
         target = travel[k]
+        # The root moves little from sample to sample; the target itself is the root of a rigid frame.
         x = min(x, target) if x > 0.0 else target
         deformation = 0.0
         for _ in range(30):
@@ -48,6 +49,7 @@ def soft_contact(travel: Array, toe: float, compliance: float, k1: float, k3: fl
             deformation = x - toe * (1.0 - bend)
             error = x + compliance * deformation * (k1 + k3 * deformation * deformation) - target
             slope = 1.0 + compliance * (k1 + 3.0 * k3 * deformation * deformation) * (1.0 - bend)
+            # The root lies between no compression and the whole travel: a step beyond either would only come back.
             x = min(max(x - error / slope, 0.0), target)
             if abs(error) < 1e-10:
                 break
@@ -84,6 +86,7 @@ def _mullins_softening(flow: Flow, values: Sequence[float], state: Memory) -> No
 
 
 def _shift_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    # expm1, since 1 - exp(-x) loses its digits where x is small.
     settled = v[0] * -np.expm1(-flow.t_s / v[1]) + v[2] * -np.expm1(-flow.t_s / v[3])
     flow.contact_mm = flow.contact_mm + settled
 
@@ -108,6 +111,7 @@ def _force_stops(flow: Flow, v: Sequence[float], _: Memory) -> None:
 
 
 def _stroke_stops(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    # Stops act on lengths here; the mean stiffness of the run carries them to newtons.
     stiffness = float(np.max(flow.force_N)) / (float(np.max(flow.deformation_mm)) or 1.0)
     flow.force_N = np.maximum(0.0, flow.force_N + _touching(flow) * stiffness * stops(flow.deformation_mm, v))
 

@@ -35,8 +35,10 @@ def low_pass(signal: Array, step_s: Array, tau_s: float, state: Array) -> Array:
     for k in range(len(signal)):
         x1 = signal[k]
         h = step_s[k] / tau_s
+        # Most recordings have one period: the exponential is computed once, not per sample.
         if h != h_before:
             decay = np.exp(-h)
+            # For steps far below the time constant the quotient is 0 / 0; its limit is 1.
             mean = (1.0 - decay) / h if h > 1e-9 else 1.0
             old, new, h_before = mean - decay, 1.0 - mean, h
         y = decay * y + old * x0 + new * x1
@@ -56,6 +58,7 @@ def play(signal: Array, width: float, state: Array) -> Array:
     out = np.empty_like(signal)
     y = state[0]
     for k in range(len(signal)):
+        # The inner maximum pushes the lower wall along, the outer minimum the upper one.
         y = min(max(y, signal[k] - width), signal[k])
         out[k] = y
     state[0] = y

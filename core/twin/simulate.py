@@ -69,6 +69,7 @@ class Twin:
 
     def __post_init__(self) -> None:
         ids = [setting.effect_id for setting in self.effects]
+        # Twice the same cause would share its size between two places, and no fit could tell them apart.
         if len(set(ids)) < len(ids):
             raise InputError(f"an effect is switched on twice: {', '.join(ids)}")
 
@@ -87,6 +88,7 @@ class Chain:
 
     def __init__(self, effects: Sequence[Effect]) -> None:
         self.effects = tuple(effects)
+        # Effects of one hook do not commute (a ceiling before hum is not hum before a ceiling): the catalogue decides.
         order = sorted(range(len(effects)), key=lambda k: ORDER.get(effects[k].id, len(ORDER)))
         self._at = {hook: [k for k in order if effects[k].hook == hook] for hook in Hook}
 
@@ -157,6 +159,7 @@ class TwinStream:
 
     def __init__(self, twin: Twin, rng: np.random.Generator | None) -> None:
         self._twin = twin
+        # A stream for each channel: what one draws must not depend on how the other is chunked.
         self._rng = rng.spawn(2) if rng is not None else None
         self._chain = Chain([setting.effect for setting in twin.effects])
         self._values = [setting.ordered_values for setting in twin.effects]
@@ -198,6 +201,7 @@ class TwinStream:
         rise_K = None
         if temperature_C is not None:
             if self._last_t_s is None:
+                # Parameters hold at the start of a run, so that a rise counts from there.
                 self._first_temperature_C = float(temperature_C[0])
             rise_K = np.asarray(temperature_C, dtype=np.float64) - self._first_temperature_C
         self._last_t_s = float(t_s[-1])

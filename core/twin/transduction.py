@@ -25,6 +25,7 @@ def channel_resistance(drive: Array, r0: float, kappa: float) -> Array:
     """Return R = R0/(1 − κ·F) in Ω (Park and others 2010, pressure form; Kim and others 2020)."""
     out = np.empty_like(drive)
     for k in range(len(drive)):
+        # The pressure form has a pole where the channel is shut; a fit that steps over it must not see a sign change.
         out[k] = r0 / max(1.0 - kappa * drive[k], COLLAPSED)
     return out
 
@@ -57,6 +58,7 @@ def _intermittent_contact(flow: Flow, values: Sequence[float], _: Memory) -> Non
     for start_s, stop_s in flow.episodes.get("intermittent_contact", ()):
         bad |= (flow.t_s >= start_s) & (flow.t_s < stop_s)
     flow.resistance_ohm = flow.resistance_ohm + values[0] * bad
+    # The samples at which a contact opens or closes: no straight line between samples holds there.
     flow.is_unforeseeable = np.diff(bad, prepend=bad[:1])
 
 
@@ -75,6 +77,7 @@ def _channel_stops(flow: Flow, v: Sequence[float], _: Memory) -> None:
 
 
 def _collapse_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    # Below its threshold the walls do not touch; the term and its slope are both 0 there.
     over = np.maximum(0.0, flow.drive - v[1])
     flow.resistance_ohm = flow.resistance_ohm * (1.0 + v[0] * over ** v[2])
 

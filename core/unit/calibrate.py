@@ -19,10 +19,13 @@ from softcal.core.maps.phase import Phase
 from softcal.core.maps.synchronous import Synchronous
 from softcal.core.maps.synchrony import paired_rows
 from softcal.core.network.config import NetworkConfig
+from softcal.core.network.network import Network
 from softcal.core.reason import Reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.audit_reading import read_audit
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.findings import map_findings, opening_findings
 from softcal.core.unit.forecast import (
     MapEvidence,
@@ -119,7 +122,7 @@ def calibrate(problem: UnitProblem) -> Calibration:
         *opening_findings(chosen.evidence, method.findings),
     )
     scores = None if problem.audit is None else _scores(problem, chosen.unit_map, problem.audit)
-    return Calibration(
+    calibration = Calibration(
         serial=target.serial,
         network_id=model.network.id,
         unit_map=chosen.unit_map,
@@ -133,6 +136,22 @@ def calibrate(problem: UnitProblem) -> Calibration:
         scores=scores,
         reference=problem.reference,
     )
+    return calibration if problem.audit is None else with_audit(model.network, calibration, problem.audit, target)
+
+
+def with_audit(
+    network: Network, calibration: Calibration, audit: LabelledRecording, recording: OutputRecording
+) -> Calibration:
+    """Return the calibration with what a labelled recording of its unit says beside the error.
+
+    Args:
+        network: the shared network f.
+        calibration: of the unit, before audits of other units scaled its interval.
+        audit: labelled recording of the unit.
+        recording: the one it was calibrated from.
+    """
+    found = estimate(network, calibration, audit.unlabelled)
+    return replace(calibration, audit=read_audit(found.estimate, found.upper - found.estimate, audit, recording))
 
 
 def _bars(problem: UnitProblem) -> tuple[Reason, ...]:

@@ -11,6 +11,7 @@ from softcal.core.identity import Settings
 from softcal.core.maps.interface import UnitMap, map_sha256
 from softcal.core.metrics import finite_or_none
 from softcal.core.reason import Reason
+from softcal.core.unit.audit_reading import AuditReading
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.knowledge import LoadKnowledge, known_by
@@ -31,7 +32,8 @@ class CalibrationRecord:
         map_sha256: content hash of the map alone.
         arrays: parameters of the map (names `map.*`), of the interval and support model (names `interval.*`).
         settings: JSON values beside the arrays, grouped: `map`, `interval`, `forecast`, `decision` (what was predicted
-            and what was measured), `method` (every number of the method), `reference` (what it is traced to).
+            and what was measured), `method` (every number of the method), `reference` (what it is traced to), `audit`
+            (what its audit says beside the error).
         predicted_rmse: forecast of the error against the reference, in the reference unit; None where none can be made.
         before_rmse, after_rmse, own_rmse: scores on an audit recording, in the reference unit; None without an audit.
         verdict: pass, conditional, fail or retest.
@@ -98,6 +100,12 @@ class CalibrationRecord:
             return Decision(Judgement(Verdict(self.verdict), self.reasons))
         return Decision.of(kept)  # type: ignore[arg-type]
 
+    @property
+    def audit(self) -> AuditReading | None:
+        """What its audit says beside the error; None without one, and in records of older versions."""
+        kept = self.settings.get("audit")
+        return None if kept is None else AuditReading.of(kept)  # type: ignore[arg-type]
+
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
             raise ValueError(f"verdict {self.verdict!r} is none of {', '.join(VERDICTS)}")
@@ -120,6 +128,7 @@ class Calibration:
         method: every number it was made with; None in records of versions that kept none.
         scores: errors on the unit's audit; None without one.
         reference: what the source was compared with; None where nobody said.
+        audit: what the audit says beside them; None without one, and in records of older versions.
     """
 
     serial: str
@@ -134,6 +143,7 @@ class Calibration:
     method: Method | None = None
     scores: Scores | None = None
     reference: Reference | None = None
+    audit: AuditReading | None = None
 
     @property
     def predicted_rmse(self) -> float | None:
@@ -153,6 +163,7 @@ class Calibration:
             "method": None if self.method is None else dict(self.method.to_json()),
             "method_id": "" if self.method is None else self.method.id,
             "reference": None if self.reference is None else self.reference.to_json(),
+            "audit": None if self.audit is None else self.audit.to_json(),
         }
         return CalibrationRecord(
             serial=self.serial,
@@ -203,6 +214,7 @@ class Calibration:
             method=record.method,
             scores=_scores(record),
             reference=record.reference,
+            audit=record.audit,
         )
 
 

@@ -118,7 +118,7 @@ def gather_evidence(
         "overlap": (1 - overlap) ** 2 * (interval.high - interval.low),
         "speed": float(np.log(speed)) ** 2 * (interval.high - interval.low),
         "corners": _corners(model, shape) * (interval.high - interval.low),
-        "gain": gain_error * _load(estimate),
+        "gain": gain_error * rms_load(estimate),
         **_stage_terms(model, target, unit_map),
     }
     if trials:
@@ -203,7 +203,7 @@ def _disagreement_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
 def _load_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     """Return the squared load over its mean square in the unit's recording: (LEVELS,)."""
     load = np.maximum(load_levels(model) - _rest_level(evidence.estimate), 0.0)
-    return np.asarray((load / max(_load(evidence.estimate), 1e-12)) ** 2)
+    return np.asarray((load / max(rms_load(evidence.estimate), 1e-12)) ** 2)
 
 
 def _smooth(table: Array) -> Array:
@@ -254,7 +254,7 @@ def _clipping(model: SourceModel, target: OutputRecording, limits: OutputLimits)
     return float(np.sqrt(share / 12)) * (model.interval.high - model.interval.low) / 3
 
 
-def _load(estimate: Array) -> float:
+def rms_load(estimate: Array) -> float:
     """Return the RMS load above rest: what an error of the gain is multiplied with."""
     return rms(estimate - _rest_level(estimate))
 
@@ -276,7 +276,7 @@ def _stage_terms(model: SourceModel, target: OutputRecording, unit_map: UnitMap)
         return {}
     beyond = difference.beyond(model.stage_floor)
     most = model.method.forecast.most_growth
-    growth = float(np.clip(_load(model.estimate) / max(_load(estimate), 1e-12), 1.0, most))
+    growth = float(np.clip(rms_load(model.estimate) / max(rms_load(estimate), 1e-12), 1.0, most))
     return {"stage": growth * beyond.rms, "slow": growth * beyond.slow_rms}
 
 

@@ -97,8 +97,10 @@ def check_alive(target: OutputRecording, source: OutputRecording, config: Health
     if np.ptp(output) == 0:
         raise UnitRefused(reason("dead.constant", level=float(output[0]), unit=unit, count=len(output), cure=cure))
     spread = float(np.std(output))
+    # White noise has twice its variance in differences of neighbours; a slow signal has almost none.
     if np.var(np.diff(output)) > config.noise_ratio * 2 * spread**2:
         raise UnitRefused(reason("dead.noise", spread=spread, unit=unit, cure=cure))
+    # A spike must not make a dead channel look alive.
     span, source_span = (float(np.ptp(np.quantile(x, (0.01, 0.99)))) for x in (output, source.output))
     if span < config.dead_share * source_span:
         raise UnitRefused(reason("dead.small", span=span, source_span=source_span, unit=unit, cure=cure))
@@ -115,6 +117,7 @@ def output_limits(
     """
     end, known = (rail(recording.output, is_rising, config) for recording in (target, source))
     clipped = end.level if end.is_clipped(known, config) else None
+    # A slow load on a coarse converter stands still for long by itself: twice the longest seen is no fault yet.
     longest = int(max(run_lengths(target.output).max(), run_lengths(source.output).max()))
     return OutputLimits(
         rail_low=-np.inf if clipped is None or is_rising else clipped,
@@ -158,6 +161,7 @@ def _frozen(target: OutputRecording, source: OutputRecording, config: HealthConf
 
 def _longest_inner_run(output: Array) -> int:
     span = float(np.ptp(output))
+    # At rest and at the peak every output stands still; frozen is what does so in between.
     inner = (output > output.min() + 0.1 * span) & (output < output.max() - 0.1 * span)
     return int(np.max(run_lengths(output)[inner], initial=0))
 
@@ -175,6 +179,7 @@ def _short(target: OutputRecording, source: OutputRecording, config: HealthConfi
 def count_presses(output: Array) -> int:
     """Count the excursions of the output through the middle half of its range, there and back."""
     low, high = np.quantile(output, (0.01, 0.99))
+    # Two thresholds apart (a Schmitt trigger): noise at one of them would count as presses.
     state = np.where(output > low + 0.6 * (high - low), 1, np.where(output < low + 0.4 * (high - low), -1, 0))
     state = state[state != 0]
     return int(np.count_nonzero(np.diff(state))) // 2 + int(len(state) > 0 and np.count_nonzero(np.diff(state)) % 2)

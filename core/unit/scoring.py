@@ -43,6 +43,7 @@ def score_map(
         own: how to train the unit's own calibration on the first three quarters; None leaves it out.
         config: which share is tested.
     """
+    # By time and never at random: a later stretch is what the unit will be used on.
     split = round(len(audit) * (1 - config.test_share))
     test = audit.part(split, len(audit))
     truth = test.window_reference

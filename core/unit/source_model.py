@@ -63,6 +63,7 @@ def make_source_model(
         method: the method in force.
     """
     windows = source.windows
+    # A network that was stored has no list of them; the default split of the same recording is the same again.
     if held_out is None:
         held_out = np.flatnonzero(validation_blocks(len(windows), NetworkConfig().validation_share))
     residuals = source_residuals(network, windows, source.window_reference, held_out, method.source)

@@ -64,6 +64,7 @@ def source_difference(source: LabelledRecording, estimate: Array, method: Method
     near = method.map.phase.near_share * float(np.ptp(recording.stage_mm))
     differences, times = [], []
     for block in np.array_split(np.arange(len(t_s)), config.blocks):
+        # A window must not be compared with itself or its neighbours: they agree whatever the source repeats.
         first_s, last_s = t_s[block[0]] - config.apart_s, t_s[block[-1]] + config.apart_s
         others = np.flatnonzero((t_s < first_s) | (t_s > last_s))
         if not len(others):
@@ -78,6 +79,7 @@ def source_difference(source: LabelledRecording, estimate: Array, method: Method
 
 
 def _summed_up(difference: Array, t_s: Array, slow_s: float) -> StageDifference:
+    # Means over a second leave level and gain and take the noise off: both are wanted apart.
     _, second = np.unique((t_s // slow_s).astype(np.int64), return_inverse=True)
     counts = np.bincount(second)
     means = np.bincount(second, difference) / counts

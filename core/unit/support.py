@@ -16,6 +16,7 @@ from softcal.core.windows import TAPS
 def _polynomials() -> Array:
     """Return level, slope and bend of a window as (TAPS, 3) orthogonal columns whose coefficients are RMS values."""
     columns = np.vander(np.linspace(-1, 1, TAPS), 3, increasing=True)
+    # Signs of a QR are arbitrary; positive diagonals make slope mean rising everywhere.
     basis, triangular = np.linalg.qr(columns)
     return np.asarray(basis * np.sign(np.diag(triangular)) / np.sqrt(TAPS))
 
@@ -67,6 +68,7 @@ class Support:
             z = ((windows[rows] - self.output_mean) / self.output_scale).astype(np.float32)
             parts = z @ BASIS.astype(np.float32)
             level[rows], slope[rows], bend[rows] = parts.T
+            # Pythagoras instead of the residual itself: no second (n, TAPS) array is made.
             left = np.einsum("ij,ij->i", z, z) / TAPS - np.einsum("ij,ij->i", parts, parts)
             roughness[rows] = np.sqrt(np.maximum(left, 0))
         return WindowShape(level, slope, bend, roughness)
@@ -109,6 +111,7 @@ class Support:
 def _cell(value: Array, origin: float, step: float, cells: int) -> tuple[Indices, Array]:
     """Return the cell each value falls in, the outermost one beyond the grid, and how far beyond its middle it is."""
     position = (value - origin) / step
+    # Off the grid the distance goes on in a straight line from its outermost cell.
     inside = np.clip(position, 0.5, cells - 0.5)
     return inside.astype(np.int64), np.abs(position - inside) * step
 
@@ -134,7 +137,9 @@ def fit_support(windows: Array, output_mean: float, output_scale: float, config:
     from scipy.ndimage import distance_transform_edt
 
     slack = config.slack_cells * float(step.max())
+    # Cells beside visited ones are familiar too: samples never fill every cell.
     distance = np.maximum(distance_transform_edt(empty, sampling=step) - slack, 0)
+    # A factor on a quantile: the maximum of a recording is set by its worst sample.
     bend_limit = config.tail_factor * float(np.quantile(np.abs(shape.bend), config.tail))
     roughness_limit = config.tail_factor * float(np.quantile(shape.roughness, config.tail))
     return Support(output_mean, output_scale, origin, step, distance, bend_limit, roughness_limit)

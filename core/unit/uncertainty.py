@@ -52,6 +52,7 @@ class Interval:
     def half(self, estimate: Array, shape: WindowShape, distance: Array) -> Array:
         """Return the half-width of the 90 % interval of each estimate, (n,) in the reference unit."""
         inside = self.half_width[self.direction(shape), self.column(estimate)]
+        # Beyond the range nothing was measured: there the interval grows by the distance itself.
         outside = np.maximum(np.maximum(self.low - estimate, estimate - self.high), 0)
         return inside + NORMAL_90 * self.sensitivity * distance + outside
 
@@ -126,6 +127,7 @@ def source_residuals(
         config: how residuals are tabulated.
     """
     estimate = network.evaluate(windows)
+    # The pattern needs many rows, its size honest ones: trained rows give the first, held-out rows the second.
     residual = estimate - reference
     support = fit_support(windows, network.output_mean, network.output_scale, config)
     shape = support.shape(windows)
@@ -142,6 +144,7 @@ def source_residuals(
     rmse_table = np.sqrt(_tabulate(residual**2, *cells, np.mean, config))
     spread = _tabulate(np.abs(residual), *cells, lambda values: float(np.quantile(values, CONFIDENCE)), config)
     held_direction, held_column = cells[0][held_out], cells[1][held_out]
+    # Divided by the local spread, so that one quantile serves quiet and noisy bands alike.
     scores = np.abs(residual[held_out]) / spread[held_direction, held_column]
     held_rmse = float(np.sqrt(np.mean(residual[held_out] ** 2)))
     expected_rmse = float(np.sqrt(np.mean(rmse_table[held_direction, held_column] ** 2)))
@@ -159,12 +162,14 @@ def conformal_quantile(scores: Array) -> float:
 
 
 def _slope_limit(shape: WindowShape, reference: Array, config: SourceConfig) -> float:
+    # On a sensor that falls under load a falling output is loading.
     sign = 1.0 if np.corrcoef(shape.level, reference)[0, 1] >= 0 else -1.0
     return sign * max(config.slope_share * float(np.quantile(np.abs(shape.slope), config.slope_quantile)), 1e-9)
 
 
 def _sensitivity(network: Network, windows: Array, share: float) -> float:
     step = share * network.output_scale
+    # A finite step: the slope of a ReLU network at a point says nothing of its neighbourhood.
     rise = network.evaluate(windows + step) - network.evaluate(windows - step)
     return float(np.sqrt(np.mean((rise / (2 * share)) ** 2)))
 
@@ -179,6 +184,7 @@ def _tabulate(
     table = np.empty((len(DIRECTIONS), bands))
     for b in range(bands):
         in_band = band == b
+        # From the whole to the band to the cell: a cell with few rows says what its neighbours say.
         level = _shrunk(values[in_band], whole, statistic, prior)
         for d in range(len(DIRECTIONS)):
             table[d, b] = _shrunk(values[in_band & (direction == d)], level, statistic, prior)

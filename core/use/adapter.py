@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.estimate import FLAG_TYPE, SATURATED, STUCK, Estimate, EstimateRow, Flags, check_fits, judge
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import FLAG_TYPE, SATURATED, STUCK, Estimate, EstimateRow, Flags, check_fits, judge
 from softcal.core.unit.uncertainty import NORMAL_90
 from softcal.core.use.activity import CalibratedUse, learn_use
 from softcal.core.use.cycles import CycleCutter

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softcal.core.estimate import FLAG_TYPE, GAP, INVALID, WARM_UP, Flags
 from softcal.core.recording import GAP_FACTOR, Array, Indices
+from softcal.core.unit.estimate import FLAG_TYPE, GAP, INVALID, WARM_UP, Flags
 from softcal.core.windows import TAPS
 
 BATCH = 32

@@ -5,14 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.maps.anchors import AnchoredMap, refine
+from softcal.core.maps.anchors import AnchoredMap, check_loads, refine
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
 from softcal.core.windows import resting
-
-BEYOND = 0.1
-"""Loads may lie beyond the source's range by this share of it."""
 
 MOST_GAIN = 2.0
 """A unit whose gain would change by more than this factor is another unit, or was given other units of load."""
@@ -45,7 +42,9 @@ def trim(problem: FitProblem, unit_map: UnitMap, loads: Anchors) -> Trimmed:
     Raises:
         InputError: the loads cannot be of this unit as they stand; the message says which and why.
     """
-    check_loads(problem, loads)
+    if len(loads.reference) < 2:
+        raise InputError(f"{len(loads.reference)} known load; zero and span take two different ones; {NOTHING}")
+    check_loads(problem.source, loads, NOTHING)
     network = problem.network
     before = _error(network, unit_map, loads)
     found = refine(problem, unit_map, loads)
@@ -61,42 +60,6 @@ def trim(problem: FitProblem, unit_map: UnitMap, loads: Anchors) -> Trimmed:
             f"{network.reference_unit}; they contradict one another or are of another unit; {NOTHING}"
         )
     return Trimmed(_joined(found), before, after)
-
-
-def check_loads(problem: FitProblem, loads: Anchors) -> None:
-    """Refuse loads that cannot be of this unit: too few, one twice, out of range, or against the source's direction.
-
-    Raises:
-        InputError: which row is wrong, what was expected, and that nothing was changed.
-    """
-    network, source = problem.network, problem.source
-    output, load = np.asarray(loads.output, np.float64), np.asarray(loads.reference, np.float64)
-    if len(load) < 2:
-        raise InputError(f"{len(load)} known load; zero and span take two different ones; {NOTHING}")
-    low, high = float(source.reference.min()), float(source.reference.max())
-    margin = BEYOND * (high - low)
-    for row, value in enumerate(load, start=1):
-        if not low - margin <= value <= high + margin:
-            raise InputError(
-                f"load {row}: {value:g} {network.reference_unit} is outside what the source knows, {low:.3g} to "
-                f"{high:.3g} {network.reference_unit}; is it stated in another unit? {NOTHING}"
-            )
-    order = np.argsort(load)
-    for earlier, later in zip(order[:-1], order[1:], strict=True):
-        if load[later] - load[earlier] < 0.01 * (high - low):
-            rows = sorted((int(earlier) + 1, int(later) + 1))
-            raise InputError(
-                f"loads {rows[0]} and {rows[1]} are the same, {load[earlier]:g} {network.reference_unit}; state one "
-                f"load once, as the mean of its readings; {NOTHING}"
-            )
-    rising = 1.0 if np.corrcoef(source.unlabelled.output, source.reference)[0, 1] >= 0 else -1.0
-    steps = rising * np.diff(output[order])
-    if np.any(steps <= 0):
-        word = "rises" if rising > 0 else "falls"
-        raise InputError(
-            f"the output of a unit like the source {word} with the load, these do not in the order of their loads; "
-            f"rows or columns are exchanged; {NOTHING}"
-        )
 
 
 def _error(network: Network, unit_map: UnitMap, loads: Anchors) -> float:

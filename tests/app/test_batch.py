@@ -188,6 +188,26 @@ def test_anchors_of_a_unit_the_lot_does_not_have_are_refused(
     assert "line 3: the lot has no unit 'A9'" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        ("A1,0.54,0\nA1,0.9,203.9", "load 2: 203.9 N is outside what the source knows"),
+        ("A1,0.54,2\nA1,0.9,0", "rows or columns are exchanged"),
+        ("A1,0.54,0\nA1,0.55,0", "loads 1 and 2 are the same, 0 N"),
+    ],
+    ids=["gf for N", "wrong order", "one load twice"],
+)
+def test_known_loads_that_cannot_be_true_cost_their_unit_a_retest(
+    lot_folder: Path, url: str, tmp_path: Path, rows: str, says: str
+) -> None:
+    (tmp_path / "anchors.csv").write_text(f"serial,output,reference\n{rows}\n")
+    _, report = _batch(lot_folder, url, "--no-own", "--anchors", str(tmp_path / "anchors.csv"))
+    unit = next(unit for unit in report["units"] if unit["serial"] == "A1")
+    assert unit["verdict"] == "retest" and not unit["released"]
+    assert says in unit["reasons"][0] and "not calibrated" in unit["reasons"][0]
+    assert all(unit["verdict"] != "retest" for unit in report["units"] if unit["serial"] != "A1")
+
+
 def test_anchors_are_part_of_what_a_result_depends_on(lot_folder: Path, url: str, tmp_path: Path) -> None:
     _batch(lot_folder, url, "--no-own")
     (tmp_path / "anchors.csv").write_text("serial,output,reference\nA1,0.54,0\n")

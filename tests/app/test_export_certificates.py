@@ -16,10 +16,10 @@ import pytest
 import xmlschema
 from PIL import ImageCms
 
-from softcal.app.certificates.content import METHODS, Certificate, Uncertainty
-from softcal.app.certificates.dcc import SI_UNITS, certificate_xml
-from softcal.app.certificates.fonts import CANDIDATES
-from softcal.app.certificates.laboratory import (
+from softcal.app.export.certificates.content import METHODS, Certificate, Uncertainty
+from softcal.app.export.certificates.dcc import SI_UNITS, certificate_xml
+from softcal.app.export.certificates.fonts import CANDIDATES
+from softcal.app.export.certificates.laboratory import (
     Conditions,
     Laboratory,
     LoadCell,
@@ -28,11 +28,11 @@ from softcal.app.certificates.laboratory import (
     Person,
     read_laboratory,
 )
-from softcal.app.certificates.pdf import certificate_pdf
+from softcal.app.export.certificates.pdf import certificate_pdf
 from softcal.core.errors import InputError
-from softcal.core.estimate import Estimate
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.unit.budget import SIMULATED, Reference, measured_budget
+from softcal.core.unit.estimate import Estimate
 
 CELL = Reference(
     "LC-7", "D-K-1", "DAkkS", date(2026, 1, 1), date(2028, 1, 1), date(2026, 2, 1), uncertainty=0.012, drift=0.01

@@ -10,7 +10,8 @@ import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
 
-from softcal.app.line.line import LineFacts, Screen, read_line, take_scan
+from softcal.app.line.facts import LineFacts, Screen, read_line
+from softcal.app.line.line import take_scan
 from softcal.core.orders import Order, OrderKind, RunState
 from softcal.db.connection import open_registry
 

@@ -16,7 +16,8 @@ from typing import Any
 import pytest
 
 from softcal.app.line import line as use_cases
-from softcal.app.line.line import Screen, read_line, take_scan
+from softcal.app.line.facts import Screen, read_line
+from softcal.app.line.line import take_scan
 from softcal.app.line.place import read_place
 from softcal.app.texts import catalogue as texts
 from softcal.app.views.line import BEFORE_RUN, LineView, line_view

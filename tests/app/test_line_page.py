@@ -4,7 +4,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from softcal.app.line.line import Screen, take_scan
+from softcal.app.line.facts import Screen
+from softcal.app.line.line import take_scan
 from softcal.app.ui import registry_of_server
 from softcal.core.errors import RegistryError
 from softcal.core.orders import Heartbeat, OrderKind, StationState

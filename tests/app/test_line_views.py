@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from softcal.app.charts import palette
-from softcal.app.line.line import LineFacts, LotAtLine
+from softcal.app.line.facts import LineFacts, LotAtLine
 from softcal.app.line.place import Note, Place
 from softcal.app.texts import catalogue as texts
 from softcal.app.ui.components import line_card
@@ -18,7 +18,9 @@ from softcal.app.views.line import ACTIONS, KEYS, TONES, away_view, line_view
 from softcal.core.lot import Lot
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.line_rules import LineRules
-from softcal.db.entries import NetworkEntry, RunEntry
+from softcal.core.reason import reason
+from softcal.core.unit.verdict import Verdict
+from softcal.db.entries import NetworkEntry, RunEntry, UnitStanding
 from softcal.db.network_release import NetworkState
 from softcal.station.service import CODES
 
@@ -135,6 +137,38 @@ def test_a_good_unit_shows_its_error_and_nothing_of_how_the_limit_was_found():
     )
 
 
+NEAR = reason("stuck", seconds=2.5)
+
+
+def test_a_card_and_its_chip_say_what_every_page_says_of_the_unit_now():
+    audited = UnitStanding("A1", "fail", (NEAR,), NOW)
+    view = shown(runs=(run(),), standings={"A1": audited})
+    assert (view.state, view.word, view.chips[0].word) == ("fail", "FAIL", "FAIL")
+    assert view.details[0] == SAY("plainly.stuck") and "Pass" in view.details[1]
+    assert view.why == (str(NEAR),)
+
+
+def test_a_run_that_judged_nothing_shows_no_older_verdict():
+    old = UnitStanding("A1", "pass", (), NOW - timedelta(days=1))
+    unjudged = run(replace(UNIT_DONE, verdict=""))
+    assert shown(runs=(unjudged,), standings={"A1": old}).state == "recorded"
+    assert shown(runs=(unjudged,), standings={"A1": replace(old, made_at=NOW)}).state == "pass"
+
+
+def test_of_several_units_of_one_run_the_worst_is_shown():
+    stands = {f"A1-{k}": UnitStanding(f"A1-{k}", word, (), NOW) for k, word in ((1, "pass"), (2, "conditional"))}
+    assert shown(runs=(run(),), standings=stands).state == "conditional"
+
+
+@pytest.mark.parametrize("language", texts.LANGUAGES)
+def test_the_line_and_the_desk_have_one_word_for_a_verdict(language):
+    say = partial(texts.text, language)
+    for word in Verdict:
+        now = run(replace(UNIT_DONE, verdict=str(word)))
+        view = line_view(facts(runs=(now,), results=result(str(word))), "", say)
+        assert view.word == view.chips[0].word == say(f"verdict.{word}").upper()
+
+
 def test_another_network_is_told_until_a_unit_was_pressed_with_it():
     released = replace(NETWORK, since=NOW, actor="Quinn", reason="half the error")
     lot = replace(LOT, network=released)
@@ -228,12 +262,13 @@ def test_what_comes_from_outside_is_shown_as_text():
         shown(runs=(run(serial="A1"),)),
         serial=evil,
         details=(evil,),
+        why=(evil,),
         cells=((evil, evil),),
         conditions=(Condition(evil, False, evil),),
         chips=(views_line.Chip(evil, "pass", evil),),
     )
     html = [
-        line_card.card_html(view),
+        line_card.card_html(view, evil),
         line_card.cells_html(view),
         line_card.conditions_html(view, evil),
         line_card.chips_html(view, evil, evil),

@@ -8,7 +8,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from softcal.app.line.line import Screen, read_line, take_scan
+from softcal.app.line.facts import Screen, read_line
+from softcal.app.line.line import take_scan
 from softcal.app.line.place import is_alive
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot

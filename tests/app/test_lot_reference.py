@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
+from softcal.app.files.lot_folder import open_lot_folder
 from softcal.app.line.pressed_run import RunKeeper
-from softcal.app.registry.reference import lot_reference, state_reference
+from softcal.app.registry.reference import lot_reference, reference_expanded, state_reference
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind
 from softcal.core.unit.budget import SIMULATED, Reference, Standing
@@ -61,16 +62,20 @@ def test_a_reference_without_a_certificate_that_held_lets_no_unit_pass(
 
 
 def test_what_is_stated_is_kept_and_completed_from_the_registry(lot_folder: Path, registry_url: str) -> None:
+    recording = open_lot_folder(lot_folder).read_source()
     with open_registry(registry_url) as registry:
-        assert lot_reference(registry, "small") == SIMULATED == state_reference(registry, "small", None)
-        named = state_reference(registry, "small", Reference(cell="LC-7"))
+        assert lot_reference(registry, "small") == SIMULATED == state_reference(registry, "small", None, recording)
+        assert reference_expanded(registry, "small") == 0.0
+        named = state_reference(registry, "small", Reference(cell="LC-7"), recording)
         (source,) = registry.recordings("small", kind="source")
         assert named is not None and named.standing is Standing.MISSING
         assert named.used_on == source.added_at.date()
         registry.add_certificate(replace(CELL, issued_on=date(2020, 1, 1), due_on=date(2021, 1, 1)))
-        late = state_reference(registry, "small", Reference(cell="LC-7"))
+        late = state_reference(registry, "small", Reference(cell="LC-7"), recording)
         assert late is not None and late.standing is Standing.EXPIRED
-        state_reference(registry, "small", Reference(cell="LC-7"))
+        state_reference(registry, "small", Reference(cell="LC-7"), recording)
+        load = float(np.sqrt(np.mean(recording.reference**2)))
+        assert reference_expanded(registry, "small") == pytest.approx(late.expanded(load))
         assert len(registry.events("lot_reference", ("small",))) == 3
         assert lot_reference(registry, "small") == late
 

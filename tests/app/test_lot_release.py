@@ -4,14 +4,18 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from softcal.app.batch.audit_evidence import AuditReader
+from softcal.app.batch.release import LineRelease
 from softcal.app.cli.main import main
 from softcal.db.connection import open_registry
+from softcal.db.entries import GoldenRun
 
 SMALL = ("--hidden", "16,8", "--no-own")
 UNITS = 14
@@ -86,6 +90,28 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(
         assert len(registry.history(serial)) == 2
 
 
+def test_the_line_reads_no_recording_and_the_other_units_only_where_an_audit_came(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = make_lot(audits=9)
+    report = _batch(folder, registry_url, tmp_path)
+    serials = [unit["serial"] for unit in _unmeasured(report)]
+    recordings, asked = [], []
+    with open_registry(registry_url) as registry:
+        reads, standings = registry.recording, registry.standings
+        monkeypatch.setattr(registry, "recording", lambda sha256: (recordings.append(sha256), reads(sha256))[1])
+        monkeypatch.setattr(registry, "standings", lambda lot, of: (asked.append(list(of)), standings(lot, of))[1])
+        line = LineRelease(registry)
+        line.press("large", serials[0])
+        assert any(set(serials) <= set(of) for of in asked), "the first press reads the whole lot"
+        asked.clear()
+        for serial in serials[1:]:
+            line.press("large", serial)
+        # Audited units are asked for each time: which one stands is how a new audit is noticed.
+        assert not [of for of in asked if len(set(of) & set(serials)) > 1]
+        assert recordings == []
+
+
 def test_without_audits_nothing_passes_and_the_line_says_what_to_audit(
     make_lot: MakeLot, registry_url: str, tmp_path: Path
 ) -> None:
@@ -132,6 +158,58 @@ def test_one_audit_recording_for_two_units_releases_nothing(
     assert "large-00 and large-01 are one recording" in error and "nothing was released" in error
     with open_registry(registry_url) as registry:
         assert not [unit for unit in registry.units("large") if unit.verdict == "pass" and unit.after_rmse is None]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        ("gf", "audit of large-03 contradicts the others"),
+        ("exchanged", "audits of large-01 and large-02 look exchanged"),
+    ],
+)
+def test_audits_that_cannot_be_true_release_nothing(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], spoil: str, says: str
+) -> None:
+    folder = make_lot()
+    if spoil == "gf":
+        frame = pd.read_csv(folder / "audit/large-03.csv")
+        frame.assign(reference=101.97 * frame["reference"]).to_csv(folder / "audit/large-03.csv", index=False)
+    else:
+        one, other = folder / "audit/large-01.csv", folder / "audit/large-02.csv"
+        first = one.read_bytes()
+        one.write_bytes(other.read_bytes())
+        other.write_bytes(first)
+    assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--json", str(tmp_path / "b.json")]) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert says in error and "nothing was released" in error
+    with open_registry(registry_url) as registry:
+        assert not [unit for unit in registry.units("large") if unit.verdict == "pass" and unit.after_rmse is None]
+
+
+def test_audits_made_under_another_method_qualify_nothing(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = make_lot()
+    _batch(folder, registry_url, tmp_path)
+    with open_registry(registry_url) as registry:
+        evidence = AuditReader(registry).evidence("large", "another method", datetime.now(UTC))
+    assert not evidence.qualification.is_given and evidence.interval_scale == 1.0
+    assert "another sensor model or method" in evidence.qualification.reason
+
+
+def test_a_golden_unit_of_another_sensor_model_withdraws_nothing(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path
+) -> None:
+    for name in ("one", "three", "seventh"):
+        _batch(make_lot(name, audits=4), registry_url, tmp_path)
+    _batch(make_lot("other", audits=0, model="XX"), registry_url, tmp_path)
+    now = datetime.now(UTC)
+    with open_registry(registry_url) as registry:
+        method_id = registry.standings("one", ["one-00"])["one-00"].made.method_id  # type: ignore[union-attr]
+        registry.add_golden_run(GoldenRun("line", "other-00", now, 9.0, "N", False))
+        assert AuditReader(registry).evidence("one", method_id, now).qualification.is_given
+        registry.add_golden_run(GoldenRun("line", "seventh-05", now, 9.0, "N", False))
+        assert not AuditReader(registry).evidence("one", method_id, now).qualification.is_given
 
 
 def test_three_earlier_lots_qualify_one_without_audits(make_lot: MakeLot, registry_url: str, tmp_path: Path) -> None:

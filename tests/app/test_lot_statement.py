@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from softcal.app.certificates.lot_statement import AuditRow, LotStatementFacts, lot_statement_pdf
+from softcal.app.export.certificates.lot_statement import AuditRow, LotStatementFacts, lot_statement_pdf
 
 FACTS = LotStatementFacts(
     lot="lot-1",

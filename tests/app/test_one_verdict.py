@@ -4,6 +4,7 @@ import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
@@ -11,21 +12,24 @@ import numpy as np
 import pytest
 
 from softcal.app.batch.report import BatchReport, UnitResult, table_row
-from softcal.app.certificates.content import certificate_of
-from softcal.app.certificates.dcc import certificate_xml
-from softcal.app.certificates.pdf import certificate_pdf
 from softcal.app.charts.palette import palette
 from softcal.app.charts.why import why_figure
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.certificates.content import certificate_of
+from softcal.app.export.certificates.dcc import certificate_xml
+from softcal.app.export.certificates.pdf import certificate_pdf
 from softcal.app.export.export import export_units, lot_serials
 from softcal.app.export.manifest import read_manifest
+from softcal.app.line.facts import Screen, read_line
 from softcal.app.registry.caution import caution
 from softcal.app.registry.quality import lot_yields
 from softcal.app.texts.catalogue import text
+from softcal.app.views.line import LineView, line_view
 from softcal.app.views.unit import unit_view
 from softcal.core.errors import InputError
 from softcal.core.export.blob import CONDITIONAL, FAILED
+from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.reason import reason
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.uncertainty import ErrorForecast
@@ -100,10 +104,26 @@ def documents(registry: Registry) -> dict[str, str]:
     }
 
 
+def pressed(registry: Registry, lot_id: str) -> None:
+    """Leave what a station leaves once it has pressed A1 and found it good."""
+    order = Order("press", "line-1", OrderKind.UNIT, "A1", lot_id, "kim")
+    registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
+    registry.order_queue.place(order)
+    registry.order_queue.take("line-1")
+    registry.order_queue.report(Progress("press", RunState.DONE, "done", 1.0, verdict="pass"))
+
+
+def line_card(registry: Registry) -> LineView:
+    """Return what the operator's screen shows now."""
+    registry.order_queue.beat(Heartbeat("line-1", StationState.READY, datetime.now(UTC)))
+    return line_view(read_line(registry, Screen("line-1")), "", partial(text, "en"))
+
+
 def test_every_surface_says_the_same_word(lot: tuple[Registry, str], rng: np.random.Generator) -> None:
     registry, lot_id = lot
     first = registry.calibration("A1").record
     words = set()
+    pressed(registry, lot_id)
     for number in range(DRAWS):
         record = drawn(rng, first, number)
         revision = registry.add_calibration(lot_id, record)
@@ -119,6 +139,8 @@ def test_every_surface_says_the_same_word(lot: tuple[Registry, str], rng: np.ran
         (unit,) = registry.units(lot_id, "A1")
         (page,) = [u for u in registry.unit_page(lot_id, UnitFilter()).units if u.serial == "A1"]
         assert {stored.record.verdict, unit.verdict, page.verdict, result.verdict, str(table_row(result)[1])} == {word}
+        card = line_card(registry)
+        assert {card.state.removesuffix("_used_up"), card.word.lower(), card.chips[0].word.lower()} == {word}
         assert report.has_passed == (word is Verdict.PASS)
         assert report.counts == {str(v): int(v is word) for v in Verdict}
         assert report.releases(result) == (word is Verdict.PASS)

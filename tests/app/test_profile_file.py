@@ -6,7 +6,7 @@ import pytest
 from softcal.app.cli.main import main
 from softcal.app.files.profile_file import profile_toml, read_profile
 from softcal.core.errors import InputError
-from softcal.core.profiles import BUILT_IN
+from softcal.core.profiles import BUILT_IN, moves
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -19,6 +19,13 @@ def test_a_profile_is_read_back_as_it_was_written(tmp_path, name):
     assert found.name == profile.name
     assert found.presses == profile.presses
     np.testing.assert_allclose(found.position_mm(t_s), stage_mm, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ['the "long" one', "one\\two", "two\nlines"])
+def test_any_name_survives_its_file(tmp_path, name):
+    path = tmp_path / "p.toml"
+    path.write_text(profile_toml(moves(name, (1.0, 0.0), (2.0, 2.0), (0.5, 0.5))))
+    assert read_profile(path).name == name
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from string import Formatter
 import pytest
 
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
-from softcal.app.texts.reasons import PREFIX, parted, said
+from softcal.app.texts.reasons import PLAINLY, PREFIX, parted, plainly, said
 from softcal.app.views.lot import reason_kind
 from softcal.core import reason as reasons
 from softcal.core.maps import affine, ends, monotone, paired, phase, synchronous
@@ -41,6 +41,31 @@ def test_every_reason_is_said_in_every_language_with_the_same_values(one: Reason
         named = {name for _, name, _, _ in Formatter().parse(sentence) if name}
         assert named == set(one.values) or one.code == PLAIN
         assert said(one, partial(text, language)) == one.said({one.code: sentence} | {PLAIN: "{text}"})
+
+
+def whole(one: Reason) -> list[Reason]:
+    """Return a reason with every phrase that tells a forecast from a measurement and how near the limit is."""
+    if one.code != "statement":
+        return [one]
+    sources, relations = ("predicted", "measured"), ("within", "within_close", "above_close", "above")
+    pairs = [(Reason(f"part.{s}"), Reason(f"part.{r}")) for s in sources for r in relations]
+    return [Reason(one.code, {**one.values, "source": s, "relation": r}) for s, r in pairs]
+
+
+@pytest.mark.parametrize(
+    "one", [one for e in EXAMPLES if not e.code.startswith(("part.", PLAIN)) for one in whole(e)], ids=str
+)
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_every_reason_is_said_plainly_to_the_line_without_numbers(one: Reason, language: str) -> None:
+    words = partial(text, language)
+    sentence = plainly(one, words)
+    assert sentence in [said for key, said in catalogue()[language].items() if key.startswith(PLAINLY)]
+    assert sentence.endswith(".") and not any(c.isdigit() or c in "{};`" for c in sentence)
+    assert language == "en" or sentence != plainly(one, ENGLISH_WORDS)
+
+
+def test_a_reason_kept_as_a_sentence_is_shown_as_it_is() -> None:
+    assert plainly(plain("two maps"), KOREAN) == plainly("two maps", KOREAN) == "two maps"
 
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda module: module.__name__)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.estimate import GAP, INVALID, STUCK, WARM_UP, estimate
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import GAP, INVALID, STUCK, WARM_UP, estimate
 from softcal.core.unit.health import output_limits
 from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.method import Method

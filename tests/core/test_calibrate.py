@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import InputError, UnitRefused
-from softcal.core.estimate import estimate
 from softcal.core.maps.config import MapConfig
 from softcal.core.metrics import rmse
 from softcal.core.reason import joined
@@ -16,6 +15,7 @@ from softcal.core.simulated_lot import FAULTS, LotDesign, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.calibrate import calibrate as calibrate_problem
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.explanation import contributions, explain
 from softcal.core.unit.findings import opening_findings
 from softcal.core.unit.method import Method

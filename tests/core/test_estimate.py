@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
-from softcal.core.estimate import estimate
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import FitProblem
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.estimate import estimate
 from softcal.core.unit.health import OutputLimits
 from softcal.core.windows import TAPS
 

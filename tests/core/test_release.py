@@ -4,22 +4,18 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-from scipy.stats import beta, binom, hypergeom, norm
+from scipy.stats import beta, binom, norm
 
 from softcal.core.errors import InputError
 from softcal.core.quality.acceptance import (
     Promise,
     audits_by_count,
-    curtailed_after,
-    draw_units,
     failing_share,
-    failing_upper,
-    look_confidence,
     tolerance_factor,
 )
-from softcal.core.quality.conformal import least_risk, least_units, pooled_scale, share_beyond, upper_bound
+from softcal.core.quality.conformal import least_risk, least_units, pooled_scale, share_beyond, unit_scale, upper_bound
 from softcal.core.quality.qualification import PastAudit, QualificationRules, qualify
-from softcal.core.quality.release import AuditedUnit, audited_ratios, release
+from softcal.core.quality.release import AuditedUnit, audited_ratios, least_passing, release
 from softcal.core.unit.verdict import Limit
 
 LIMIT = Limit("N", 1.0)
@@ -96,44 +92,15 @@ def test_counting_needs_the_classical_numbers_of_audits():
     assert binom.cdf(1, 38, 0.1) <= 0.1 < binom.cdf(1, 37, 0.1)
 
 
-def test_the_bound_of_a_finite_lot_is_the_last_number_not_contradicted():
-    upper = failing_upper(40, 10, 1, 0.9)
-    assert hypergeom.cdf(1, 40, upper, 10) > 0.1 >= hypergeom.cdf(1, 40, upper + 1, 10)
-    assert failing_upper(12, 12, 2, 0.9) == 2
+def test_the_share_of_a_process_is_that_of_clopper_and_pearson():
     assert failing_share(10, 0, 0.9) == pytest.approx(beta.ppf(0.9, 1, 10))
+    assert failing_share(3, 3, 0.9) == 1.0
 
 
 def test_the_tolerance_factor_is_that_of_the_standards_tables():
     # ISO 16269-6, one-sided, unknown SD, p = 0.90, confidence 0.90; n = 5, 10, 20 (also Odeh and Owen 1980, table 1).
     for count, factor in ((5, 2.742), (10, 2.066), (20, 1.765)):
         assert tolerance_factor(count, count - 1, Promise()) == pytest.approx(factor, abs=2e-3)
-
-
-def test_a_lot_is_lost_at_the_failure_that_is_one_too_many():
-    assert curtailed_after([False, True, False, True]) == 2
-    assert curtailed_after([False, True, False, True], allowed=1) == 4
-    assert curtailed_after([False] * 5) is None
-
-
-def test_several_looks_keep_the_confidence_of_the_whole():
-    rng, wrong, trials = np.random.default_rng(2), 0, 3000
-    looks, confidence = (5, 10), look_confidence(0.9, 2)
-    for _ in range(trials):
-        values = rng.normal(size=max(looks))
-        tops = [
-            v.mean() + tolerance_factor(len(v), len(v) - 1, Promise(0.1, confidence)) * v.std(ddof=1)
-            for v in (values[:n] for n in looks)
-        ]
-        wrong += min(tops) < norm.ppf(0.9)
-    assert wrong / trials <= 0.1 + 5 * np.sqrt(0.09 / trials)
-
-
-def test_a_longer_draw_goes_on_from_the_shorter_one():
-    serials = [f"U{k:03d}" for k in range(40)]
-    assert draw_units(serials[::-1], 12, 7)[:5] == draw_units(serials, 5, 7)
-    assert len({draw_units(serials, 5, seed) for seed in range(20)}) == 20
-    with pytest.raises(InputError, match="at least one"):
-        draw_units(serials, 0, 1)
 
 
 def _lot(rng, count, centre, spread, forecast_spread=0.3):
@@ -272,3 +239,31 @@ def test_a_failed_golden_unit_withdraws_what_was_audited_before_it():
 def test_audits_made_after_a_failure_qualify_again():
     past = _past(days=30, failed=True) + _past(days=5)
     assert qualify([], past, NOW, "EG", "m1", rules=QualificationRules()).is_given
+
+
+def test_the_interval_serves_one_more_unit_however_differently_units_were_pressed():
+    rng, served, pooled_served, trials = np.random.default_rng(5), 0, 0, 400
+    for _ in range(trials):
+        # Each unit misreads its loads by another share; residuals grow with the load.
+        groups = [np.abs(0.3 * rng.normal() + 0.02 * rng.normal(size=200)) * rng.random(200) for _ in range(11)]
+        served += np.mean(groups[-1] <= unit_scale(groups[:-1], 0.9)) >= 0.8
+        pooled_served += np.mean(groups[-1] <= pooled_scale(groups[:-1], 0.9)) >= 0.8
+    # Conformal: one unit in eleven is beyond the widest of ten, five standard deviations for the count of trials.
+    assert served / trials >= 10 / 11 - 5 * np.sqrt(10 / 121 / trials)
+    assert pooled_served < served
+
+
+def test_units_that_are_alike_are_given_no_wider_interval():
+    rng = np.random.default_rng(6)
+    groups = [np.abs(rng.normal(size=2000)) for _ in range(10)]
+    assert unit_scale(groups, 0.9) == pooled_scale(groups, 0.9)
+    assert unit_scale(groups[:3], 0.9) >= pooled_scale(groups[:3], 0.9)
+
+
+def test_the_few_good_units_of_a_poor_lot_are_not_released():
+    audits = [AuditedUnit(f"A{k}", 0.3, 0.3 * (1 + 0.01 * k)) for k in range(10)]
+    forecasts = {"U1": 0.3, "U2": 0.31}
+    assert release(forecasts, audits, LIMIT).released == ("U1", "U2")
+    # 10 audits held and 2 would pass: half of 24 units, but not of 26.
+    assert release(forecasts, audits, LIMIT, least=least_passing(24, 10)).released == ("U1", "U2")
+    assert release(forecasts, audits, LIMIT, least=least_passing(26, 10)).released == ()

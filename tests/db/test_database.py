@@ -8,6 +8,10 @@ import pytest
 from softcal.core.errors import RegistryError
 from softcal.db.connection import open_registry
 from softcal.db.file_system import refuse_network_share
+from softcal.db.job_board import JobBoard
+from softcal.db.order_queue import OrderQueue
+from softcal.db.registry import Registry
+from softcal.db.work_queue import WorkQueue
 
 
 @pytest.mark.parametrize(
@@ -121,3 +125,9 @@ def test_two_processes_may_make_the_same_registry(new_url):
 def _origin(url: str) -> str:
     with open_registry(url) as registry:
         return registry.origin
+
+
+def test_every_public_method_of_registry_and_queues_has_a_second_try():
+    wanted = {Registry: ("units", "add_calibration", "verify", "unit_page", "sign_in", "standings", "add_event"),
+              WorkQueue: ("claim", "finish", "counts"), OrderQueue: ("place", "take"), JobBoard: ("end",)}  # fmt: skip
+    assert all(hasattr(getattr(kind, name), "__wrapped__") for kind, names in wanted.items() for name in names)

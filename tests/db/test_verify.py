@@ -14,7 +14,7 @@ from softcal.core.errors import SoftcalError
 from softcal.core.reason import plain
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
-from softcal.db.maintenance import Anchor
+from softcal.db.entries import Anchor
 from softcal.db.tables import AUDITED, metadata
 
 

@@ -1,6 +1,7 @@
 """The wheel holds every folder, and no module of app/ hides a library."""
 
 import importlib.metadata
+import re
 import sys
 import tomllib
 from pathlib import Path
@@ -30,17 +31,38 @@ def test_no_module_beside_the_page_script_has_the_name_of_a_library() -> None:
     assert not modules & libraries
 
 
-def test_every_dependency_is_locked_at_one_version() -> None:
-    locked = {
-        line.split("==")[0].lower().replace("_", "-") for line in (ROOT / "requirements.lock").read_text().split()
-    }
-    groups = [_project()["project"]["dependencies"], *_project()["project"]["optional-dependencies"].values()]
-    wanted = {_name(requirement) for group in groups for requirement in group} - {"softcal"}
-    assert wanted <= locked
+def test_every_dependency_is_locked_at_one_version_with_its_hashes() -> None:
+    project = _project()["project"]
+    everything = [project["dependencies"], *project["optional-dependencies"].values()]
+    needed_to_run = [project["dependencies"], project["optional-dependencies"]["station"]]
+    locked, demo = _locked("requirements.lock"), _locked("requirements-demo.lock")
+    assert {_name(r) for group in everything for r in group} - {"softcal"} <= set(locked)
+    assert {_name(r) for group in needed_to_run for r in group} <= set(demo)
+    assert demo.items() <= locked.items()
+    assert demo.items() <= _locked("requirements-image.lock").items() <= locked.items()
+
+
+def _locked(name: str) -> dict[str, str]:
+    """Versions by name; every entry must carry at least one hash, and none may bring CUDA."""
+    versions = {}
+    for entry in re.split(r"\n(?=[A-Za-z])", re.sub(r"^#.*\n", "", (ROOT / name).read_text(), flags=re.MULTILINE)):
+        package, version = re.match(r"([\w.-]+)==(\S+)", entry.lstrip()).groups()  # type: ignore[union-attr]
+        assert "--hash=sha256:" in entry, package
+        assert not package.startswith(("nvidia", "cuda", "triton")), package
+        versions[_name(package)] = version
+    return versions
 
 
 def _name(requirement: str) -> str:
-    return requirement.replace("[", ">").replace("=", ">").split(">")[0].strip().lower().replace("_", "-")
+    return (
+        requirement.partition(";")[0]
+        .replace("[", ">")
+        .replace("=", ">")
+        .split(">")[0]
+        .strip()
+        .lower()
+        .replace("_", "-")
+    )
 
 
 def test_the_repository_names_no_path_of_a_machine() -> None:

@@ -154,6 +154,14 @@ def test_what_a_driver_does_not_understand_is_refused_with_what_it_does(table, m
         station_from_table({"stage": table, "force": {"port": "/dev/f"}, "readout": {"port": "/dev/b"}})
 
 
+@pytest.mark.parametrize("name", ['the "long" one', "one\\two", "two\nlines", "\u7b2c\u4e00"])
+def test_any_name_of_a_station_survives_its_file(name):
+    import tomllib
+
+    config = StationConfig(StageConfig("/dev/a"), ReadoutConfig("/dev/b"), name=name)
+    assert tomllib.loads(station_toml(config))["name"] == name
+
+
 def test_only_common_keys_are_enough():
     config = StationConfig(StageConfig("/dev/a"), ReadoutConfig("/dev/b"))
     assert "is_reversed = true" in station_toml(config)

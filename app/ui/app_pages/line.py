@@ -5,7 +5,8 @@ from functools import partial
 import streamlit as st
 
 from softcal.app.charts.live import live_signal
-from softcal.app.line.line import read_line, take_scan
+from softcal.app.line.facts import read_line
+from softcal.app.line.line import take_scan
 from softcal.app.ui.account import is_signed_in, person
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.line_setup import line_setup
@@ -35,7 +36,7 @@ def _screen() -> None:
     view, note = _look()
     with st.container(key="line-screen"):
         st.html(line_card.cells_html(view))
-        st.html(line_card.card_html(view))
+        st.html(line_card.card_html(view, words()("line.why")))
         if note is not None:
             st.html(line_card.note_html(*note))
         with st.container(key="line-actions", horizontal=True):

@@ -3,6 +3,7 @@
 import streamlit as st
 
 from softcal.app.charts import lot as charts_lot
+from softcal.app.ui.components.calibrate_again import calibrate_again
 from softcal.app.ui.components.looks import looks
 from softcal.app.ui.components.process_panel import capability_panel, control_panel, reasons_panel
 from softcal.app.ui.components.unit_table import unit_table
@@ -21,6 +22,7 @@ def render() -> None:
         lot_id = lot_heading("lot", registry().lot_ids())
         if lot_id is None:
             return
+        calibrate_again(lot_id)
         view = remembered_lot_view(lot_id)
         if not view.judged:
             empty(say("empty.units"), say("empty.units.how"))

@@ -49,9 +49,15 @@ def _running(job_id: str, live: Live | None) -> None:
     if not job.state.is_active or job.is_lost(datetime.now(UTC)):
         st.rerun()
     left, right = st.columns([5, 1], vertical_alignment="bottom")
-    text = job.message or say("job.starting")
+    text = _step_said(job) or job.message or say("job.starting")
     left.progress(job.fraction, text=say("job.stopping") if job.is_cancel_wanted else text)
     if right.button(say("job.cancel"), key=f"cancel-{job_id}", disabled=job.is_cancel_wanted, width="stretch"):
         board.cancel(job_id)
-    if live is not None and job.trace:
+    if live is not None and job.trace and "step" not in job.trace:
         live(job)
+
+
+def _step_said(job: Job) -> str:
+    """Return the step of a job that names it by key, in the language of the screen; "" where it does not."""
+    step = job.trace.get("step")
+    return words()(f"step.{step}", **job.trace["values"]) if step else ""

@@ -57,16 +57,18 @@ def cells_html(view: LineView) -> str:
     return f'<div class="sc-cells">{cells}</div>'
 
 
-def card_html(view: LineView) -> str:
-    """Return the state, as large as the screen allows."""
+def card_html(view: LineView, why: str) -> str:
+    """Return the state, as large as the screen allows; the numbers behind it open under the word `why`."""
     serial = f'<div class="sc-serial">{escape(view.serial)}</div>' if view.serial else ""
     details = "".join(f"<li>{escape(line)}</li>" for line in view.details)
+    numbers = "".join(f"<li>{escape(line)}</li>" for line in view.why)
+    behind = f'<details class="sc-why"><summary>{escape(why)}</summary><ul>{numbers}</ul></details>' if numbers else ""
     look = f"sc-{view.tone} sc-short" if view.conditions else f"sc-{view.tone}"
     return (
         f'<section class="sc-card {look}" data-state="{view.state}">{_mark(view.tone)}'
         f'<div class="sc-body"><div class="sc-word">{escape(view.word)}</div>{serial}'
         f'<p class="sc-do">{escape(view.instruction)}</p>'
-        f"{f'<ul>{details}</ul>' if details else ''}{_progress(view)}</div></section>"
+        f"{f'<ul>{details}</ul>' if details else ''}{behind}{_progress(view)}</div></section>"
     )
 
 

@@ -2,7 +2,8 @@
 
 import streamlit as st
 
-from softcal.app.line.line import read_line, take_scan
+from softcal.app.line.facts import read_line
+from softcal.app.line.line import take_scan
 from softcal.app.ui.browser_memory import remember
 from softcal.app.ui.desk import choose_language, in_words, registry, words
 from softcal.app.ui.line_memory import screen

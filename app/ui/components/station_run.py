@@ -5,13 +5,16 @@ import uuid
 import streamlit as st
 
 from softcal.app.charts.station import live_spec
-from softcal.app.ui.account import actor, permit
+from softcal.app.jobs.process import start_simulated_station
+from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.desk import errors_in_words, in_words, registry, words
 from softcal.app.views.common import phase_said
 from softcal.core.errors import InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState
+from softcal.db.people import may
 
 POLL_S = 0.7
+SIMULATED, AWAITED = "simulated-1", "station-awaited"
 
 
 def choose_station() -> str | None:
@@ -20,8 +23,24 @@ def choose_station() -> str | None:
     names = [beat.station for beat in registry().order_queue.stations()]
     if not names:
         st.info(say("station.none.how"), icon=":material/inbox:", title=say("station.none"))
+        if may(person(), "set_up") and st.button(say("station.simulate"), icon=":material/science:"):
+            permit("set_up")
+            start_simulated_station(SIMULATED)
+            registry().add_event("start", "station", (SIMULATED,), {"rig": "simulated"}, actor=actor())
+            st.session_state[AWAITED] = True
+        if st.session_state.get(AWAITED):
+            _await_station()
         return None
     return str(st.selectbox(say("station.station"), names, key="station-choice"))
+
+
+@st.fragment(run_every=POLL_S)
+def _await_station() -> None:
+    """Wait for the service that was started here to give its first sign of life."""
+    if registry().order_queue.stations():
+        del st.session_state[AWAITED]
+        st.rerun()
+    st.caption(words()("station.starting"))
 
 
 def place(station: str, kind: OrderKind, serial: str = "", lot_id: str = "", reason: str = "") -> bool:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import streamlit as st
 
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.certificates.laboratory import kept_laboratory
 from softcal.app.export.formats import WRITERS
 from softcal.app.export.names import FORMATS
 from softcal.app.ui.account import actor
@@ -43,7 +44,9 @@ def unit_files(serial: str, revision: int) -> None:
 
 
 def _files(serial: str, revision: int, name: str) -> Mapping[str, bytes]:
-    return WRITERS[name](UnitLoader(registry(), ExportOptions(revision=revision)).load(serial))
+    return WRITERS[name](
+        UnitLoader(registry(), ExportOptions(revision=revision, laboratory=kept_laboratory())).load(serial)
+    )
 
 
 def _tell(serial: str, revision: int, name: str) -> None:

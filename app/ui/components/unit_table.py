@@ -19,7 +19,6 @@ WORDS = (*reversed(VERDICTS), "none")
 """What a unit can be filtered by, worst first."""
 
 SORTS = ("severity", "serial", "predicted_rmse", "after_rmse", "made_at")
-LARGEST_FIRST = ("predicted_rmse", "after_rmse", "made_at")
 NUMBERS = ("predicted", "before", "after", "own")
 EXCEL = "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet"
 

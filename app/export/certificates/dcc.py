@@ -3,8 +3,8 @@
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from softcal.app.certificates.content import DECISION_RULE, ONLY_THIS, SIMULATED, Certificate
-from softcal.app.certificates.laboratory import NOT_STATED, Party
+from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, SIMULATED, Certificate
+from softcal.app.export.certificates.laboratory import NOT_STATED, Party
 from softcal.core.unit.budget import Reference
 
 SCHEMA_VERSION = "3.1.2"

@@ -7,8 +7,8 @@ import numpy as np
 from reportlab.graphics.shapes import Drawing, Line, Polygon, PolyLine, String
 from reportlab.lib import colors
 
-from softcal.app.certificates.content import Certificate
-from softcal.app.certificates.fonts import font_for
+from softcal.app.export.certificates.content import Certificate
+from softcal.app.export.certificates.fonts import font_for
 from softcal.core.recording import Array
 
 SIZE = 7

@@ -5,12 +5,12 @@ from reportlab.graphics.shapes import Drawing
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 
-from softcal.app.certificates.archival import Attachment, archival
-from softcal.app.certificates.content import DECISION_RULE, ONLY_THIS, Certificate
-from softcal.app.certificates.dcc import certificate_xml
-from softcal.app.certificates.fonts import BOLD, marked_up
-from softcal.app.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
-from softcal.app.certificates.parts import (
+from softcal.app.export.certificates.archival import Attachment, archival
+from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, Certificate
+from softcal.app.export.certificates.dcc import certificate_xml
+from softcal.app.export.certificates.fonts import BOLD, marked_up
+from softcal.app.export.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
+from softcal.app.export.certificates.parts import (
     WIDTH,
     Document,
     document_pdf,
@@ -22,7 +22,7 @@ from softcal.app.certificates.parts import (
     section,
     style,
 )
-from softcal.app.certificates.plots import SHOWN_S, estimate_plot, map_plot
+from softcal.app.export.certificates.plots import SHOWN_S, estimate_plot, map_plot
 
 VERDICT_COLOURS = {"pass": "#1b7f3b", "conditional": "#8a6100", "fail": "#b3261e", "retest": "#5a6472"}
 

@@ -7,9 +7,14 @@ from datetime import date
 from pathlib import Path
 from typing import Any, TypeVar
 
+import tomlkit
+
+from softcal.app.bootstrap import data_folder
+from softcal.app.files.atomic import write_text
 from softcal.core.errors import InputError
 
 NOT_STATED = "not stated"
+LABORATORY = "laboratory.toml"
 NO_COUNTRY = "ZZ"
 """ISO 3166-1: no country, by agreement of its users."""
 
@@ -134,6 +139,24 @@ def read_laboratory(path: Path | None) -> Laboratory:
         conditions=_section(path, values, "conditions", Conditions()),
         performance=_section(path, values, "performance", Performance()),
     )
+
+
+def kept_laboratory() -> Path | None:
+    """Return the file with what this machine's pages put on every certificate; None before it was filled in."""
+    file = data_folder() / LABORATORY
+    return file if file.is_file() else None
+
+
+def keep_laboratory(stated: Laboratory) -> Path:
+    """Keep what every certificate is to say, for all later ones; what is not stated is left out."""
+    document = tomlkit.document()
+    for section in fields(Laboratory):
+        values, usual = getattr(stated, section.name), section.default
+        table = {f.name: getattr(values, f.name) for f in fields(values)}
+        document[section.name] = {name: v for name, v in table.items() if v != getattr(usual, name)}
+    path = data_folder() / LABORATORY
+    write_text(path, tomlkit.dumps(document))
+    return path
 
 
 def _section(path: Path, values: Mapping[str, Any], name: str, default: Section) -> Section:

@@ -6,7 +6,7 @@ from importlib.metadata import version
 import numpy as np
 
 from softcal.app.batch.audit import lot_audit
-from softcal.app.certificates.lot_statement import AuditRow, LotStatementFacts
+from softcal.app.export.certificates.lot_statement import AuditRow, LotStatementFacts
 from softcal.core.quality.lot_release import LotRelease, any_form
 from softcal.db.registry import Registry
 

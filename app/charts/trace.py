@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from softcal.core.estimate import Estimate
 from softcal.core.recording import Array
+from softcal.core.unit.estimate import Estimate
 from softcal.core.use.adapter import MapUpdate
 
 KEPT = 6000

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, time
 import pikepdf
 from PIL import ImageCms
 
-from softcal.app.certificates.parts import Document
+from softcal.app.export.certificates.parts import Document
 
 
 @dataclass(frozen=True)

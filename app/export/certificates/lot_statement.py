@@ -7,9 +7,9 @@ from datetime import date
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 
-from softcal.app.certificates.archival import archival
-from softcal.app.certificates.fonts import BOLD, marked_up
-from softcal.app.certificates.parts import (
+from softcal.app.export.certificates.archival import archival
+from softcal.app.export.certificates.fonts import BOLD, marked_up
+from softcal.app.export.certificates.parts import (
     WIDTH,
     Document,
     document_pdf,

@@ -7,12 +7,12 @@ from importlib.metadata import version
 
 import numpy as np
 
-from softcal.app.certificates.laboratory import NOT_STATED, Laboratory, read_laboratory
 from softcal.app.export.calibrated_unit import CalibratedUnit
+from softcal.app.export.certificates.laboratory import NOT_STATED, Laboratory, read_laboratory
 from softcal.core.errors import InputError
-from softcal.core.estimate import Estimate, estimate
 from softcal.core.recording import Array
 from softcal.core.unit.budget import COVERAGE, Budget, Reference, Standing, forecast_budget, measured_budget
+from softcal.core.unit.estimate import Estimate, estimate
 from softcal.core.unit.uncertainty import NORMAL_90
 from softcal.core.unit.verdict import Verdict
 

@@ -12,7 +12,7 @@ from reportlab.lib.units import mm
 from reportlab.pdfgen.canvas import Canvas
 from reportlab.platypus import Flowable, KeepTogether, Paragraph, SimpleDocTemplate, Spacer, Table, TableStyle
 
-from softcal.app.certificates.fonts import BOLD, PLAIN, marked_up, register
+from softcal.app.export.certificates.fonts import BOLD, PLAIN, marked_up, register
 
 MARGIN = 18 * mm
 WIDTH = A4[0] - 2 * MARGIN

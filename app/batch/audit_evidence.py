@@ -1,0 +1,147 @@
+"""What the audits of a lot and of earlier lots say about its other units: read from the registry, each audit once."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+
+from softcal.app.batch.audit import lot_audit, lot_limit
+from softcal.core.lot import Lot
+from softcal.core.quality.audit_check import check_audits
+from softcal.core.quality.conformal import unit_scale
+from softcal.core.quality.qualification import PastAudit, Qualification, QualificationRules, qualify
+from softcal.core.quality.release import AuditedUnit, audits_wanted
+from softcal.core.recording import LabelledRecording
+from softcal.core.unit.audit_reading import AuditReading
+from softcal.core.unit.calibrate import with_audit
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.method import CONFIDENCE
+from softcal.core.unit.verdict import Limit, Verdict
+from softcal.db.entries import MadeCalibration, UnitStanding
+from softcal.db.registry import Registry
+
+RELEASABLE = (Verdict.PASS, Verdict.CONDITIONAL)
+RULES = QualificationRules()
+MOST_AUDITS = 40
+"""Audited units that the scale of the intervals is made of."""
+
+
+@dataclass(frozen=True)
+class AuditEvidence:
+    """All that a decision on a lot's unmeasured units rests on, but their forecasts.
+
+    Args:
+        qualification: whether units may be released, and on which audits.
+        limit: of the lot.
+        interval_scale: factor on the half-width of the 90 % intervals.
+    """
+
+    qualification: Qualification
+    limit: Limit
+    interval_scale: float
+
+
+Audited = Mapping[str, tuple[AuditedUnit, UnitStanding, MadeCalibration]]
+
+
+class AuditReader:
+    """Reads what audits say. Calibrations keep it; of an older version's the recording is read, once.
+
+    Args:
+        registry: where audits are kept.
+    """
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        self._older: dict[tuple[str, str, int], AuditReading | None] = {}
+
+    def evidence(self, lot_id: str, method_id: str, now: datetime) -> AuditEvidence:
+        """Return what is known about a lot from audits.
+
+        Args:
+            method_id: of the forecasts that the audits are to speak for.
+            now: the time of the decision.
+
+        Raises:
+            InputError: the audits cannot all be true; nothing may be released on them.
+        """
+        registry, lot = self._registry, self._registry.lot(lot_id)
+        audited = self._audited(lot)
+        here = [audit for audit, _, made in audited.values() if made.method_id == method_id]
+        readings = {serial: self._reading(lot_id, made) for serial, (_, _, made) in audited.items()}
+        check_audits({serial: reading for serial, reading in readings.items() if reading is not None})
+        past = [] if len(here) >= audits_wanted(RULES.promise) else self._past(lot)
+        # Audits of this lot under another method say as much as those of another lot: nothing.
+        past += [
+            PastAudit(audit, lot.sensor_model, made.method_id, standing.made_at)
+            for audit, standing, made in audited.values()
+            if made.method_id != method_id
+        ]
+        qualification = qualify(here, past, now, lot.sensor_model, method_id, self._golden_failed_at(lot), RULES)
+        return AuditEvidence(qualification, lot_limit(registry, lot_id), self._interval_scale(qualification, lot_id))
+
+    def _golden_failed_at(self, lot: Lot) -> datetime | None:
+        """Return when a golden unit last failed; one of another sensor model says nothing about this one."""
+        registry = self._registry
+        failed = [run for run in registry.golden_runs() if not run.passed]
+        models = {
+            run.serial: {registry.lot(known).sensor_model for known in registry.lots_of(run.serial)} for run in failed
+        }
+        return max((run.made_at for run in failed if models[run.serial] <= {lot.sensor_model}), default=None)
+
+    def _audited(self, lot: Lot) -> Audited:
+        """Return the audited units that speak for the others: a random draw, where one was written down."""
+        plan = lot_audit(self._registry, lot.id)
+        # Golden units have labelled recordings too; their calibrations are not audited.
+        entries = self._registry.recordings(lot.id, kind="audit")
+        doubtful = set() if plan is None else set(plan.plan.doubtful)
+        serials = sorted({entry.serial for entry in entries} - doubtful - {lot.source})
+        found = {}
+        for serial, standing in self._registry.standings(lot.id, serials).items():
+            made = standing.made
+            if made is None or not made.is_audited or made.decision.predicted.verdict not in RELEASABLE:
+                continue
+            if made.forecast_rmse and made.after_rmse:
+                found[serial] = AuditedUnit(serial, made.forecast_rmse, made.after_rmse, lot.id), standing, made
+        return found
+
+    def _past(self, lot: Lot) -> list[PastAudit]:
+        """Return the audits of all other lots of the sensor model."""
+        found = []
+        for other in self._registry.lots():
+            if other.id == lot.id or not lot.sensor_model or other.sensor_model != lot.sensor_model:
+                continue
+            for audit, standing, made in self._audited(other).values():
+                failed = made.verdict == Verdict.FAIL and made.decision.predicted.verdict == Verdict.PASS
+                found.append(PastAudit(audit, other.sensor_model, made.method_id, standing.made_at, failed))
+        return found
+
+    def _interval_scale(self, qualification: Qualification, lot_id: str) -> float:
+        """Return the factor on the intervals that the audited units ask for."""
+        readings = []
+        for audit in qualification.audits[:MOST_AUDITS]:
+            lot = audit.lot_id or lot_id
+            standing = self._registry.standings(lot, [audit.serial]).get(audit.serial)
+            if standing is not None and standing.made is not None:
+                readings.append(self._reading(lot, standing.made))
+        groups = [np.array(reading.ratios) for reading in readings if reading is not None]
+        return unit_scale(groups, CONFIDENCE) if groups else 1.0
+
+    def _reading(self, lot_id: str, made: MadeCalibration) -> AuditReading | None:
+        key = lot_id, made.serial, made.revision
+        if made.audit is None and key not in self._older:
+            self._older[key] = self._read(lot_id, made.serial)
+        return made.audit or self._older[key]
+
+    def _read(self, lot_id: str, serial: str) -> AuditReading | None:
+        registry = self._registry
+        audits = registry.recordings(lot_id, serial, "audit")
+        recording = registry.recording(audits[-1].sha256) if audits else None
+        if not isinstance(recording, LabelledRecording):
+            return None
+        record = registry.calibration(serial, lot_id=lot_id).record
+        fitted_on = registry.recording(record.recording_sha256)
+        unlabelled = fitted_on.unlabelled if isinstance(fitted_on, LabelledRecording) else fitted_on
+        network, calibration = registry.network(record.network_id), Calibration.from_record(record)
+        return with_audit(network, calibration, recording, unlabelled).audit

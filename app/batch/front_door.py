@@ -1,0 +1,162 @@
+"""A new lot out of tables, or a lot that is calibrated again: what becomes of it before anything is fitted."""
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softcal.app.bootstrap import data_folder
+from softcal.app.files.importing import ImportPlan, LookedAt, import_lot, look_through
+from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_toml
+from softcal.app.files.recording_file import write_columns
+from softcal.core.errors import InputError, UnitRefused
+from softcal.core.network.config import NetworkConfig
+from softcal.core.reason import Reason
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.health import check_alive, health_findings, output_limits
+from softcal.core.unit.method import Method
+from softcal.db.entries import RecordingEntry
+from softcal.db.registry import Registry
+
+FOLDER_OF = {"source": "source", "unit": "units", "audit": "audit"}
+"""Kind of a recording → where it lies in a lot folder."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What would become of one unit of a new lot.
+
+    Args:
+        file, serial: where it comes from, and its name.
+        rows, seconds: of its recording; 0 where it cannot be read.
+        problem: why it is refused before anything is fitted, in words; "" where it can be read.
+        findings: what its output alone tells: with these it will not pass.
+    """
+
+    file: str
+    serial: str
+    rows: int = 0
+    seconds: float = 0.0
+    problem: str = ""
+    findings: tuple[Reason, ...] = ()
+
+
+def expect(plan: ImportPlan) -> tuple[Expected, ...]:
+    """Say what would become of every unit of a plan; nothing is written and nothing is fitted."""
+    looked = look_through(plan)
+    source = next((one for one in looked if one.serial == plan.lot.source), None)
+    return tuple(_expected(one, source, plan) for one in looked)
+
+
+def _expected(one: LookedAt, source: LookedAt | None, plan: ImportPlan) -> Expected:
+    if one.unit is None:
+        return Expected(one.file, one.serial, problem=one.problem)
+    recording, reference = one.unit.recording, one.unit.reference
+    facts = (one.file, one.serial, len(recording), len(recording) / plan.lot.sample_rate_Hz)
+    if source is one:
+        if reference is None:
+            return Expected(*facts, problem=f"the source {one.serial} has no reference")
+        try:
+            LabelledRecording(recording, reference)
+        except InputError as error:
+            return Expected(*facts, problem=str(error))
+        return Expected(*facts)
+    if source is None or source.unit is None or source.unit.reference is None:
+        return Expected(*facts)
+    return Expected(*facts, findings=_findings(recording, source.unit.recording, source.unit.reference))
+
+
+def _findings(target: OutputRecording, source: OutputRecording, reference: Array) -> tuple[Reason, ...]:
+    health = Method().health
+    try:
+        check_alive(target, source, health)
+    except UnitRefused as error:
+        return (error.reason,)
+    is_rising = bool(np.cov(source.output, reference)[0, 1] > 0)
+    limits = output_limits(target, source, is_rising, health)
+    return tuple(finding.reason for finding in health_findings(target, source, limits, health))
+
+
+def lots_folder() -> Path:
+    """Return the folder of the lots that came through a browser."""
+    folder = data_folder() / "lots"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def store_lot(registry: Registry, plan: ImportPlan, actor: str) -> Path:
+    """Write a new lot's folder, whole or not at all, and register the lot; return the folder.
+
+    Raises:
+        InputError: the registry knows a lot of this name, or a file cannot be used.
+    """
+    if plan.lot.id in registry.lot_ids():
+        raise InputError(f"lot {plan.lot.id!r} is in the registry already; choose another name for the new lot")
+    folder = lots_folder() / plan.lot.id
+    # Without a lot in the registry it is left from one that came to nothing.
+    shutil.rmtree(folder, ignore_errors=True)
+    import_lot(plan, folder)
+    registry.add_lot(plan.lot, actor=actor)
+    return folder
+
+
+@contextmanager
+def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None]) -> Iterator[LotFolder]:
+    """Give a lot as a folder: the newest recordings of the registry, and files that were stored and never read.
+
+    Args:
+        tell: how many recordings of how many are written.
+
+    Raises:
+        InputError: the lot has no source recording.
+    """
+    lot, stored = registry.lot(lot_id), lots_folder() / lot_id
+    # A golden unit's recordings check the station; they are no audits of the lot.
+    golden = {run.serial for run in registry.golden_runs()}
+    newest: dict[tuple[str, str], RecordingEntry] = {}
+    for entry in registry.recordings(lot_id):
+        if entry.kind != "audit" or entry.serial not in golden:
+            newest[entry.kind, entry.serial] = entry
+    with tempfile.TemporaryDirectory(prefix="softcal-lot-") as place:
+        folder = Path(place) / "lot"
+        if stored.is_dir():
+            shutil.copytree(stored, folder)
+        folder.mkdir(exist_ok=True)
+        write_lot_toml(folder, lot)
+        for number, ((kind, serial), entry) in enumerate(newest.items()):
+            tell(number, len(newest))
+            _write(folder / FOLDER_OF[kind], serial, registry.recording(entry.sha256))
+        yield open_lot_folder(folder)
+
+
+def _write(folder: Path, serial: str, recording: OutputRecording | LabelledRecording) -> None:
+    folder.mkdir(exist_ok=True)
+    for old in folder.glob("*"):
+        if old.stem == serial:
+            old.unlink()
+    plain = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
+    columns = [("t_s", plain.t_s), ("output", plain.output)]
+    if isinstance(recording, LabelledRecording):
+        columns.append(("reference", recording.reference))
+    if plain.stage_mm is not None:
+        columns.append(("stage_mm", plain.stage_mm))
+    # Parquet keeps every bit, so that the same recording is known again.
+    write_columns(folder / f"{serial}.parquet", columns)
+
+
+def network_of(registry: Registry, lot_id: str) -> NetworkConfig:
+    """Return how the network in use was trained, so that a lot is calibrated again with it; the usual one without."""
+    state = registry.released_network(lot_id)
+    config = state.network.training.get("config") if state else None
+    if not isinstance(config, dict):
+        return NetworkConfig()
+    given: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in config.items()}
+    try:
+        return NetworkConfig(**given)
+    except TypeError:
+        return NetworkConfig()

@@ -1,0 +1,54 @@
+"""A table that somebody dropped, before it is a lot: its columns over time, and the reference over the output."""
+
+import fnmatch
+from typing import TYPE_CHECKING
+
+import numpy as np
+import plotly.graph_objects as go
+
+from softcal.app.charts.palette import Palette
+from softcal.app.charts.style import Words, styled
+from softcal.app.files.importing import Columns
+from softcal.app.views.common import thinned
+from softcal.core.recording import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MOST_LINES = 8
+
+
+def columns_over_time(content: "pd.DataFrame", columns: Columns, colours: Palette, words: Words) -> go.Figure:
+    """Draw the output columns over the time column, or over the row where there is none."""
+    names = [str(name) for name in content.columns if fnmatch.fnmatchcase(str(name), columns.output)]
+    if not columns.is_wide:
+        names = [columns.output]
+    at = thinned(range(len(content)))
+    rows = np.arange(len(content), dtype=float)[at]
+    x = rows if columns.time is None else _numbers(content, columns.time)[at]
+    figure = go.Figure()
+    for number, name in enumerate(names[:MOST_LINES]):
+        line = {"width": 1.5, "color": colours.mapped} if number == 0 else {"width": 1}
+        figure.add_scatter(x=x, y=_numbers(content, name)[at], name=name, line=line)
+    title = words("chart.row") if columns.time is None else columns.time
+    return styled(figure, colours, title, words("chart.output"))
+
+
+def reference_over_output(
+    content: "pd.DataFrame", columns: Columns, colours: Palette, words: Words
+) -> go.Figure | None:
+    """Draw the reference over the output; None where this table has not both."""
+    if columns.reference not in content.columns or columns.output not in content.columns:
+        return None
+    at = thinned(range(len(content)))
+    figure = go.Figure()
+    x, y = _numbers(content, columns.output)[at], _numbers(content, str(columns.reference))[at]
+    figure.add_scatter(x=x, y=y, mode="markers", marker={"size": 4, "color": colours.mapped}, showlegend=False)
+    return styled(figure, colours, words("chart.output"), str(columns.reference))
+
+
+def _numbers(content: "pd.DataFrame", name: str) -> Array:
+    """Return a column as numbers; what is none is left out of the picture, and named in words below it."""
+    import pandas as pd
+
+    return np.asarray(pd.to_numeric(content[name], errors="coerce"), dtype=float)

@@ -1,0 +1,25 @@
+"""Which extra brings a library that only some tasks need."""
+
+EXTRA_OF = {
+    "plotly": "documents",
+    "starlette": "ui",
+    "streamlit": "ui",
+    "serial": "station",
+    "pyvisa": "visa",
+    "pyvisa_py": "visa",
+    "onnx": "documents",
+    "reportlab": "documents",
+    "psycopg": "postgresql",
+    "distributed": "cluster",
+    "dask": "cluster",
+    "sklearn": "sklearn",
+}
+"""Extra by the name of the module that is imported."""
+
+
+def missing_extra(error: ModuleNotFoundError) -> str | None:
+    """Return the line that says what to install, None where the module belongs to no extra."""
+    module = (error.name or "").partition(".")[0]
+    if module not in EXTRA_OF:
+        return None
+    return f"this needs {module}, which is not installed; install it: pip install 'softcal[{EXTRA_OF[module]}]'"

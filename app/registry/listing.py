@@ -1,0 +1,99 @@
+"""Units and revisions of the registry as rows of a table and as JSON values."""
+
+from collections.abc import Sequence
+
+from softcal.core.errors import InputError
+from softcal.db.entries import StoredCalibration, UnitEntry
+
+UNIT_HEADER = (
+    "lot",
+    "serial",
+    "role",
+    "verdict",
+    "rev",
+    "map",
+    "predicted",
+    "before",
+    "after",
+    "own",
+    "made",
+    "reason",
+)
+HISTORY_HEADER = (
+    "rev",
+    "registry",
+    "in use",
+    "made (UTC)",
+    "by",
+    "lot",
+    "verdict",
+    "map",
+    "predicted",
+    "after",
+    "remark",
+)
+
+
+def unit_row(unit: UnitEntry) -> list[object]:
+    """Return one row of the table under `UNIT_HEADER`."""
+    conflict = "two registries put different maps into use; see history" if unit.is_conflict else ""
+    stale = "stale: made with another method than this version's; run the batch again" if unit.is_stale else ""
+    reason = "; ".join(filter(None, (conflict, stale, *map(str, unit.reasons))))[:100]
+    errors = [unit.predicted_rmse, unit.before_rmse, unit.after_rmse, unit.own_rmse]
+    made = unit.made_at and f"{unit.made_at:%Y-%m-%d %H:%M}"
+    return [unit.lot_id, unit.serial, unit.role, unit.verdict, unit.revision, unit.family, *errors, made, reason]
+
+
+def unit_json(unit: UnitEntry) -> dict[str, object]:
+    """Return a unit as JSON values."""
+    return vars(unit) | {
+        "reasons": [str(why) for why in unit.reasons],
+        "made_at": unit.made_at and unit.made_at.isoformat(),
+    }
+
+
+def only_lot(serial: str, lots: Sequence[str], wanted: str | None) -> str:
+    """Return the lot of a serial.
+
+    Args:
+        lots: those the serial stands in, of `wanted` only where it is given.
+
+    Raises:
+        InputError: none, or several.
+    """
+    if not lots:
+        raise InputError(f"serial {serial!r} is not in lot {wanted!r}")
+    if len(lots) > 1:
+        raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which with --lot")
+    return lots[0]
+
+
+def history_row(stored: StoredCalibration) -> list[object]:
+    """Return one row of the table under `HISTORY_HEADER`."""
+    record = stored.record
+    remarks = [
+        f"back to revision {stored.rolled_back_to}" if stored.rolled_back_to else "",
+        "put into use by one of two registries" if stored.is_conflict else "",
+        stored.reason,
+    ]
+    return [
+        stored.revision,
+        stored.origin,
+        "yes" if stored.is_current else "",
+        f"{stored.made_at:%Y-%m-%d %H:%M:%S}",
+        stored.actor,
+        stored.lot_id,
+        record.verdict,
+        record.family,
+        record.predicted_rmse,
+        record.after_rmse,
+        "; ".join(filter(None, remarks)),
+    ]
+
+
+def history_json(stored: StoredCalibration) -> dict[str, object]:
+    """Return a revision as JSON values, without its arrays."""
+    facts = {name: value for name, value in vars(stored).items() if name != "record"}
+    record = {name: value for name, value in vars(stored.record).items() if name not in ("arrays", "settings")}
+    texts = {"reasons": [str(why) for why in stored.record.reasons], "evidence": dict(stored.record.evidence)}
+    return facts | record | texts | {"made_at": stored.made_at.isoformat()}

@@ -1,0 +1,79 @@
+"""Two units side by side: what each got and why, and their maps in one picture."""
+
+import streamlit as st
+
+from softcal.app.charts.compare import maps_together, predicted_over_load
+from softcal.app.texts.reasons import all_said
+from softcal.app.ui.desk import colours, empty, errors_in_words, registry, show_figure, verdict_badge, words
+from softcal.app.ui.first_paint import rest_may_follow
+from softcal.app.ui.panels import heading, table
+from softcal.app.views.common import instant, number
+from softcal.app.views.unit import UnitView, unit_view
+
+PLACES = ("a", "b")
+
+
+def render() -> None:
+    """Draw the page."""
+    say = words()
+    with errors_in_words():
+        heading("compare")
+        chosen = [_choose(place, column) for place, column in zip(PLACES, st.columns(2), strict=True)]
+        if not all(chosen):
+            empty(say("empty.units"), say("empty.units.how"))
+            return
+        left, right = (unit_view(registry(), str(serial)) for serial in chosen)
+        for column, view in zip(st.columns(2), (left, right), strict=True):
+            with column:
+                verdict_badge(view.stored.record.verdict)
+        table(_rows(left, right))
+        if not rest_may_follow():
+            return
+        first, second = st.columns(2)
+        with first:
+            st.subheader(say("unit.map"))
+            show_figure(maps_together((left, right), colours(), say), "compare-maps")
+        with second:
+            st.subheader(say("why.interval"))
+            show_figure(predicted_over_load((left, right), colours(), say), "compare-interval")
+
+
+def _choose(place: str, column: st.delta_generator.DeltaGenerator) -> str | None:
+    """Draw the choice of one unit; it stays in the address, so that a link leads back to it."""
+    say, asked = words(), str(st.query_params.get(place, ""))
+    text = str(column.text_input(say("unit.find"), key=f"compare-find-{place}", icon=":material/search:") or "").strip()
+    found = [one for one in registry().find_serials(text) if registry().history(one)]
+    if asked and asked not in found and not text:
+        found = [asked, *found]
+    if not found:
+        return None
+    usual = PLACES.index(place) % len(found)
+    index = found.index(asked) if asked in found else usual
+    serial = str(column.selectbox(say("choose.unit"), found, index=index, key=f"compare-{place}-{text}-{asked}"))
+    if serial != asked:
+        st.query_params[place] = serial
+    return serial
+
+
+def _rows(left: UnitView, right: UnitView) -> list[dict[str, object]]:
+    say = words()
+    columns = [(view.stored.serial, _facts(view)) for view in (left, right)]
+    names = list(columns[0][1])
+    (first, one), (second, other) = columns
+    second = second if second != first else f"{second} "
+    return [{say("compare.fact"): name, first: one[name], second: other[name]} for name in names]
+
+
+def _facts(view: UnitView) -> dict[str, str]:
+    say, record, unit = words(), view.stored.record, view.lot.reference_unit
+    return {
+        say("choose.lot"): view.lot.id,
+        say("choose.revision"): str(view.stored.revision),
+        say("column.made"): instant(view.stored.made_at),
+        say("column.family"): record.family,
+        say("lot.predicted"): number(record.predicted_rmse, unit),
+        say("column.before"): number(record.before_rmse, unit),
+        say("column.after"): number(record.after_rmse, unit),
+        say("column.own"): number(record.own_rmse, unit),
+        say("column.reasons"): all_said(record.reasons, say),
+    }

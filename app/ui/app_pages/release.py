@@ -1,0 +1,135 @@
+"""What leaves the house for a lot: the statement on its units, their files and certificates as one archive."""
+
+from datetime import UTC, datetime
+
+import streamlit as st
+
+from softcal.app.batch.release import decide_release, update_release
+from softcal.app.export.certificates.lot_facts import lot_statement_facts
+from softcal.app.export.certificates.lot_statement import lot_statement_pdf
+from softcal.app.export.names import FORMATS
+from softcal.app.jobs.lot_jobs import archive_path
+from softcal.app.jobs.process import start_job
+from softcal.app.ui.account import actor, permit, person
+from softcal.app.ui.components.job_panel import job_panel, newest_job
+from softcal.app.ui.components.laboratory_form import laboratory_form
+from softcal.app.ui.desk import empty, errors_in_words, in_words, registry, words
+from softcal.app.ui.panels import lot_heading, numbers, table
+from softcal.app.views.common import number
+from softcal.core.quality.lot_release import LotRelease
+from softcal.db.people import may
+
+USUAL_FORMATS = ("json", "pdf")
+
+
+def render() -> None:
+    """Draw the page."""
+    say = words()
+    with errors_in_words():
+        lot_id = lot_heading("release", registry().lot_ids())
+        if lot_id is None:
+            return
+        if done := st.session_state.pop("release-done", ""):
+            st.success(done, icon=":material/check:")
+        counts = registry().verdict_counts(lot_id)
+        if sum(counts.values()) == counts["none"]:
+            empty(say("empty.units"), say("empty.units.how"))
+            return
+        numbers([(say(f"verdict.{word}"), str(count), None) for word, count in counts.items()])
+        left, right = st.columns(2)
+        with left, st.container(border=True):
+            _statement(lot_id)
+        with right, st.container(border=True):
+            _archive(lot_id)
+        laboratory_form()
+
+
+def _statement(lot_id: str) -> None:
+    say = words()
+    st.markdown(f"#### {say('release.statement')}")
+    decided = decide_release(registry(), lot_id, datetime.now(UTC))
+    if decided is None:
+        st.caption(say("release.none"))
+        return
+    _said(decided, lot_id)
+    if not may(person(), "release"):
+        st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
+        return
+    if st.button(say("release.do"), type="primary", icon=":material/verified:", key="release-do"):
+        permit("release")
+        made = update_release(registry(), lot_id, actor())
+        released = len(made.released) if made is not None else 0
+        st.session_state["release-done"] = say("release.done", count=released, lot=lot_id)
+        st.rerun()
+    facts = lot_statement_facts(registry(), lot_id, decided)
+    st.download_button(
+        say("release.pdf"),
+        data=lambda: lot_statement_pdf(facts),
+        file_name=f"{lot_id}-statement.pdf",
+        mime="application/pdf",
+        icon=":material/download:",
+        key="release-pdf",
+        on_click=_tell_statement,
+        args=(lot_id,),
+    )
+
+
+def _said(decided: LotRelease, lot_id: str) -> None:
+    say, unit = words(), registry().lot(lot_id).reference_unit
+    limit = number(decided.limit.maximum_rmse, unit)
+    audits = decided.qualification.audits
+    st.markdown(say("release.counts", released=len(decided.released), open=len(decided.forecasts), limit=limit))
+    st.markdown(say("release.evidence", audits=len(audits)))
+    if audits:
+        rows = [
+            {
+                say("column.serial"): audit.serial,
+                say("release.forecast"): number(audit.forecast_rmse, unit),
+                say("release.measured"): number(audit.measured_rmse, unit),
+            }
+            for audit in sorted(audits, key=lambda audit: -audit.ratio)[:10]
+        ]
+        table(rows)
+    with st.expander(say("release.words"), icon=":material/article:"):
+        st.caption(in_words(decided.statement))
+
+
+def _tell_statement(lot_id: str) -> None:
+    registry().add_event("export", "lots", (lot_id,), {"file": "statement.pdf"}, actor=actor())
+
+
+def _archive(lot_id: str) -> None:
+    say = words()
+    st.markdown(f"#### {say('release.archive')}")
+    formats = st.multiselect(
+        say("unit.files.format"), FORMATS, USUAL_FORMATS, format_func=lambda name: say(f"format.{name}")
+    )
+    conditional = st.toggle(say("release.conditional"), help=say("release.conditional.help"))
+    job = newest_job("archive", lot=lot_id)
+    is_busy = job is not None and job.state.is_active
+    if st.button(say("release.pack"), icon=":material/folder_zip:", disabled=is_busy or not formats, key="pack"):
+        release = "conditional" if conditional else "pass"
+        request = {"lot": lot_id, "serials": None, "formats": formats, "release": release}
+        start_job(registry(), "archive", request, actor())
+        st.rerun()
+    if job is None:
+        st.caption(say("release.pack.how"))
+    elif job_panel(job):
+        path = archive_path(job)
+        if not path.is_file():
+            st.caption(say("release.pack.gone"))
+            return
+        st.download_button(
+            say("release.take", units=job.result["units"]),
+            data=path.read_bytes,
+            file_name=f"{lot_id}.zip",
+            mime="application/zip",
+            type="primary",
+            icon=":material/download:",
+            key="archive",
+            on_click="ignore",
+        )
+        if refused := job.result["refused"]:
+            st.caption(say("release.refused", count=len(refused)))
+            with st.expander(say("release.refused.which")):
+                table([{say("column.serial"): serial} for serial, _ in refused])

@@ -1,0 +1,66 @@
+"""The front door: the demo, a lot out of files, a station; while the registry is empty everybody comes here."""
+
+import streamlit as st
+
+from softcal.app.jobs.process import start_job
+from softcal.app.ui.account import actor, permit, person
+from softcal.app.ui.components.job_panel import job_panel, newest_job
+from softcal.app.ui.desk import errors_in_words, registry, words
+from softcal.app.ui.panels import go_to, heading
+from softcal.db.people import may
+
+UNITS = 4
+"""Units of the demo: enough to see a lot, few enough to wait for."""
+
+
+def render() -> None:
+    """Draw the page."""
+    say = words()
+    with errors_in_words():
+        heading("start")
+        st.markdown(say("start.why"))
+        demo, files, station = st.columns(3)
+        with demo, st.container(border=True):
+            _demo()
+        with files, st.container(border=True):
+            _way("files", "new_lot", "upload_file")
+        with station, st.container(border=True):
+            _way("station", "station", "precision_manufacturing")
+
+
+def _demo() -> None:
+    say = words()
+    st.markdown(f"#### :material/science: {say('start.demo')}")
+    st.markdown(say("start.demo.how", units=UNITS))
+    job = newest_job("demo")
+    is_busy = job is not None and job.state.is_active
+    if "demo" in registry().lot_ids() and not is_busy:
+        if st.button(say("start.demo.open"), type="primary", width="stretch", key="demo-open"):
+            go_to("lot", lot="demo")
+        return
+    if st.button(say("start.demo.do"), type="primary", width="stretch", disabled=is_busy, key="demo"):
+        permit("calibrate")
+        st.session_state["demo-asked"] = start_job(registry(), "demo", {"units": UNITS}, actor())
+        st.rerun()
+    if job is not None and job_panel(job):
+        _landed(job.job_id)
+
+
+def _landed(job_id: str) -> None:
+    """Lead to the lot whoever has waited for it here."""
+    if st.session_state.pop("demo-asked", "") == job_id:
+        go_to("lot", lot="demo")
+
+
+def _way(name: str, page: str, icon: str) -> None:
+    """Draw one other way to begin; who may not take it is led to the sign-in."""
+    say = words()
+    st.markdown(f"#### :material/{icon}: {say(f'start.{name}')}")
+    st.markdown(say(f"start.{name}.how"))
+    if may(person(), "set_up"):
+        if st.button(say(f"start.{name}.do"), width="stretch", key=f"start-{name}"):
+            go_to(page)
+    else:
+        st.caption(say("start.sign_in"))
+        if st.button(say("sign_in.title"), width="stretch", key=f"start-{name}-sign-in"):
+            go_to("sign_in")

@@ -1,0 +1,105 @@
+"""Files that a browser drops for a new lot: kept for this tab, read once, looked at, mapped to columns."""
+
+import re
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from softcal.app.files.importing import Columns
+from softcal.app.files.recording_file import SUFFIXES, read_table
+from softcal.app.ui.desk import in_words, words
+from softcal.core.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FOLDER = "new-lot-folder"
+ROWS = 5
+NAMES = {
+    "output": ("output", "output_v", "out", "v", "voltage"),
+    "reference": ("reference", "force_n", "force", "pressure", "load", "ref"),
+    "time": ("t_s", "time_s", "time", "t"),
+    "stage": ("stage_mm", "stage", "position_mm"),
+}
+"""Names that tables often have for a column; what fits first is offered."""
+
+
+def dropped_files() -> list[Path]:
+    """Draw the field for files and return where they lie now; the same name dropped twice is one file."""
+    say = words()
+    kinds = sorted(suffix[1:] for suffix in SUFFIXES)
+    dropped = st.file_uploader(say("new_lot.files"), type=kinds, accept_multiple_files=True, key="new-lot-files")
+    folder = Path(st.session_state.setdefault(FOLDER, tempfile.mkdtemp(prefix="softcal-upload-")))
+    folder.mkdir(exist_ok=True)
+    wanted: dict[str, Path] = {}
+    for file in dropped or []:
+        # A browser may send any name: only its last part is one here.
+        name = re.sub(r"[\x00-\x1f/\\]", "_", Path(file.name).name) or "file"
+        path = folder / name
+        if not path.is_file() or path.stat().st_size != file.size or st.session_state.get(str(path)) != file.file_id:
+            path.write_bytes(file.getvalue())
+            st.session_state[str(path)] = file.file_id
+        wanted[name] = path
+    return [wanted[name] for name in sorted(wanted)]
+
+
+def forget_files() -> None:
+    """Remove what was dropped; it lies in the lot's folder now."""
+    shutil.rmtree(st.session_state.pop(FOLDER, ""), ignore_errors=True)
+
+
+def first_readable(files: Sequence[Path]) -> "tuple[Path, pd.DataFrame] | None":
+    """Return the first file that can be read as a table; say why where none can."""
+    why = ""
+    for path in files:
+        try:
+            return path, _table(str(path), path.stat().st_mtime_ns)
+        except InputError as error:
+            why = why or in_words(str(error).replace(f"{path}: ", f"{path.name}: "))
+    st.error(why, icon=":material/error:")
+    return None
+
+
+@st.cache_resource(max_entries=8, show_spinner=False)
+def _table(path: str, written_ns: int) -> "pd.DataFrame":
+    return read_table(Path(path))
+
+
+def choose_columns(table: "pd.DataFrame", wide: bool) -> Columns:
+    """Draw the choice of columns with what the table's names suggest."""
+    say, names = words(), [str(name) for name in table.columns]
+    left, second, third, right = st.columns(4)
+    if wide:
+        output = str(left.text_input(say("new_lot.pattern"), _pattern(names), key="new-lot-pattern")).strip()
+    else:
+        output = str(left.selectbox(say("new_lot.output"), names, index=_guess("output", names) or 0))
+    optional = [None, *names]
+    chosen = []
+    for place, name in ((second, "reference"), (third, "time"), (right, "stage")):
+        index = _guess(name, names)
+        chosen.append(
+            place.selectbox(
+                say(f"new_lot.{name}"),
+                optional,
+                index=0 if index is None else index + 1,
+                format_func=lambda column: say("new_lot.no_column") if column is None else column,
+                key=f"new-lot-{name}",
+            )
+        )
+    return Columns(output or "*", *chosen)
+
+
+def _guess(name: str, columns: Sequence[str]) -> int | None:
+    lower = [column.lower() for column in columns]
+    return next((lower.index(word) for word in NAMES[name] if word in lower), None)
+
+
+def _pattern(names: Sequence[str]) -> str:
+    """Return the pattern of the largest group of columns that differ by a number."""
+    stems = [re.sub(r"\d+$", "", name) for name in names]
+    often = max(set(stems), key=lambda stem: (stems.count(stem), len(stem)))
+    return f"{often}*" if stems.count(often) > 1 else "*"

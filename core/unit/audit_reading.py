@@ -1,0 +1,74 @@
+"""What a labelled recording of one unit says beside its error, kept with the calibration: nobody reads it again."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.identity import content_sha256
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+
+SHARES = np.linspace(0, 1, 101)
+"""Shares of the samples at which `AuditReading.ratios` are kept."""
+
+REST = 0.02
+"""Share of the samples at whose quantile a unit is at rest."""
+
+
+@dataclass(frozen=True)
+class AuditReading:
+    """One audit, read once.
+
+    Args:
+        output_sha256: content hash of the output alone: one recording that stands for two units is known by it.
+        reference_sha256: content hash of the reference.
+        gain: slope of the estimates over the reference (least squares): 1 where the unit reads its loads in full.
+        unit_rest, audit_rest: output at rest in the unit's recording and in the audit, in the output's unit.
+        span: of the output in the unit's recording, in the same.
+        ratios: (101,) quantiles of |residual| over the half-width of the 90 % interval, at `SHARES`.
+    """
+
+    output_sha256: str
+    reference_sha256: str
+    gain: float
+    unit_rest: float
+    audit_rest: float
+    span: float
+    ratios: tuple[float, ...]
+
+    def to_json(self) -> dict[str, object]:
+        """Return it as JSON values."""
+        return {**vars(self), "ratios": list(self.ratios)}
+
+    @classmethod
+    def of(cls, kept: Mapping[str, object]) -> "AuditReading":
+        """Read what `to_json` wrote."""
+        ratios: list[float] = kept["ratios"]  # type: ignore[assignment]
+        numbers = {name: float(str(kept[name])) for name in ("gain", "unit_rest", "audit_rest", "span")}
+        hashes = {name: str(kept[name]) for name in ("output_sha256", "reference_sha256")}
+        return cls(**hashes, **numbers, ratios=tuple(map(float, ratios)))
+
+
+def read_audit(value: Array, half: Array, audit: LabelledRecording, recording: OutputRecording) -> AuditReading:
+    """Compare estimates over an audit with its reference, and the audit with the recording its unit was fitted on.
+
+    Args:
+        value: (n,) estimates, NaN where there is none.
+        half: (n,) half-width of their 90 % interval, before audits of other units scaled it.
+        audit: labelled recording of the unit.
+        recording: of the same unit.
+    """
+    rows = np.isfinite(value)
+    ratios = np.quantile((np.abs(value - audit.reference) / np.maximum(half, 1e-12))[rows], SHARES)
+    rising = np.corrcoef(audit.unlabelled.output, audit.reference)[0, 1]
+    end = REST if rising >= 0 else 1 - REST
+    low, high = np.quantile(recording.output, (REST, 1 - REST))
+    return AuditReading(
+        output_sha256=content_sha256({"output": audit.unlabelled.output}, {}),
+        reference_sha256=content_sha256({"reference": audit.reference}, {}),
+        gain=float(np.polyfit(audit.reference[rows], value[rows], 1)[0]),
+        unit_rest=float(np.quantile(recording.output, end)),
+        audit_rest=float(np.quantile(audit.unlabelled.output, end)),
+        span=float(high - low),
+        ratios=tuple(float(f"{ratio:.6g}") for ratio in ratios),
+    )

@@ -1,0 +1,276 @@
+"""From an empty registry to files in hand without a terminal: the pages, the jobs behind them, and what they refuse."""
+
+import io
+import re
+import shutil
+import subprocess
+import zipfile
+from datetime import date
+from pathlib import Path
+
+import pytest
+
+from softcal.app import cli
+from softcal.app.batch.front_door import lot_files, lots_folder, network_of
+from softcal.app.bootstrap import open_chosen_registry
+from softcal.app.export.certificates.laboratory import kept_laboratory, read_laboratory
+from softcal.app.export.check import check_folder
+from softcal.app.jobs import process as job_process
+from softcal.app.jobs.jobs import run_job
+from softcal.app.jobs.lot_jobs import archive_path
+from softcal.app.texts.catalogue import catalogue, text
+from softcal.app.ui.pages import PAGES
+from softcal.core.orders import RunState
+from softcal.db.connection import open_registry
+from softcal.db.entries import CellCertificate
+
+pytestmark = pytest.mark.usefixtures("own_data")
+COMMANDS = [file.stem.rstrip("_") for file in Path(cli.__file__).parent.glob("*.py")]
+COMMAND = re.compile(rf"softcal ({'|'.join(COMMANDS)})\b|`softcal|(?<![\w-])--[a-z]")
+
+
+@pytest.fixture
+def jobs_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jobs are done where they are asked for, before the page goes on."""
+
+    def launch(job_id: str) -> None:
+        with open_chosen_registry(None) as registry:
+            run_job(registry, job_id, on_cancel=lambda: None)
+
+    monkeypatch.setattr(job_process, "launch", launch)
+
+
+@pytest.fixture
+def show(open_page, monkeypatch: pytest.MonkeyPatch):
+    """`show(url, page, role="engineer", **query)` draws one page alone."""
+    from streamlit.testing.v1 import AppTest
+
+    def draw(url: str, page: str, role: str = "engineer", **query: str) -> AppTest:
+        source = f"from softcal.app.ui.app_pages import {page}\n{page}.render()\n"
+        monkeypatch.setattr(AppTest, "from_function", lambda _, **options: AppTest.from_string(source, **options))
+        return open_page(url, lambda: None, role=role, **query)
+
+    return draw
+
+
+def done(url: str, kind: str, request: dict[str, object]):
+    """Do one job and return it with what it left."""
+    with open_registry(url) as registry:
+        job_id = registry.job_board.place(kind, request, "Erin")
+        state = run_job(registry, job_id, lambda: None)
+        job = registry.job_board.job(job_id)
+        assert state is RunState.DONE, job.message
+        return job
+
+
+@pytest.mark.parametrize("language", ["en", "ko"])
+def test_no_text_of_a_page_tells_anyone_to_type_a_command(language: str) -> None:
+    # What a station says is another catalogue's matter: `message.` is said on a terminal too.
+    said = {key: words for key, words in catalogue()[language].items() if not key.startswith("message.")}
+    assert not {key: words for key, words in said.items() if COMMAND.search(words)}
+
+
+def test_an_empty_registry_begins_at_the_start_page_for_everybody(tmp_path: Path, open_page) -> None:
+    screen = open_page(f"sqlite:///{tmp_path / 'new.db'}")
+    assert screen.title[0].value == text("en", "page.start")
+    assert any(button.label == text("en", "start.demo.do") for button in screen.button)
+
+
+def test_the_start_page_is_the_engineers_once_there_is_a_lot(calibrated: str) -> None:
+    from softcal.db.entries import User
+
+    start = next(page for page in PAGES if page.name == "start")
+    operator, engineer = User("", "operator", True, 0), User("Erin", "engineer", True, 1)
+    assert start.is_open_to(operator, is_empty=True) and not start.is_open_to(operator)
+    assert start.is_open_to(engineer)
+
+
+def test_the_demo_is_pressed_calibrated_and_found_by_its_page(
+    tmp_path: Path, trained_lot: Path, show, jobs_at_once: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from softcal.app.files.lot_folder import open_lot_folder
+
+    pressed: list[int] = []
+
+    def press(config, folder: Path, on_run):
+        pressed.append(config.units)
+        shutil.copytree(trained_lot / "lot", folder)
+        (folder / "lot.toml").write_text((folder / "lot.toml").read_text().replace('"small"', '"demo"'))
+        on_run("source")
+        return open_lot_folder(folder)
+
+    monkeypatch.setattr("softcal.app.line.demo.press_demo_lot", press)
+    url = f"sqlite:///{tmp_path / 'new.db'}"
+    screen = show(url, "start", role="operator")
+    monkeypatch.setattr("streamlit.switch_page", lambda *_, **query: None)
+    next(b for b in screen.button if b.label == text("en", "start.demo.do")).click().run(timeout=300)
+    with open_registry(url) as registry:
+        assert registry.lot_ids() == ["demo"] and pressed == [4]
+        assert registry.verdict_counts("demo")["none"] == 0
+    assert next(b for b in show(url, "start").button).label == text("en", "start.demo.open")
+
+
+def dropped(folder: Path) -> list[tuple[str, bytes, str]]:
+    """Return the small lot as files a person would drop: audits carry their reference, the source too."""
+    files = [("A0.csv", (folder / "source/A0.csv").read_bytes(), "text/csv")]
+    files += [(f"A{k}.csv", (folder / f"audit/A{k}.csv").read_bytes(), "text/csv") for k in (1, 2)]
+    return files
+
+
+def test_dropped_files_become_a_calibrated_lot_and_what_is_broken_is_left_out_with_its_reason(
+    tmp_path: Path, lot_folder: Path, show, jobs_at_once: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from softcal.app.batch import front_door
+    from softcal.core.network.config import NetworkConfig
+
+    monkeypatch.setattr(front_door, "network_of", lambda *_: NetworkConfig(hidden=(8,), max_epochs=5))
+    gone: list[str] = []
+    url = f"sqlite:///{tmp_path / 'new.db'}"
+    screen = show(url, "new_lot")
+    broken = ("A3.csv", b"t_s,output\n0,1\n0.02,abc\n", "text/csv")
+    empty = ("../../A4.csv", b"", "text/csv")
+    screen.file_uploader[0].set_value([*dropped(lot_folder), broken, empty]).run()
+    assert not screen.exception and not screen.error
+    screen.text_input(key="new-lot-name").set_value("mine").run()
+    said = screen.markdown
+    assert any("**2** are refused" in one.value for one in said)
+    rows = screen.table[0].value
+    why = {row.iloc[0]: row.iloc[-1] for _, row in rows.iterrows()}
+    assert "abc" in why["A3.csv"] and "empty" in why["A4.csv"] and str(tmp_path) not in why["A4.csv"]
+    monkeypatch.setattr("streamlit.switch_page", lambda page, **_: gone.append(page.url_path))
+    next(b for b in screen.button if b.label == text("en", "new_lot.do")).click().run(timeout=300)
+    assert not screen.exception and not screen.error and gone == ["lot"]
+    with open_registry(url) as registry:
+        counts = registry.verdict_counts("mine")
+        assert sum(counts.values()) == 2 and counts["none"] == 0
+        assert {run.serial for run in registry.runs("mine")} == {"A1", "A2"}
+        assert all(registry.calibration(serial).record.after_rmse is not None for serial in ("A1", "A2"))
+        assert registry.audit_rows()[0].actor in ("Erin", "test")
+
+
+def test_a_lot_that_the_registry_knows_is_not_written_over(
+    calibrated: str, lot_folder: Path, show, jobs_at_once: None
+) -> None:
+    screen = show(calibrated, "new_lot")
+    screen.file_uploader[0].set_value(dropped(lot_folder)).run()
+    screen.text_input(key="new-lot-name").set_value("small").run()
+    next(b for b in screen.button if b.label == text("en", "new_lot.do")).click().run()
+    assert "in the registry already" in screen.error[0].value
+    assert not list(lots_folder().iterdir())
+
+
+def test_a_time_column_in_milliseconds_is_refused_with_what_to_do(tmp_path: Path, show, press_unit) -> None:
+    table = press_unit(600, 1.0, 0.5, 1)
+    table["t_s"] *= 1000
+    screen = show(f"sqlite:///{tmp_path / 'new.db'}", "new_lot")
+    content = table.to_csv(index=False).encode()
+    screen.file_uploader[0].set_value([("A0.csv", content, "text/csv"), ("A1.csv", content, "text/csv")]).run()
+    assert "is it in ms?" in screen.error[0].value or "shows" in screen.error[0].value
+    assert not COMMAND.search(screen.error[0].value)
+
+
+def test_one_column_per_unit_is_taken_too(tmp_path: Path, show, press_unit) -> None:
+    table = press_unit(600, 1.0, 0.5, 1).rename(columns={"output": "ch_1"})
+    table["ch_2"], table["ch_3"] = table["ch_1"] * 1.1 + 0.02, 0.5
+    screen = show(f"sqlite:///{tmp_path / 'new.db'}", "new_lot")
+    screen.file_uploader[0].set_value([("wide.csv", table.to_csv(index=False).encode(), "text/csv")]).run()
+    screen.radio[0].set_value("wide").run()
+    assert screen.text_input(key="new-lot-pattern").value == "ch_*"
+    assert screen.selectbox(key="new-lot-source").options == ["ch_1", "ch_2", "ch_3"]
+    screen.text_input(key="new-lot-name").set_value("wide").run()
+    will = {row.iloc[1].replace("\\", ""): (row.iloc[4], row.iloc[5]) for _, row in screen.table[0].value.iterrows()}
+    assert will["ch_1"][0] == "source" and will["ch_2"][0] == "calibrated"
+    assert will["ch_3"][0] == text("en", "new_lot.will.doubtful") and "constant" in will["ch_3"][1]
+
+
+def test_a_lot_that_is_calibrated_again_computes_nothing_anew(calibrated: str) -> None:
+    with open_registry(calibrated) as registry:
+        assert network_of(registry, "small").hidden == (16, 8)
+    done(calibrated, "calibrate", {"lot": "small"})
+    with open_registry(calibrated) as registry:
+        before = {unit.serial: unit.revision for unit in registry.units("small")}
+    job = done(calibrated, "calibrate", {"lot": "small"})
+    assert (job.result["new"], job.result["known"]) == (0, 4)
+    with open_registry(calibrated) as registry:
+        assert {unit.serial: unit.revision for unit in registry.units("small")} == before
+
+
+def test_a_lot_out_of_the_registry_has_the_recordings_bit_by_bit(calibrated: str) -> None:
+    with open_registry(calibrated) as registry, lot_files(registry, "small", lambda *_: None) as folder:
+        assert set(folder.unit_paths) == {"A1", "A2", "A3", "A4"}
+        for serial in folder.unit_paths:
+            (kept,) = registry.recordings("small", serial, "unit")
+            assert folder.read_unit(serial).sha256 == kept.sha256
+        (source,) = registry.recordings("small", kind="source")
+        assert folder.read_source().sha256 == source.sha256
+
+
+def test_the_archive_of_a_lot_is_whole_and_says_what_is_not_in_it(calibrated: str, tmp_path: Path) -> None:
+    request = {"lot": "small", "serials": None, "formats": ["json", "pdf", "blob"], "release": "pass"}
+    job = done(calibrated, "archive", request)
+    with zipfile.ZipFile(io.BytesIO(archive_path(job).read_bytes())) as packed:
+        packed.extractall(tmp_path / "files")
+    found = check_folder(tmp_path / "files", None)
+    assert not found.problems
+    with open_registry(calibrated) as registry:
+        passed = {u.serial for u in registry.units("small") if u.verdict == "pass"}
+        kept = {u.serial for u in registry.units("small") if u.revision is not None and u.role == "target"}
+        assert registry.audit_rows()[-1].actor == "Erin"
+    names = {path.name for path in (tmp_path / "files").iterdir()}
+    assert {name for name in names if name.endswith(".pdf")} and job.result["units"] == len(kept)
+    assert {serial for serial, _ in job.result["refused"]} == kept - passed
+    assert len([name for name in names if name.endswith(".ssc") and name.startswith("unit-")]) == len(passed)
+
+
+def test_what_the_form_of_the_laboratory_says_stands_on_the_certificate(calibrated: str, show, tmp_path: Path) -> None:
+    certificate = CellCertificate(
+        "LC-9", "K-1", "KRISS", date(2026, 1, 2), date(2027, 1, 2), capacity_N=50.0, uncertainty_N=0.05
+    )
+    with open_registry(calibrated) as registry:
+        registry.add_certificate(certificate, actor="test")
+    screen = show(calibrated, "release", lot="small")
+    screen.text_input(key="laboratory-laboratory-name").set_value("Haptics Lab")
+    screen.text_input(key="laboratory-laboratory-country").set_value("KR")
+    screen.text_input(key="laboratory-customer-name").set_value("Beispiel GmbH")
+    screen.text_input(key="laboratory-person-name").set_value("Kim Ji-woo")
+    screen.selectbox(key="laboratory-cell").set_value("LC-9")
+    next(b for b in screen.button if b.label == text("en", "laboratory.save")).click().run()
+    assert screen.success and not screen.error
+    stated = read_laboratory(kept_laboratory())
+    assert (stated.laboratory.name, stated.load_cell.due_on) == ("Haptics Lab", date(2027, 1, 2))
+    job = done(calibrated, "archive", {"lot": "small", "serials": ["A1"], "formats": ["pdf"], "release": "pass"})
+    with zipfile.ZipFile(archive_path(job)) as packed:
+        pdf = next(name for name in packed.namelist() if name.endswith(".pdf"))
+        (tmp_path / "c.pdf").write_bytes(packed.read(pdf))
+    read = subprocess.run(["pdftotext", str(tmp_path / "c.pdf"), "-"], capture_output=True, text=True, check=True)
+    assert all(word in read.stdout for word in ("Haptics Lab", "Beispiel GmbH", "Kim Ji-woo", "LC-9"))
+
+
+def test_a_country_that_is_none_is_refused_and_nothing_is_kept(calibrated: str, show) -> None:
+    screen = show(calibrated, "release", lot="small")
+    screen.text_input(key="laboratory-laboratory-country").set_value("Korea")
+    next(b for b in screen.button if b.label == text("en", "laboratory.save")).click().run()
+    assert "KR" in screen.error[0].value and kept_laboratory() is None
+
+
+def test_a_lot_is_released_from_its_page_and_the_trail_says_so(calibrated: str, show) -> None:
+    screen = show(calibrated, "release", lot="small")
+    assert not screen.exception and not screen.error
+    next(b for b in screen.button if b.label == text("en", "release.do")).click().run()
+    assert "small" in screen.success[0].value
+    with open_registry(calibrated) as registry:
+        assert any(row.action in ("release", "withhold") for row in registry.audit_rows())
+
+
+def test_an_operator_sees_the_release_and_may_not_decide_it(calibrated: str, show) -> None:
+    screen = show(calibrated, "release", role="operator", lot="small")
+    assert not screen.exception
+    assert not [b for b in screen.button if b.label == text("en", "release.do")]
+
+
+def test_two_units_stand_side_by_side(calibrated: str, show) -> None:
+    screen = show(calibrated, "compare", a="A1", b="A3")
+    assert not screen.exception and not screen.error
+    columns = list(screen.table[0].value.columns)
+    assert columns[1:] == ["A1", "A3"]
+    assert show(calibrated, "compare", a="A1", b="A1", lang="ko").title[0].value == text("ko", "page.compare")

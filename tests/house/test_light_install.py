@@ -1,0 +1,185 @@
+"""The wheel with its core dependencies alone does the headless job; the sdist is whole; a missing extra is one line."""
+
+import importlib.metadata
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import tomllib
+import venv
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).parents[2]
+LEFT_OUT = (".git", ".venv", ".links", "build", "dist", "*.egg-info", "__pycache__", ".*_cache", "softcal-demo", "site")
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sdist, built from a copy of the tree so that nothing is written into it."""
+    tree = tmp_path_factory.mktemp("tree") / "softcal"
+    shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*LEFT_OUT))
+    return _built("sdist", tree)
+
+
+@pytest.fixture(scope="module")
+def wheel(sdist: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, built from the sdist, as an index user gets it."""
+    folder = tmp_path_factory.mktemp("unpacked")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(folder, filter="data")
+    return _built("wheel", next(folder.iterdir()))
+
+
+def _built(kind: str, tree: Path) -> Path:
+    """Build with the setuptools that is installed: no isolation, so no index is asked."""
+    out = tree.parent / f"{kind}-out"
+    out.mkdir()
+    code = f"from setuptools import build_meta; print(build_meta.build_{kind}({str(out)!r}))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tree, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return out / done.stdout.split()[-1]
+
+
+@pytest.fixture(scope="module")
+def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bin folder of an environment that holds the wheel, what its core needs, and nothing else."""
+    folder = tmp_path_factory.mktemp("bare")
+    venv.create(folder, symlinks=True)
+    packages = next(folder.glob("lib/python*/site-packages"))
+    for name in _core_distributions(wheel):
+        _link(importlib.metadata.distribution(name), packages)
+    pip = [sys.executable, "-m", "pip", "--python", str(folder / "bin" / "python")]
+    done = subprocess.run(
+        [*pip, "install", "--quiet", "--no-index", "--no-deps", str(wheel)], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return folder / "bin"
+
+
+def _core_distributions(wheel: Path) -> set[str]:
+    """Names of all distributions that the wheel's own requirements, without an extra, bring in."""
+    with zipfile.ZipFile(wheel) as archive:
+        name = next(n for n in archive.namelist() if n.endswith(".dist-info/METADATA"))
+        lines = archive.read(name).decode().splitlines()
+    waiting = [(line.removeprefix("Requires-Dist: "), "") for line in lines if line.startswith("Requires-Dist: ")]
+    found: set[str] = set()
+    while waiting:
+        text, extra = waiting.pop()
+        requirement = Requirement(text)
+        if requirement.marker is not None and not requirement.marker.evaluate({"extra": extra}):
+            continue
+        wanted = importlib.metadata.requires(requirement.name) or []
+        if requirement.name not in found:
+            found.add(requirement.name)
+            waiting += [(inner, "") for inner in wanted]
+        waiting += [
+            (inner, e) for e in requirement.extras for inner in wanted if f"extra == '{e}'" in inner.replace('"', "'")
+        ]
+    return found
+
+
+def _link(distribution: importlib.metadata.Distribution, packages: Path) -> None:
+    base = Path(str(distribution.locate_file("")))
+    for top in {file.parts[0] for file in distribution.files or []} - {"..", "__pycache__"}:
+        if (base / top).exists() and not (packages / top).exists():
+            (packages / top).symlink_to(base / top)
+
+
+def _run(bare: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL"))}
+    environment |= {"SOFTCAL_REGISTRY": f"sqlite:///{folder / 'registry.db'}", "SOFTCAL_LOGS": str(folder / "logs")}
+    return subprocess.run(
+        [bare / "softcal", *arguments], cwd=folder, capture_output=True, text=True, env=environment, timeout=300
+    )
+
+
+@pytest.fixture(scope="module")
+def calibrated(bare: Path, tmp_path_factory: pytest.TempPathFactory, press_unit) -> Path:  # type: ignore[no-untyped-def]
+    """A folder in which core alone imported tables and calibrated a lot."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    for k in range(3):
+        press_unit(1500, 1 + 0.15 * k, 0.5 + 0.04 * k, k + 1).to_csv(folder / f"S{k}.csv", index=False)
+    columns = ("--reference-column", "reference", "--sample-rate", "50")
+    made = _run(bare, folder, "import", *_TABLES, "--source", "S0", *columns, "--audit", "--out", "lot")
+    assert made.returncode == 0, made.stderr
+    batch = _run(bare, folder, "batch", "lot", "--hidden", "16,8", "--json", "report.json")
+    assert batch.returncode in (0, 1), batch.stderr
+    return folder
+
+
+_TABLES = ("S0.csv", "S1.csv", "S2.csv")
+
+
+def test_core_alone_estimates(bare: Path, calibrated: Path) -> None:
+    done = _run(bare, calibrated, "estimate", "--serial", "S1", "lot/units/S1.csv", "--out", "estimate.csv")
+    assert done.returncode == 0, done.stderr
+    rows = np.genfromtxt(calibrated / "estimate.csv", delimiter=",", names=True, usecols=(0, 1, 2, 3))
+    reference = np.genfromtxt(calibrated / "S1.csv", delimiter=",", names=True)["reference"]
+    error = (rows["estimate"] - reference)[15:]
+    assert np.sqrt(np.nanmean(error**2)) < 0.3 * reference.std()
+
+
+def test_core_alone_exports_what_the_estimate_used(bare: Path, calibrated: Path) -> None:
+    done = _run(bare, calibrated, "export", "--serial", "S1", "--format", "json", "--out", "out", "--failed-too")
+    assert done.returncode == 0, done.stderr
+    assert list((calibrated / "out").rglob("unit-S1*.json"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "extra"),
+    [
+        (("ui", "--no-browser"), "ui"),
+        (("station", "check", "--simulated"), "station"),
+        (("export", "--serial", "S1", "--format", "onnx", "--out", "o", "--failed-too"), "documents"),
+        (("batch", "lot", "--registry", "postgresql://softcal@127.0.0.1/none"), "postgresql"),
+    ],
+)
+def test_a_missing_extra_is_one_line_that_says_what_to_install(
+    bare: Path, calibrated: Path, arguments: tuple[str, ...], extra: str
+) -> None:
+    done = _run(bare, calibrated, *arguments)
+    assert done.returncode in (2, 4), done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert f"pip install 'softcal[{extra}]'" in done.stderr
+
+
+def test_the_sdist_holds_what_a_packager_needs(sdist: Path) -> None:
+    with tarfile.open(sdist) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
+    if tracked.returncode:
+        pytest.skip("not a git checkout; the list of files is not known")
+    wanted = {n for n in tracked.stdout.splitlines() if (ROOT / n).is_file()} - {".gitignore"}
+    assert not wanted - names
+
+
+def test_the_wheel_says_its_licence_and_the_pythons_it_runs_on(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        name = next(n for n in archive.namelist() if n.endswith(".dist-info/METADATA"))
+        text = archive.read(name).decode()
+        assert any(n.endswith("licenses/LICENSE") for n in archive.namelist())
+    assert "License-Expression: Apache-2.0" in text
+    for minor in (11, 12, 13, 14):
+        assert f"Python :: 3.{minor}\n" in text
+
+
+def test_every_optional_library_is_named_with_its_extra() -> None:
+    from softcal.app.extras import EXTRA_OF
+
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    told = {name: {_plain(r) for r in group} for name, group in groups.items() if name not in ("all", "docs", "dev")}
+    for module, extra in EXTRA_OF.items():
+        distributions = {_plain(d) for d in importlib.metadata.packages_distributions().get(module, [])}
+        assert distributions & told[extra], f"{module}: {distributions} is not in extra {extra}"
+    known = {_plain(d) for m in EXTRA_OF for d in importlib.metadata.packages_distributions().get(m, [])}
+    assert {name for group in told.values() for name in group} <= known
+
+
+def _plain(requirement: str) -> str:
+    return Requirement(requirement).name.lower().replace("_", "-")
