@@ -26,11 +26,13 @@ check: $(STAMP)
 	$(BIN)/ruff check .
 	mkdir -p .links && ln -sfn .. .links/softcal
 	MYPYPATH=.links $(BIN)/mypy --explicit-package-bases -p softcal.core -p softcal.db -p softcal.station -p softcal.app
-	$(BIN)/lint-imports
+	PYTHONPATH=.links $(BIN)/lint-imports
 
 # The site with API pages, in site/. --strict: a warning is a failure.
 docs: $(STAMP)
-	$(BIN)/mkdocs build --strict
+	mkdir -p build/docs/softcal
+	for folder in app core db station; do ln -sfn ../../../$$folder build/docs/softcal/$$folder; done
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 $(VENV)/.made:
 	@$(PYTHON) -c 'import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info < (3, 15))' || { \

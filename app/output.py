@@ -3,10 +3,16 @@
 import json
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, redirect_stdout
+from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 from softcal.app.files.atomic import write_text
+from softcal.app.files.spreadsheet import csv_text, write_table
+from softcal.core.errors import InputError
 
 
 def say(line: str) -> None:
@@ -19,14 +25,83 @@ def shown(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
+@dataclass
+class _Answer:
+    """Where the one machine-readable answer of a command goes.
+
+    Args:
+        stdout: standard output where the answer alone goes there; None where people read it.
+        csv: file of the table as CSV, `-` for standard output, None for none.
+    """
+
+    stdout: TextIO | None = None
+    csv: str | None = None
+
+
+_ANSWER: ContextVar[_Answer] = ContextVar("answer", default=_Answer())  # noqa: B039 - never changed in place
+
+
+@contextmanager
+def answering(json_target: str | None, csv_target: str | None) -> Iterator[None]:
+    """Keep standard output for the one answer that was asked for with `-`: what people read goes to standard error.
+
+    Raises:
+        InputError: JSON and CSV are both to go to standard output.
+    """
+    if json_target == "-" and csv_target == "-":
+        raise InputError("--json - and --csv - both want standard output; give one of them a file")
+    is_piped = "-" in (json_target, csv_target)
+    token = _ANSWER.set(_Answer(sys.stdout if is_piped else None, csv_target))
+    try:
+        with redirect_stdout(sys.stderr) if is_piped else nullcontext():
+            yield
+    finally:
+        _ANSWER.reset(token)
+
+
 def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print an aligned table on standard output; floats with four significant digits, None as a dash."""
-    cells = [[*header], *([_cell(value) for value in row] for row in rows)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+    """Print a table; floats with four significant digits, None as a dash. With `--csv` it is written as CSV instead.
+
+    On a terminal it fits the width: long texts are wrapped, and verdicts have their colour unless NO_COLOR is set.
+    """
+    table, answer = [list(row) for row in rows], _ANSWER.get()
+    if answer.csv == "-" and answer.stdout is not None:
+        answer.stdout.write(csv_text(header, table))
+        return
+    if answer.csv is not None:
+        write_table(Path(answer.csv), header, table)
+    if answer.stdout is not None:
+        return
+    cells = [[_cell(value) for value in row] for row in table]
+    if sys.stdout.isatty():
+        _print_fitting(header, cells)
+    else:
+        _print_aligned([[*header], *cells])
+
+
+def _print_aligned(cells: list[list[str]]) -> None:
+    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
     for k, row in enumerate(cells):
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
         if k == 0:
             print("  ".join("-" * width for width in widths))
+
+
+COLOURS = {"pass": "green", "conditional": "yellow", "fail": "red", "retest": "magenta"}
+
+
+def _print_fitting(header: Sequence[str], cells: list[list[str]]) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="")
+    for name in header:
+        table.add_column(Text(name), overflow="fold")
+    for row in cells:
+        table.add_row(*(Text(cell, style=COLOURS.get(cell, "")) for cell in row))
+    Console(highlight=False).print(table)
 
 
 def _cell(value: object) -> str:
@@ -39,7 +114,7 @@ def write_json(target: str, value: object) -> None:
     """Write a result as JSON into a file, or on standard output where the target is `-`. NaN is refused."""
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"
     if target == "-":
-        sys.stdout.write(text)
+        (_ANSWER.get().stdout or sys.stdout).write(text)
     else:
         write_text(Path(target), text)
 

@@ -52,6 +52,10 @@ ENGLISH: Mapping[str, str] = {
         "not released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
         "above the limit {limit:.3g} {unit}; measure this unit"
     ),
+    "sampled.day": (
+        "not released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
+        "within the limit {limit:.3g} {unit}, but not with the {day:.3g} {unit} that golden runs show from day to day"
+    ),
     "sampled.part": (
         "not released by sample: fewer than half of the lot would pass after {audits}; measure this unit, or find out "
         "why forecasts of this lot are out by {centre:.2f}"
@@ -59,6 +63,14 @@ ENGLISH: Mapping[str, str] = {
     "sampled.beyond": (
         "forecast {rmse:.3g} {unit} times {centre:.2f}, the mean of measured over forecast error of {audits}, is above "
         "the limit {limit:.3g} {unit}"
+    ),
+    "line.stated": (
+        "the forecast holds {rmse:.3g} {unit} for the line: it loads units that give the same output {share:.1%} "
+        "differently, as was stated for it"
+    ),
+    "line.open": (
+        "no output shows how hard the line pressed: a spread of {share:.1%} of the load, the default where none is "
+        "stated, is {rmse:.3g} {unit} beside the forecast; state [line] in lot.toml, or audit"
     ),
     "trimmed": "trimmed by {loads} known loads: RMSE there {before:.3g}, now {after:.3g}; not measured since",
     "predicted_otherwise": "before the audit it was predicted {verdict}: {why}",

@@ -96,7 +96,7 @@ class StoredCalibration:
 
 REPORTED = (
     *("serial", "verdict", "reasons", "family", "map_sha256", "predicted_rmse", "before_rmse", "after_rmse"),
-    *("own_rmse", "fit_s", "decision", "method_id", "forecast_rmse", "audit"),
+    *("own_rmse", "fit_s", "decision", "method_id", "forecast_rmse", "load_rms", "audit"),
 )
 """Fields of `MadeCalibration` that `CalibrationRecord` has under the same name."""
 
@@ -115,6 +115,7 @@ class MadeCalibration:
         decision: what was predicted and what was measured.
         method_id: the method it was made with; empty where an older version kept none.
         forecast_rmse: forecast before audits of other units scaled it.
+        load_rms: RMS load above rest that its recording shows; None in records of older versions.
         audit: what its audit says beside the error; None without one, and in records of older versions.
     """
 
@@ -133,6 +134,7 @@ class MadeCalibration:
     decision: "Decision"
     method_id: str
     forecast_rmse: float | None = None
+    load_rms: float | None = None
     audit: "AuditReading | None" = None
 
     @classmethod

@@ -2,20 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import date, datetime
 
 import numpy as np
 
 from softcal.app.batch.audit import lot_audit, lot_limit
 from softcal.core.lot import Lot
+from softcal.core.quality.acceptance import tolerance_factor
 from softcal.core.quality.audit_check import check_audits
 from softcal.core.quality.conformal import unit_scale
 from softcal.core.quality.qualification import PastAudit, Qualification, QualificationRules, qualify
 from softcal.core.quality.release import AuditedUnit, audits_wanted
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.audit_reading import AuditReading
-from softcal.core.unit.calibrate import with_audit
+from softcal.core.unit.calibrate import read_gain, with_audit
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.line_spread import SeenGains, seen_gains
 from softcal.core.unit.method import CONFIDENCE
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.db.entries import MadeCalibration, UnitStanding
@@ -35,11 +37,24 @@ class AuditEvidence:
         qualification: whether units may be released, and on which audits.
         limit: of the lot.
         interval_scale: factor on the half-width of the 90 % intervals.
+        seen: gains that the audited units of the lot read their loads with; None where there are too few.
+        days: gains of golden units of the sensor model on different days; None where there are too few.
     """
 
     qualification: Qualification
     limit: Limit
     interval_scale: float
+    seen: SeenGains | None = None
+    days: SeenGains | None = None
+
+    def day_rmse(self, load_rms: float | None) -> float:
+        """Return the error that another day adds to a unit with this RMS load, in the same unit; 0 without golden runs.
+
+        What nine of ten days stay within, at the promise's confidence (ISO 16269-6).
+        """
+        if self.days is None or load_rms is None:
+            return 0.0
+        return tolerance_factor(self.days.count, self.days.count - 1, RULES.promise) * self.days.spread * load_rms
 
 
 Audited = Mapping[str, tuple[AuditedUnit, UnitStanding, MadeCalibration]]
@@ -55,6 +70,7 @@ class AuditReader:
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
         self._older: dict[tuple[str, str, int], AuditReading | None] = {}
+        self._golden: dict[tuple[str, int], float] = {}
 
     def evidence(self, lot_id: str, method_id: str, now: datetime) -> AuditEvidence:
         """Return what is known about a lot from audits.
@@ -79,7 +95,37 @@ class AuditReader:
             if made.method_id != method_id
         ]
         qualification = qualify(here, past, now, lot.sensor_model, method_id, self._golden_failed_at(lot), RULES)
-        return AuditEvidence(qualification, lot_limit(registry, lot_id), self._interval_scale(qualification, lot_id))
+        gains = [reading.gain for audit in here if (reading := readings[audit.serial]) is not None]
+        scale = self._interval_scale(qualification, lot_id)
+        days = self._days(lot, now)
+        return AuditEvidence(qualification, lot_limit(registry, lot_id), scale, seen_gains(gains), days)
+
+    def _days(self, lot: Lot, now: datetime) -> SeenGains | None:
+        """Return the gains of golden units of this sensor model, one a day, each about its unit's own mean."""
+        gains: list[float] = []
+        for serial in sorted({run.serial for run in self._registry.golden_runs(since=now - RULES.lasts)}):
+            for known in self._registry.lots_of(serial):
+                if lot.sensor_model and self._registry.lot(known).sensor_model == lot.sensor_model:
+                    by_day = self._gains_by_day(known, serial, now)
+                    gains += [gain / float(np.mean(by_day)) for gain in by_day]
+        return seen_gains(gains)
+
+    def _gains_by_day(self, lot_id: str, serial: str, now: datetime) -> list[float]:
+        registry, days = self._registry, dict[date, list[float]]()
+        stored = registry.calibration(serial, lot_id=lot_id)
+        for entry in registry.recordings(lot_id, serial, "audit"):
+            if now - entry.added_at > RULES.lasts:
+                continue
+            key = entry.sha256, stored.revision
+            if key not in self._golden:
+                recording = registry.recording(entry.sha256)
+                if not isinstance(recording, LabelledRecording):
+                    continue
+                calibration = Calibration.from_record(stored.record)
+                network = registry.network(stored.record.network_id)
+                self._golden[key] = read_gain(network, calibration, recording)
+            days.setdefault(entry.added_at.date(), []).append(self._golden[key])
+        return [float(np.mean(gains)) for gains in days.values()]
 
     def _golden_failed_at(self, lot: Lot) -> datetime | None:
         """Return when a golden unit last failed; one of another sensor model says nothing about this one."""

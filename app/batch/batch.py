@@ -4,6 +4,7 @@ import time
 from dataclasses import replace
 
 from softcal.app.batch.audit import update_lot
+from softcal.app.batch.line_statement import state_line
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.release import update_release
 from softcal.app.batch.report import BatchReport, UnitResult
@@ -32,8 +33,9 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     own = config.network if config.score_own else None
     model = make_source_model(source, trained.network, method=config.method)
     lot = registry.lot(folder.lot.id)
+    line = state_line(registry, lot.id, folder.line, config.actor)
     reference = state_reference(registry, lot.id, folder.reference, source, config.actor)
-    shared = SharedWork(folder.lot, model, own, stated_limit(lot.reference_unit, lot.limit_rmse), reference)
+    shared = SharedWork(folder.lot, model, own, stated_limit(lot.reference_unit, lot.limit_rmse), line, reference)
     watch.on_start(len(folder.unit_paths))
     results = LotWork(folder, registry, shared, config, watch).results()
     ordered = tuple(results[serial] for serial in folder.unit_paths)

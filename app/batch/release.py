@@ -51,7 +51,7 @@ def decide_release(registry: Registry, lot_id: str, now: datetime) -> LotRelease
     if not made:
         return None
     evidence = AuditReader(registry).evidence(lot_id, made[0].method_id, now)
-    return _decided(evidence, _forecasts(made), _least(units))
+    return _decided(evidence, _open(made), _least(units))
 
 
 @dataclass(frozen=True)
@@ -59,12 +59,12 @@ class _Standing:
     """What a line knows of a lot: the evidence it decided on last, and its units as they were then or came since.
 
     Args:
-        forecasts: of the unmeasured units, by serial.
+        units: unmeasured ones, by serial.
         least: number of them that must pass.
     """
 
     evidence: AuditEvidence
-    forecasts: Mapping[str, float]
+    units: Mapping[str, MadeCalibration]
     least: float = 0.0
 
 
@@ -97,10 +97,10 @@ class LineRelease:
         known = self._standing.get(lot_id, _Standing(evidence, {}))
         if known.evidence != evidence or lot_id not in self._standing:
             known = self._look(lot_id, evidence)
-        others = {other: rmse for other, rmse in known.forecasts.items() if other != serial}
-        known = replace(known, forecasts={**others, **_forecasts(pressed)})
+        others = {other: made for other, made in known.units.items() if other != serial}
+        known = replace(known, units={**others, **_open(pressed)})
         self._standing[lot_id] = known
-        decided = _decided(evidence, known.forecasts, known.least)
+        decided = _decided(evidence, known.units, known.least)
         if serial in decided.forecasts:
             with registry.transaction():
                 _keep(registry, lot_id, serial, decided, actor)
@@ -110,7 +110,7 @@ class LineRelease:
         if not evidence.qualification.is_given:
             return _Standing(evidence, {})
         units = _whole_lot(self._registry, lot_id)
-        return _Standing(evidence, _forecasts(_made(units)), _least(units))
+        return _Standing(evidence, _open(_made(units)), _least(units))
 
 
 def _whole_lot(registry: Registry, lot_id: str) -> Mapping[str, UnitStanding]:
@@ -128,18 +128,28 @@ def _least(units: Mapping[str, UnitStanding]) -> float:
     return least_passing(len(units), len(held))
 
 
-def _forecasts(units: Sequence[MadeCalibration]) -> dict[str, float]:
-    """Return the forecasts of the units that nobody measured and no finding stands against."""
+def _open(units: Sequence[MadeCalibration]) -> dict[str, MadeCalibration]:
+    """Return the units that nobody measured and no finding stands against, by serial."""
     return {
-        made.serial: made.forecast_rmse
+        made.serial: made
         for made in units
         if not made.is_audited and made.decision.predicted.verdict in RELEASABLE and made.forecast_rmse
     }
 
 
-def _decided(evidence: AuditEvidence, forecasts: Mapping[str, float], least: float) -> LotRelease:
-    qualification, limit = evidence.qualification, evidence.limit
-    return release_lot(forecasts, qualification, limit, RULES.promise, evidence.interval_scale, least)
+def _decided(evidence: AuditEvidence, units: Mapping[str, MadeCalibration], least: float) -> LotRelease:
+    forecasts = {serial: made.forecast_rmse for serial, made in units.items() if made.forecast_rmse}
+    days = {} if evidence.days is None else {s: evidence.day_rmse(made.load_rms) for s, made in units.items()}
+    return release_lot(
+        forecasts,
+        evidence.qualification,
+        evidence.limit,
+        RULES.promise,
+        interval_scale=evidence.interval_scale,
+        least=least,
+        seen=evidence.seen,
+        days=days,
+    )
 
 
 def _keep(registry: Registry, lot_id: str, serial: str, decided: LotRelease, actor: str | None) -> None:

@@ -4,8 +4,17 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of, say_caution
+from softcal.app.cli.options import (
+    add_columns,
+    add_json,
+    add_lot_of_serial,
+    add_registry,
+    column_names,
+    registry_of,
+    say_caution,
+)
 from softcal.app.output import Progress, say, write_json
+from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.app.use.adapt import AdaptOptions, AdaptReport
@@ -48,6 +57,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     parser.add_argument("--resume", action="store_true", help="go on from the last state of the stream in the registry")
     parser.add_argument("--html", type=Path, metavar="FILE", help="figure of drift, map, estimate and predicted error")
+    add_columns(parser)
     live = parser.add_argument_group("live")
     live.add_argument("--station", type=Path, metavar="FILE", help="station file with the readout's scale and rate")
     live.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds; default: until Ctrl-C")
@@ -84,7 +94,12 @@ def is_live(source: str) -> bool:
 
 
 def _follow(registry: "Registry", options: argparse.Namespace, adapt: "AdaptOptions") -> "AdaptReport":
+    from softcal.app.files.recording_file import PLAIN
+
+    names = column_names(options)
     if is_live(options.source):
+        if names != PLAIN:
+            raise InputError(f"IN is {options.source}: columns and sample rate are named for files only")
         from softcal.app.use.live import LiveOptions, adapt_live
 
         live = LiveOptions(options.source, options.out, options.station, options.duration, options.view)
@@ -94,7 +109,7 @@ def _follow(registry: "Registry", options: argparse.Namespace, adapt: "AdaptOpti
 
     source = Path(options.source)
     progress = Progress("rows", count_rows(source))
-    return adapt_file(registry, options.serial, source, Path(options.out), adapt, progress.reach)
+    return adapt_file(registry, options.serial, source, Path(options.out), adapt, progress.reach, names)
 
 
 def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptReport") -> None:

@@ -4,7 +4,15 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json, add_network, add_registry, batch_watch, network_config, registry_of
+from softcal.app.cli.options import (
+    add_csv,
+    add_json,
+    add_network,
+    add_registry,
+    batch_watch,
+    network_config,
+    registry_of,
+)
 from softcal.app.output import print_table, say, shown, write_json
 
 if TYPE_CHECKING:
@@ -48,6 +56,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--refit", action="store_true", help="fit again what the registry already has")
     add_network(parser)
     add_json(parser)
+    add_csv(parser)
     parser.set_defaults(run=run)
 
 

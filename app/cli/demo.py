@@ -4,7 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_network, batch_watch, network_config
+from softcal.app.cli.options import add_csv, add_json, add_network, batch_watch, network_config
 from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
@@ -34,6 +34,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="worker processes (default 2)")
     add_network(parser)
     add_json(parser)
+    add_csv(parser)
     parser.set_defaults(run=run)
 
 

@@ -4,7 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_registry
+from softcal.app.cli.options import add_csv, add_json, add_registry
 from softcal.app.output import print_table, say, write_json
 
 DONE = 0
@@ -27,6 +27,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     add_registry(parser)
     add_json(parser)
+    add_csv(parser)
     parser.add_argument("--out", type=Path, metavar="ZIP", help="write report and logs into one file for support")
     parser.set_defaults(run=run)
 
@@ -42,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
         say(f"{options.out}: report and {logs} logs")
     if options.json:
         write_json(options.json, report)
-    if options.json != "-":
+    if options.json != "-" or options.csv:
         print_table(("what", "found"), [(name, _text(value)) for name, value in facts.items()])
         print(f"{len(problems)} problems" if problems else "no problems found")
     for problem in problems:

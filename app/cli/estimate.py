@@ -3,12 +3,21 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of, say_caution
+from softcal.app.cli.options import (
+    add_columns,
+    add_json,
+    add_lot_of_serial,
+    add_registry,
+    column_names,
+    registry_of,
+    say_caution,
+)
 from softcal.app.output import say, write_json
 
 EXAMPLES = """examples:
   softcal estimate --serial A1 recording.csv --out estimate.csv
   softcal estimate --serial A1 recording.parquet --out estimate.parquet --revision 2
+  softcal estimate --serial A1 logger.csv --output-column output_V --sample-rate 50 --out estimate.csv
 
 Columns of the result: t_s, estimate, lower, upper (a 90 % interval), flag (why a row is not to be trusted).
 """
@@ -23,9 +32,10 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("recording", type=Path, metavar="IN", help="CSV or Parquet with t_s, output")
+    parser.add_argument("recording", type=Path, metavar="IN", help="CSV, Excel or Parquet with t_s, output")
     parser.add_argument("--out", required=True, type=Path, metavar="OUT", help="CSV or Parquet to write")
     parser.add_argument("--serial", required=True, metavar="S")
+    add_columns(parser)
     parser.add_argument("--revision", type=int, metavar="N", help="an older map; default: the current one")
     add_lot_of_serial(parser)
     add_registry(parser)
@@ -39,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
 
     with registry_of(options, create=False) as registry:
         unit = options.serial, options.revision, options.lot
-        result = estimate_file(registry, options.recording, options.out, *unit)
+        result = estimate_file(registry, options.recording, options.out, *unit, names=column_names(options))
         say_caution(registry, unit, "estimate")
     flags = [flag for flag in result.flag if flag]
     counts = {flag: flags.count(flag) for flag in sorted(set(flags))}

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of
+from softcal.app.cli.options import add_csv, add_json, add_lot_of_serial, add_registry, registry_of
 from softcal.app.output import print_table, say, shown, write_json
 
 EXAMPLES = """examples:
@@ -30,6 +30,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_lot_of_serial(parser)
     add_registry(parser)
     add_json(parser)
+    add_csv(parser)
     parser.set_defaults(run=run)
 
 
@@ -51,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
     facts = why_json(view)
     if options.json:
         write_json(options.json, facts)
-    if options.json != "-":
+    if options.json != "-" or options.csv:
         decision = view.calibration.decision
         why = joined(decision.reasons)
         print(shown(f"{options.serial} {decision.verdict} ({view.calibration.knowledge}): {why}"))
@@ -74,7 +75,7 @@ def _print_method(options: argparse.Namespace) -> int:
     if options.json:
         facts = {"schema": "softcal.method/1", "id": method.id, "numbers": dict(method.to_json())}
         write_json(options.json, facts)
-    if options.json != "-":
+    if options.json != "-" or options.csv:
         stale = "" if method == ours else ", stale: this version uses another"
         print(f"{options.serial}: method {method.id[:12]}{stale}")
         for name, value, origin in method.numbers():

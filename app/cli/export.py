@@ -8,7 +8,7 @@ from getpass import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json, add_registry, registry_of, say_caution
+from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of, say_caution
 from softcal.app.export.names import FORMATS
 from softcal.app.output import Progress, print_table, say, write_json
 
@@ -67,6 +67,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     _add_certificate_options(parser)
     add_registry(parser)
     add_json(parser)
+    add_csv(parser)
     parser.set_defaults(run=run)
 
 

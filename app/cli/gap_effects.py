@@ -3,7 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json
+from softcal.app.cli.options import add_csv, add_json
 
 if TYPE_CHECKING:
     from softcal.core.twin.effects import Effect
@@ -25,6 +25,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_json(parser)
+    add_csv(parser)
     parser.set_defaults(run=_list)
 
 
@@ -34,7 +35,7 @@ def _list(options: argparse.Namespace) -> int:
 
     if options.json:
         write_json(options.json, [_record(effect) for effect in EFFECTS.values()])
-    if options.json != "-":
+    if options.json != "-" or options.csv:
         header = ["effect", "stage", "equation", "needs", "hides behind", "shown by"]
         print_table(header, [_row(effect) for effect in EFFECTS.values()])
     return 0

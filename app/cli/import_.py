@@ -11,7 +11,7 @@ EXAMPLES = """examples:
     softcal import S1.csv S2.csv --source S1 --output-column output_V --reference-column force_N \\
         --sample-rate 50 --audit --out lot-1
   one wide file, a column per unit:
-    softcal import insole.parquet --source taxel_003 --output-column 'taxel_*' --reference-column pressure_bar \\
+    softcal import insole.parquet --source taxel_001 --output-column 'taxel_*' --reference-column pressure_bar \\
         --time-column t_s --reference-quantity pressure --reference-unit bar --output-unit count --out lot-2
 then: softcal batch lot-1
 """
@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
         options.files, columns, lot, options.audit, options.rows, options.audit_rows, options.sheet, options.serial,
         options.most_cells,
     )  # fmt: skip
-    units = import_lot(plan, options.out)
+    units = import_lot(plan, options.out, lambda remark: say(f"note: {remark}"))
     say(f"{options.out}: lot {lot.id!r}, source {lot.source}, {len(units)} target units, {rate_Hz:g} Hz")
     if options.json:
         write_json(options.json, {"schema": "softcal.import/1", "lot": lot.id, "source": lot.source, "units": units})

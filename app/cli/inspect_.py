@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_json
+from softcal.app.cli.options import add_csv, add_json
 from softcal.app.output import print_table, write_json
 
 EXAMPLES = """examples:
@@ -27,6 +27,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("file", type=Path, metavar="FILE", help=".ssc or .json")
     parser.add_argument("--network", type=Path, metavar="FILE", help="the network file, to run a unit's self-tests")
     add_json(parser)
+    add_csv(parser)
     parser.set_defaults(run=run)
 
 
@@ -43,6 +44,6 @@ def run(options: argparse.Namespace) -> int:
     rows = file_rows(file, network)
     if options.json:
         write_json(options.json, file_values(file))
-    if options.json != "-":
+    if options.json != "-" or options.csv:
         print_table(("what", "value"), rows)
     return 0

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from softcal.app.bootstrap import open_chosen_registry
-from softcal.app.cli.options import add_json, add_network, add_registry, network_config
+from softcal.app.cli.options import add_csv, add_json, add_network, add_registry, network_config
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 from softcal.core.quality.line_rules import LETTERS, RETESTS
@@ -49,6 +49,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     limit.add_argument("lot", metavar="ID", help="lot in the registry")
     add_registry(limit)
     add_json(limit)
+    add_csv(limit)
     limit.add_argument("--rmse", type=float, help="new limit in the lot's reference unit")
     limit.add_argument("--reason", help="why; needed with --rmse")
     limit.add_argument("--expect", type=int, metavar="VERSION", help="refuse when somebody changed it since")
@@ -109,6 +110,7 @@ def _add_release(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     release.add_argument("lot", metavar="ID", help="lot in the registry, or its folder")
     add_registry(release)
     add_json(release)
+    add_csv(release)
     release.add_argument("--pdf", type=Path, metavar="FILE", help="write the statement as one page")
     release.set_defaults(run=_release)
 
@@ -131,7 +133,7 @@ def _release(options: argparse.Namespace) -> int:
         say(f"{options.pdf}: statement on lot {lot_id}")
     if options.json:
         write_json(options.json, {"schema": "softcal.lot.release/1", "lot": lot_id, **decided.to_json()})
-    if options.json != "-":
+    if options.json != "-" or options.csv:
         rows = [
             [a.serial, a.lot, a.forecast_rmse, a.measured_rmse, a.measured_rmse / a.forecast_rmse, a.word]
             for a in facts.audits
@@ -197,7 +199,7 @@ def _limit(options: argparse.Namespace) -> int:
     if options.json:
         entries = [vars(entry) | {"made_at": entry.made_at.isoformat()} for entry in versions]
         write_json(options.json, {"schema": "softcal.lot.limit/1", "unit": unit, "versions": entries})
-    if options.json != "-":
+    if options.json != "-" or options.csv:
         rows = [[e.version, e.rmse, f"{e.made_at:%Y-%m-%d %H:%M}", e.actor, e.reason] for e in versions]
         print_table(("version", f"limit {unit}", "set (UTC)", "by", "reason"), rows)
     return DONE

@@ -6,7 +6,9 @@ import sys
 from importlib.metadata import version
 from typing import Any
 
+from softcal.app.cli.parser import Parser
 from softcal.app.extras import missing_extra
+from softcal.app.output import answering
 from softcal.core.errors import DeviceError, InputError, RegistryError, SoftcalError
 
 DONE, SOME_UNIT_NOT_PASSED, WRONG_USE, RIG_FAILED, REGISTRY_FAILED = 0, 1, 2, 3, 4
@@ -27,8 +29,10 @@ COMMANDS = (
     "lot",
     "quality",
     "gap",
+    "report",
     "ui",
     "doctor",
+    "completion",
 )
 """Modules of `softcal.app.cli`, in the order of `softcal --help`; each has `add_parser` and sets `run`."""
 
@@ -41,7 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     A defect of softcal itself is one line for the person, too; its traceback goes to the log.
     """
-    options = _parser().parse_args(arguments)
+    options = command_parser().parse_args(arguments)
     log = _log_of(options, sys.argv[1:] if arguments is None else arguments)
     code, message = _outcome(options)
     if log is not None:
@@ -56,7 +60,8 @@ def main(arguments: list[str] | None = None) -> int:
 def _outcome(options: argparse.Namespace) -> tuple[int, str]:
     """Run the command; return its exit code, and what is to be said where it did not end well."""
     try:
-        return int(options.run(options)), ""
+        with answering(getattr(options, "json", None), _csv_of(options)):
+            return int(options.run(options)), ""
     except InputError as error:
         return WRONG_USE, str(error)
     except DeviceError as error:
@@ -74,6 +79,11 @@ def _outcome(options: argparse.Namespace) -> tuple[int, str]:
         return WRONG_USE, missing_extra(error) or _crash(options, error)
     except Exception as error:
         return WRONG_USE, _crash(options, error)
+
+
+def _csv_of(options: argparse.Namespace) -> str | None:
+    target = getattr(options, "csv", None)
+    return None if target is None else str(target)
 
 
 def _crash(options: argparse.Namespace, error: Exception) -> str:
@@ -94,8 +104,9 @@ def _log_of(options: argparse.Namespace, arguments: list[str]) -> Any:
     return begin_run(command.strip("_"), arguments, **context)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def command_parser() -> argparse.ArgumentParser:
+    """Return the parser of every command."""
+    parser = Parser(
         prog="softcal",
         description="Calibrate soft sensors: one shared network, one optimal-transport map per unit.",
         epilog="Start with: softcal demo",

@@ -10,6 +10,7 @@ from softcal.app.output import Progress, say
 if TYPE_CHECKING:
     from softcal.app.batch.lot_work import Watch
     from softcal.app.batch.report import UnitResult
+    from softcal.app.files.recording_file import ColumnNames
     from softcal.core.network.config import EpochReport, NetworkConfig
     from softcal.db.registry import Registry
 
@@ -32,6 +33,30 @@ def add_lot_of_serial(parser: argparse.ArgumentParser) -> None:
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add `--json FILE`."""
     parser.add_argument("--json", metavar="FILE", help=JSON_HELP)
+
+
+def add_csv(parser: argparse.ArgumentParser) -> None:
+    """Add `--csv FILE`, for a command whose answer is one table."""
+    parser.add_argument("--csv", metavar="FILE", help="write the table as .csv or .xlsx; - for CSV on standard output")
+
+
+def add_columns(parser: argparse.ArgumentParser) -> None:
+    """Add what `import` calls the columns of a table: for tables as an instrument wrote them."""
+    group = parser.add_argument_group("columns of IN, where they are not t_s and output")
+    group.add_argument("--output-column", metavar="NAME", help="column of the output")
+    group.add_argument("--time-column", metavar="NAME", help="column of the time in s")
+    group.add_argument(
+        "--sample-rate", type=positive, metavar="HZ", help="without a column of time: samples a second make the time"
+    )
+
+
+def column_names(options: argparse.Namespace) -> "ColumnNames":
+    """Return the columns that the options name."""
+    from softcal.app.files.recording_file import PLAIN, ColumnNames
+
+    is_timed = options.time_column is not None or options.sample_rate is None
+    time = (options.time_column or PLAIN.time) if is_timed else None
+    return ColumnNames(options.output_column or PLAIN.output, time, options.sample_rate)
 
 
 def add_network(parser: argparse.ArgumentParser) -> None:

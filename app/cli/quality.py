@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.bootstrap import open_chosen_registry
-from softcal.app.cli.options import add_json, add_registry
+from softcal.app.cli.options import add_csv, add_json, add_registry
 from softcal.app.output import print_table, write_json
 from softcal.core.errors import InputError
 
@@ -65,6 +65,7 @@ def _action(
 ) -> argparse.ArgumentParser:
     parser = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
     add_json(parser)
+    add_csv(parser)
     parser.set_defaults(run=action)
     return parser
 
@@ -153,8 +154,7 @@ def _answer(
 ) -> int:
     if options.json:
         write_json(options.json, value)
-    if options.json != "-":
-        print_table(header, rows)
-        if closing:
-            print(closing)
+    print_table(header, rows)
+    if closing:
+        print(closing)
     return DONE

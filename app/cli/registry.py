@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.bootstrap import open_chosen_registry, registry_url
-from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry
+from softcal.app.cli.options import add_csv, add_json, add_lot_of_serial, add_registry
 from softcal.app.output import print_table, say, shown, write_json
 from softcal.core.errors import RegistryError
 
@@ -42,10 +42,11 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     listing = _action(actions, "list", "units with their newest verdict", _list)
     listing.add_argument("--lot", metavar="ID", help="only this lot")
-    listing.add_argument("--csv", type=Path, metavar="FILE", help="write the table as CSV for a spreadsheet")
+    add_csv(listing)
     history = _action(actions, "history", "every revision of a unit's map", _history)
     history.add_argument("--serial", required=True)
     add_lot_of_serial(history)
+    add_csv(history)
     verify = _action(actions, "verify", "check every stored byte, every row, the schema and the audit trail", _verify)
     verify.add_argument("--quick", action="store_true", help="leave out pages and blobs")
     verify.add_argument(
@@ -101,17 +102,13 @@ def _answer(options: argparse.Namespace, line: str, value: dict[str, object]) ->
 
 
 def _list(options: argparse.Namespace) -> int:
-    from softcal.app.files.spreadsheet import write_table
     from softcal.app.registry.listing import UNIT_HEADER, unit_json, unit_row
 
     with _existing(options) as registry:
         units = registry.units(options.lot)
-    if options.csv:
-        write_table(options.csv, UNIT_HEADER, [unit_row(unit) for unit in units])
     if options.json:
         write_json(options.json, {"schema": "softcal.registry.list/1", "units": [unit_json(unit) for unit in units]})
-    if options.json != "-":
-        print_table(UNIT_HEADER, [unit_row(unit) for unit in units])
+    print_table(UNIT_HEADER, [unit_row(unit) for unit in units])
     return DONE
 
 
@@ -125,8 +122,6 @@ def _history(options: argparse.Namespace) -> int:
     if options.json:
         value = {"schema": "softcal.registry.history/1", "serial": options.serial, "lot": lot_id}
         write_json(options.json, value | {"revisions": [history_json(stored) for stored in revisions]})
-    if options.json == "-":
-        return DONE
     print(f"unit {options.serial} of lot {', '.join(unit.lot_id for unit in units)}")
     if revisions:
         print_table(HISTORY_HEADER, [history_row(stored) for stored in revisions])

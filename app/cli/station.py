@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_json, positive
+from softcal.app.cli.options import add_csv, add_json, positive
 from softcal.app.cli.station_service import add_service_actions
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
@@ -157,6 +157,7 @@ def _add_drivers(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     drivers.add_argument("--kind", metavar="KIND", help="this kind only, with what its keys mean")
     add_json(drivers)
+    add_csv(drivers)
     drivers.set_defaults(run=run_drivers)
 
 

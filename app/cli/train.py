@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_network, add_registry, network_config, registry_of, say_epoch
+from softcal.app.cli.options import add_csv, add_json, add_network, add_registry, network_config, registry_of, say_epoch
 from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
@@ -26,6 +26,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     add_registry(parser)
     add_network(parser)
     add_json(parser)
+    add_csv(parser)
     parser.set_defaults(run=run)
 
 

@@ -1,8 +1,9 @@
 """Make a lot folder out of the tables people have: one file per unit, or one wide file with a column per unit."""
 
 import fnmatch
+import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softcal.app.files.atomic import whole_folder
-from softcal.app.files.lot_folder import write_lot_toml
+from softcal.app.files.lot_folder import same_recording, write_lot_toml
 from softcal.app.files.recording_file import MOST_CELLS, column, naming, read_table, write_columns
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
@@ -89,8 +90,13 @@ class ImportedUnit:
         return ImportedUnit(self.recording.part(start, stop), reference)
 
 
-def import_lot(plan: ImportPlan, folder: Path) -> list[str]:
+def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] = lambda line: None) -> list[str]:
     """Write a lot folder, whole or not at all, and return the serials of its target units.
+
+    Args:
+        plan: what to import.
+        folder: the lot folder to make.
+        on_remark: told what is odd but no error, for example one recording under two serials.
 
     Raises:
         InputError: `folder` exists and is not empty, a table cannot be used, a serial comes twice, or the source is
@@ -104,7 +110,17 @@ def import_lot(plan: ImportPlan, folder: Path) -> list[str]:
         raise InputError(f"source {plan.lot.source!r} has no reference; name its column with --reference-column")
     with whole_folder(folder) as part:
         _write(part, plan, units)
+    for serials in _alike(units):
+        on_remark(same_recording(serials))
     return [serial for serial in units if serial != plan.lot.source]
+
+
+def _alike(units: Mapping[str, ImportedUnit]) -> list[list[str]]:
+    """Return the serials whose outputs are the same, sample by sample."""
+    by_output: dict[bytes, list[str]] = {}
+    for serial, unit in units.items():
+        by_output.setdefault(hashlib.sha256(unit.recording.output.tobytes()).digest(), []).append(serial)
+    return [serials for serials in by_output.values() if len(serials) > 1]
 
 
 def _write(folder: Path, plan: ImportPlan, units: dict[str, ImportedUnit]) -> None:

@@ -1,7 +1,9 @@
 """A lot folder: lot.toml, source/, units/, audit/ into core values. One unreadable unit never stops the others."""
 
+import hashlib
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date, datetime
 from pathlib import Path
@@ -11,10 +13,12 @@ import tomlkit
 
 from softcal.app.files.atomic import write_text
 from softcal.app.files.recording_file import CSV, PARQUET, naming, read_labelled, read_recording
+from softcal.app.files.regular import read_regular
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.budget import DAYS, NUMBERS, SIMULATED, Reference
+from softcal.core.unit.line_spread import LineSpread
 
 KNOWN_KEYS = {
     "": {"sample_rate_Hz", "source"},
@@ -22,6 +26,7 @@ KNOWN_KEYS = {
     "reference": {"quantity", "unit", "cell", "certificate", "laboratory", *DAYS, *NUMBERS},
     "output": {"unit", "sample_rate_Hz", "source"},
     "limit": {"rmse"},
+    "line": {"load_spread", "day_spread"},
 }
 """Keys of lot.toml by table. The two bare keys may also stand in [lot] or [output], where TOML puts what follows."""
 
@@ -37,6 +42,7 @@ class LotFolder:
         unit_paths: recording of each target unit by serial.
         audit_paths: labelled recordings that only score, by serial.
         remarks: what in the folder was not understood, in words.
+        line: how differently the line presses units, where `lot.toml` states it.
         reference: what the source was compared with; None where `lot.toml` does not say.
     """
 
@@ -46,6 +52,7 @@ class LotFolder:
     unit_paths: Mapping[str, Path]
     audit_paths: Mapping[str, Path]
     remarks: tuple[str, ...] = ()
+    line: LineSpread | None = None
     reference: Reference | None = None
 
     def read_source(self) -> LabelledRecording:
@@ -74,7 +81,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such lot folder; make one with `softcal import`")
-    lot, reference, remarks = _read_lot_toml(folder / "lot.toml")
+    lot, line, reference, remarks = _read_lot_toml(folder / "lot.toml")
     sources = _recordings(folder / "source")
     if lot.source not in sources:
         seen = ", ".join(sources) or "nothing"
@@ -83,7 +90,36 @@ def open_lot_folder(folder: Path) -> LotFolder:
     strangers = sorted(set(audits) - set(units) - {lot.source})
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
-    return LotFolder(folder, lot, sources[lot.source], units, audits, remarks, reference)
+    remarks = (*remarks, *_same_files(units))
+    return LotFolder(folder, lot, sources[lot.source], units, audits, remarks, line, reference)
+
+
+def _same_files(units: Mapping[str, Path]) -> Iterator[str]:
+    """Say which units have one and the same file: one of the serials is wrong, or a file was copied."""
+    by_size: dict[int, list[str]] = {}
+    for serial, path in units.items():
+        if path.is_file():
+            by_size.setdefault(path.stat().st_size, []).append(serial)
+    for alike in by_size.values():
+        if len(alike) > 1:
+            yield from _same_content({serial: units[serial] for serial in alike})
+
+
+def _same_content(units: Mapping[str, Path]) -> Iterator[str]:
+    by_hash: dict[str, list[str]] = {}
+    for serial, path in units.items():
+        # What cannot be read is the result of its unit and of no other.
+        with suppress(InputError):
+            content = read_regular(path, path.parent.parent)
+            by_hash.setdefault(hashlib.sha256(content).hexdigest(), []).append(serial)
+    for serials in by_hash.values():
+        if len(serials) > 1:
+            yield same_recording(serials)
+
+
+def same_recording(serials: Sequence[str]) -> str:
+    """Return the remark on serials that have one and the same recording."""
+    return f"units {', '.join(serials)} have one and the same recording; check which serial it belongs to"
 
 
 def _recordings(folder: Path) -> dict[str, Path]:
@@ -101,7 +137,7 @@ def _recordings(folder: Path) -> dict[str, Path]:
     return found
 
 
-def _read_lot_toml(path: Path) -> tuple[Lot, Reference | None, tuple[str, ...]]:
+def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...]]:
     if not path.is_file():
         raise InputError(f"{path}: there is no lot.toml; `softcal import` writes one")
     try:
@@ -109,11 +145,12 @@ def _read_lot_toml(path: Path) -> tuple[Lot, Reference | None, tuple[str, ...]]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
     with naming(path):
-        tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit")}
+        tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit", "line")}
         for name, table in tables.items():
             if not isinstance(table, dict):
                 raise InputError(f"[{name}] must be a table")
-        return _lot(content, tables), _reference(tables), tuple(_unknown_keys(path, content))
+        line, reference = _line(tables["line"]), _reference(tables)
+        return _lot(content, tables), line, reference, tuple(_unknown_keys(path, content))
 
 
 def _reference(tables: Mapping[str, Mapping[str, object]]) -> Reference | None:
@@ -138,6 +175,13 @@ def _day(value: object, shown: str) -> date:
     if not isinstance(value, date) or isinstance(value, datetime):
         raise InputError(f"{shown} is {value!r}; a date such as 2026-01-31 was expected")
     return value
+
+
+def _line(table: Mapping[str, object]) -> LineSpread | None:
+    if not table:
+        return None
+    load, day = (_number(table.get(name, 0.0), f"[line] {name}") for name in ("load_spread", "day_spread"))
+    return LineSpread(load, day)
 
 
 def _lot(content: Mapping[str, object], tables: Mapping[str, Mapping[str, object]]) -> Lot:

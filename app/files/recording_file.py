@@ -3,6 +3,7 @@
 import csv
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -27,6 +28,31 @@ EXCEL_BYTES_PER_CELL = 20
 
 EXCEL_CELLS_SHARE = 0.1
 """Excel cells cost ten times as long to read as others: as many are allowed fewer."""
+
+
+@dataclass(frozen=True)
+class ColumnNames:
+    """Which columns of a table hold a recording's output and time.
+
+    Args:
+        output: name of the output column.
+        time: name of the column of time in s; None makes the time from `rate_Hz`.
+        rate_Hz: samples a second, where there is no column of time.
+
+    Raises:
+        InputError: neither a column of time nor a rate.
+    """
+
+    output: str = "output"
+    time: str | None = "t_s"
+    rate_Hz: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.time is None and not (self.rate_Hz is not None and 0 < self.rate_Hz < float("inf")):
+            raise InputError("there is neither a column of time nor a positive sample rate; give one of them")
+
+
+PLAIN = ColumnNames()
 
 
 def read_table(
@@ -186,15 +212,21 @@ def shown(value: object) -> str:
 
 
 def read_recording(
-    path: Path, serial: str, sample_rate_Hz: float | None, output_unit: str = "V", content: bytes | None = None
+    path: Path,
+    serial: str,
+    sample_rate_Hz: float | None,
+    output_unit: str = "V",
+    content: bytes | None = None,
+    names: ColumnNames = PLAIN,
 ) -> OutputRecording:
     """Read `t_s, output` (and `stage_mm` where there is one). Any other column, a reference too, is not looked at.
 
     Args:
         sample_rate_Hz: the declared rate; None takes the median rate of the time stamps.
         content: the bytes of the file where somebody has read them already.
+        names: of the columns, where they are called otherwise.
     """
-    return _recording(read_table(path, content=content), path, serial, sample_rate_Hz, output_unit)
+    return _recording(read_table(path, content=content), path, serial, sample_rate_Hz, output_unit, names)
 
 
 def read_labelled(
@@ -218,9 +250,15 @@ def read_labelled(
 
 
 def _recording(
-    table: "pd.DataFrame", path: Path, serial: str, sample_rate_Hz: float | None, output_unit: str
+    table: "pd.DataFrame",
+    path: Path,
+    serial: str,
+    sample_rate_Hz: float | None,
+    output_unit: str,
+    names: ColumnNames = PLAIN,
 ) -> OutputRecording:
-    t_s, output = column(table, "t_s", path), column(table, "output", path)
+    output = column(table, names.output, path)
+    t_s = np.arange(len(output)) / (names.rate_Hz or 1.0) if names.time is None else column(table, names.time, path)
     stage_mm = column(table, "stage_mm", path) if "stage_mm" in table.columns else None
     with naming(path):
         return OutputRecording(serial, t_s, output, sample_rate_Hz or _median_rate_Hz(t_s), output_unit, stage_mm)

@@ -9,7 +9,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from softcal.app.files.atomic import whole_file
-from softcal.app.files.recording_file import CSV, PARQUET, named_column, read_table, shown
+from softcal.app.files.recording_file import CSV, PARQUET, PLAIN, ColumnNames, named_column, read_table, shown
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
 from softcal.core.unit.estimate import Estimate
@@ -21,18 +21,22 @@ if TYPE_CHECKING:
 PIECE = 1024
 """Rows read, estimated and written at once."""
 
-COLUMNS = ("t_s", "output")
 
-
-def read_stream(path: Path) -> Iterator[tuple[Array, Array]]:
+def read_stream(path: Path, names: ColumnNames = PLAIN) -> Iterator[tuple[Array, Array]]:
     """Yield `t_s` and `output` in pieces, a row for every row of the file; what is empty or cut off is NaN.
+
+    Args:
+        names: of the columns, where they are called otherwise.
 
     Raises:
         InputError: no such file, no such columns, a text where a number belongs, or fewer rows than one window.
     """
     rows = 0
-    for t_s, output in _csv_pieces(path) if path.suffix.lower() in CSV else _table_pieces(path):
-        rows += len(t_s)
+    wanted = (names.output,) if names.time is None else (names.time, names.output)
+    for columns in _csv_pieces(path, wanted) if path.suffix.lower() in CSV else _table_pieces(path, wanted):
+        output = columns[-1]
+        t_s = (rows + np.arange(len(output))) / names.rate_Hz if names.rate_Hz and not names.time else columns[0]
+        rows += len(output)
         # A first piece this short is the whole file.
         if rows < TAPS:
             raise InputError(f"{path}: {rows} rows; at least {TAPS} are needed to fill one window")
@@ -53,12 +57,12 @@ def count_rows(path: Path) -> int:
     return 0
 
 
-def _table_pieces(path: Path) -> Iterator[tuple[Array, Array]]:
+def _table_pieces(path: Path, names: tuple[str, ...]) -> Iterator[tuple[Array, ...]]:
     import pandas as pd
 
     table = read_table(path)
     columns = []
-    for name in COLUMNS:
+    for name in names:
         raw = named_column(table, name, path)
         values = pd.to_numeric(raw, errors="coerce").to_numpy(dtype=np.float64)
         text = np.flatnonzero(np.isnan(values) & raw.notna().to_numpy())
@@ -66,15 +70,15 @@ def _table_pieces(path: Path) -> Iterator[tuple[Array, Array]]:
             raise _not_a_number(path, int(text[0]) + 2, name, raw.iloc[text[0]])
         columns.append(values)
     for start in range(0, len(table), PIECE):
-        yield columns[0][start : start + PIECE], columns[1][start : start + PIECE]
+        yield tuple(values[start : start + PIECE] for values in columns)
 
 
-def _csv_pieces(path: Path) -> Iterator[tuple[Array, Array]]:
+def _csv_pieces(path: Path, names: tuple[str, ...]) -> Iterator[tuple[Array, ...]]:
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
-            yield from _numbers(path, file)
+            yield from _numbers(path, file, names)
         except UnicodeDecodeError as error:
             raise InputError(
                 f"{path}: not a text file (byte {error.start} is not UTF-8); export it as CSV again"
@@ -83,13 +87,13 @@ def _csv_pieces(path: Path) -> Iterator[tuple[Array, Array]]:
             raise InputError(f"{path}: cannot be read as a CSV table: {error}") from error
 
 
-def _numbers(path: Path, file: IO[str]) -> Iterator[tuple[Array, Array]]:
+def _numbers(path: Path, file: IO[str], names: tuple[str, ...]) -> Iterator[tuple[Array, ...]]:
     reader = csv.reader(file, delimiter="\t" if path.suffix.lower() == ".tsv" else ",")
     header = next(reader, None)
     if header is None:
         raise InputError(f"{path}: the file is empty")
-    places = _places(path, [name.strip() for name in header])
-    piece: list[tuple[float, float]] = []
+    places = _places(path, [name.strip() for name in header], names)
+    piece: list[list[float]] = []
     wrong: InputError | None = None
     for row in reader:
         if wrong is not None:
@@ -97,7 +101,7 @@ def _numbers(path: Path, file: IO[str]) -> Iterator[tuple[Array, Array]]:
         if not row:
             continue
         values = []
-        for name, place in zip(COLUMNS, places, strict=True):
+        for name, place in zip(names, places, strict=True):
             text = row[place].strip() if place < len(row) else ""
             try:
                 values.append(float(text) if text else np.nan)
@@ -105,7 +109,7 @@ def _numbers(path: Path, file: IO[str]) -> Iterator[tuple[Array, Array]]:
                 # The last line of a stream may have been cut off; only a further line makes this one wrong.
                 wrong = wrong or _not_a_number(path, reader.line_num, name, text)
                 values.append(np.nan)
-        piece.append((values[0], values[1]))
+        piece.append(values)
         if len(piece) == PIECE:
             yield _columns(piece)
             piece = []
@@ -115,17 +119,16 @@ def _numbers(path: Path, file: IO[str]) -> Iterator[tuple[Array, Array]]:
         raise InputError(f"{path}: there is no row of data below the header")
 
 
-def _places(path: Path, header: list[str]) -> tuple[int, int]:
+def _places(path: Path, header: list[str], names: tuple[str, ...]) -> list[int]:
     import pandas as pd
 
-    for name in COLUMNS:
+    for name in names:
         named_column(pd.DataFrame(columns=header), name, path)
-    return header.index("t_s"), header.index("output")
+    return [header.index(name) for name in names]
 
 
-def _columns(piece: list[tuple[float, float]]) -> tuple[Array, Array]:
-    table = np.array(piece)
-    return table[:, 0].copy(), table[:, 1].copy()
+def _columns(piece: list[list[float]]) -> tuple[Array, ...]:
+    return tuple(np.array(piece).T.copy())
 
 
 def _not_a_number(path: Path, line: int, name: str, value: object) -> InputError:

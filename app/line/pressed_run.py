@@ -5,6 +5,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 from softcal.app.batch.calibrating import Refusal, calibrated
+from softcal.app.batch.line_statement import stated_line
 from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import check_golden, quarantine
@@ -143,7 +144,8 @@ class RunKeeper:
             return sha256, None
         lot = registry.lot(order.lot_id)
         limit = stated_limit(lot.reference_unit, lot.limit_rmse)
-        problem = UnitProblem(self._source_model(entry), unit, limit, reference=lot_reference(registry, lot.id))
+        line, reference = stated_line(registry, lot.id), lot_reference(registry, lot.id)
+        problem = UnitProblem(self._source_model(entry), unit, limit, line=line, reference=reference)
         known = registry.find_calibration(unit.serial, problem.input_sha256, lot_id=lot.id)
         if known is not None:
             registry.put_in_use(lot.id, unit.serial, problem.input_sha256, "line", actor=order.actor or None)

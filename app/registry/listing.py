@@ -38,7 +38,7 @@ def unit_row(unit: UnitEntry) -> list[object]:
     """Return one row of the table under `UNIT_HEADER`."""
     conflict = "two registries put different maps into use; see history" if unit.is_conflict else ""
     stale = "stale: made with another method than this version's; run the batch again" if unit.is_stale else ""
-    reason = "; ".join(filter(None, (conflict, stale, *map(str, unit.reasons))))[:100]
+    reason = "; ".join(filter(None, (conflict, stale, *map(str, unit.reasons))))
     errors = [unit.predicted_rmse, unit.before_rmse, unit.after_rmse, unit.own_rmse]
     made = unit.made_at and f"{unit.made_at:%Y-%m-%d %H:%M}"
     return [unit.lot_id, unit.serial, unit.role, unit.verdict, unit.revision, unit.family, *errors, made, reason]

@@ -11,9 +11,11 @@ from typing import Any
 from softcal.app.charts.adaptation import adaptation_figure
 from softcal.app.charts.trace import Trace
 from softcal.app.files.atomic import write_text
+from softcal.app.files.recording_file import PLAIN, ColumnNames
 from softcal.app.files.stream_file import estimate_writer, read_stream
 from softcal.app.registry.source import source_recording, unlabelled
 from softcal.core.errors import InputError
+from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
@@ -289,22 +291,29 @@ def adapt_file(
     target: Path,
     options: AdaptOptions = AdaptOptions(),  # noqa: B008 - frozen
     on_rows: Callable[[int], None] = lambda rows: None,
+    names: ColumnNames = PLAIN,
 ) -> AdaptReport:
     """Follow a recorded stream: `t_s, output` of `source` in, `t_s, estimate, lower, upper, flag` to `target`.
 
     A row of the result depends on no later row of `source`; `target` appears whole or not at all.
 
+    Args:
+        names: of the columns of `source`, where they are called otherwise.
+
     Raises:
-        InputError: `source` cannot be read, or the registry does not know the serial.
+        InputError: `source` cannot be read, the registry does not know the serial, or a stream is to go on without a
+            column of time.
     """
+    if options.resume and names.time is None:
+        raise InputError(f"{source}: --resume goes on in time; name the column of the time with --time-column")
     unit = unit_in_use(registry, serial, options.revision, options.lot_id)
-    stream = options.stream or _stream_of(source, options.config.mode)
+    stream = options.stream or _stream_of(source, options.config.mode, names)
     follower = Follower(registry, unit, stream, options, is_repeatable=True)
     if options.resume:
         follower.begin_file()
     kept = 0
     with estimate_writer(target) as writer:
-        for t_s, output in read_stream(source):
+        for t_s, output in read_stream(source, names):
             writer.write(follower.advance(t_s, output))
             on_rows(follower.report.rows)
             if follower.report.rows - kept >= FILE_MAPS_ROWS:
@@ -314,13 +323,14 @@ def adapt_file(
     return follower.report
 
 
-def _stream_of(source: Path, mode: str) -> str:
-    """Return a name that the same content always has."""
+def _stream_of(source: Path, mode: str, names: ColumnNames) -> str:
+    """Return a name that the same content, read the same way, always has."""
     if not source.is_file():
         raise InputError(f"{source}: there is no such file")
     with source.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return f"{source.name[:40]} {digest[:16]} {mode}"
+    read_as = "" if names == PLAIN else f" {content_sha256({}, asdict(names))[:8]}"
+    return f"{source.name[:40]} {digest[:16]} {mode}{read_as}"
 
 
 def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[str, object]:

@@ -2,18 +2,28 @@
 
 from pathlib import Path
 
-from softcal.app.files.recording_file import read_recording, write_columns
+from softcal.app.files.recording_file import PLAIN, ColumnNames, read_recording, write_columns
 from softcal.app.registry.unit import calibrated_unit
 from softcal.core.unit.estimate import Estimate, estimate
 from softcal.db.registry import Registry
 
 
 def estimate_file(
-    registry: Registry, source: Path, target: Path, serial: str, revision: int | None = None, lot_id: str | None = None
+    registry: Registry,
+    source: Path,
+    target: Path,
+    serial: str,
+    revision: int | None = None,
+    lot_id: str | None = None,
+    names: ColumnNames = PLAIN,
 ) -> Estimate:
-    """Read `t_s, output` of `source`, write `t_s, estimate, lower, upper, flag` to `target`, whole or not at all."""
+    """Read `t_s, output` of `source`, write `t_s, estimate, lower, upper, flag` to `target`, whole or not at all.
+
+    Args:
+        names: of the columns of `source`, where they are called otherwise.
+    """
     lot, network, calibration = calibrated_unit(registry, serial, revision, lot_id)
-    recording = read_recording(source, serial, lot.sample_rate_Hz, lot.output_unit)
+    recording = read_recording(source, serial, lot.sample_rate_Hz, lot.output_unit, names=names)
     result = estimate(network, calibration, recording)
     write_estimate(target, result)
     return result

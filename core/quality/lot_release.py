@@ -1,7 +1,7 @@
 """The decision on the units of a lot that nobody measured: qualification, bound, a judgement a unit, one statement."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from softcal.core.quality.acceptance import Promise
 from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import LEAST_PART, AuditedUnit, Release, release
 from softcal.core.reason import Reason, Value, plain, reason
+from softcal.core.unit.line_spread import SeenGains
 from softcal.core.unit.verdict import Judgement, Limit, Verdict
 
 
@@ -24,6 +25,8 @@ class LotRelease:
         found: which of them are released; None without a qualification.
         interval_scale: factor on the half-width of their 90 % intervals.
         statement: the promise, or why there is none, in one sentence.
+        seen: gains that audited units of this lot read their loads with; None where too few were audited.
+        days: by serial, the error that another day adds as golden runs show it; empty without them.
     """
 
     qualification: Qualification
@@ -33,6 +36,8 @@ class LotRelease:
     found: Release | None
     interval_scale: float
     statement: str
+    seen: SeenGains | None = None
+    days: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def released(self) -> tuple[str, ...]:
@@ -56,7 +61,10 @@ class LotRelease:
             return Judgement(Verdict.PASS, (reason("sampled.released", factor=factor, **facts, **risks),))
         if rmse * centre > limit:
             return Judgement(Verdict.FAIL, (reason("sampled.beyond", centre=centre, **facts),))
-        if rmse * factor <= self.limit.acceptance_rmse:
+        day, accepted = self.days.get(serial, 0.0), self.limit.acceptance_rmse
+        if rmse * factor <= accepted < float(np.hypot(rmse * factor, day)):
+            return Judgement(Verdict.CONDITIONAL, (reason("sampled.day", factor=factor, day=day, **facts),))
+        if rmse * factor <= accepted:
             return Judgement(
                 Verdict.CONDITIONAL, (reason("sampled.part", centre=centre, audits=self._audits(self.found)),)
             )
@@ -87,6 +95,8 @@ class LotRelease:
             "share_any_form": None if found is None else found.share_any_form,
             "risk_any_form": None if found is None else found.risk_any_form,
             "interval_scale": self.interval_scale,
+            "gains": None if self.seen is None else vars(self.seen),
+            "day_rmse": max(self.days.values(), default=None),
             "limit": self.limit.to_json(),
         }
 
@@ -98,6 +108,8 @@ def release_lot(
     promise: Promise,
     interval_scale: float = 1.0,
     least: float = 0.0,
+    seen: SeenGains | None = None,
+    days: Mapping[str, float] | None = None,
 ) -> LotRelease:
     """Decide on the units of a lot that nobody measured.
 
@@ -108,10 +120,25 @@ def release_lot(
         promise: what is to hold for the released units.
         interval_scale: factor on their intervals, from the same audits.
         least: number of units that must pass, or none is released.
+        seen: gains that audited units of this lot read their loads with.
+        days: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
     """
-    found = release(forecasts, qualification.audits, limit, promise, least) if qualification.is_given else None
+    found = release(forecasts, qualification.audits, limit, promise, least, days) if qualification.is_given else None
     statement = _statement(forecasts, qualification.audits, found, qualification, limit, promise)
-    return LotRelease(qualification, limit, promise, forecasts, found, interval_scale, statement)
+    statement += _seen(seen) + _told_days(days or {}, limit.unit)
+    return LotRelease(qualification, limit, promise, forecasts, found, interval_scale, statement, seen, days or {})
+
+
+def _seen(seen: SeenGains | None) -> str:
+    if seen is None:
+        return ""
+    return f"; the audited units read {seen.centre:.1%} of their loads, with a spread of {seen.spread:.1%} between them"
+
+
+def _told_days(days: Mapping[str, float], unit: str) -> str:
+    if not days:
+        return ""
+    return f"; up to {max(days.values()):.3g} {unit} is kept for another day, as golden runs show it"
 
 
 def _statement(

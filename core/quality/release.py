@@ -166,6 +166,7 @@ def release(
     limit: Limit,
     promise: Promise = Promise(),  # noqa: B008 - frozen
     least: float = 0.0,
+    days: Mapping[str, float] | None = None,
 ) -> Release:
     """Choose which unmeasured units to release so that the promise holds for the released ones.
 
@@ -185,11 +186,15 @@ def release(
     """
     _check(forecasts)
     ratios, considered = audited_ratios(audits), len(forecasts)
-    ordered = sorted(forecasts, key=lambda serial: (forecasts[serial], serial))
-    errors = np.array([forecasts[serial] for serial in ordered])
+    days = days or {}
+    # What is left of the limit once another day has taken its part; without golden runs the limit itself.
+    limits = {serial: _left(limit.acceptance_rmse, days.get(serial, 0.0)) for serial in forecasts}
+    need = {serial: forecasts[serial] / limits[serial] if limits[serial] else np.inf for serial in forecasts}
+    ordered = sorted(forecasts, key=lambda serial: (need[serial], serial))
+    needed = np.array([need[serial] for serial in ordered])
     count, factor = considered, ratios.bound(promise)
     least = max(LEAST_PART * considered, least, 1)
-    while (passing := int(np.count_nonzero(errors[:count] * factor <= limit.acceptance_rmse))) < count:
+    while (passing := int(np.count_nonzero(needed[:count] * factor <= 1))) < count:
         count = passing
         if count < least:
             return Release((), factor, ratios, considered, promise, 1.0, 1.0)
@@ -198,6 +203,10 @@ def release(
         return Release((), factor, ratios, considered, promise, 1.0, 1.0)
     said = _any_form(ratios, count / considered, promise) if count else (1.0, 1.0)
     return Release(tuple(ordered[:count]), factor, ratios, considered, promise, *said)
+
+
+def _left(limit: float, day: float) -> float:
+    return float(np.sqrt(max(limit**2 - day**2, 0.0)))
 
 
 def least_passing(units: int, held: int) -> float:

@@ -44,9 +44,18 @@ class AuditReading:
     def of(cls, kept: Mapping[str, object]) -> "AuditReading":
         """Read what `to_json` wrote."""
         ratios: list[float] = kept["ratios"]  # type: ignore[assignment]
-        numbers = {name: float(str(kept[name])) for name in ("gain", "unit_rest", "audit_rest", "span")}
-        hashes = {name: str(kept[name]) for name in ("output_sha256", "reference_sha256")}
-        return cls(**hashes, **numbers, ratios=tuple(map(float, ratios)))
+        gain, unit_rest, audit_rest, span = (
+            float(str(kept[name])) for name in ("gain", "unit_rest", "audit_rest", "span")
+        )
+        return cls(
+            output_sha256=str(kept["output_sha256"]),
+            reference_sha256=str(kept["reference_sha256"]),
+            gain=gain,
+            unit_rest=unit_rest,
+            audit_rest=audit_rest,
+            span=span,
+            ratios=tuple(map(float, ratios)),
+        )
 
 
 def read_audit(value: Array, half: Array, audit: LabelledRecording, recording: OutputRecording) -> AuditReading:
@@ -66,9 +75,15 @@ def read_audit(value: Array, half: Array, audit: LabelledRecording, recording: O
     return AuditReading(
         output_sha256=content_sha256({"output": audit.unlabelled.output}, {}),
         reference_sha256=content_sha256({"reference": audit.reference}, {}),
-        gain=float(np.polyfit(audit.reference[rows], value[rows], 1)[0]),
+        gain=gain_of(value, audit.reference),
         unit_rest=float(np.quantile(recording.output, end)),
         audit_rest=float(np.quantile(audit.unlabelled.output, end)),
         span=float(high - low),
         ratios=tuple(float(f"{ratio:.6g}") for ratio in ratios),
     )
+
+
+def gain_of(value: Array, reference: Array) -> float:
+    """Return the slope of estimates over the reference (least squares), rows without an estimate left out."""
+    rows = np.isfinite(value)
+    return float(np.polyfit(reference[rows], value[rows], 1)[0])

@@ -22,7 +22,7 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.reason import Reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.audit_reading import read_audit
+from softcal.core.unit.audit_reading import gain_of, read_audit
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
@@ -34,13 +34,16 @@ from softcal.core.unit.forecast import (
     gather_evidence,
     load_levels,
     rms,
+    rms_load,
     variance_table,
 )
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
+from softcal.core.unit.line_spread import LineSpread, line_reason
 from softcal.core.unit.method import Method
 from softcal.core.unit.own_forecast import forecast_own, own_terms
 from softcal.core.unit.scoring import Scores, score_map
 from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Finding, Judgement, Limit, decide, decide_audited, default_limit
 from softcal.core.windows import TAPS
 
@@ -56,6 +59,7 @@ class UnitProblem:
         anchors: known loads of the unit, where someone took them.
         audit: labelled recording of the unit, which only measures; None where there is none.
         own: how the unit's own calibration is trained on its audit, for comparison; None trains none.
+        line: how differently the line presses units, where somebody stated it.
         reference: what the source was compared with; None where nobody said, and nothing is traced to it.
     """
 
@@ -65,6 +69,7 @@ class UnitProblem:
     anchors: Anchors | None = None
     audit: LabelledRecording | None = None
     own: NetworkConfig | None = None
+    line: LineSpread | None = None
     reference: Reference | None = None
 
     @property
@@ -90,6 +95,7 @@ def input_sha256(facts: UnitProblem, method: Method) -> str:
         "audit": None if audit is None else audit.sha256,
         # Without an audit no own calibration is trained, whatever was asked.
         "own": None if audit is None or facts.own is None else asdict(facts.own),
+        **({} if facts.line is None else {"line": facts.line.to_json()}),
     }
     if facts.reference is not None:
         settings["reference"] = facts.reference.to_json()
@@ -129,7 +135,11 @@ def calibrate(problem: UnitProblem) -> Calibration:
         interval=model.interval.widened(variance_table(model, evidence) + _reference_variance(problem)),
         output_limits=limits,
         forecast=forecast,
-        decision=Decision(decide(forecast, limit, findings), _measured(problem, scores, limit), bars=_bars(problem)),
+        decision=Decision(
+            _predicted(problem, evidence, forecast, limit, findings),
+            _measured(problem, scores, limit),
+            bars=_bars(problem),
+        ),
         knowledge=evidence.knowledge,
         evidence=_numbers(model, target, chosen, evidence, limit, findings),
         method=method,
@@ -163,6 +173,11 @@ def _reference_variance(problem: UnitProblem) -> Array:
     return np.zeros_like(loads) if reference is None else reference.variance(loads)
 
 
+def read_gain(network: Network, calibration: Calibration, recording: LabelledRecording) -> float:
+    """Return the slope of a unit's estimates over the reference: 1 where it reads its loads in full."""
+    return gain_of(estimate(network, calibration, recording.unlabelled).estimate, recording.reference)
+
+
 def _limit(problem: UnitProblem) -> Limit:
     model = problem.source
     unit = model.source.reference_unit
@@ -177,6 +192,20 @@ def _limit(problem: UnitProblem) -> Limit:
 
 def _scores(problem: UnitProblem, unit_map: UnitMap, audit: LabelledRecording) -> Scores:
     return score_map(problem.source.network, unit_map, audit, problem.own, problem.source.method.decision)
+
+
+def _predicted(
+    problem: UnitProblem,
+    evidence: MapEvidence,
+    forecast: ErrorForecast,
+    limit: Limit,
+    findings: tuple[Finding, ...],
+) -> Judgement:
+    """Decide on the forecast, and say last what the line adds that no recording shows."""
+    judgement, config = decide(forecast, limit, findings), problem.source.method.line
+    share = (problem.line or LineSpread(config.load_spread, config.day_spread)).share
+    said = line_reason(share, rms_load(evidence.estimate), limit.unit, problem.line is not None)
+    return replace(judgement, reasons=(*judgement.reasons, said))
 
 
 def _measured(problem: UnitProblem, scores: Scores | None, limit: Limit) -> Judgement | None:
@@ -201,6 +230,7 @@ def _evidence(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap, limits: 
         trials=trials,
         gain_error=float(chosen.evidence.get("gain_error", 0.0)),
         is_anchored=problem.anchors is not None,
+        line=problem.line,
     )
 
 
@@ -258,6 +288,7 @@ def _numbers(
         **{f"map_{name}": value for name, value in chosen.evidence.items()},
         **{f"u_{name}": value for name, value in evidence.budget.items()},
         "correction_rms": evidence.correction_rms,
+        "load_rms": rms_load(evidence.estimate),
         "limit_rmse": limit.maximum_rmse,
         "limit_origin": str(limit.origin),
         "reference_expanded": limit.reference_expanded,

@@ -101,6 +101,12 @@ class CalibrationRecord:
         return Decision.of(kept)  # type: ignore[arg-type]
 
     @property
+    def load_rms(self) -> float | None:
+        """RMS load above rest that its recording shows, in the reference unit; None in records of older versions."""
+        kept = self.evidence.get("load_rms")
+        return None if kept is None else float(kept)
+
+    @property
     def audit(self) -> AuditReading | None:
         """What its audit says beside the error; None without one, and in records of older versions."""
         kept = self.settings.get("audit")

@@ -10,11 +10,15 @@ from softcal.core.maps.interface import UnitMap
 from softcal.core.recording import Array, Indices, OutputRecording
 from softcal.core.unit.health import OutputLimits, clipped_share
 from softcal.core.unit.knowledge import LoadKnowledge, known_by
+from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.method import LEVELS
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.stage_check import unit_difference
 from softcal.core.unit.support import WindowShape
 from softcal.core.unit.uncertainty import DIRECTIONS, ErrorForecast
+
+LINE = "line"
+"""Term of the budget for what the line does to the load; it weighs 1 whatever is known of the loads."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +36,8 @@ class MapEvidence:
             the map.
         speed: how fast the unit's fast movements are, over the source's.
         budget: standard uncertainties in the reference unit: `model`, the terms of every kind of knowledge
-            (`knowledge.py`), and `stage` and `slow` where source and unit carry the stage position.
+            (`knowledge.py`), `stage` and `slow` where source and unit carry the stage position, and `line` where the
+            spread of the line was stated.
         knowledge: how the loads on this unit are known.
     """
 
@@ -78,6 +83,7 @@ def gather_evidence(
     trials: Sequence[Trial] = (),
     gain_error: float = 0.0,
     is_anchored: bool = False,
+    line: LineSpread | None = None,
 ) -> MapEvidence:
     """Look at one unit through its map and through the maps it might have had.
 
@@ -91,6 +97,7 @@ def gather_evidence(
         trials: maps with windows under one load at once, where the unit was pressed so.
         gain_error: standard error of the logarithm of the map's gain, where it rests on matched levels.
         is_anchored: whether known loads of the unit entered its map.
+        line: the line's spread, where somebody stated it.
     """
     config = model.method.forecast
     rows = np.unique(np.linspace(0, len(target.windows) - 1, config.rows).astype(np.int64))
@@ -121,6 +128,8 @@ def gather_evidence(
         "gain": gain_error * rms_load(estimate),
         **_stage_terms(model, target, unit_map),
     }
+    if line is not None:
+        budget[LINE] = line.share * rms_load(estimate)
     if trials:
         budget["paired"] = rms(np.concatenate([_misread(model, target, trial) for trial in trials]))
     unmapped_overlap = use_overlap(model, interval.support.shape(raw))
@@ -142,17 +151,20 @@ def gather_evidence(
 def forecast_error(budget: Mapping[str, float], knowledge: LoadKnowledge) -> ErrorForecast:
     """Combine a budget: u_c^2 = u_base^2 + sum (c_i u_i)^2 (GUM, JCGM 100:2008, eq. 10), with its own uncertainty.
 
+    What the line adds has coefficient 1 whatever is known of the loads: no recording shows it.
+
     Args:
         budget: standard uncertainties u by term, in the reference unit.
         knowledge: how the loads are known: it names the base term and the coefficients c.
     """
-    rmse = float(np.sqrt(_base(budget, knowledge) ** 2 + _squares(budget, knowledge)))
+    line = budget.get(LINE, 0.0)
+    rmse = float(np.sqrt(_base(budget, knowledge) ** 2 + _squares(budget, knowledge) + line**2))
     low, high = knowledge.config.log_error
     return ErrorForecast(rmse, rmse * float(np.exp(low)), rmse * float(np.exp(high)))
 
 
 def map_variance(budget: Mapping[str, float], knowledge: LoadKnowledge) -> float:
-    """Return the part of the forecast's variance that is the map's and the recording's, not the network's."""
+    """Return the part of the forecast's variance that is the map's and the recording's, not the network's or line's."""
     beyond_model = _base(budget, knowledge) ** 2 - budget["model"] ** 2
     return _squares(budget, knowledge) + max(beyond_model, 0.0)
 
@@ -169,7 +181,8 @@ def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
     """Spread the map's variance over direction and load level: (3, LEVELS), half even, half where the maps disagree.
 
     Half of it all goes with the square of the load where the gain rests on matched levels alone: if that is wrong, the
-    error grows with the load. What the unit has not shown of the source's loads counts there alone.
+    error grows with the load. What the unit has not shown of the source's loads counts there alone; what the line adds
+    goes with the square of the load as well.
     """
     budget, knowledge = evidence.budget, evidence.knowledge
     unseen = knowledge.sensitivity["extrapolation"]
@@ -179,7 +192,8 @@ def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
     reach = model.method.forecast.reach
     beyond = unseen * _beyond(load_levels(model), evidence.estimate, reach)
     spread_out = map_variance(budget, knowledge) - (unseen * budget["extrapolation"]) ** 2
-    return knowledge.config.interval_share * spread_out * pattern + beyond**2
+    line = budget.get(LINE, 0.0) ** 2 * _load_pattern(model, evidence)
+    return knowledge.config.interval_share * spread_out * pattern + beyond**2 + line
 
 
 def load_levels(model: SourceModel) -> Array:

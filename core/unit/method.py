@@ -11,7 +11,7 @@ from functools import cache
 
 from softcal.core.identity import content_sha256
 from softcal.core.maps.config import MapConfig
-from softcal.core.settings import origins, rebuilt, setting
+from softcal.core.settings import SET, origins, rebuilt, setting
 from softcal.core.unit.knowledge import KnowledgeTable
 from softcal.core.windows import TAPS
 
@@ -130,6 +130,19 @@ class ForecastConfig:
 
 
 @dataclass(frozen=True)
+class LineConfig:
+    """What is said of a line that nobody stated (`line_spread.py`); a forecast holds what was stated or measured only.
+
+    Args:
+        load_spread: standard deviation of the load from unit to unit, as a share of it.
+        day_spread: the same from day to day.
+    """
+
+    load_spread: float = setting(0.05, f"{SET}: stiffness, contact and mounting on a press that nobody has studied")
+    day_spread: float = setting(0.03, f"{SET}: readout and press on another day that no golden run has shown")
+
+
+@dataclass(frozen=True)
 class FindingConfig:
     """When something seen is worth a word (`findings.py`).
 
@@ -192,7 +205,7 @@ class Method:
         version: raised when the code computes otherwise from the same numbers.
         taps, levels, confidence: of windows and intervals.
         range_margin: an estimate further than this share of the source's range beyond it is out of range.
-        map, source, stage_check, health, forecast, knowledge, findings, decision: a section a module.
+        map, source, stage_check, health, forecast, knowledge, line, findings, decision: a section a module.
     """
 
     version: int = setting(2, "raised by hand")
@@ -206,6 +219,7 @@ class Method:
     health: HealthConfig = field(default_factory=HealthConfig)
     forecast: ForecastConfig = field(default_factory=ForecastConfig)
     knowledge: KnowledgeTable = field(default_factory=KnowledgeTable)
+    line: LineConfig = field(default_factory=LineConfig)
     findings: FindingConfig = field(default_factory=FindingConfig)
     decision: DecisionConfig = field(default_factory=DecisionConfig)
 

@@ -11,7 +11,7 @@ from softcal.core.maps.ends import output_noise
 from softcal.core.maps.interface import UnitMap
 from softcal.core.network.network import Network
 from softcal.core.recording import OutputRecording
-from softcal.core.unit.forecast import MapEvidence, forecast_error
+from softcal.core.unit.forecast import LINE, MapEvidence, forecast_error
 from softcal.core.unit.knowledge import LoadKnowledge
 from softcal.core.unit.source_model import SourceModel
 
@@ -44,7 +44,8 @@ def own_terms(
     network, budget, rows = model.network, evidence.budget, model.method.forecast.own_rows
     known = model.source.unlabelled
     noise = noise_error(network, target, rows, unit_map) ** 2 - noise_error(network, known, rows) ** 2
-    forecast = forecast_error(budget, evidence.knowledge)
+    # The line spreads loads, not outputs: an own calibration sees the loads.
+    forecast = forecast_error({name: u for name, u in budget.items() if name != LINE}, evidence.knowledge)
     return {
         "floor": model.held_out_rmse,
         "noise": float(np.sqrt(max(noise, 0.0))),

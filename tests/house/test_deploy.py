@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from softcal.app.cli.main import _parser
+from softcal.app.cli.main import command_parser
 
 ROOT = Path(__file__).parents[2]
 UNITS = sorted((ROOT / "deploy").glob("*.service"))
@@ -43,14 +43,14 @@ def test_systemd_reads_the_unit(unit: Path, tmp_path: Path) -> None:
 def test_the_unit_starts_a_command_that_softcal_has(unit: Path) -> None:
     line = re.search(r"^ExecStart=\S+/softcal (.*)$", unit.read_text(), re.MULTILINE)
     assert line
-    _parser().parse_args(shlex.split(line[1].replace("%i", "line-1")))
+    command_parser().parse_args(shlex.split(line[1].replace("%i", "line-1")))
 
 
 def test_the_services_start_commands_that_softcal_has_and_are_reached_from_this_machine_alone() -> None:
     services = yaml.safe_load((ROOT / "compose.yaml").read_text())["services"]
     assert set(services) == {"db", "station", "ui"}
     for name in ("station", "ui"):
-        _parser().parse_args(services[name]["command"])
+        command_parser().parse_args(services[name]["command"])
         assert services[name]["environment"]["SOFTCAL_REGISTRY"].startswith("postgresql://")
     published = [port for service in services.values() for port in service.get("ports", [])]
     assert published == ["127.0.0.1:8501:8501"]

@@ -1,12 +1,17 @@
-"""The audit trail: who did what to what, when and why, newest first."""
+"""The audit trail: who did what, before and after, and why; filtered, searched, taken along. Newest first."""
 
-import pandas as pd
+from datetime import UTC, date, datetime, time
+
 import streamlit as st
 
+from softcal.app.files.spreadsheet import csv_text
+from softcal.app.ui.account import actor
 from softcal.app.ui.desk import empty, errors_in_words, registry, words
-from softcal.app.ui.panels import heading
+from softcal.app.ui.panels import heading, table_to_choose
+from softcal.app.views.audit_trail import HEADINGS, Entry, TrailFilter, trail
+from softcal.app.views.common import instant
 
-NEWEST = 500
+NEWEST, PAGE = 5000, 200
 
 
 def render() -> None:
@@ -14,18 +19,81 @@ def render() -> None:
     say = words()
     with errors_in_words():
         heading("audit_trail")
-        rows = registry().newest_audit_rows(NEWEST)
+        is_whole = bool(st.session_state.get("trail-whole"))
+        rows = registry().newest_audit_rows(10**9 if is_whole else NEWEST)
         if not rows:
             empty(say("audit.none"), say("empty.lots.how"))
             return
-        table = [
-            {
-                say("column.made"): f"{row.at:%Y-%m-%d %H:%M:%S} UTC",
-                say("column.actor"): row.actor,
-                say("column.action"): row.action,
-                say("column.entity"): f"{row.entity} {row.key}",
-                say("column.reason"): row.reason,
-            }
-            for row in rows
-        ]
-        st.dataframe(pd.DataFrame(table), width="stretch", hide_index=True, height=640)
+        entries = trail(rows, say)
+        wanted = _filter(entries)
+        found = [entry for entry in entries if wanted.takes(entry)]
+        _counts(len(found), len(entries), is_whole)
+        if not found:
+            st.caption(say("trail.none"))
+            return
+        chosen = table_to_choose([_row(entry) for entry in found[:PAGE]], "trail")
+        st.download_button(
+            say("trail.export"),
+            data=lambda: csv_text(list(_row(found[0])), [tuple(_row(entry).values()) for entry in found]).encode(
+                "utf-8-sig"
+            ),
+            file_name="audit-trail.csv",
+            mime="text/csv",
+            icon=":material/download:",
+            key="trail-export",
+            on_click=_tell,
+            args=(len(found),),
+        )
+        if chosen is not None:
+            _in_full(found[chosen])
+
+
+def _filter(entries: list[Entry]) -> TrailFilter:
+    say = words()
+    first, second, third, fourth = st.columns([3, 2, 3, 2])
+    text = str(first.text_input(say("trail.find"), key="trail-find", icon=":material/search:") or "")
+    actors = second.multiselect(say("column.actor"), sorted({entry.row.actor for entry in entries}), key="trail-actor")
+    sections = third.multiselect(
+        say("trail.section"), HEADINGS, format_func=lambda name: say(f"trail.section.{name}"), key="trail-section"
+    )
+    span = fourth.date_input(say("trail.days"), value=(), key="trail-days")
+    days = [day for day in (span if isinstance(span, tuple) else (span,)) if isinstance(day, date)]
+    since = datetime.combine(days[0], time.min, UTC) if days else None
+    until = datetime.combine(days[-1], time.max, UTC) if days else None
+    return TrailFilter(text, tuple(actors), tuple(sections), since, until)
+
+
+def _counts(found: int, of: int, is_whole: bool) -> None:
+    say = words()
+    st.caption(say("trail.count", shown=min(found, PAGE), found=found, of=of))
+    if of >= NEWEST and not is_whole:
+        st.toggle(say("trail.whole", newest=NEWEST), key="trail-whole")
+
+
+def _row(entry: Entry) -> dict[str, object]:
+    say = words()
+    return {
+        say("column.made"): instant(entry.at),
+        say("column.actor"): entry.row.actor,
+        say("trail.what"): entry.what,
+        say("trail.changes"): entry.changed,
+        say("column.reason"): entry.row.reason,
+    }
+
+
+def _in_full(entry: Entry) -> None:
+    """Draw the row as it is kept: for who checks the chain itself."""
+    say, row = words(), entry.row
+    with st.container(border=True):
+        st.markdown(f"**{say('trail.row')}**")
+        st.code(
+            f"{row.origin} #{row.seq}  {row.action} {row.entity} {row.key}\n"
+            f"before: {row.before or '–'}\nafter:  {row.after or '–'}\n"
+            f"hash: {row.hash}\nafter the row with: {row.prev_hash}",
+            language=None,
+            wrap_lines=True,
+        )
+
+
+def _tell(count: int) -> None:
+    registry().add_event("export", "audit_trail", ("audit_trail",), {"rows": count}, actor=actor())

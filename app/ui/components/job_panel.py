@@ -48,10 +48,10 @@ def _running(job_id: str, live: Live | None) -> None:
     job = board.job(job_id)
     if not job.state.is_active or job.is_lost(datetime.now(UTC)):
         st.rerun()
-    left, right = st.columns([5, 1], vertical_alignment="bottom")
     text = _step_said(job) or job.message or say("job.starting")
-    left.progress(job.fraction, text=say("job.stopping") if job.is_cancel_wanted else text)
-    if right.button(say("job.cancel"), key=f"cancel-{job_id}", disabled=job.is_cancel_wanted, width="stretch"):
+    # One below the other: beside each other they do not fit a narrow place.
+    st.progress(job.fraction, text=say("job.stopping") if job.is_cancel_wanted else text)
+    if st.button(say("job.cancel"), key=f"cancel-{job_id}", disabled=job.is_cancel_wanted, icon=":material/cancel:"):
         board.cancel(job_id)
     if live is not None and job.trace and "step" not in job.trace:
         live(job)

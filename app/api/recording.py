@@ -1,0 +1,139 @@
+"""A recording as Python users hold it: from arrays, pandas or a file, with or without a reference."""
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """The output of one unit over time, and the reference beside it where one was read.
+
+    Args:
+        output: (n,) sensor output in `output_unit`; a list, an array or a pandas Series.
+        reference: (n,) load in `reference_unit` read at the same instants; None for a unit that was only pressed.
+        sample_rate_Hz: samples a second; by default what `t_s` shows.
+        t_s: (n,) time stamps in s, strictly increasing; by default made from `sample_rate_Hz`.
+        serial: name of the unit: letters, digits, dot, dash and underscore.
+        output_unit, reference_unit: physical units.
+
+    Raises:
+        InputError: lengths differ, a value is not finite, time goes back, or neither rate nor time is given.
+    """
+
+    output: Any
+    reference: Any = None
+    sample_rate_Hz: float | None = None
+    t_s: Any = None
+    serial: str = "unit"
+    output_unit: str = "V"
+    reference_unit: str = "N"
+
+    def __post_init__(self) -> None:
+        # Whatever is wrong with it is said here, not at the first use.
+        _ = self.labelled if self.reference is not None else self.unlabelled
+
+    def __len__(self) -> int:
+        return len(self.unlabelled)
+
+    @cached_property
+    def unlabelled(self) -> OutputRecording:
+        """The output alone: what every fit of a map takes."""
+        output = _numbers("output", self.output)
+        rate_Hz = self.sample_rate_Hz
+        if self.t_s is not None:
+            t_s = _numbers("t_s", self.t_s)
+            steps = np.diff(t_s)
+            if rate_Hz is None and np.any(steps > 0):
+                rate_Hz = float(f"{1 / np.median(steps[steps > 0]):.5g}")
+        elif rate_Hz is not None and rate_Hz > 0:
+            t_s = np.arange(len(output)) / rate_Hz
+        if rate_Hz is None or not rate_Hz > 0:
+            raise InputError("neither sample_rate_Hz nor t_s says when samples were taken; give one of them")
+        return OutputRecording(self.serial, t_s, output, rate_Hz, self.output_unit)
+
+    @cached_property
+    def labelled(self) -> LabelledRecording:
+        """Output and reference: what trains f, and what an error is measured on.
+
+        Raises:
+            InputError: the recording has no reference.
+        """
+        if self.reference is None:
+            raise InputError(f"recording {self.serial} has no reference; give reference=, or name its column")
+        return LabelledRecording(self.unlabelled, _numbers("reference", self.reference), self.reference_unit)
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: "pd.DataFrame",
+        output: Hashable = "output",
+        reference: Hashable | None = None,
+        time: Hashable | None = None,
+        **facts: Any,
+    ) -> "Recording":
+        """Take columns of a table.
+
+        Args:
+            frame: one row a sample.
+            output, reference, time: names of the columns; without `time` give `sample_rate_Hz`.
+            facts: the other arguments of `Recording`.
+
+        Raises:
+            InputError: there is no column of that name; the message lists those there are.
+        """
+        columns = {}
+        for argument, name in (("output", output), ("reference", reference), ("t_s", time)):
+            if name is None:
+                continue
+            if name not in frame.columns:
+                there = ", ".join(map(str, list(frame.columns)[:12]))
+                raise InputError(f"there is no column {name!r}; the table has {there}")
+            columns[argument] = frame[name]
+        return cls(**columns, **facts)
+
+    @classmethod
+    def read(
+        cls,
+        path: str | Path,
+        output: str = "output",
+        reference: str | None = None,
+        time: str | None = None,
+        **facts: Any,
+    ) -> "Recording":
+        """Read a CSV, Excel or Parquet file; its name without suffix is the serial unless `serial` is given.
+
+        Raises:
+            InputError: the file is no table, or lacks a column.
+        """
+        from softcal.app.files.recording_file import read_table
+
+        try:
+            return cls.from_frame(
+                read_table(Path(path)), output, reference, time, **{"serial": Path(path).stem, **facts}
+            )
+        except InputError as error:
+            raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Return `t_s`, `output` and, where there is one, `reference`."""
+        import pandas as pd
+
+        return pd.DataFrame(self.unlabelled.arrays() if self.reference is None else self.labelled.arrays())
+
+
+def _numbers(name: str, values: Any) -> Array:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} holds something that is no number ({error})") from error

@@ -1,0 +1,31 @@
+"""`softcal completion`: completion of commands and options for a shell."""
+
+import argparse
+
+EXAMPLES = """examples:
+  softcal completion bash > ~/.local/share/bash-completion/completions/softcal
+  softcal completion zsh > ~/.zfunc/_softcal         # with fpath+=~/.zfunc before compinit
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal completion`."""
+    parser = commands.add_parser(
+        "completion",
+        help="print what a shell needs to complete commands and options",
+        description="Print a completion script for a shell; put it where the shell looks for it.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("shell", choices=("bash", "zsh", "tcsh"))
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the script."""
+    import shtab
+
+    from softcal.app.cli.main import command_parser
+
+    print(shtab.complete(command_parser(), shell=options.shell))
+    return 0

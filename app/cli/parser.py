@@ -1,0 +1,35 @@
+"""The parser of `softcal`: what argparse does, and a suggestion where a name was mistyped."""
+
+import argparse
+import difflib
+from collections.abc import Iterable, Sequence
+from typing import Any, NoReturn
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what a mistyped command, option or choice may have been meant to be."""
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            raise argparse.ArgumentError(action, error.message + suggestion(str(value), action.choices or ())) from None
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Parse; an unknown option is refused here, by the command that knows its own options."""
+        found, left = super().parse_known_args(args, namespace)
+        if left:
+            self._refuse(left)
+        return found, left
+
+    def _refuse(self, left: list[str]) -> NoReturn:
+        unknown = next((word for word in left if word.startswith("-")), left[0]).partition("=")[0]
+        self.error(f"unrecognized arguments: {' '.join(left)}{suggestion(unknown, self._option_string_actions)}")
+
+
+def suggestion(word: str, known: Iterable[object]) -> str:
+    """Return `; did you mean X?`, or nothing where nothing known is near."""
+    near = difflib.get_close_matches(word, [str(name) for name in known], n=1, cutoff=0.6)
+    return f"; did you mean {near[0]}?" if near else ""

@@ -1,0 +1,65 @@
+"""`softcal report`: one page that says how a lot stands."""
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+from softcal.app.cli.options import add_registry, registry_of
+from softcal.app.output import say
+
+EXAMPLES = """examples:
+  softcal report lot-1                              writes lot-1.html
+  softcal report lot-1 --out report.html --language ko
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal report`."""
+    parser = commands.add_parser(
+        "report",
+        help="one HTML page of a lot: verdicts, errors, process, every unit",
+        description="Write one standalone HTML page of a lot in the registry: yields, predicted and measured errors, "
+        "the control chart, why units did not pass, and every unit. It needs no network to be read.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("lot", metavar="LOT", help="id of a lot in the registry, or its lot folder")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="default: LOT.html")
+    parser.add_argument("--language", choices=("en", "ko"), default="en")
+    add_registry(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the page."""
+    from softcal.app.charts.lot_page import lot_page
+    from softcal.app.files.atomic import write_text
+    from softcal.app.texts.catalogue import text
+    from softcal.app.views.lot import lot_view
+
+    words = partial(text, options.language)
+    with registry_of(options, create=False) as registry:
+        lot_id = _lot_id(options.lot)
+        view = lot_view(registry, lot_id)
+        units = [unit for unit in registry.units(lot_id) if unit.role == "target"]
+    out = options.out or Path(f"{lot_id}.html")
+    write_text(out, lot_page(view, units, words, _made(options.language)))
+    say(f"{out}: lot {lot_id}, {view.judged} of {view.total} units have a result")
+    return 0
+
+
+def _lot_id(given: str) -> str:
+    if not (Path(given) / "lot.toml").is_file():
+        return given
+    from softcal.app.files.lot_folder import open_lot_folder
+
+    return open_lot_folder(Path(given)).lot.id
+
+
+def _made(language: str) -> str:
+    from datetime import UTC, datetime
+    from importlib.metadata import version
+
+    from softcal.app.texts.catalogue import text
+
+    return text(language, "report.made", at=f"{datetime.now(UTC):%Y-%m-%d %H:%M}", version=version("softcal"))

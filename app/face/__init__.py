@@ -1,0 +1,82 @@
+"""softcal in Python: train a shared network, fit a unit's map, estimate, open a registry, simulate, diagnose.
+
+    import softcal
+    source = softcal.Recording.read("S1.csv", output="output_V", reference="force_N", sample_rate_Hz=50)
+    target = softcal.Recording.read("S2.csv", output="output_V", sample_rate_Hz=50)
+    unit = softcal.fit_map(softcal.fit_network(source), target)
+    print(unit.verdict, unit.predicted_rmse, unit.estimate(target))
+
+The names below are the public face; what lies in `softcal.app`, `.core`, `.db` and `.station` may change.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from softcal.app.api.estimators import MapTransformer, NetworkRegressor
+    from softcal.app.api.recording import Recording
+    from softcal.app.api.registry import open_registry
+    from softcal.app.api.unit import SourceNetwork, Unit, fit_map, fit_network
+    from softcal.app.gap.diagnose import diagnose_case as diagnose
+    from softcal.core.errors import InputError, SoftcalError, UnitRefused
+    from softcal.core.twin.simulate import Twin
+
+    __version__: str
+
+_WHERE = {
+    "InputError": "softcal.core.errors:InputError",
+    "MapTransformer": "softcal.app.api.estimators:MapTransformer",
+    "NetworkRegressor": "softcal.app.api.estimators:NetworkRegressor",
+    "Recording": "softcal.app.api.recording:Recording",
+    "SourceNetwork": "softcal.app.api.unit:SourceNetwork",
+    "SoftcalError": "softcal.core.errors:SoftcalError",
+    "Twin": "softcal.core.twin.simulate:Twin",
+    "Unit": "softcal.app.api.unit:Unit",
+    "UnitRefused": "softcal.core.errors:UnitRefused",
+    "diagnose": "softcal.app.gap.diagnose:diagnose_case",
+    "fit_map": "softcal.app.api.unit:fit_map",
+    "fit_network": "softcal.app.api.unit:fit_network",
+    "open_registry": "softcal.app.api.registry:open_registry",
+}
+
+__all__ = [
+    "InputError",
+    "MapTransformer",
+    "NetworkRegressor",
+    "Recording",
+    "SourceNetwork",
+    "SoftcalError",
+    "Twin",
+    "Unit",
+    "UnitRefused",
+    "__version__",
+    "diagnose",
+    "fit_map",
+    "fit_network",
+    "open_registry",
+]
+
+
+def __getattr__(name: str) -> Any:
+    # Every process of softcal imports this module: nothing is loaded before it is asked for.
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("softcal")
+    if name not in _WHERE:
+        raise AttributeError(f"module 'softcal' has no attribute {name!r}")
+    module, _, attribute = _WHERE[name].partition(":")
+    try:
+        found = getattr(import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        from softcal.app.extras import missing_extra
+
+        if (line := missing_extra(error)) is None:
+            raise
+        raise ModuleNotFoundError(f"softcal.{name}: {line}", name=error.name) from error
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,195 @@
+"""The audit trail in words: who did what, what was before and after, and why. No Streamlit."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from softcal.app.views.common import percent
+from softcal.db.entries import AuditRow
+from softcal.db.people import ROLES
+
+Words = Callable[..., str]
+
+SECTIONS = {
+    "limits": "rules",
+    "line_rules": "rules",
+    "users": "people",
+    "networks": "networks",
+    "network_releases": "networks",
+    "calibrations": "results",
+    "refusals": "results",
+    "in_use": "results",
+    "adaptations": "results",
+    "unit": "results",
+    "lot_release": "results",
+    "audit_plan": "results",
+    "audit_result": "results",
+    "lots": "lots",
+    "units": "lots",
+    "recordings": "lots",
+    "certificates": "station",
+    "golden_runs": "station",
+    "station": "station",
+    "station_gate": "station",
+    "laboratory": "papers",
+}
+"""What a row is about → the heading an auditor looks under; files that were taken stand under `papers`."""
+
+HEADINGS = ("results", "rules", "networks", "people", "station", "papers", "lots", "registry")
+
+FIELDS = (
+    "rmse",
+    "limit_rmse",
+    "verdict",
+    "revision",
+    "rolled_back_to",
+    "predicted_rmse",
+    "after_rmse",
+    "family",
+    "state",
+    "role",
+    "is_active",
+    "serial_pattern",
+    "letters",
+    "target",
+    "retests",
+    "kind",
+    "passed",
+    "file",
+    "formats",
+    "units",
+    "number",
+    "due_on",
+    "decided_by",
+    "sensor_model",
+    "source",
+    "rig",
+)
+"""What of a row is said; everything else is for who asks for the row itself."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of the trail.
+
+    Args:
+        row: as it is kept.
+        section: of `HEADINGS`.
+        what: a sentence: what was done to what.
+        changes: (name, before, after) of what changed; before is "" where there was nothing.
+    """
+
+    row: AuditRow
+    section: str
+    what: str
+    changes: tuple[tuple[str, str, str], ...]
+
+    @property
+    def at(self) -> datetime:
+        """When, UTC."""
+        return self.row.at
+
+    @property
+    def changed(self) -> str:
+        """The changes as one line."""
+        told = (f"{name}: {old} → {new}" if old else f"{name}: {new}" for name, old, new in self.changes)
+        return "; ".join(told)
+
+    @property
+    def searched(self) -> str:
+        """All its words, for a search."""
+        return " ".join((self.row.actor, self.what, self.changed, self.row.reason)).lower()
+
+
+@dataclass(frozen=True)
+class TrailFilter:
+    """Which lines are wanted; empty takes all.
+
+    Args:
+        text: words that all stand in a line, in any order.
+        actors, sections: one of them each.
+        since, until: instants, both included.
+    """
+
+    text: str = ""
+    actors: tuple[str, ...] = ()
+    sections: tuple[str, ...] = ()
+    since: datetime | None = None
+    until: datetime | None = None
+
+    def takes(self, entry: Entry) -> bool:
+        """Whether a line is wanted."""
+        return (
+            (not self.actors or entry.row.actor in self.actors)
+            and (not self.sections or entry.section in self.sections)
+            and (self.since is None or entry.at >= self.since)
+            and (self.until is None or entry.at <= self.until)
+            and all(word in entry.searched for word in self.text.lower().split())
+        )
+
+
+def trail(rows: Sequence[AuditRow], words: Words) -> list[Entry]:
+    """Return the rows as lines in the language of `words`, in their order."""
+    return [entry_of(row, words) for row in rows]
+
+
+def entry_of(row: AuditRow, words: Words) -> Entry:
+    """Return one row as a line."""
+    before, after = _values(row.before), _values(row.after)
+    section = "papers" if row.action == "export" else SECTIONS.get(row.entity, "registry")
+    return Entry(row, section, _what(row, words), tuple(_changes(before, after, words)))
+
+
+def _values(kept: str | None) -> Mapping[str, Any]:
+    values = json.loads(kept) if kept else {}
+    flat: dict[str, Any] = dict(values) if isinstance(values, dict) else {}
+    # The rules of a line are one value of their table; each of them is said by itself.
+    rules = flat.pop("rules", None)
+    return flat | (rules if isinstance(rules, dict) else {})
+
+
+def _what(row: AuditRow, words: Words) -> str:
+    key = json.loads(row.key)
+    names = [str(part) for part in key] if isinstance(key, list) else [str(key)]
+    after = _values(row.after)
+    serial = str(after.get("serial", "")) or (names[1] if len(names) > 1 else names[0])
+    values = {"name": names[0], "second": names[1] if len(names) > 1 else "", "serial": serial}
+    values |= {"lot": str(after.get("lot_id", "")) or names[0], "kind": _kind(after, words)}
+    try:
+        return words(f"trail.{row.action}.{row.entity}", **values)
+    except KeyError:
+        return words("trail.other", action=row.action, entity=row.entity, name=", ".join(names))
+
+
+def _kind(after: Mapping[str, Any], words: Words) -> str:
+    kind = after.get("kind")
+    return words(f"kind.{kind}") if kind in ("source", "unit", "audit") else ""
+
+
+def _changes(before: Mapping[str, Any], after: Mapping[str, Any], words: Words) -> list[tuple[str, str, str]]:
+    found = []
+    for name in FIELDS:
+        old, new = before.get(name), after.get(name)
+        if name not in after or new == old or (new in (None, "") and old in (None, "")):
+            continue
+        shown = _said(name, old, words) if name in before else ""
+        found.append((words(f"trail.field.{name}"), shown, _said(name, new, words)))
+    return found
+
+
+def _said(name: str, value: object, words: Words) -> str:
+    if value in (None, "", [], {}):
+        return words("trail.nothing")
+    if isinstance(value, bool):
+        return words("trail.yes" if value else "trail.no")
+    if name == "verdict":
+        return words(f"verdict.{value}")
+    if name == "role" and value in ROLES:
+        return words(f"role.{value}")
+    if isinstance(value, float):
+        return percent(value) if name == "share" else f"{value:.4g}"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {count}" for key, count in value.items())
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -1,0 +1,92 @@
+"""How differently a line presses and reads units that give the same output: what no unlabelled recording shows.
+
+A load that is 5 % smaller and a sensor that is 5 % less sensitive are one output. The spread is therefore a fact of the
+line: stated for it, estimated from audits and golden runs, or the default of the method. It is never zero.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.reason import Reason, reason
+
+LEAST_GAINS = 3
+"""Fewer audited units or golden runs than this show no spread."""
+
+MOST_SPREAD = 1.0
+
+
+@dataclass(frozen=True)
+class LineSpread:
+    """Standard deviations, as shares of the load.
+
+    Args:
+        load: from unit to unit: stiffness, contact and mounting on the press.
+        day: from day to day: gain of press and readout.
+
+    Raises:
+        InputError: one of them is no share, or both are zero: a line without any spread is not known yet.
+    """
+
+    load: float
+    day: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0 <= value < MOST_SPREAD:
+                raise InputError(
+                    f"[line] {name}_spread is {value:g}; a share of the load between 0 and 1 was expected, such as 0.03"
+                )
+        if not self.share:
+            raise InputError("[line] states no spread at all; leave it out, and the default of the method is told")
+
+    @property
+    def share(self) -> float:
+        """Both together, as a share of the load."""
+        return float(np.hypot(self.load, self.day))
+
+    def to_json(self) -> dict[str, float]:
+        """Return it as JSON values."""
+        return {"load": self.load, "day": self.day}
+
+    @classmethod
+    def of(cls, kept: Mapping[str, object]) -> "LineSpread":
+        """Read what `to_json` wrote."""
+        return cls(float(str(kept["load"])), float(str(kept["day"])))
+
+
+@dataclass(frozen=True)
+class SeenGains:
+    """What audited units of one lot, or golden runs of several days, show of the gain they read their loads with.
+
+    Args:
+        count: units or days.
+        centre: geometric mean of estimate / reference.
+        spread: standard deviation of its logarithm.
+    """
+
+    count: int
+    centre: float
+    spread: float
+
+
+def seen_gains(gains: Sequence[float]) -> SeenGains | None:
+    """Return mean and spread of gains; None where there are too few, or one is not positive."""
+    if len(gains) < LEAST_GAINS or min(gains) <= 0:
+        return None
+    logs = np.log(gains)
+    return SeenGains(len(gains), float(np.exp(logs.mean())), float(np.std(logs, ddof=1)))
+
+
+def line_reason(share: float, load: float, unit: str, is_stated: bool) -> Reason:
+    """Say in the reference's unit what a line's spread is for one unit.
+
+    Args:
+        share: of the load, one standard deviation.
+        load: RMS load above rest that the unit's recording shows, in `unit`.
+        is_stated: whether the forecast holds it already; else nobody stated it, and it is the method's default.
+    """
+    code = "line.stated" if is_stated else "line.open"
+    return reason(code, share=share, rmse=share * load, unit=unit)

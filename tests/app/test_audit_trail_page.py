@@ -1,0 +1,115 @@
+"""The audit trail in words: every kind of row is a sentence, filters take what they say, and it is taken along."""
+
+import json
+from dataclasses import replace
+from datetime import UTC, date, datetime, timedelta
+from functools import partial
+
+import pytest
+
+from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
+from softcal.app.views.audit_trail import FIELDS, HEADINGS, SECTIONS, TrailFilter, entry_of, trail
+from softcal.core.quality.line_rules import LineRules
+from softcal.db.connection import open_registry
+from softcal.db.entries import AuditRow, CellCertificate, GoldenRun
+
+SAY = partial(text, "en")
+NOW = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
+
+
+def row(action: str, entity: str, key: object, after: object = None, before: object = None, **more: str) -> AuditRow:
+    kept = [None if values is None else json.dumps(values) for values in (before, after)]
+    made = AuditRow("o", 1, NOW, "Kim", action, entity, json.dumps(key), *kept, "because", "0" * 64, "1" * 64)
+    return replace(made, **more)
+
+
+@pytest.fixture
+def busy(calibrated: str) -> str:
+    """A registry in which everybody has done something."""
+    with open_registry(calibrated) as registry:
+        registry.set_limit("small", 0.3, reason="customer drawing", actor="Quinn")
+        registry.set_limit("small", 0.25, reason="revision C", actor="Quinn")
+        registry.set_line_rules("small", LineRules(target=40), reason="order 4711", actor="Erin")
+        registry.set_user("Lee", "engineer", "2580", actor="Quinn", reason="new colleague")
+        registry.add_certificate(
+            CellCertificate("LC-9", "K-1", "KRISS", date(2026, 1, 2), date(2027, 1, 2), capacity_N=50, uncertainty_N=1),
+            actor="Erin",
+        )
+        registry.add_golden_run(GoldenRun("line-1", "G1", NOW, 0.3, "N", False, ("too large",), "Oh"))
+        registry.add_event("export", "units", ("A1",), {"revision": 1, "file": "unit-A1.pdf"}, actor="Erin")
+        first = registry.history("A1")[0]
+        registry.add_refusal("small", "A2", "retest", ("again",), actor="Erin")
+        registry.rollback("A1", first.revision, reason="trial", actor="Erin") if len(registry.history("A1")) > 1 else 0
+        registry.decide(first, "line", actor="Erin", reason="looked at it")
+    return calibrated
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_every_row_of_a_busy_registry_is_a_sentence_without_tables_and_hashes(busy: str, language: str) -> None:
+    with open_registry(busy) as registry:
+        rows = registry.audit_rows()
+    entries = trail(rows, partial(text, language))
+    plain = {
+        (e.row.action, e.row.entity) for e in entries if f"trail.{e.row.action}.{e.row.entity}" not in catalogue()["en"]
+    }
+    assert not plain
+    told = " ".join(f"{e.what} {e.changed}" for e in entries)
+    assert "sha256" not in told and "_id" not in told and not any(len(word) >= 32 for word in told.split())
+    assert {e.section for e in entries} <= set(HEADINGS)
+
+
+def test_a_change_says_what_was_before_and_after(busy: str) -> None:
+    with open_registry(busy) as registry:
+        entries = trail(registry.newest_audit_rows(100), SAY)
+    limit = next(e for e in entries if e.row.action == "set_limit")
+    assert limit.what == "The limit of lot small was set" and limit.changed == "limit: 0.3 → 0.25"
+    rules = next(e for e in entries if e.row.action == "set_rules")
+    assert "planned units" in rules.changed and "40" in rules.changed
+    person = next(e for e in entries if e.row.action == "set_user")
+    assert "role: Engineer" in person.changed
+
+
+def test_a_row_that_nobody_foresaw_is_shown_and_not_lost() -> None:
+    entry = entry_of(row("bake", "cakes", ["sponge"], {"eggs": 3}), SAY)
+    assert "bake" in entry.what and "sponge" in entry.what and entry.section == "registry"
+
+
+def test_the_filter_takes_what_it_says() -> None:
+    rows = [
+        row("set_limit", "limits", ["L1", 1], {"lot_id": "L1", "rmse": 0.2}),
+        row("set_user", "users", ["Lee"], {"role": "engineer"}, actor="Quinn"),
+        row("export", "units", ["A1"], {"file": "a.pdf"}, at=NOW - timedelta(days=3)),
+    ]
+    entries = trail(rows, SAY)
+
+    def taken(**wanted) -> list[str]:
+        return [e.row.action for e in entries if TrailFilter(**wanted).takes(e)]
+
+    assert taken() == ["set_limit", "set_user", "export"]
+    assert taken(text="LIMIT l1") == ["set_limit"] and taken(text="limit lee") == []
+    assert taken(actors=("Quinn",)) == ["set_user"]
+    assert taken(sections=("papers",)) == ["export"]
+    assert taken(since=NOW - timedelta(days=1)) == ["set_limit", "set_user"]
+    assert taken(until=NOW - timedelta(days=1)) == ["export"]
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_every_field_and_heading_has_its_word(language: str) -> None:
+    known = catalogue()[language]
+    assert {f"trail.field.{name}" for name in FIELDS} | {f"trail.section.{name}" for name in HEADINGS} <= set(known)
+    assert set(SECTIONS.values()) <= set(HEADINGS)
+
+
+def test_the_page_is_searched_and_shows_the_row_itself_only_when_asked(busy: str, open_page) -> None:
+    def page() -> None:
+        from softcal.app.ui.app_pages import audit_trail
+
+        audit_trail.render()
+
+    screen = open_page(busy, page, role="quality")
+    assert not screen.exception and not screen.error and not screen.code
+    screen.text_input(key="trail-find").set_value("limit revision").run()
+    (found,) = [frame.value for frame in screen.dataframe]
+    assert len(found) == 1 and "0.3 → 0.25" in str(found.iloc[0].tolist())
+    screen.multiselect(key="trail-actor").set_value(["Erin"]).run()
+    assert not screen.dataframe and screen.caption

@@ -1,0 +1,253 @@
+"""What every command shares: CSV and JSON apart from words, tables that fit, suggestions, completion, examples."""
+
+import csv
+import fcntl
+import io
+import os
+import pty
+import re
+import shlex
+import struct
+import subprocess
+import sys
+import termios
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.cli.main import command_parser, main
+from softcal.app.cli.parser import suggestion
+
+
+@pytest.fixture(scope="module")
+def calibrated(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `lot/` and `registry.db` in which the small lot was batched."""
+    import shutil
+
+    folder = Path(shutil.copytree(trained_lot, tmp_path_factory.mktemp("batched") / "here"))
+    main(["batch", str(folder / "lot"), "--registry", f"sqlite:///{folder / 'registry.db'}", "--hidden", "16,8"])
+    return folder
+
+
+def _url(folder: Path) -> str:
+    return f"sqlite:///{folder / 'registry.db'}"
+
+
+def test_csv_on_standard_output_is_the_table_and_nothing_else(
+    calibrated: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lot = str(calibrated / "lot")
+    assert main(["batch", lot, "--registry", _url(calibrated), "--hidden", "16,8", "--csv", "-"]) in (0, 1)
+    out = capsys.readouterr()
+    rows = list(csv.reader(io.StringIO(out.out)))
+    assert [row[0] for row in rows] == ["serial", "A1", "A2", "A3"] and len({len(row) for row in rows}) == 1
+    assert "units in" in out.err
+
+
+def test_json_on_standard_output_is_json_and_nothing_else(
+    calibrated: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    import json
+
+    table = tmp_path / "table.csv"
+    lot = str(calibrated / "lot")
+    main(["batch", lot, "--registry", _url(calibrated), "--hidden", "16,8", "--json", "-", "--csv", str(table)])
+    assert {unit["serial"] for unit in json.loads(capsys.readouterr().out)["units"]} == {"A1", "A2", "A3"}
+    assert len(table.read_text().splitlines()) == 4
+
+
+def test_one_standard_output_is_not_given_twice(calibrated: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["registry", "list", "--registry", _url(calibrated), "--json", "-", "--csv", "-"]) == 2
+    assert "both want standard output" in capsys.readouterr().err
+
+
+def _on_a_terminal(arguments: list[str], columns: int, **environment: str) -> str:
+    """Run softcal on a terminal of so many columns and return what it showed."""
+    near, far = pty.openpty()
+    fcntl.ioctl(far, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
+    kept = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR", "FORCE_COLOR")}
+    code = "import sys; from softcal.app.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *arguments],
+        stdin=far, stdout=far, stderr=subprocess.DEVNULL, env={**kept, "TERM": "xterm-256color", **environment},
+    )  # fmt: skip
+    os.close(far)
+    shown = b""
+    try:
+        while part := os.read(near, 4096):
+            shown += part
+    except OSError:
+        pass  # the terminal is closed with its last process
+    process.wait(60)
+    os.close(near)
+    return shown.decode()
+
+
+@pytest.mark.parametrize("columns", [60, 100])
+def test_a_table_fits_the_terminal_and_loses_no_letter(calibrated: Path, columns: int) -> None:
+    shown = _on_a_terminal(["registry", "list", "--registry", _url(calibrated)], columns, NO_COLOR="1")
+    assert "\x1b[" not in shown
+    assert max(len(line) for line in shown.splitlines()) <= columns
+    assert "…" not in shown
+
+
+def test_verdicts_have_a_colour_unless_it_is_refused(calibrated: Path) -> None:
+    assert "\x1b[3" in _on_a_terminal(["registry", "list", "--registry", _url(calibrated)], 200)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (["batc", "lot-1"], "batch"),
+        (["registry", "lst"], "list"),
+        (["batch", "lot-1", "--engin", "dask", "--anchor"], None),
+        (["batch", "lot-1", "--hiden", "16"], "--hidden"),
+        (["batch", "lot-1", "--engine", "dsk"], "dask"),
+        (["estimate", "in.csv", "--serial", "A", "--out", "o.csv", "--ouput-column=v"], "--output-column"),
+        (["quality", "yeild"], "yield"),
+    ],
+)
+def test_a_mistyped_name_gets_a_suggestion(
+    arguments: list[str], meant: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if meant is None:  # a unique beginning is no mistake
+        command_parser().parse_args([*arguments, "file.csv"])
+        return
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert f"did you mean {meant}?" in capsys.readouterr().err
+
+
+def test_what_is_like_nothing_gets_no_suggestion() -> None:
+    assert suggestion("zzzz", ["batch", "list"]) == ""
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion_knows_every_command(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert all(word in script for word in ("batch", "estimate", "report", "sample-rate"))
+
+
+def test_bash_completes_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["completion", "bash"])
+    (tmp_path / "softcal.sh").write_text(capsys.readouterr().out)
+    script = (
+        "source softcal.sh; COMP_WORDS=(softcal est); COMP_CWORD=1; "
+        "f=$(complete -p softcal | sed 's/.*-F \\([^ ]*\\).*/\\1/'); $f softcal est softcal; echo ${COMPREPLY[@]}"
+    )
+    done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout.split() == ["estimate"], done.stderr
+
+
+def _examples(command: str) -> list[list[str]]:
+    """Return the commands that `softcal COMMAND --help` gives as examples, as a shell would split them."""
+    actions = command_parser()._subparsers._group_actions[0]  # type: ignore[union-attr]
+    text = (actions.choices[command].epilog or "").replace("\\\n", " ")  # type: ignore[index]
+    return [shlex.split(line.strip()) for line in text.splitlines() if line.strip().startswith("softcal import")]
+
+
+def test_the_examples_of_import_work_as_written(
+    tmp_path: Path,
+    press_unit,
+    monkeypatch: pytest.MonkeyPatch,
+    measured_data: Path,  # type: ignore[no-untyped-def]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for k in (1, 2):
+        table = press_unit(600, 1 + 0.1 * k, 0.5, k).rename(columns={"output": "output_V", "reference": "force_N"})
+        table.drop(columns="t_s").to_csv(f"S{k}.csv", index=False)
+    (tmp_path / "insole.parquet").symlink_to(measured_data / "insole_lot" / "calibration.parquet")
+    examples = _examples("import")
+    assert len(examples) == 2
+    for arguments in examples:
+        assert main(arguments[1:]) == 0, arguments
+    assert len(list((tmp_path / "lot-1" / "units").iterdir())) == 1
+    assert len(list((tmp_path / "lot-2" / "units").iterdir())) > 10
+
+
+def test_one_recording_under_two_serials_is_remarked(
+    tmp_path: Path,
+    press_unit,
+    capsys: pytest.CaptureFixture[str],  # type: ignore[no-untyped-def]
+) -> None:
+    press_unit(600, 1.0, 0.5, 1).to_csv(tmp_path / "S1.csv", index=False)
+    for name in ("S2", "S3"):
+        press_unit(600, 1.1, 0.5, 2).to_csv(tmp_path / f"{name}.csv", index=False)
+    files = [str(tmp_path / f"S{k}.csv") for k in (1, 2, 3)]
+    options = ["--source", "S1", "--reference-column", "reference", "--time-column", "t_s"]
+    assert main(["import", *files, *options, "--out", str(tmp_path / "lot")]) == 0
+    assert "note: units S2, S3 have one and the same recording" in capsys.readouterr().err
+    main(["train", str(tmp_path / "lot"), "--hidden", "4", "--registry", f"sqlite:///{tmp_path / 'r.db'}"])
+    assert "note: units S2, S3 have one and the same recording" in capsys.readouterr().err
+
+
+def _logged(calibrated: Path, folder: Path) -> Path:
+    """The unit's recording as a logger wrote it: other names, no time."""
+    table = pd.read_csv(calibrated / "lot/units/A1.csv").rename(columns={"output": "output_V", "t_s": "when_s"})
+    table["note"] = "x"
+    table[["note", "output_V", "when_s"]].to_csv(folder / "logged.csv", index=False)
+    return folder / "logged.csv"
+
+
+@pytest.mark.parametrize("command", ["estimate", "adapt"])
+@pytest.mark.parametrize("time", [("--time-column", "when_s"), ("--sample-rate", "50")])
+def test_tables_of_an_instrument_are_taken_as_import_takes_them(
+    calibrated: Path, tmp_path: Path, command: str, time: tuple[str, str]
+) -> None:
+    arguments = [command, "--serial", "A1", "--registry", _url(calibrated)]
+    plain, named = tmp_path / "plain.csv", tmp_path / "named.csv"
+    assert main([*arguments, str(calibrated / "lot/units/A1.csv"), "--out", str(plain)]) == 0
+    logged = str(_logged(calibrated, tmp_path))
+    assert main([*arguments, logged, "--output-column", "output_V", *time, "--out", str(named)]) == 0
+    expected, found = pd.read_csv(plain), pd.read_csv(named)
+    assert expected["estimate"].notna().sum() > 1000
+    np.testing.assert_allclose(found["estimate"], expected["estimate"], rtol=1e-9)
+    np.testing.assert_allclose(found["t_s"], expected["t_s"], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("estimate", "--output-column", "volts"), "there is no column 'volts'; the file has: note, output_V, when_s"),
+        (("estimate", "--output-column", "output_V"), "there is no column 't_s'"),
+        (("estimate", "--output-column", "output_V", "--sample-rate", "80"), "80 Hz, the declared sample rate is 50"),
+        (("adapt", "--output-column", "output_V", "--sample-rate", "50", "--stream", "a", "--resume"), "--time-column"),
+        (("adapt", "--output-column", "note", "--sample-rate", "50"), "'x' is not a number"),
+    ],
+)
+def test_a_wrong_column_or_rate_is_one_line(
+    calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
+) -> None:
+    command, *rest = arguments
+    place = [str(_logged(calibrated, tmp_path)), "--out", str(tmp_path / "out.csv")]
+    assert main([command, "--serial", "A1", "--registry", _url(calibrated), *place, *rest]) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out.csv").exists()
+
+
+@pytest.mark.parametrize("language", ["en", "ko"])
+def test_a_report_is_one_page_that_needs_nothing_else(calibrated: Path, tmp_path: Path, language: str) -> None:
+    out = tmp_path / "report.html"
+    arguments = ["report", str(calibrated / "lot"), "--out", str(out), "--language", language]
+    assert main([*arguments, "--registry", _url(calibrated)]) == 0
+    page = re.sub(r"<script.*?</script>", "", out.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert not re.search(r"(src|href)\s*=\s*['\"]?(https?:)?//", page)
+    assert all(f"<td>{serial}</td>" in page for serial in ("A1", "A2", "A3"))
+    assert page.count("plotly-graph-div") >= 2
+    listed = [row for row in re.findall(r"<tr>(.*?)</tr>", page) if "<td>" in row]
+    assert len(listed) == 3
+
+
+def test_a_report_escapes_what_a_lot_is_called(tmp_path: Path) -> None:
+    from softcal.app.charts.lot_page import _table
+
+    assert "<script>" not in _table(["<script>"], [["<script>"]])
+
+
+def test_a_report_of_an_unknown_lot_is_one_line(calibrated: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", "lot-9", "--registry", _url(calibrated)]) == 2
+    assert "lot-9" in capsys.readouterr().err

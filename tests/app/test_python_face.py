@@ -1,0 +1,200 @@
+"""`import softcal`: the README's lines, pandas in and out, the registry, scikit-learn's conventions."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import clone
+from sklearn.frozen import FrozenEstimator
+from sklearn.model_selection import cross_val_score
+from sklearn.pipeline import make_pipeline
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+import softcal
+from softcal.app.cli.main import main
+
+README = Path(__file__).parents[2] / "README.md"
+COOKBOOK = README.parent / "docs" / "python.md"
+SMALL = {"hidden": (16, 8)}
+
+
+@pytest.fixture(scope="module")
+def tables(press_unit) -> list[pd.DataFrame]:  # type: ignore[no-untyped-def]
+    """Source and two units, each pressed for 30 s at 50 Hz; gains 1, 1.15 and 1.3."""
+    return [press_unit(1500, 1 + 0.15 * k, 0.5 + 0.04 * k, k + 1) for k in range(3)]
+
+
+@pytest.fixture(scope="module")
+def source(tables: list[pd.DataFrame]) -> softcal.SourceNetwork:
+    return softcal.fit_network(
+        softcal.Recording.from_frame(tables[0], reference="reference", time="t_s", serial="S1"), **SMALL
+    )
+
+
+@pytest.fixture(scope="module")
+def unit(source: softcal.SourceNetwork, tables: list[pd.DataFrame]) -> softcal.Unit:
+    return softcal.fit_map(source, softcal.Recording.from_frame(tables[1], time="t_s", serial="S2"))
+
+
+def test_the_readme_example_runs_as_written(
+    tables: list[pd.DataFrame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = re.search(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    assert code and len([line for line in code[1].splitlines() if line.strip()]) <= 6
+    for k in (1, 2):
+        named = tables[k - 1].rename(columns={"output": "output_V", "reference": "force_N"})
+        named.to_csv(tmp_path / f"S{k}.csv", index=False)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code[1], "README.md", "exec"), {})
+    said = capsys.readouterr().out
+    assert said.split()[0] in ("pass", "conditional", "fail", "retest") and "estimate" in said
+
+
+def test_the_cookbook_runs_as_written(
+    tables: list[pd.DataFrame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, registry_url: str
+) -> None:
+    # The registry of the small lot knows A1 to A3; the cookbook's reader has calibrated S2.
+    blocks = re.findall(r"```python\n(.*?)```", COOKBOOK.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) >= 6
+    for k in (1, 2):
+        named = tables[k - 1].rename(columns={"output": "output_V", "reference": "force_N"})
+        named.to_csv(tmp_path / f"S{k}.csv", index=False)
+    lot = ["--source", "S1", "--output-column", "output_V", "--reference-column", "force_N", "--sample-rate", "50"]
+    files = [str(tmp_path / f"S{k}.csv") for k in (1, 2)]
+    assert main(["import", *files, *lot, "--out", str(tmp_path / "lot")]) == 0
+    main(["batch", str(tmp_path / "lot"), "--hidden", "16,8", "--registry", registry_url])
+    monkeypatch.setenv("SOFTCAL_REGISTRY", registry_url)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for block in blocks:
+        exec(compile(block, "python.md", "exec"), names)
+    assert np.isfinite(names["estimate"]).all() and len(names["force_N"]) == len(names["output_V"])  # type: ignore[call-overload, arg-type]
+
+
+def test_every_public_name_is_there_and_nothing_is_loaded_before_it_is_asked_for() -> None:
+    assert all(getattr(softcal, name) is not None for name in softcal.__all__)
+    assert sorted(softcal.__all__) == dir(softcal)
+    code = "import softcal, sys; print([m for m in ('numpy', 'pandas', 'torch', 'sqlalchemy') if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+    with pytest.raises(AttributeError, match="no attribute 'fit_maps'"):
+        softcal.fit_maps  # noqa: B018
+
+
+def test_a_unit_of_another_gain_is_estimated_without_its_reference(
+    source: softcal.SourceNetwork, unit: softcal.Unit, tables: list[pd.DataFrame]
+) -> None:
+    reference = tables[1]["reference"].to_numpy()
+    found = unit.estimate(tables[1]["output"])
+    uncorrected = softcal.fit_map(
+        source, softcal.Recording.from_frame(tables[1], time="t_s", serial="S2"), family="identity"
+    )
+    error = np.sqrt(np.nanmean((found["estimate"] - reference) ** 2))
+    unmapped = np.sqrt(np.nanmean((uncorrected.estimate(tables[1]["output"])["estimate"] - reference) ** 2))
+    assert error < 0.5 * unmapped
+    assert (found["lower"] <= found["estimate"])[14:].all() and found["estimate"][:14].isna().all()
+
+
+def test_the_reference_of_a_target_changes_nothing(
+    source: softcal.SourceNetwork, unit: softcal.Unit, tables: list[pd.DataFrame]
+) -> None:
+    labelled = tables[1].assign(reference=0.0)
+    with_labels = softcal.Recording.from_frame(labelled, reference="reference", time="t_s", serial="S2")
+    again = softcal.fit_map(source, with_labels)
+    pd.testing.assert_frame_equal(again.estimate(tables[1]["output"]), unit.estimate(tables[1]["output"]))
+
+
+def test_pandas_keeps_its_index_and_arrays_give_the_same_numbers(
+    unit: softcal.Unit, tables: list[pd.DataFrame]
+) -> None:
+    series = tables[1]["output"].set_axis(range(7, 1507))
+    by_series, by_array = unit.estimate(series), unit.estimate(series.to_numpy())
+    assert list(by_series.index) == list(range(7, 1507))
+    np.testing.assert_array_equal(by_series["estimate"], by_array["estimate"])
+    recording = softcal.Recording.from_frame(tables[1], reference="reference", time="t_s")
+    pd.testing.assert_frame_equal(recording.to_frame(), tables[1][["t_s", "output", "reference"]])
+
+
+def test_python_and_command_line_give_one_calibration(
+    tables: list[pd.DataFrame], source: softcal.SourceNetwork, unit: softcal.Unit, tmp_path: Path
+) -> None:
+    for k in (1, 2):
+        tables[k - 1].to_csv(tmp_path / f"S{k}.csv", index=False)
+    url = f"sqlite:///{tmp_path / 'registry.db'}"
+    files = [str(tmp_path / f"S{k}.csv") for k in (1, 2)]
+    made = ["--source", "S1", "--reference-column", "reference", "--time-column", "t_s", "--out", str(tmp_path / "lot")]
+    assert main(["import", *files, *made]) == 0
+    main(["batch", str(tmp_path / "lot"), "--hidden", "16,8", "--registry", url])
+    with softcal.open_registry(url) as registry:
+        kept = softcal.Unit.from_registry(registry, "S2")
+    assert kept.network.id == source.network.id
+    pd.testing.assert_frame_equal(kept.estimate(tables[1]["output"]), unit.estimate(tables[1]["output"]))
+    assert (kept.verdict, kept.family, kept.predicted_rmse) == (unit.verdict, unit.family, unit.predicted_rmse)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"output": [1.0] * 20}, "neither sample_rate_Hz nor t_s"),
+        ({"output": [1.0, float("nan")] * 20, "sample_rate_Hz": 50}, "output is nan at sample 1"),
+        ({"output": ["a"] * 20, "sample_rate_Hz": 50}, "output holds something that is no number"),
+        ({"output": [1.0] * 20, "reference": [1.0] * 19, "sample_rate_Hz": 50}, "reference has 19"),
+        ({"output": [1.0] * 20, "sample_rate_Hz": -1}, "neither sample_rate_Hz"),
+    ],
+)
+def test_a_bad_recording_is_refused_when_it_is_made(arguments: dict[str, object], words: str) -> None:
+    with pytest.raises(softcal.InputError, match=re.escape(words)):
+        softcal.Recording(**arguments)
+
+
+def test_a_missing_column_lists_those_there_are(tables: list[pd.DataFrame]) -> None:
+    with pytest.raises(softcal.InputError, match=r"no column 'outpt'; the table has t_s, output, reference"):
+        softcal.Recording.from_frame(tables[0], output="outpt", time="t_s")
+
+
+def test_anchors_must_come_in_pairs(source: softcal.SourceNetwork, tables: list[pd.DataFrame]) -> None:
+    target = softcal.Recording.from_frame(tables[1], time="t_s")
+    with pytest.raises(softcal.InputError, match="as many of both"):
+        softcal.fit_map(source, target, anchors=([0.5, 0.6], [0.0]))
+    anchored = softcal.fit_map(source, target, anchors=pd.DataFrame({"output": [0.54], "reference": [0.0]}))
+    assert anchored.predicted_rmse is not None
+
+
+@parametrize_with_checks(
+    [softcal.NetworkRegressor(hidden=(8,), max_epochs=60)], expected_failed_checks=lambda estimator: {}
+)
+def test_the_network_keeps_every_convention_of_scikit_learn(estimator: object, check) -> None:  # type: ignore[no-untyped-def]
+    check(estimator)
+
+
+def test_a_map_and_the_network_make_a_pipeline(source: softcal.SourceNetwork, tables: list[pd.DataFrame]) -> None:
+    recording = softcal.Recording.from_frame(tables[0], reference="reference", time="t_s").labelled
+    regressor = softcal.NetworkRegressor(hidden=(16, 8)).fit(recording.windows, recording.window_reference)
+    pipeline = make_pipeline(softcal.MapTransformer(source), FrozenEstimator(regressor))
+    output, reference = tables[2][["output"]], tables[2]["reference"]
+    mapped = pipeline.fit(output).score(output, reference)
+    unmapped = make_pipeline(softcal.MapTransformer(source, family="identity"), FrozenEstimator(regressor))
+    assert mapped > unmapped.fit(output).score(output, reference)
+    assert clone(pipeline[0]).get_params()["family"] == "auto"
+    assert pipeline[0].family_ != "auto" and pipeline[0].transform(output).shape == (1500, 15)
+
+
+def test_a_transformer_says_what_it_lacks(source: softcal.SourceNetwork, tables: list[pd.DataFrame]) -> None:
+    with pytest.raises(softcal.InputError, match="has no source"):
+        softcal.MapTransformer().fit(tables[1][["output"]])
+    with pytest.raises(ValueError, match="one column"):
+        softcal.MapTransformer(source).fit(tables[1][["output", "reference"]])
+    with pytest.raises(softcal.InputError, match="'affin' is unknown"):
+        softcal.MapTransformer(source, family="affin").fit(tables[1][["output"]])
+
+
+def test_the_network_is_worth_as_much_to_cross_validation_as_to_the_command_line(
+    tables: list[pd.DataFrame],
+) -> None:
+    recording = softcal.Recording.from_frame(tables[0], reference="reference", time="t_s").labelled
+    regressor = softcal.NetworkRegressor(hidden=(16, 8))
+    scores = cross_val_score(regressor, recording.windows, recording.window_reference, cv=3)
+    assert scores.min() > 0.8

@@ -1,0 +1,96 @@
+"""What the line does to the load: stated, it is in forecast and interval; else it is said in N and in neither."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.maps.config import MapConfig
+from softcal.core.quality.acceptance import Promise, tolerance_factor
+from softcal.core.quality.release import AuditedUnit, release
+from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.explanation import contributions
+from softcal.core.unit.line_spread import LineSpread, seen_gains
+from softcal.core.unit.method import LineConfig, Method
+from softcal.core.unit.verdict import Limit
+
+
+@pytest.fixture(scope="module")
+def problem(source_model, press):
+    model = replace(source_model, method=Method(map=MapConfig(family="affine")))
+    return UnitProblem(model, press(2, gain=1.3, offset_V=0.05, seconds=120.0).unlabelled, Limit("N", 5.0))
+
+
+@pytest.fixture(scope="module")
+def plain(problem):
+    return calibrate(problem)
+
+
+@pytest.fixture(scope="module")
+def stated(problem):
+    return calibrate(replace(problem, line=LineSpread(0.06, 0.08)))
+
+
+def load_N(calibration):
+    return calibration.evidence["load_rms"]
+
+
+def test_a_stated_spread_is_in_the_forecast_in_quadrature(plain, stated, press):
+    force_N = press(2, seconds=120.0).reference
+    # The estimates' own load, after a map without labels: rest and gain are a little out.
+    assert load_N(plain) == pytest.approx(np.sqrt(np.mean(force_N**2)), rel=0.15)
+    assert stated.forecast.rmse == pytest.approx(np.hypot(plain.forecast.rmse, 0.1 * load_N(plain)))
+    assert contributions(stated)["line"] == pytest.approx(0.1 * load_N(plain))
+    said = stated.decision.predicted.reasons[-1]
+    assert said.code == "line.stated" and said.values["rmse"] == pytest.approx(0.1 * load_N(plain))
+
+
+def test_a_stated_spread_widens_the_interval_with_the_load(plain, stated):
+    added = np.sqrt(stated.interval.half_width**2 - plain.interval.half_width**2)
+    level = plain.interval.low + (np.arange(added.shape[1]) + 0.5) * (plain.interval.high - plain.interval.low) / 64
+    for row in added:
+        # Beyond rest, a tenth of the load at the 90 % quantile of a normal distribution.
+        np.testing.assert_allclose(row[8:], 1.645 * 0.1 * (level[8:] - level[0]), rtol=0.05, atol=0.02)
+
+
+def test_a_spread_nobody_stated_is_said_in_newton_and_changes_no_number(plain):
+    default = LineConfig()
+    said = plain.decision.predicted.reasons[-1]
+    assert said.code == "line.open" and said.values["unit"] == "N"
+    assert said.values["rmse"] == pytest.approx(np.hypot(default.load_spread, default.day_spread) * load_N(plain))
+    assert said.values["rmse"] > 0
+    assert "u_line" not in plain.evidence and "line" not in contributions(plain)
+
+
+def test_a_stated_spread_is_no_finding_and_no_doubt_of_the_map(plain, stated):
+    assert stated.evidence["findings"] == plain.evidence["findings"]
+    assert stated.evidence["own_rmse_forecast"] == plain.evidence["own_rmse_forecast"]
+
+
+def test_what_was_stated_is_part_of_what_a_result_depends_on(problem):
+    spreads = (None, LineSpread(0.02), LineSpread(0.02, 0.01))
+    assert len({replace(problem, line=line).input_sha256 for line in spreads}) == 3
+
+
+@pytest.mark.parametrize(("load", "day"), [(0.0, 0.0), (-0.1, 0.0), (3.0, 0.0), (0.03, float("nan"))])
+def test_no_spread_and_percent_for_a_share_are_refused(load, day):
+    with pytest.raises(InputError, match=r"\[line\]"):
+        LineSpread(load, day)
+
+
+def test_gains_of_audited_units_show_the_spread(rng):
+    seen = seen_gains(list(1.05 * np.exp(0.12 * rng.normal(size=4000))))
+    assert seen.centre == pytest.approx(1.05, rel=0.01) and seen.spread == pytest.approx(0.12, rel=0.05)
+    assert seen_gains([1.0, 1.1]) is None and seen_gains([1.0, -0.4, 1.1]) is None
+
+
+def test_what_golden_runs_show_from_day_to_day_is_kept_from_the_limit():
+    audits = [AuditedUnit(f"A{k}", 0.3, 0.3 * (1 + 0.01 * k)) for k in range(10)]
+    forecasts = {f"U{k}": 0.3 for k in range(4)}
+    factor = release(forecasts, audits, Limit("N", 1.0)).factor
+    room = np.sqrt(1.0 - (0.3 * factor) ** 2)
+    assert len(release(forecasts, audits, Limit("N", 1.0), days=dict.fromkeys(forecasts, 0.99 * room)).released) == 4
+    assert release(forecasts, audits, Limit("N", 1.0), days=dict.fromkeys(forecasts, 1.01 * room)).released == ()
+    # Four days say less of the next than forty.
+    assert tolerance_factor(4, 3, Promise()) > 1.9 * tolerance_factor(40, 39, Promise())
