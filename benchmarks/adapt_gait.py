@@ -14,7 +14,9 @@ from simulated_gait import RATE_HZ, Drift, Sensor, pieces, walk
 
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array
-from softcal.core.use.intake import BATCH
+from softcal.core.use.method import UseMethod
+
+BATCH = UseMethod().intake.batch
 
 SEGMENTS = 10
 RECOVERY_S = 20.0

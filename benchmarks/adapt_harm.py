@@ -189,7 +189,7 @@ class Run:
     @property
     def is_bad(self) -> bool:
         """Whether the last third was estimated with more than the error at which recalibration is due."""
-        return self.last[1] > AdaptConfig().alarm_ratio * self.promised
+        return self.last[1] > AdaptConfig().method.doubt.alarm_ratio * self.promised
 
     @property
     def worse(self) -> float:

@@ -18,8 +18,10 @@ from softcal.core.lot import Lot
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array
 from softcal.core.use.adapter import AdaptConfig
-from softcal.core.use.intake import BATCH
+from softcal.core.use.method import UseMethod
 from softcal.db.connection import open_registry
+
+BATCH = UseMethod().intake.batch
 
 SECONDS = 240.0
 CHECKPOINT_S = 5.0

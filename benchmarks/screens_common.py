@@ -25,6 +25,7 @@ from softcal.core.lot import Lot
 from softcal.core.network.network import Network
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.line_rules import LineRules
+from softcal.core.reason import Reason, packed, reason
 from softcal.core.simulated_lot import LotDesign, simulate_lot
 from softcal.db.registry import Registry
 
@@ -40,7 +41,16 @@ GOOD = (
     Condition("homing", True, "homed"),
     Condition("golden unit", True, "G-03 within its limits at 06:12 UTC"),
 )
-WITHIN = "predicted RMSE 0.071 N (95 %: 0.051 to 0.096) is within the limit 0.12 N (stated for the lot)"
+
+
+def stated(rmse: float, lower: float, upper: float, relation: str) -> Reason:
+    """Return the statement on a forecast against the limit of the lot."""
+    numbers = {"rmse": rmse, "lower": lower, "upper": upper, "limit": 0.12, "unit": "N"}
+    phrases = {"source": "part.predicted", "relation": f"part.{relation}", "origin": "part.stated"}
+    return reason("statement", **numbers, **{name: Reason(code) for name, code in phrases.items()})
+
+
+WITHIN = (stated(0.071, 0.051, 0.096, "within"),)
 
 
 class PlayedLine:
@@ -89,18 +99,23 @@ class PlayedLine:
             raise ValueError("an order was placed and none is there")
         return order
 
-    def end(self, order: Order, verdict: str, message: str = WITHIN, code: str = "") -> None:
+    def end(
+        self, order: Order, verdict: str, reasons: tuple[Reason, ...] = WITHIN, code: str = "", message: str = ""
+    ) -> None:
         """End a run and store its result."""
         state = RunState.ERROR if code else RunState.DONE
         if verdict:
             result = record(order.serial, self._count, self.network_id)
-            result = replace(result, verdict=verdict, reasons=tuple(message.split("; ")), predicted_rmse=0.071)
+            result = replace(result, verdict=verdict, reasons=reasons, predicted_rmse=0.071)
             self.registry.add_calibration(LOT, result)
-        self.queue.report(Progress(order.order_id, state, "done", 1.0, code=code, message=message, verdict=verdict))
+        told = message or packed(reasons)
+        self.queue.report(Progress(order.order_id, state, "done", 1.0, code=code, message=told, verdict=verdict))
 
-    def press(self, serial: str, verdict: str, message: str = WITHIN, code: str = "") -> None:
+    def press(
+        self, serial: str, verdict: str, reasons: tuple[Reason, ...] = WITHIN, code: str = "", message: str = ""
+    ) -> None:
         """Press one unit from order to end."""
-        self.end(self.place(serial), verdict, message, code)
+        self.end(self.place(serial), verdict, reasons, code, message)
 
 
 def pressed_signal(seconds: float = 38.0) -> Signal:

@@ -8,9 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from playwright.sync_api import Browser, Page
-from screens_common import GOOD, LOT, STATION, THEMES, PlayedLine, keep_picture, pressed_signal, served
+from screens_common import GOOD, LOT, STATION, THEMES, PlayedLine, keep_picture, pressed_signal, served, stated
 
 from softcal.core.orders import Condition, Progress, RunState, StationState
+from softcal.core.reason import reason
 from softcal.db.connection import open_registry
 
 SIZE = {"width": 1280, "height": 800}
@@ -18,14 +19,11 @@ UNPLUGGED = (
     "sensor readout (/dev/ttyACM1): the device is gone (unplugged or switched off); the stage was stopped and lifted"
 )
 CLIPPED = (
-    "clipped range: presses end flat at 1.62 V, 8.1% of the samples; check gain and supply of the readout; "
-    "predicted RMSE 0.31 N (95 %: 0.22 to 0.41) is above the limit 0.12 N (stated for the lot)"
+    reason("saturated", level=reason("part.level", level=1.62, unit="V"), share=0.081),
+    stated(0.31, 0.22, 0.41, "above"),
 )
-NOISY = "dead channel: output is noise alone (SD 0.004 V); check cable and contact, press the unit and record it again"
-NEAR = (
-    "predicted RMSE 0.118 N (95 %: 0.084 to 0.16) is within, but closer than its uncertainty to the limit 0.12 N "
-    "(stated for the lot)"
-)
+NOISY = (reason("dead.noise", spread=0.004, unit="V", cure=reason("part.check_cable")),)
+NEAR = (stated(0.118, 0.084, 0.16, "within_close"),)
 LAST = ("pass", "pass", "conditional", "pass", "pass", "fail", "pass", "pass", "pass", "pass", "pass", "pass")
 
 
@@ -51,7 +49,7 @@ def end_run(line: PlayedLine) -> None:
 
 
 def stop(line: PlayedLine) -> None:
-    line.press(serial(45), "", UNPLUGGED, "E-SILENT")
+    line.press(serial(45), "", (), "E-SILENT", UNPLUGGED)
     line.beat(StationState.STOPPED, reason=UNPLUGGED)
 
 
@@ -93,7 +91,9 @@ def scan(page: Page, text: str) -> None:
 def take(page: Page, state: str, scanned: str, path: Path) -> None:
     """Bring one screen into a state and take its picture."""
     scan(page, "CMD:CANCEL")
-    page.locator(".sc-note").wait_for(state="detached")
+    if state != "ready":
+        # Before the first run the greeting of the badge stays.
+        page.locator(".sc-note").wait_for(state="detached")
     if scanned:
         scan(page, scanned)
     page.locator(f".sc-card[data-state={state}]").wait_for()

@@ -16,6 +16,7 @@ import numpy as np
 from map_methods import print_table
 from plotly.subplots import make_subplots
 from scipy.stats import beta
+from screens_common import chromium
 from trust_lots import GOOD, FittedUnit, covered, drawn_lots, fitted, measured_lots
 
 from softcal.core.quality.acceptance import Promise
@@ -53,7 +54,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 24), metavar=("FIRST", "LAST"))
     parser.add_argument("--cache", type=Path, default=Path(gettempdir()) / "softcal-trust", help="fits are kept here")
     parser.add_argument("--measured", action="store_true", help="the recordings of shared/data in place of drawn lots")
-    parser.add_argument("--figure", type=Path, help="draw what audits buy into this file")
+    parser.add_argument("--figure", type=Path, help="draw what audits buy: .html, or .png by chromium")
     options = parser.parse_args()
     if options.measured:
         report(by_lot(fitted(measured_lots, "measured", options.cache)))
@@ -246,7 +247,14 @@ def draw_figure(lots: Lots, file: Path) -> None:
     figure.update_xaxes(title_text="audits a lot").update_yaxes(rangemode="tozero").update_layout(
         template="simple_white"
     )
-    figure.write_html(file, include_plotlyjs="cdn")
+    if file.suffix != ".png":
+        figure.write_html(file, include_plotlyjs="cdn")
+        return
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 1100, "height": 430}, device_scale_factor=1.5)
+        page.set_content(figure.to_html(include_plotlyjs=True, config={"displayModeBar": False}))
+        page.locator(".main-svg").first.wait_for()
+        page.screenshot(path=file)
 
 
 if __name__ == "__main__":

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from simulated_cases import NETWORK
 
 from softcal.core.challenge.draw import draw_case
-from softcal.core.challenge.lot import press_lot
 from softcal.core.challenge.rig import Measured
+from softcal.core.challenge.sealed_lot import press_lot
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network

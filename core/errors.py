@@ -13,17 +13,31 @@ SoftcalError
 Wrong arguments inside the program stay ValueError.
 """
 
-from softcal.core.reason import Reason
+import errno
+
+from softcal.core.reason import Reason, plain
+
+
+def printable(text: str) -> str:
+    """Return a text with its control characters shown by their codes."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 class SoftcalError(Exception):
     """Something a person can act on; its text is one clear line.
 
     What it quotes may come from a file or a device: a control character in it is shown by its code, never obeyed.
+
+    Args:
+        said: what happened, as a code with its values; a sentence where it is said in English alone.
     """
 
+    def __init__(self, said: Reason | str = "") -> None:
+        self.reason = Reason.of(said)
+        super().__init__(said)
+
     def __str__(self) -> str:
-        return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in super().__str__())
+        return printable(str(self.reason))
 
 
 class InputError(SoftcalError):
@@ -55,12 +69,16 @@ class RegistryError(SoftcalError):
 
 
 class UnitRefused(SoftcalError):
-    """This unit cannot be calibrated from this recording; the lot goes on without it.
+    """This unit cannot be calibrated from this recording; the lot goes on without it."""
 
-    Args:
-        why: the reason, with its code and values; a plain sentence where it is about a file of one export.
-    """
 
-    def __init__(self, why: Reason | str) -> None:
-        self.reason = Reason.of(why)
-        super().__init__(str(self.reason))
+def reason_of(error: BaseException) -> Reason:
+    """Return what an error says, as a value of another reason."""
+    if isinstance(error, SoftcalError):
+        return error.reason
+    if isinstance(error, OSError) and error.strerror:
+        return _OF_SYSTEM.get(error.errno or 0) or plain(error.strerror)
+    return plain(str(error))
+
+
+_OF_SYSTEM = {errno.ENOSPC: Reason("system.full"), errno.EACCES: Reason("system.denied")}

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from softcal.core.errors import InputError
+from softcal.core.reason import reason
 
 SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 """Serials become file names and bar codes: letters, digits, dot, dash and underscore, 64 at most."""
@@ -17,12 +18,9 @@ RESERVED = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?", re.IGNO
 def check_serial(serial: str) -> str:
     """Return the serial, or raise `InputError` saying which characters are allowed."""
     if RESERVED.fullmatch(serial) or serial.endswith("."):
-        raise InputError(f"serial {serial[:80]!r}: Windows cannot have a file of this name; give another serial")
+        raise InputError(reason("name.windows", serial=repr(serial[:80])))
     if not SERIAL.fullmatch(serial) or ".." in serial:
-        raise InputError(
-            f"serial {serial[:80]!r}: 1 to 64 letters, digits, '.', '-' or '_' are allowed, starting with a letter "
-            "or digit"
-        )
+        raise InputError(reason("name.serial", serial=repr(serial[:80])))
     return serial
 
 
@@ -52,9 +50,7 @@ class Lot:
     def __post_init__(self) -> None:
         check_serial(self.source)
         if not re.fullmatch(r"[\w][\w .+-]{0,63}", self.id):
-            raise InputError(
-                f"lot id {self.id[:80]!r}: 1 to 64 letters, digits, spaces, '.', '-', '+' or '_' are allowed"
-            )
+            raise InputError(reason("name.lot", lot=repr(self.id[:80])))
         for name, value in (("sample_rate_Hz", self.sample_rate_Hz), ("limit rmse", self.limit_rmse)):
             if value is not None and not 0 < value < float("inf"):
                 raise InputError(f"{name} is {value}; a positive number was expected")

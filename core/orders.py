@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 
+from softcal.core.reason import Reason, joined, unpacked
+
 
 class OrderKind(StrEnum):
     """What a station can be asked to do."""
@@ -123,7 +125,7 @@ class Progress:
         fraction: 0 ... 1 of the run.
         remaining_s: estimated seconds to the end.
         code: "" while all is well, else the stable code of the message ("E-NOREPLY").
-        message: one sentence for the operator; on an error what happened and what to do.
+        message: what is said to the operator; on an error what happened and what to do. A text is one that was kept.
         recording_sha256: content hash of the stored recording, once there is one.
         verdict: pass, conditional, fail or retest once a unit is judged; of a golden unit pass or fail; else "".
         signal: the live signal.
@@ -135,15 +137,24 @@ class Progress:
     fraction: float = 0.0
     remaining_s: float = 0.0
     code: str = ""
-    message: str = ""
+    message: tuple[Reason, ...] = ()
     recording_sha256: str = ""
     verdict: str = ""
     signal: Signal = field(default_factory=Signal)
 
+    def __post_init__(self) -> None:
+        if isinstance(self.message, str):
+            object.__setattr__(self, "message", unpacked(self.message))
+
+    @property
+    def text(self) -> str:
+        """The message in English, as one line."""
+        return joined(self.message)
+
 
 @dataclass(frozen=True)
 class Condition:
-    """One thing the gate looked at.
+    """One thing the gate looked at; a sentence in the place of a reason is one that was kept.
 
     Args:
         name: certificate, force range, warm-up, zero return, homing, golden unit.
@@ -151,9 +162,13 @@ class Condition:
         says: the fact, and where it is not good what to do.
     """
 
-    name: str
+    name: Reason
     is_good: bool
-    says: str
+    says: Reason
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", Reason.of(self.name))
+        object.__setattr__(self, "says", Reason.of(self.says))
 
 
 @dataclass(frozen=True)
@@ -174,8 +189,11 @@ class Heartbeat:
     station: str
     state: StationState
     at: datetime
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[Reason, ...] = ()
     process: str = ""
     order_id: str = ""
     gate: tuple[Condition, ...] = ()
     is_overridden: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "reasons", tuple(map(Reason.of, self.reasons)))

@@ -1,10 +1,16 @@
-"""Why a unit got its verdict: a code with typed values. English stands here, other languages in app/texts."""
+"""What softcal says: a code with typed values. English stands in core, other languages in app/texts.
+
+The sentences on units and verdicts stand here, those of stations, their gates and the registry in `rig_sentences`.
+"""
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Union
+from string import Formatter
+from typing import Any, Union
+
+from softcal.core.rig_sentences import SENTENCES
 
 Value = Union[str, float, int, "Reason"]
 
@@ -143,13 +149,14 @@ ENGLISH: Mapping[str, str] = {
     "wrong_loads": "its known loads cannot be used: {error}",
     "worker_died": "the process that fitted it died; calibrate the lot again",
     "defect": "softcal could not calibrate it ({error}); this is a defect of softcal, the log has the details",
+    **SENTENCES,
 }
 """One sentence a code. Values stand in braces with their format; a value that is a reason is a phrase of its own."""
 
 
 @dataclass(frozen=True)
 class Reason:
-    """One thing that bears on a verdict.
+    """One thing that is said of a unit, a station or a file.
 
     Args:
         code: which sentence of `ENGLISH`.
@@ -176,7 +183,7 @@ class Reason:
             sentences: by code, as `ENGLISH`; what a language lacks is said in English.
         """
         values = {name: v.said(sentences) if isinstance(v, Reason) else v for name, v in self.values.items()}
-        return sentences.get(self.code, ENGLISH[self.code]).format(**values)
+        return filled(sentences.get(self.code, ENGLISH[self.code]), values)
 
     def to_json(self) -> dict[str, object]:
         """Return it as JSON values; `of` reads it back."""
@@ -199,8 +206,25 @@ class Reason:
         return cls(code, {name: cls.of(v) if isinstance(v, Mapping) else v for name, v in values.items()})
 
 
-def reason(code: str, **values: Value) -> Reason:
-    """Return the reason of a code; NumPy numbers become plain ones, so that the reason can be kept as JSON."""
+class _Filler(Formatter):
+    """Fills a sentence; a word in the place of a number ("nan", or a value of another version) stands as it is."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        text: str = super().format_field(value, "" if isinstance(value, str) else format_spec)
+        return text
+
+
+def filled(sentence: str, values: Mapping[str, object]) -> str:
+    """Return a sentence with its values filled in."""
+    return _Filler().vformat(sentence, (), values)
+
+
+def reason(code: str, /, **values: Value) -> Reason:
+    """Return the reason of a code, its values as JSON can keep them.
+
+    NumPy numbers become plain ones. A number that is none (nan, inf) becomes its word: whatever a device reported, the
+    sentence about it is said.
+    """
     return Reason(code, {name: _plain_value(value) for name, value in values.items()})
 
 
@@ -215,9 +239,12 @@ def to_kept(why: Reason | str) -> object:
     return str(found) if found.code == PLAIN else found.to_json()
 
 
-def packed(reasons: Iterable[Reason]) -> str:
+def packed(reasons: Iterable[Reason | str]) -> str:
     """Return reasons as one text for a column that holds messages; `unpacked` reads them back."""
-    return json.dumps([why.to_json() for why in reasons], ensure_ascii=False)
+    said = tuple(map(Reason.of, reasons))
+    if not any(why.code != PLAIN for why in said):
+        return joined(said)
+    return json.dumps([why.to_json() for why in said], ensure_ascii=False)
 
 
 def unpacked(message: str) -> tuple[Reason, ...]:
@@ -225,6 +252,18 @@ def unpacked(message: str) -> tuple[Reason, ...]:
     if not message.startswith('[{"code"'):
         return (plain(message),) if message else ()
     return tuple(map(Reason.of, json.loads(message)))
+
+
+def several(reasons: Sequence[Reason]) -> Reason:
+    """Return reasons as one, where a single one is wanted."""
+    first, *rest = reasons
+    return reason("and", first=first, rest=several(rest)) if rest else first
+
+
+def root_of(why: Reason) -> Reason:
+    """Return what a run died of, without what became of its stage."""
+    inner = why.values.get("why") if why.code == "rig.aborted" else None
+    return root_of(inner) if isinstance(inner, Reason) else why
 
 
 def joined(reasons: Iterable[Reason]) -> str:
@@ -236,6 +275,4 @@ def _plain_value(value: Value) -> Value:
     if isinstance(value, str | Reason):
         return value
     number = value.item() if hasattr(value, "item") else value
-    if isinstance(number, float) and not math.isfinite(number):
-        raise ValueError(f"a reason cannot hold {number}")
-    return number
+    return str(number) if isinstance(number, float) and not math.isfinite(number) else number

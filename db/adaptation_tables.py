@@ -34,12 +34,8 @@ class AdaptedUnit:
 class AdaptationTables(RegistryBase):
     """The part of the registry that knows adaptations."""
 
-    def add_adaptation(self, serial: str, revision: int, entry: Entry, actor: str | None = None) -> int:
-        """Store one step of an adaptation and return its number (1, 2, ... per serial)."""
-        return self.add_adaptations(serial, revision, [entry], actor)
-
     def add_adaptations(self, serial: str, revision: int, entries: Sequence[Entry], actor: str | None = None) -> int:
-        """Store several steps, all or none of them, and return the number of the last one.
+        """Store steps, all or none of them, and return the number of the last one (1, 2, ... per serial).
 
         Args:
             revision: the calibration the adaptation started from.

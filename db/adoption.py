@@ -1,4 +1,4 @@
-"""What a registry states anew when it was upgraded or restored: which maps are in use, and who may do what."""
+"""What a registry states anew when it was upgraded or restored: maps and networks in use, and who may do what."""
 
 from sqlalchemy import and_, func, select
 
@@ -7,7 +7,7 @@ from softcal.db.database import Database
 from softcal.db.in_use import InUseTable
 from softcal.db.people import people_as_told
 from softcal.db.registry_base import RegistrySettings
-from softcal.db.tables import calibrations, in_use, users
+from softcal.db.tables import calibrations, in_use, network_releases, networks, users
 
 
 class Adoption(InUseTable):
@@ -28,6 +28,18 @@ class Adoption(InUseTable):
                     connection, row["lot_id"], row["serial"], dict(row), told, row["actor"], reason, row["made_at"]
                 )
 
+    def state_networks(self, reason: str) -> None:
+        """State that the networks from before releases were known stay released, since when they were trained."""
+        n, r = networks.c, network_releases.c
+        is_decided = select(r.network_id).where(r.network_id == n.id).exists()
+        with self.database.writing() as connection:
+            for row in (
+                connection.execute(select(networks).where(~is_decided).order_by(n.added_at, n.id)).mappings().all()
+            ):
+                values = {"network_id": row["id"], "made_at": row["added_at"], "origin": self.origin}
+                told = {"lot_id": row["lot_id"], "state": "released", "actor": "softcal", "reason": reason}
+                self._store(connection, network_releases, values | told, "release", "softcal", reason)
+
     def state_people(self, reason: str) -> None:
         """Tell of every person in this registry's own chain, so that `verify` can compare."""
         with self.database.writing() as connection:
@@ -42,4 +54,5 @@ def adopt(database: Database, reason: str) -> None:
     """Write what an upgraded or restored registry has to state."""
     adoption = Adoption(database, RegistrySettings())
     adoption.state_maps(reason)
+    adoption.state_networks(reason)
     adoption.state_people(reason)

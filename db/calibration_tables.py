@@ -9,11 +9,13 @@ from sqlalchemy import Connection, RowMapping, bindparam, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.reason import Reason, to_kept
+from softcal.db import history
 from softcal.db.arrays import get_arrays, put_arrays
 from softcal.db.entries import StoredCalibration
 from softcal.db.in_use import InUseTable, heads_of, lots_of, names_several, newest_of_unit
 from softcal.db.lot_tables import unit_entries
 from softcal.db.records import PLAIN_FIELDS, record_of
+from softcal.db.registry_base import damaged
 from softcal.db.tables import calibrations, networks, refusals
 
 if TYPE_CHECKING:
@@ -155,8 +157,10 @@ class CalibrationTables(InUseTable):
                 statement = self._in_use(connection, lot, serial)
                 if statement is None:
                     raise InputError(f"serial {serial!r} has no calibration in lot {lot!r}")
-                revision, origin = statement["revision"], statement["made_by"]
-            return self._stored(connection, self._revision_row(connection, lot, serial, revision, origin))
+                row = self._found_row(connection, lot, serial, statement["revision"], statement["made_by"])
+            else:
+                row = self._revision_row(connection, lot, serial, revision, origin)
+            return self._stored(connection, row)
 
     def history(self, serial: str, lot_id: str | None = None) -> list[StoredCalibration]:
         """Return every revision of a serial, of one lot or of all, oldest first; a unit that got no map yet has none.
@@ -165,11 +169,11 @@ class CalibrationTables(InUseTable):
             InputError: the serial is not in the registry.
         """
         query = select(calibrations).where(calibrations.c.serial == serial).order_by(*NEWEST_FIRST)
-        query = query if lot_id is None else query.where(calibrations.c.lot_id == lot_id)
         with self.database.reading() as connection:
             self._known_serial(connection, serial)
             rows = connection.execute(query).mappings().all()
-            return [self._stored(connection, row) for row in reversed(rows)]
+            self._check_revisions(connection, serial, rows)
+            return [self._stored(connection, row) for row in reversed(rows) if lot_id in (None, row["lot_id"])]
 
     def add_refusal(
         self,
@@ -244,6 +248,13 @@ class CalibrationTables(InUseTable):
             raise InputError(f"serial {serial!r} is not in lot {lot_id!r}; it is in {', '.join(map(repr, lots))}")
         return lots[0] if lot_id is None else lot_id
 
+    def _found_row(self, connection: Connection, lot_id: str, serial: str, revision: int, origin: str) -> RowMapping:
+        """Return the calibration that a statement names; one that is not there was lost."""
+        try:
+            return self._revision_row(connection, lot_id, serial, revision, origin)
+        except InputError as error:
+            raise damaged(f"unit {serial} of lot {lot_id}: the calibration in use was not found") from error
+
     def _revision_row(
         self, connection: Connection, lot_id: str, serial: str, revision: int, origin: str | None
     ) -> RowMapping:
@@ -261,6 +272,17 @@ class CalibrationTables(InUseTable):
             )
         self._check_row(connection, calibrations, rows[0])
         return rows[0]
+
+    def _check_revisions(self, connection: Connection, serial: str, rows: Sequence[RowMapping]) -> None:
+        """Raise `RegistryError` where one of a serial's revisions is not what was written, or is not found at all."""
+        revisions = {row["revision"] for row in rows}
+        newest = max(revisions, default=0)
+        if len(revisions) != newest:
+            raise damaged(f"serial {serial}: a revision before {newest} was not found")
+        names = {*history.origins(connection), *(row["origin"] for row in rows)}
+        self._check_hidden(connection, calibrations, [(serial, newest + 1, name) for name in sorted(names)])
+        for row in rows:
+            self._check_row(connection, calibrations, row)
 
     def _stored(self, connection: Connection, row: RowMapping) -> StoredCalibration:
         heads = heads_of(connection, row["lot_id"], row["serial"])

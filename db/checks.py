@@ -96,6 +96,8 @@ def origin_faults(connection: Connection) -> Iterator[str]:
     info = {key: value for key, value in connection.execute(select(registry_info.c.key, registry_info.c.value))}
     if info.get("origin_sha256") != origin_sha256(str(info.get("origin"))):
         yield f"registry_info: origin {info.get('origin')!r} is not the one this registry was made with"
+    for key in sorted(info.keys() - {"origin", "origin_sha256"}):
+        yield f"registry_info: {key!r} was put in; softcal keeps no such fact"
 
 
 def origin_sha256(origin: str) -> str:

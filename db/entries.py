@@ -329,9 +329,12 @@ class GoldenRun:
     value: float
     unit: str
     passed: bool
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[Reason, ...] = ()
     actor: str = ""
     recording_sha256: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "reasons", tuple(map(Reason.of, self.reasons)))
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,14 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, RowMapping, Select, Text, and_, func, or_, select, type_coerce
 
-from softcal.core.errors import InputError, RegistryError
+from softcal.core.errors import InputError
 from softcal.core.reason import Reason, plain
 from softcal.core.unit.method import Method
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, MadeCalibration, UnitStanding
 from softcal.db.records import PLAIN_FIELDS, record_of
-from softcal.db.registry_base import RegistryBase
-from softcal.db.tables import audit, calibrations, canonical_json, in_use, refusals, units
+from softcal.db.registry_base import RegistryBase, damaged
+from softcal.db.tables import calibrations, in_use, refusals, units
 
 NEWEST_STATEMENT = (in_use.c.made_at.desc(), in_use.c.number.desc(), in_use.c.origin.desc())
 OF_STATEMENT = and_(
@@ -117,6 +117,7 @@ class InUseTable(RegistryBase):
             with self.database.reading() as connection:
                 undecided = {serial for _, serial in conflicts_of(connection, lot_id, part)}
                 for row in connection.execute(_newest_statements(lot_id, part)).mappings():
+                    check_named(row)
                     made = MadeCalibration.of(record_of(row, {}, row["settings"]), row["revision"])
                     found[made.serial] = UnitStanding(made.serial, made.verdict, made.reasons, row["stated_at"], made)
                 for serial in undecided:
@@ -158,14 +159,10 @@ class InUseTable(RegistryBase):
         query = select(u.origin, func.max(u.number), func.count()).where(u.lot_id == lot_id, u.serial == serial)
         last = {origin: (number, count) for origin, number, count in connection.execute(query.group_by(u.origin))}
         names = {*history.origins(connection), *last}
-        following = [canonical_json((lot_id, serial, name, last.get(name, (0, 0))[0] + 1)) for name in sorted(names)]
-        hidden = select(audit.c.key).where(audit.c.entity == "in_use", audit.c.key.in_(following)).limit(1)
-        is_gap = any(number != count for number, count in last.values())
-        if is_gap or connection.execute(hidden).first() is not None:
-            raise RegistryError(
-                f"unit {serial} of lot {lot_id}: a statement of what is in use was not found; the registry is "
-                "damaged; run `softcal registry verify` and go back to a backup"
-            )
+        if any(number != count for number, count in last.values()):
+            raise damaged(f"unit {serial} of lot {lot_id}: a statement of what is in use was not found")
+        following = [(lot_id, serial, name, last.get(name, (0, 0))[0] + 1) for name in sorted(names)]
+        self._check_hidden(connection, in_use, following)
 
     def _state(
         self,
@@ -273,6 +270,12 @@ def conflict_line(connection: Connection, lot_id: str, serial: str) -> str:
     )
 
 
+def check_named(row: Mapping[str, Any]) -> None:
+    """Raise `RegistryError` where a statement (`of_lot`, `of_unit`) names a calibration that was not found."""
+    if row["revision"] is None:
+        raise damaged(f"unit {row['of_unit']} of lot {row['of_lot']}: the calibration in use was not found")
+
+
 def lots_of(connection: Connection, serial: str) -> list[str]:
     """Return the lots a serial stands in."""
     query = select(units.c.lot_id).where(units.c.serial == serial).order_by(units.c.lot_id)
@@ -309,8 +312,9 @@ def _newest_statements(lot_id: str, serials: Sequence[str]) -> Select[Any]:
         newer.c.lot_id == in_use.c.lot_id, newer.c.serial == in_use.c.serial, is_newer_statement(newer)
     )
     columns = [*(c[name] for name in PLAIN_FIELDS), c.revision, c.settings, c.reasons, c.evidence]
-    query = select(*columns, in_use.c.made_at.label("stated_at")).select_from(in_use)
-    query = query.join(calibrations, OF_STATEMENT).where(in_use.c.lot_id == lot_id, in_use.c.serial.in_(serials))
+    names = (in_use.c.lot_id.label("of_lot"), in_use.c.serial.label("of_unit"), in_use.c.made_at.label("stated_at"))
+    query = select(*columns, *names).select_from(in_use)
+    query = query.outerjoin(calibrations, OF_STATEMENT).where(in_use.c.lot_id == lot_id, in_use.c.serial.in_(serials))
     return query.where(~is_newer.correlate(in_use).exists())
 
 

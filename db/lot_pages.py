@@ -12,7 +12,7 @@ from softcal.core.reason import Reason, plain
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, UnitEntry
 from softcal.db.in_use import OF_STATEMENT, conflict_line, conflicts_of, of_this_method
-from softcal.db.registry_base import RegistryBase
+from softcal.db.registry_base import RegistryBase, damaged
 from softcal.db.tables import calibrations, in_use, refusals, units
 
 ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
@@ -200,6 +200,8 @@ def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
 
 
 def _entry(lot_id: str, row: RowMapping) -> UnitEntry:
+    if row["is_stale"] is None:
+        raise damaged(f"unit {row['serial']} of lot {lot_id}: the calibration in use was not found")
     facts = {name: value for name, value in row.items() if name != "reasons"}
     return UnitEntry(lot_id=lot_id, role="target", reasons=tuple(map(Reason.of, row["reasons"] or ())), **facts)
 

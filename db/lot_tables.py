@@ -9,8 +9,15 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.reason import Reason
 from softcal.db.entries import UNDECIDED, LimitEntry, RunEntry, UnitEntry
-from softcal.db.in_use import NEWEST_STATEMENT, OF_STATEMENT, conflict_line, conflicts_of, of_this_method
-from softcal.db.registry_base import RegistryBase
+from softcal.db.in_use import (
+    NEWEST_STATEMENT,
+    OF_STATEMENT,
+    check_named,
+    conflict_line,
+    conflicts_of,
+    of_this_method,
+)
+from softcal.db.registry_base import RegistryBase, damaged
 from softcal.db.tables import calibrations, in_use, limits, lots, refusals, units
 
 RESULT_FIELDS = (
@@ -69,12 +76,6 @@ class LotTables(RegistryBase):
         """Return one lot, or raise `InputError` naming the known ones."""
         with self.database.reading() as connection:
             return self._lot(self._lot_row(connection, lot_id))
-
-    def add_unit(self, lot_id: str, serial: str, *, actor: str | None = None) -> None:
-        """Register a target unit of a lot; again changes nothing."""
-        with self.database.writing() as connection:
-            self._lot_row(connection, lot_id)
-            self._add_unit(connection, lot_id, serial, "target", actor)
 
     def units(self, lot_id: str | None = None, serial: str | None = None) -> list[UnitEntry]:
         """Return units with their newest result, by lot and serial: of one lot, of one serial, or all of them.
@@ -164,8 +165,10 @@ def unit_entries(connection: Connection, lot_id: str | None, serial: str | None)
     for row in connection.execute(_of(select(units), units, lot_id, serial)).mappings():
         entries[row["lot_id"], row["serial"]] = {f: row[f] for f in ("lot_id", "serial", "role")}
     for row in connection.execute(_in_use(lot_id, serial)).mappings():
+        check_named(row)
+        _check_known(entries, row["of_lot"], row["of_unit"])
         facts = {field: row[field] for field in (*RESULT_FIELDS, "made_at")}
-        entries[row["lot_id"], row["serial"]] |= facts | {"is_stale": not row["is_this_method"]}
+        entries[row["of_lot"], row["of_unit"]] |= facts | {"is_stale": not row["is_this_method"]}
     for unit in conflicts_of(connection, lot_id, None if serial is None else [serial]):
         undecided = {"verdict": UNDECIDED, "reasons": [conflict_line(connection, *unit)], "is_conflict": True}
         entries[unit] |= dict.fromkeys(RESULT_FIELDS) | undecided | {"is_stale": False}
@@ -174,6 +177,7 @@ def unit_entries(connection: Connection, lot_id: str | None, serial: str | None)
         # Refusals are found by lot and serial; by serial alone all of them would be read.
         refused = refused.where(refusals.c.lot_id.in_({lot for lot, _ in entries}))
     for row in connection.execute(refused).mappings():
+        _check_known(entries, row["lot_id"], row["serial"])
         entry = entries[row["lot_id"], row["serial"]]
         if "made_at" not in entry or row["made_at"] > entry["made_at"]:
             entry |= {field: row[field] for field in ("verdict", "reasons", "made_at")}
@@ -183,12 +187,24 @@ def unit_entries(connection: Connection, lot_id: str | None, serial: str | None)
     return sorted(made, key=lambda unit: (unit.lot_id, unit.serial))
 
 
+def _check_known(entries: Mapping[tuple[str, str], object], lot_id: str, serial: str) -> None:
+    if (lot_id, serial) not in entries:
+        raise damaged(f"unit {serial} of lot {lot_id} has a result and was not found itself")
+
+
 def _in_use(lot_id: str | None, serial: str | None) -> Select[Any]:
     u, c = in_use.c, calibrations.c
     rank = func.row_number().over(partition_by=(u.lot_id, u.serial), order_by=NEWEST_STATEMENT).label("rank")
     same = of_this_method().label("is_this_method")
-    columns = [u.lot_id, u.serial, *(c[field] for field in RESULT_FIELDS), u.made_at, rank, same]
-    joined = select(*columns).select_from(in_use).join(calibrations, OF_STATEMENT)
+    columns = [
+        u.lot_id.label("of_lot"),
+        u.serial.label("of_unit"),
+        *(c[field] for field in RESULT_FIELDS),
+        u.made_at,
+        rank,
+        same,
+    ]
+    joined = select(*columns).select_from(in_use).outerjoin(calibrations, OF_STATEMENT)
     ranked = _of(joined, in_use, lot_id, serial).subquery()
     return select(ranked).where(ranked.c.rank == 1)
 

@@ -8,7 +8,7 @@ from sqlalchemy import select
 from softcal.core.errors import InputError
 from softcal.db.entries import NetworkEntry
 from softcal.db.recording_tables import RecordingTables
-from softcal.db.tables import network_releases, registry_info
+from softcal.db.tables import network_releases
 
 DRAFT, RELEASED, WITHDRAWN = "draft", "released", "withdrawn"
 ACTIONS = {RELEASED: "release", WITHDRAWN: "withdraw"}
@@ -39,13 +39,11 @@ class NetworkReleases(RecordingTables):
     def network_states(self, lot_id: str) -> list[NetworkState]:
         """Return every network of a lot with its state, oldest network first.
 
-        The first network of a lot needs no decision, since there is no other; nor do those that a registry had before
-        it knew of releases.
+        The first network of a lot needs no decision, since there is no other.
         """
         mine = [entry for entry in self.networks() if entry.lot_id == lot_id]
         decided = self._decisions(lot_id)
-        since = self._releases_since()
-        standing = {entry.id for entry in mine[:1]} | {entry.id for entry in mine if entry.added_at < since}
+        standing = {entry.id for entry in mine[:1]}
         return [
             decided.get(entry.id) or NetworkState(entry, RELEASED if entry.id in standing else DRAFT, entry.added_at)
             for entry in mine
@@ -110,8 +108,3 @@ class NetworkReleases(RecordingTables):
             )
             for row in rows
         }
-
-    def _releases_since(self) -> datetime:
-        query = select(registry_info.c.value).where(registry_info.c.key == "releases_since")
-        with self.database.reading() as connection:
-            return datetime.fromisoformat(connection.execute(query).scalar_one())

@@ -5,7 +5,7 @@ there. One run at a time per station is a unique index of the database, not a ru
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import astuple, fields
+from dataclasses import fields
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -14,6 +14,7 @@ from sqlalchemy.exc import IntegrityError
 
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
+from softcal.core.reason import Reason, packed, reason, to_kept
 from softcal.db.database import Database, OncePerCut
 from softcal.db.tables import heartbeats, orders, run_signals
 
@@ -83,7 +84,7 @@ class OrderQueue(OncePerCut):
         with self.database.reading() as connection:
             row = connection.execute(select(orders).where(orders.c.order_id == order_id)).mappings().first()
             if row is None:
-                raise InputError(f"order {order_id!r} is not in the registry")
+                raise InputError(reason("name.no_order", order=repr(order_id)))
             return _progress(row, _signal(connection, order_id))
 
     def runs(self, station: str | None = None, count: int = 50) -> list[tuple[Order, Progress]]:
@@ -100,7 +101,7 @@ class OrderQueue(OncePerCut):
             row = connection.execute(_open_runs(station)).mappings().first()
             return None if row is None else (_order(row), _progress(row, _signal(connection, row["order_id"])))
 
-    def interrupt(self, station: str, message: str) -> list[str]:
+    def interrupt(self, station: str, message: Reason | str) -> list[str]:
         """Mark what a station left running when it died as an error; return the order ids.
 
         Called by a station that starts. What was queued is cancelled: nothing moves because of an old order.
@@ -112,17 +113,17 @@ class OrderQueue(OncePerCut):
         with self.database.writing(in_turn=False) as connection:
             rows = connection.execute(left.order_by(orders.c.created)).all()
             for order_id, state in rows:
-                values = {"state": ended[RunState(state)], "code": "E-INTERRUPTED", "message": message}
+                values = {"state": ended[RunState(state)], "code": "E-INTERRUPTED", "message": packed([message])}
                 mine = update(orders).where(orders.c.order_id == order_id)
                 connection.execute(mine.values(**values, changed_at=self._clock()))
         return [order_id for order_id, _ in rows]
 
-    def cancel_queued(self, station: str, message: str) -> list[str]:
+    def cancel_queued(self, station: str, message: Reason | str) -> list[str]:
         """Cancel the run that waits, if there is one: whoever says stop means that one too. Return the order ids."""
         waiting = (orders.c.station == station, orders.c.state == RunState.QUEUED, orders.c.kind.in_(RUNS))
         with self.database.writing(in_turn=False) as connection:
             order_ids = list(connection.execute(select(orders.c.order_id).where(*waiting)).scalars())
-            values = {"state": RunState.CANCELLED, "code": "E-STOPPED", "message": message}
+            values = {"state": RunState.CANCELLED, "code": "E-STOPPED", "message": packed([message])}
             mine = update(orders).where(orders.c.order_id.in_(order_ids))
             connection.execute(mine.values(**values, changed_at=self._clock()))
         return order_ids
@@ -133,8 +134,8 @@ class OrderQueue(OncePerCut):
         Raises:
             InputError: another process serves this station; ports have one owner.
         """
-        gate = [list(astuple(condition)) for condition in heartbeat.gate]
-        values = vars(heartbeat) | {"reasons": list(heartbeat.reasons), "gate": gate}
+        gate = [[to_kept(c.name), c.is_good, to_kept(c.says)] for c in heartbeat.gate]
+        values = vars(heartbeat) | {"reasons": [to_kept(why) for why in heartbeat.reasons], "gate": gate}
         where = heartbeats.c.station == heartbeat.station
         with self.database.writing(in_turn=False) as connection:
             known = connection.execute(select(heartbeats).where(where).with_for_update()).mappings().first()
@@ -143,7 +144,7 @@ class OrderQueue(OncePerCut):
                 return
             is_alive = heartbeat.at - known["at"] <= SILENT_AFTER
             if is_alive and known["process"] != heartbeat.process and known["state"] != StationState.OFF:
-                raise InputError(f"station {heartbeat.station!r} is served by {known['process']}; stop that one first")
+                raise InputError(reason("station.served", station=repr(heartbeat.station), process=known["process"]))
             connection.execute(update(heartbeats).where(where).values(**values))
 
     def heartbeat(self, station: str) -> Heartbeat | None:
@@ -167,13 +168,13 @@ class OrderQueue(OncePerCut):
         try:
             connection.execute(insert(heartbeats).values(**values))
         except IntegrityError as error:
-            message = f"station {values['station']!r} was taken by another process in this moment; stop that one first"
+            message = reason("station.taken", station=repr(values["station"]))
             raise InputError(message) from error
 
-    def _busy(self, connection: Connection, station: str) -> str:
+    def _busy(self, connection: Connection, station: str) -> Reason:
         row = connection.execute(_open_runs(station)).mappings().one()
         what = f"{row['kind']} {row['serial']}".strip()
-        return f"station {station!r} has a run that is not over ({what}, {row['state']}); wait for it or stop it"
+        return reason("station.busy", station=repr(station), what=what, state=row["state"])
 
 
 def _open_runs(station: str) -> Select[Any]:
@@ -182,7 +183,7 @@ def _open_runs(station: str) -> Select[Any]:
 
 
 def _progress_values(progress: Progress) -> dict[str, object]:
-    return {name: getattr(progress, name) for name in PROGRESS_FIELDS}
+    return {name: getattr(progress, name) for name in PROGRESS_FIELDS} | {"message": packed(progress.message)}
 
 
 def _order(row: RowMapping) -> Order:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from sqlalchemy import Connection, RowMapping, insert, select, update
 
 from softcal.core.errors import InputError
+from softcal.core.reason import Reason, reason
 from softcal.db import history
 from softcal.db.entries import User
 from softcal.db.registry_base import RegistryBase
@@ -66,20 +67,18 @@ class People(RegistryBase):
             InputError: no such role, a PIN too short, or somebody else changed the person since `version`.
         """
         if not name.strip():
-            raise InputError("a person needs a name")
+            raise InputError(Reason("account.no_name"))
         if role not in ROLES:
-            raise InputError(f"role {role!r} is none of {', '.join(ROLES)}")
+            raise InputError(Reason("account.role", {"role": repr(role), "known": ", ".join(ROLES)}))
         if pin is not None and (len(pin) < SHORTEST_PIN or not pin.isdigit()):
-            raise InputError(f"a PIN has at least {SHORTEST_PIN} digits and nothing else")
+            raise InputError(Reason("account.pin_short", {"digits": SHORTEST_PIN}))
         with self.database.writing() as connection:
             known = _row(connection, name)
             found = known["version"] if known else 0
             if found != version:
-                raise InputError(
-                    f"{name!r} was changed by somebody else (version {found}, not {version}); look again and decide"
-                )
+                raise InputError(Reason("account.changed", {"name": repr(name), "found": found, "version": version}))
             if known is None and pin is None:
-                raise InputError(f"{name!r} is new and needs a PIN")
+                raise InputError(Reason("account.needs_pin", {"name": repr(name)}))
             user = User(name, role, is_active, version + 1)
             values = vars(user) | {"failures": 0, "locked_until": None, "changed_at": self.settings.clock()}
             if pin is not None:
@@ -117,8 +116,8 @@ class People(RegistryBase):
                 if pause:
                     self._tell(connection, "lock", name, {"until": pause}, None, name)
             refused = _refusal(row, is_locked, is_right)
-        if refused or row is None:
-            raise InputError(refused)
+        if refused is not None or row is None:
+            raise InputError(refused or Reason("account.wrong_pin"))
         return _user(row)
 
     def _tell(
@@ -147,12 +146,12 @@ def people_as_told(row: RowMapping) -> dict[str, object]:
     return vars(_user(row)) | {"pin_sha256": hashlib.sha256(row["pin_hash"].encode()).hexdigest()}
 
 
-def _refusal(row: RowMapping | None, is_locked: bool, is_right: bool) -> str:
+def _refusal(row: RowMapping | None, is_locked: bool, is_right: bool) -> Reason | None:
     if is_locked:
-        return f"too many wrong PINs; wait {LOCKED_FOR.seconds // 60} minutes"
+        return reason("account.locked", minutes=LOCKED_FOR.seconds // 60)
     if row is None or not is_right:
-        return "name or PIN is wrong"
-    return "" if row["is_active"] else "this person may no longer sign in"
+        return Reason("account.wrong_pin")
+    return None if row["is_active"] else Reason("account.inactive")
 
 
 def _is_pin(stored: str, pin: str) -> bool:

@@ -1,6 +1,6 @@
 """What every part of the registry stands on: the database, who writes by which clock, and rows that leave a trace."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Any, Protocol
@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from sqlalchemy import Connection, RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import InputError, RegistryError
+from softcal.core.reason import reason
 from softcal.db import history
 from softcal.db.database import Database, OncePerCut
 from softcal.db.tables import audit, canonical_json, lots, registry_info, units
@@ -39,6 +40,11 @@ class RegistrySettings:
 
     actor: str = "softcal"
     clock: Clock = field(default=utc_now)
+
+
+def damaged(what: str) -> RegistryError:
+    """Return the error for what softcal has never written."""
+    return RegistryError(f"{what}; the registry is damaged; run `softcal registry verify` and go back to a backup")
 
 
 class RegistryBase(OncePerCut):
@@ -81,6 +87,14 @@ class RegistryBase(OncePerCut):
                 "`softcal registry verify` and go back to a backup"
             )
 
+    def _check_hidden(self, connection: Connection, table: Table, keys: Iterable[tuple[str | int, ...]]) -> None:
+        """Raise `RegistryError` where the audit trail tells of a row that was not found: an index hides it."""
+        wanted = [canonical_json(key) for key in keys]
+        query = select(audit.c.key).where(audit.c.entity == table.name, audit.c.key.in_(wanted)).limit(1)
+        hidden = connection.execute(query).scalar_one_or_none()
+        if hidden is not None:
+            raise damaged(f"{table.name} {hidden} was not found")
+
     def _actor(self, actor: str | None) -> str:
         return actor or self.settings.actor
 
@@ -93,7 +107,7 @@ class RegistryBase(OncePerCut):
         row = connection.execute(KNOWN_LOT, {"lot": lot_id}).mappings().first()
         if row is None:
             known = connection.execute(select(lots.c.id).order_by(lots.c.id).limit(6)).scalars().all()
-            raise InputError(f"lot {lot_id!r} is not in the registry; it holds {_some(known)}")
+            raise InputError(reason("name.no_such_lot", lot=repr(lot_id), known=_some(known)))
         self._check_row(connection, lots, row)
         return row
 
@@ -105,7 +119,7 @@ class RegistryBase(OncePerCut):
     def _known_serial(self, connection: Connection, serial: str) -> None:
         if connection.execute(select(units.c.serial).where(units.c.serial == serial).limit(1)).first() is None:
             known = connection.execute(select(units.c.serial).distinct().order_by(units.c.serial).limit(6)).scalars()
-            raise InputError(f"serial {serial!r} is not in the registry; it holds {_some(known.all())}")
+            raise InputError(reason("name.no_such_serial", serial=repr(serial), known=_some(known.all())))
 
 
 def _some(names: Any) -> str:

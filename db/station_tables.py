@@ -7,6 +7,7 @@ from typing import Any
 from sqlalchemy import Connection, RowMapping, Select, select
 
 from softcal.core.errors import InputError
+from softcal.core.reason import to_kept
 from softcal.db.arrays import get_bytes, put_bytes
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.registry_base import RegistryBase
@@ -53,7 +54,11 @@ class StationTables(RegistryBase):
     def add_golden_run(self, run: GoldenRun) -> None:
         """Store a check with a golden unit."""
         values = {f.name: getattr(run, f.name) for f in fields(run)}
-        values |= {"reasons": list(run.reasons), "actor": self._actor(run.actor), "origin": self.origin}
+        values |= {
+            "reasons": [to_kept(why) for why in run.reasons],
+            "actor": self._actor(run.actor),
+            "origin": self.origin,
+        }
         with self.database.writing() as connection:
             self._store(connection, golden_runs, values, "golden_run", run.actor)
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from softcal.core.errors import BadReply, CommandRefused, SafetyStop
 from softcal.core.profiles import Profile
+from softcal.core.reason import Reason, reason
 from softcal.core.recording import Array
 from softcal.station.bench import Bench
 from softcal.station.config import UNKNOWN_S
@@ -76,12 +77,9 @@ def record(
     """
     check_profile(bench, profile)
     if with_reference and bench.force is None:
-        raise CommandRefused("a source unit needs the load cell, the station file has none; nothing moved")
+        raise CommandRefused(Reason("rig.needs_cell"))
     if bench.force is None and not bench.config.safety.without_cell:
-        raise CommandRefused(
-            "nothing limits the force without a load cell; set without_cell in the station file where the stage can "
-            "hurt nothing; nothing moved"
-        )
+        raise CommandRefused(Reason("rig.no_limit"))
     run = _Run(bench, serial, profile, on_progress, spool)
     return run.watched.motion.supervise(lambda: run.perform(with_reference))
 
@@ -190,7 +188,7 @@ class _Run:
         zero_N = float(np.mean([sample.values[0] for sample in self._readings.force[count:]]))
         allowed_N = self._bench.config.safety.zero_N
         if abs(zero_N) > allowed_N:
-            raise ZeroMoved(f"load cell: reads {zero_N:.3g} N unloaded, at most {allowed_N:g} N is allowed; zero it")
+            raise ZeroMoved(reason("rig.not_zero", zero_N=zero_N, allowed_N=allowed_N))
         self.watched.take_zero(zero_N)
         return zero_N
 
@@ -201,10 +199,7 @@ class _Run:
         change_N = float(np.mean(recent)) - zero_N
         allowed_N = self._bench.config.safety.zero_return_N
         if abs(change_N) > allowed_N:
-            raise ZeroMoved(
-                f"load cell: its zero moved by {change_N:.3g} N over the run, {allowed_N:g} N is allowed; let it warm "
-                "up, check its mounting"
-            )
+            raise ZeroMoved(reason("rig.zero_moved", change_N=change_N, allowed_N=allowed_N))
         return change_N
 
     def _find_contact(self) -> float:
@@ -216,7 +211,7 @@ class _Run:
         speed_mm_s = min(fixture.search_mm_s, self.watched.fastest_free_mm_s)
         move = self._motion.go(deepest_mm, speed_mm_s, search.is_over)
         if not search.has_found:
-            raise SafetyStop(f"no contact down to {deepest_mm:g} mm; is a unit in the fixture and connected?")
+            raise SafetyStop(reason("rig.no_contact", deepest_mm=deepest_mm))
         # The search ended in a stop: the path that can be reconstructed begins here.
         self._moves.clear()
         polls = [poll for poll in self._readings.polls if poll.host_s >= began_s]
@@ -261,10 +256,16 @@ class _Run:
         known_mm_s = bounds.known_mm_s(force_N, stiffness_N_mm)
         if fastest_mm_s > known_mm_s:
             raise CommandRefused(
-                f"profile {self._profile.name!r} moves at {fastest_mm_s:g} mm/s, on this unit ({force_N:.1f} N, "
-                f"{stiffness_N_mm:.1f} N/mm) a stop could end at "
-                f"{bounds.worst_N(fastest_mm_s, force_N, stiffness_N_mm):.1f} N, {bounds.ceiling_N:.1f} N is the most "
-                f"for this load cell; press at {known_mm_s:.2g} mm/s or slower"
+                reason(
+                    "rig.too_fast",
+                    profile=repr(self._profile.name),
+                    speed_mm_s=fastest_mm_s,
+                    force_N=force_N,
+                    stiffness_N_mm=stiffness_N_mm,
+                    worst_N=bounds.worst_N(fastest_mm_s, force_N, stiffness_N_mm),
+                    ceiling_N=bounds.ceiling_N,
+                    slower_mm_s=known_mm_s,
+                )
             )
 
     def _tell(self, fraction: float, remaining_s: float) -> None:

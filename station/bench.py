@@ -8,6 +8,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from softcal.core.errors import DeviceError, NoReply
+from softcal.core.reason import Reason, several
 from softcal.core.twin.simulate import Twin
 from softcal.station.catalogue import driver_of
 from softcal.station.clock import HostClock
@@ -56,13 +57,13 @@ def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Be
     """
     clock = clock or HostClock()
     with ExitStack() as stack:
-        missing: list[str] = []
+        missing: list[Reason] = []
 
         def opened(make: Callable[[], _D]) -> _D | None:
             try:
                 device = make()
             except DeviceError as error:
-                missing.append(str(error))
+                missing.append(error.reason)
                 return None
             stack.callback(device.close)
             return device
@@ -74,7 +75,7 @@ def open_bench(config: StationConfig, clock: Clock | None = None) -> Iterator[Be
         if force_config is not None:
             force = opened(lambda: _open(force_config, opening))
         if missing or stage is None or readout is None:
-            raise NoReply("; ".join(missing))
+            raise NoReply(several(missing))
         yield Bench(config, clock, stage, readout, force)
 
 

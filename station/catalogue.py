@@ -13,6 +13,7 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, v
 
 import softcal.station.drivers
 from softcal.core.errors import InputError
+from softcal.core.reason import reason
 from softcal.station.config import Role
 from softcal.station.driver import AnyDriver, Driver
 
@@ -56,12 +57,22 @@ def driver_of(role: Role, kind: str) -> AnyDriver:
     found += [_load(at, point) for at, point in _entry_points() if (at, point.name) == (role, kind)]
     if not found:
         known = sorted({offer.kind for offer in _shipped() if offer.role == role} | _kinds_of_packages(role))
-        raise InputError(f"{SECTIONS[role]}.kind is {kind!r}; known are {', '.join(known)}")
+        raise InputError(
+            reason("station_file.unknown_kind", section=SECTIONS[role], kind=repr(kind), known=", ".join(known))
+        )
     if len(found) > 1:
         packages = " and ".join(f"{offer.package} {offer.version}" for offer in found)
-        raise InputError(f"{SECTIONS[role]}.kind {kind!r} is offered by {packages}; uninstall all but one")
+        raise InputError(reason("station_file.kind_twice", section=SECTIONS[role], kind=repr(kind), packages=packages))
     if found[0].driver is None:
-        raise InputError(f"{SECTIONS[role]}.kind {kind!r}: {found[0].fault}; mend or uninstall {found[0].package}")
+        raise InputError(
+            reason(
+                "station_file.broken_package",
+                section=SECTIONS[role],
+                kind=repr(kind),
+                fault=found[0].fault,
+                package=found[0].package,
+            )
+        )
     return found[0].driver
 
 

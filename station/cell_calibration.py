@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import BadReply, InputError
+from softcal.core.reason import Reason, reason
 from softcal.core.recording import Array
 from softcal.station.frames.force_unit import STANDARD_GRAVITY
 from softcal.station.interfaces import Clock, ForceReader
+from softcal.station.named import named
 
 SETTLE_S, READ_S, TICK_S = 1.0, 2.0, 0.01
 
@@ -43,7 +45,7 @@ def read_steady(reader: ForceReader, clock: Clock) -> tuple[float, float]:
     _collect(reader, clock, SETTLE_S)
     values = _collect(reader, clock, READ_S)
     if len(values) < 5:
-        raise BadReply(f"{reader.name}: {len(values)} readings in {READ_S:g} s; check its cable and rate")
+        raise BadReply(reason("rig.few_readings", device=named(reader.name), count=len(values), read_s=READ_S))
     return float(np.mean(values)), float(np.std(values))
 
 
@@ -65,11 +67,11 @@ def fit_cell(
     """
     masses, readings = np.asarray(mass_kg, dtype=np.float64), np.asarray(reading, dtype=np.float64)
     if len(np.unique(masses)) < 2:
-        raise InputError("one weight gives no scale; use the unloaded cell and at least one weight")
+        raise InputError(Reason("rig.one_weight"))
     force_N = masses * gravity_m_s2
     per_N, zero = np.polyfit(force_N, readings, 1)
     if abs(per_N) * float(np.ptp(force_N)) < 10 * float(np.max(noise)):
-        raise BadReply("load cell: the reading does not follow the weights; check its bridge and mounting")
+        raise BadReply(Reason("rig.not_following"))
     error_N = np.abs((readings - zero) / per_N - force_N)
     return CellCalibration(masses, readings, np.asarray(noise), float(per_N), float(zero), float(np.max(error_N)))
 

@@ -3,6 +3,8 @@
 from typing import Any, Protocol, overload
 
 from softcal.core.errors import BadReply, CommandRefused
+from softcal.core.reason import reason
+from softcal.station.named import named
 
 
 class Instrument(Protocol):
@@ -46,7 +48,9 @@ class Measurement:
         try:
             return float(answer)
         except ValueError as error:
-            raise BadReply(f"{device.name}: {self.name} reads {answer[:40]!r}; a number was expected") from error
+            raise BadReply(
+                reason("rig.number.reads", device=named(device.name), quantity=self.name, answer=repr(answer[:40]))
+            ) from error
 
 
 class Control(Measurement):
@@ -68,7 +72,14 @@ class Control(Measurement):
         low, high = self.limits
         if not low <= value <= high:
             raise CommandRefused(
-                f"{device.name}: {self.name} = {value:g} {self.unit} is outside [{low:g}, {high:g}] {self.unit}; "
-                "nothing was sent"
+                reason(
+                    "rig.outside.quantity",
+                    device=named(device.name),
+                    quantity=self.name,
+                    value=value,
+                    unit=self.unit,
+                    low=low,
+                    high=high,
+                )
             )
         device.tell(self.command.format(value))

@@ -12,7 +12,8 @@ from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, get_type_hints
 
 import tomlkit
 
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, reason_of
+from softcal.core.reason import Reason, reason
 from softcal.station.transport import wire_of
 
 Role: TypeAlias = Literal["stage", "cell", "readout"]
@@ -168,8 +169,14 @@ class StationConfig:
             may_share = device.shares_port and beside.shares_port and device.kind == beside.kind
             if device.port and device.port == beside.port and not may_share:
                 raise InputError(
-                    f"[{name}] and [{other}] have the same port {device.port!r}; kinds {device.kind!r} and "
-                    f"{beside.kind!r} cannot share it"
+                    reason(
+                        "station_file.same_port",
+                        name=name,
+                        other=other,
+                        port=repr(device.port),
+                        kind=repr(device.kind),
+                        kind2=repr(beside.kind),
+                    )
                 )
 
 
@@ -187,30 +194,27 @@ def read_station_file(path: Path) -> StationConfig:
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; write one with `softcal station check --write {path}`") from error
+        raise InputError(reason("station_file.unreadable", path=str(path), error=reason_of(error))) from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: is no TOML file: {error}") from error
+        raise InputError(reason("station_file.no_toml", path=str(path), error=reason_of(error))) from error
     try:
         return station_from_table(content)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(reason("station_file.at", path=str(path), why=reason_of(error))) from error
 
 
 def station_from_table(content: dict[str, Any]) -> StationConfig:
     """Return the station that nested tables describe; unknown keys are errors that list the known ones."""
     unknown = set(content) - set(_SECTIONS) - {"name"}
     if unknown:
-        raise InputError(f"unknown key {min(unknown)!r}; known are name, {', '.join(_SECTIONS)}")
+        raise InputError(reason("station_file.unknown_top", key=repr(min(unknown)), known=", ".join(_SECTIONS)))
     for needed in ("stage", "readout"):
         if needed not in content:
-            raise InputError(f"section [{needed}] is missing")
+            raise InputError(reason("station_file.no_section", section=needed))
     sections = {name: _section(name, content[name]) for name in _SECTIONS if name in content}
     config = StationConfig(name=str(content.get("name", "station")), **sections)
     if config.force is None and not config.safety.without_cell:
-        raise InputError(
-            "section [force] is missing, so nothing limits the force; add the load cell, or state without_cell = true "
-            "in [safety] where the stage can hurt nothing"
-        )
+        raise InputError(Reason("station_file.no_force"))
     return config
 
 
@@ -257,7 +261,7 @@ def with_own_keys(config: DeviceConfig) -> DeviceConfig:
 
 def _section(name: str, table: object) -> Any:
     if not isinstance(table, dict):
-        raise InputError(f"{name} must be a section: write [{name}] and its keys below")
+        raise InputError(reason("station_file.no_table", name=name))
     if name not in _DEVICES:
         return filled(name, _SECTIONS[name], table)
     return device_section(name, table)
@@ -281,8 +285,14 @@ def device_section(name: str, table: dict[str, Any]) -> DeviceConfig:
     config: DeviceConfig = filled(name, driver.config, {**table, "kind": kind})
     if "library" not in driver.wires and wire_of(config.port) not in driver.wires:
         raise InputError(
-            f"[{name}] port {config.port!r} is a {wire_of(config.port)} port; kind {kind!r} speaks over "
-            f"{', '.join(driver.wires)}"
+            reason(
+                "station_file.wrong_wire",
+                section=name,
+                port=repr(config.port),
+                wire=wire_of(config.port),
+                kind=repr(kind),
+                wires=", ".join(driver.wires),
+            )
         )
     return config
 
@@ -303,11 +313,19 @@ def filled(name: str, kind: type[_T], table: dict[str, Any]) -> _T:
     values = {}
     for key, value in table.items():
         if key not in known:
-            raise InputError(f"[{name}] unknown key {key!r}; known are {', '.join(known)}{_similar(key, known)}")
+            raise InputError(
+                reason(
+                    "station_file.unknown_key",
+                    section=name,
+                    key=repr(key),
+                    known=", ".join(known),
+                    similar=_similar(key, known),
+                )
+            )
         values[key] = _typed(f"{name}.{key}", value, types[key])
     for key, each in known.items():
         if key not in values and each.default is MISSING and each.default_factory is MISSING:
-            raise InputError(f"[{name}] {key} is missing")
+            raise InputError(reason("station_file.no_key", section=name, key=key))
     return kind(**values)
 
 
@@ -322,9 +340,9 @@ def _typed(name: str, value: object, kind: object) -> object:
     if kind is not float and type(value) is kind:
         return value
     expected = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}.get(kind, str(kind))  # type: ignore[call-overload]
-    raise InputError(f"{name} is {value!r}; {expected} was expected")
+    raise InputError(reason("station_file.wrong_type", name=name, value=repr(value), expected=expected))
 
 
 def _within(name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
-        raise InputError(f"{name} is {value:g}; a value in [{low:g}, {high:g}] was expected")
+        raise InputError(reason("station_file.outside", name=name, value=value, low=low, high=high))

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from softcal.core.errors import BadReply
+from softcal.core.reason import reason
 from softcal.core.recording import Array
 from softcal.station.clock import fit_clock
 from softcal.station.config import FixtureConfig
@@ -75,10 +76,7 @@ class Search:
             if not self._has_force and change > self._fixture.contact_output:
                 return True
             if not self._is_felt and change > OUTPUT_AHEAD * self._fixture.contact_output:
-                raise BadReply(
-                    f"load cell: shows no contact although the output has changed by {change:.3g}; check the cell's "
-                    "bridge and cable"
-                )
+                raise BadReply(reason("rig.no_contact.cell", change=change))
         return False
 
     def contact_mm(self, stage_at: Callable[[Array], Array], late_s: float = 0.0) -> float:

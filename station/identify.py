@@ -7,7 +7,7 @@ import numpy as np
 from softcal.core.errors import BadReply, NoReply
 from softcal.station.clock import seen_rate_Hz
 from softcal.station.frames import esm, gcl2, grbl, loadstar, zaber
-from softcal.station.frames.indicator import parse_N
+from softcal.station.frames.indicator import OVERLOADED, parse_N
 from softcal.station.frames.text_stream import parse as parse_stream
 from softcal.station.interfaces import Clock
 from softcal.station.link import POLL_S, Line, Link
@@ -144,7 +144,7 @@ def _is_indicator(line: bytes) -> bool:
     try:
         parse_N(line)
     except BadReply as error:
-        return "overloaded" in str(error)
+        return error.reason == OVERLOADED
     return True
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeAlias, runtime_checkable
 
 from softcal.core.errors import DeviceError
+from softcal.core.reason import Reason
 
 
 class Held(DeviceError):
@@ -145,7 +146,7 @@ class RunsOn(Protocol):
 class Advises(Protocol):
     """A stage whose settings can be looked at."""
 
-    def unsafe_settings(self) -> Sequence[tuple[str, str]]:
+    def unsafe_settings(self) -> Sequence[tuple[str, Reason]]:
         """Return each setting that takes safety away, and what to do about it."""
         ...
 

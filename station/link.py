@@ -9,8 +9,10 @@ from pathlib import Path
 
 from serial.tools import list_ports
 
-from softcal.core.errors import NoReply
+from softcal.core.errors import NoReply, reason_of
+from softcal.core.reason import Reason, reason
 from softcal.station.interfaces import Clock
+from softcal.station.named import named
 from softcal.station.transport import open_transport, wire_of
 
 POLL_S = 0.002
@@ -43,13 +45,13 @@ class Link:
 
     def __init__(self, port: str, clock: Clock, baud_rate: int = 115200, name: str = "") -> None:
         self.port, self.clock = port, clock
-        self._label = f"{name} ({port})" if name else port
+        self._label = named(name, port)
         self._rest = b""
         self._lines: deque[Line] = deque()
         try:
             self._transport = open_transport(port, baud_rate)
         except (OSError, ValueError) as error:
-            raise NoReply(f"{self._label}: {_why_closed(port, error)}") from error
+            raise NoReply(reason("rig.port", device=self._label, why=_why_closed(port, error))) from error
 
     def write(self, content: bytes) -> None:
         """Write bytes; real-time bytes go out before this returns.
@@ -85,7 +87,7 @@ class Link:
             if self._lines:
                 return self._lines.popleft()
             if self.clock.now_s() >= end_s:
-                raise NoReply(f"{self._label}: no answer within {within_s:g} s; check cable, power and baud rate")
+                raise NoReply(reason("rig.no_answer", device=self._label, within_s=within_s))
             self.clock.sleep_s(POLL_S)
 
     def discard(self) -> None:
@@ -110,15 +112,12 @@ class Link:
         self._lines.extend(Line(text.strip(b"\r"), now_s) for text in whole)
         if len(self._rest) > LONGEST_LINE:
             self._rest = b""
-            raise NoReply(f"{self._label}: {LONGEST_LINE} bytes without a line end; check device and baud rate")
+            raise NoReply(reason("rig.no_line_end", device=self._label, count=LONGEST_LINE))
 
     def _gone(self) -> NoReply:
         # On Windows a port whose device was pulled stays dead until it is closed.
         self.close()
-        return NoReply(
-            f"{self._label}: the device is gone (unplugged, switched off, or another program took the port); check its "
-            "cable, then start again"
-        )
+        return NoReply(reason("rig.gone", device=self._label))
 
 
 @contextmanager
@@ -141,28 +140,28 @@ def available_ports() -> list[str]:
     return [port.device for port in list_ports.comports() if port.vid is not None]
 
 
-def _why_closed(port: str, error: Exception) -> str:
+def _why_closed(port: str, error: Exception) -> Reason:
     match wire_of(port):
         case "tcp":
-            return f"cannot be reached: {error}; check address, power and network cable"
+            return reason("port.unreached", error=reason_of(error))
         case "visa":
-            return f"cannot be opened: {error}; `pyvisa-shell` lists the resources there are"
+            return reason("port.visa", error=reason_of(error))
     if not Path(port).exists() and os.name == "posix":
-        return "no such port; check the cable, then run `softcal station check` to see the ports there are"
+        return Reason("port.none")
     owner = _owner(port)
     if owner:
-        return f"in use by {owner}; end that program, one process owns a port"
-    return f"cannot be opened: {error}"
+        return reason("port.taken", owner=owner)
+    return reason("port.closed", error=reason_of(error))
 
 
-def _owner(port: str) -> str:
+def _owner(port: str) -> Reason | None:
     """Name another process that has the port open, where the system lets us see it."""
     target = os.path.realpath(port)
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         try:
             if os.readlink(link) == target and int(link.parts[2]) != os.getpid():
                 name = Path("/proc", link.parts[2], "comm").read_text().strip()
-                return f"{name} (process {link.parts[2]})"
+                return reason("port.owner", name=name, process=link.parts[2])
         except (OSError, ValueError):
             continue
-    return ""
+    return None

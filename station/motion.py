@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
+from softcal.core.reason import Reason, reason
 from softcal.station.bench import Bench
 from softcal.station.interfaces import Held, Move, RoughLift, RunsOn
 from softcal.station.interlock import Event, Interlock, State
@@ -87,9 +88,9 @@ class Motion:
             self._interlock.take(Event.END)
             return result
         except KeyboardInterrupt as stop:
-            raise StoppedByHand(f"stopped by the keyboard; {self.make_safe(stop)}, the run is aborted") from stop
+            raise StoppedByHand(reason("rig.keyboard", state=self.make_safe(stop))) from stop
         except DeviceError as error:
-            raise type(error)(f"{error}; {self.make_safe(error)}, the run is aborted") from error
+            raise type(error)(reason("rig.aborted", why=error.reason, state=self.make_safe(error))) from error
         except BaseException as error:
             self.make_safe(error)
             raise
@@ -108,7 +109,7 @@ class Motion:
         def watch() -> None:
             on_wait()
             if self._clock.now_s() > end_s:
-                raise NoReply(f"stage: not at home after {HOMING_S:g} s; look for what blocks it")
+                raise NoReply(reason("rig.not_home", seconds=HOMING_S))
 
         self._interlock.take(Event.HOME)
         self._stage.home(watch)
@@ -133,7 +134,7 @@ class Motion:
             if is_over is not None and is_over():
                 return self._brake(path, began_s)
             if self._clock.now_s() - began_s > path.duration_s + ARRIVAL_S:
-                raise NoReply(f"stage: {ARRIVAL_S:g} s late at {to_mm:.2f} mm; look for what blocks it, then home it")
+                raise NoReply(reason("rig.late", seconds=ARRIVAL_S, to_mm=to_mm))
         self._arrive()
         return DrivenMove(path, began_s, self._clock.now_s())
 
@@ -143,14 +144,14 @@ class Motion:
         while self._clock.now_s() < end_s:
             self._tick()
 
-    def make_safe(self, cause: BaseException) -> str:
+    def make_safe(self, cause: BaseException) -> Reason:
         """Stop the stage, lift it where that is safe, and say what was done and what stands on the unit.
 
         It lifts where the position is known, or was lost by the stop alone. It never lifts while somebody holds the
         stage, after a door, an emergency stop or an alarm, nor a second time after an interruption.
         """
         if self.state in (State.STOPPED, State.OVER):
-            return self._left("the stage is stopped")
+            return self._left(Reason("left.stopped"))
         self._interlock.take(Event.FAULT)
         self._path = None
         try:
@@ -163,7 +164,7 @@ class Motion:
         self._interlock.take(Event.BRAKE)
         self._stage.stop()
         if not self._stage.is_position_known:
-            raise DeviceError("stage: lost its position when it was stopped at the touch; home it")
+            raise DeviceError(Reason("rig.lost.at_touch"))
         self._arrive()
         return move
 
@@ -174,29 +175,27 @@ class Motion:
     def _check_depth(self, to_mm: float) -> None:
         deepest_mm = self._bench.config.safety.deepest_mm
         if to_mm > deepest_mm:
-            raise SafetyStop(
-                f"the profile would reach {to_mm:.2f} mm, the limit is {deepest_mm:g} mm; check the fixture"
-            )
+            raise SafetyStop(reason("rig.too_deep", to_mm=to_mm, deepest_mm=deepest_mm))
 
-    def _stop_and_lift(self, cause: BaseException) -> str:
+    def _stop_and_lift(self, cause: BaseException) -> Reason:
         try:
             self._stage.stop()
         except Held:
-            return self._left("the stage stands where somebody holds it and is not lifted")
+            return self._left(Reason("left.held"))
         except DeviceError:
             self._interlock.take(Event.LEAVE)
             return self._unreachable()
         if isinstance(cause, Held):
-            return self._left("the stage stands where somebody holds it and is not lifted")
+            return self._left(Reason("left.held"))
         if not isinstance(cause, (Exception, KeyboardInterrupt)):
-            return self._left("the stage is stopped")
+            return self._left(Reason("left.stopped"))
         if self._stage.is_position_known:
             return self._lift()
         if isinstance(self._stage, RoughLift) and self._stage.can_lift_roughly:
             return self._lift()
-        return self._left("the stage is stopped and must be homed")
+        return self._left(Reason("left.must_home"))
 
-    def _lift(self) -> str:
+    def _lift(self) -> Reason:
         stage = self._stage
         # Never deeper; what is in the way above the approach is let go as well.
         to_mm = max(0.0, min(self._bench.config.fixture.approach_mm, stage.position_mm - LIFT_MM))
@@ -208,13 +207,13 @@ class Motion:
                 self._begin_lift(path)
                 self._follow_lift(self._clock.now_s() + path.duration_s + ARRIVAL_S)
         except Held:
-            return self._left("the stage stands where somebody holds it and is not lifted")
+            return self._left(Reason("left.held"))
         except DeviceError:
             return self._not_lifted(to_mm)
         self._interlock.take(Event.ARRIVED)
         if stage.is_position_known:
-            return "the stage is stopped and lifted"
-        return "the stage is stopped and lifted, it must be homed"
+            return Reason("left.lifted")
+        return Reason("left.lifted_roughly")
 
     def _begin_lift(self, path: Trapezoid) -> None:
         if not self._stage.is_position_known and isinstance(self._stage, RoughLift):
@@ -231,9 +230,9 @@ class Motion:
                 pass  # A line with noise says nothing about the lift; silence and alarms do.
             self._read_force()
             if self._clock.now_s() > end_s:
-                raise NoReply("stage: late while it was lifted")
+                raise NoReply(Reason("rig.late.lifting"))
 
-    def _not_lifted(self, to_mm: float) -> str:
+    def _not_lifted(self, to_mm: float) -> Reason:
         is_up = self._stage.is_position_known and self._stage.position_mm <= to_mm + AT_MM
         try:
             self._stage.stop()
@@ -241,24 +240,24 @@ class Motion:
             pass  # It was told to stop; what it says is of no use any more.
         if is_up:
             self._interlock.take(Event.LEAVE)
-            return "the stage is stopped and lifted"
-        return self._left("the stage is stopped but could not be lifted: lift it by hand and home it")
+            return Reason("left.lifted")
+        return self._left(Reason("left.not_lifted"))
 
-    def _stop_again(self) -> str:
+    def _stop_again(self) -> Reason:
         """A second interruption: stand, wherever it is."""
         try:
             self._stage.stop()
         except DeviceError:
             pass  # It was told to stop all the same.
-        return self._left("the stage is stopped and not lifted")
+        return self._left(Reason("left.there"))
 
-    def _unreachable(self) -> str:
+    def _unreachable(self) -> Reason:
         if isinstance(self._stage, RunsOn):
             s = self._stage.runs_on_s(self._bench.config.safety.speed_mm_s)
-            return f"the stage does not answer any more, it stops within {s:.1f} s: switch it off before you reach in"
-        return "the stage does not answer any more, it ends the move it has: switch it off before you reach in"
+            return reason("left.runs_on", seconds=s)
+        return Reason("left.unreachable")
 
-    def _left(self, state: str) -> str:
+    def _left(self, state: Reason) -> Reason:
         """Return what became of a stage that stays where it is, with what stands on the unit."""
         if self.state in (State.STOPPING, State.LIFTING):
             self._interlock.take(Event.LEAVE)
@@ -268,8 +267,8 @@ class Motion:
             self._clock.sleep_s(TICK_S)
             self._read_force()
         if self._force_N is None:
-            return f"{state}, it may stand on the unit"
-        return f"{state}, with {self._force_N:.1f} N on the load cell"
+            return reason("left.may_stand", state=state)
+        return reason("left.stands", state=state, force_N=self._force_N)
 
     def _read_force(self) -> None:
         force = self._bench.force

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from softcal.core.errors import BadReply
+from softcal.core.reason import reason
 from softcal.core.recording import Array
 
 STEP_S, EARLIEST_S, LATEST_S = 0.0025, -0.15, 0.7
@@ -58,10 +59,7 @@ def check_lag(found_s: float, declared_s: float) -> None:
     """Raise `BadReply` when the load cell is later, or earlier, than its station file says."""
     off_s = found_s - declared_s
     if off_s > LATE_S or off_s < -EARLY_S:
-        raise BadReply(
-            f"load cell: its readings are {found_s:.3f} s behind the stage, {declared_s:.3f} s are declared; look for "
-            f"a slow line or a filter, or state latency_s = {max(0.0, found_s):.2f} in the station file"
-        )
+        raise BadReply(reason("rig.behind", found_s=found_s, declared_s=declared_s, latency_s=max(0.0, found_s)))
 
 
 def check_gain(stage_mm: Array, force_N: Array) -> None:
@@ -76,10 +74,7 @@ def check_gain(stage_mm: Array, force_N: Array) -> None:
     """
     gains = press_gains(stage_mm, force_N)
     if len(gains) > 1 and float(np.max(gains)) > GAIN * float(np.min(gains)):
-        raise BadReply(
-            f"load cell: at equal depths one press shows {np.max(gains) / np.min(gains):.2f} times the force of "
-            "another; check the cell's amplifier, its mounting and the unit's seat, then press again"
-        )
+        raise BadReply(reason("rig.gain", ratio=np.max(gains) / np.min(gains)))
 
 
 def press_gains(stage_mm: Array, force_N: Array) -> Array:

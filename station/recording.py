@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import BadReply, InputError
+from softcal.core.reason import reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.station.clock import ClockFit, fit_clock, residual_offset_s
 from softcal.station.interfaces import Sample, StagePosition
+from softcal.station.named import named
 from softcal.station.proof import check_gain, check_lag, lag_s
 from softcal.station.spool import SpooledRun
 from softcal.station.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
@@ -194,7 +196,7 @@ def restore(run: SpooledRun) -> StationRecording:
         BadReply: as `assemble`.
     """
     if not run.is_whole or not run.facts:
-        raise InputError(f"run of {run.header.get('serial', '?')}: {run.end}; press the unit again")
+        raise InputError(reason("rig.run_ended", serial=run.header.get("serial", "?"), end=run.end))
     return assemble(Raw(run.output, run.force, run.polls), RunFacts(**run.facts))
 
 
@@ -209,7 +211,7 @@ def _fitted(device_s: Array, samples: Sequence[Sample], name: str) -> ClockFit:
         return ClockFit(0.0, 1.0, 0.0, 0.0)
     fit = fit_clock(device_s, np.array([sample.host_s for sample in samples]))
     if abs(fit.rate - 1) > LARGEST_DRIFT:
-        raise BadReply(f"{name}: its clock is off by {100 * (fit.rate - 1):+.1f} %; check its firmware")
+        raise BadReply(reason("rig.clock", device=named(name), percent=100 * (fit.rate - 1)))
     return fit
 
 
@@ -217,7 +219,7 @@ def _count_lost(sensor_s: Array, facts: RunFacts) -> int:
     expected = round((sensor_s[-1] - sensor_s[0]) * facts.sample_rate_Hz) + 1
     lost = max(0, int(expected) - len(sensor_s))
     if lost > LARGEST_LOSS * expected:
-        raise BadReply(f"{facts.sensor}: {lost} of {expected} samples were lost; check its cable, then record again")
+        raise BadReply(reason("rig.lost", device=named(facts.sensor), lost=lost, count=expected))
     return lost
 
 
@@ -233,7 +235,7 @@ def _force_at(host_s: Array, samples: Sequence[Sample], facts: RunFacts) -> tupl
     fit = _fitted(force_s, samples, "load cell")
     longest_s = float(np.max(np.diff(force_s), initial=0.0))
     if longest_s > LONGEST_GAP_S:
-        raise BadReply(f"load cell: a gap of {longest_s:.2f} s in its samples; check its cable, then record again")
+        raise BadReply(reason("rig.gap", seconds=longest_s))
     return np.interp(host_s, fit.to_host(force_s) - facts.force_late_s, force_N[:, 0]) - facts.zero_N, fit
 
 

@@ -5,9 +5,11 @@ from collections import deque
 import numpy as np
 
 from softcal.core.errors import BadReply, NoReply, SafetyStop
+from softcal.core.reason import reason
 from softcal.station.clock import seen_rate_Hz
 from softcal.station.config import SafetyConfig
 from softcal.station.interfaces import ForceReader, Readout, Sample
+from softcal.station.named import named
 
 FROZEN_MM, FROZEN_SAMPLES = 0.6, 5
 """A channel whose value does not change over so many samples while the stage moves so far is frozen. Lines that a stall
@@ -56,10 +58,7 @@ class ForceWatch:
         self._recent.append((time_s, force_N))
         coming_N = force_N + max(0.0, self._slope_N_s()) * self.ahead_s
         if max(coming_N, -force_N) > self._bounds.force_N:
-            raise SafetyStop(
-                f"force {force_N:.2f} N, {coming_N:.2f} N by the time the stage can brake: the limit is "
-                f"{self._bounds.force_N:g} N; check unit, fixture and profile"
-            )
+            raise SafetyStop(reason("rig.force", force_N=force_N, coming_N=coming_N, limit_N=self._bounds.force_N))
 
     def _slope_N_s(self) -> float:
         if len(self._recent) < SLOPE_SAMPLES:
@@ -86,10 +85,7 @@ class FollowWatch:
         elif self._missing_since_s is None:
             self._missing_since_s = now_s
         elif now_s - self._missing_since_s > MISSING_S:
-            raise BadReply(
-                f"load cell: {force_N:.2f} N although the stage is {pressed_mm:.2f} mm below the contact; check the "
-                "cell's bridge, the fixture and whether the stage is blocked"
-            )
+            raise BadReply(reason("rig.no_force", force_N=force_N, pressed_mm=pressed_mm))
 
 
 class JumpWatch:
@@ -105,10 +101,7 @@ class JumpWatch:
             self._moved_s = now_s
         last_N, self._last_N = self._last_N, force_N
         if last_N is not None and now_s - self._moved_s > STANDING_S and abs(force_N - last_N) > JUMP_N:
-            raise BadReply(
-                f"load cell: jumped from {last_N:.2f} N to {force_N:.2f} N while the stage stands still; check its "
-                "cable and mounting, keep hands off the rig"
-            )
+            raise BadReply(reason("rig.jump", before_N=last_N, after_N=force_N))
 
 
 class StuckWatch:
@@ -144,10 +137,7 @@ class StuckWatch:
         if self._high - self._low > self._least:
             self._forget()
         elif self._deep_mm - self._shallow_mm > STUCK_MM:
-            raise BadReply(
-                f"{self._name}: stays at {mean:.4g} while the stage moves {STUCK_MM:g} mm on the unit; check the "
-                "motor's supply, the channel and its cable"
-            )
+            raise BadReply(reason("rig.stuck", device=named(self._name), level=mean, stuck_mm=STUCK_MM))
 
     def _forget(self) -> None:
         self._low = self._shallow_mm = float("inf")
@@ -196,10 +186,7 @@ class StreamWatch:
     def check_silence(self, now_s: float) -> None:
         """Raise `NoReply` when no sample came for too long."""
         if now_s - self._seen_s > self._bounds.silence_s:
-            raise NoReply(
-                f"{self._reader.name}: nothing for {now_s - self._seen_s:.2f} s; check its cable and supply, then "
-                "start the run again"
-            )
+            raise NoReply(reason("rig.silent", device=named(self._reader.name), seconds=now_s - self._seen_s))
 
     def _check_age(self, host_s: float, device_s: float) -> None:
         """A line may begin to hold readings back: against the earliest arrivals of before, these are old."""
@@ -210,10 +197,7 @@ class StreamWatch:
             self._old_since_s = float("inf")
         self._old_since_s = min(self._old_since_s, device_s)
         if age_s > AGE_S and device_s - self._old_since_s > AGE_S:
-            raise NoReply(
-                f"{self._reader.name}: its readings have become {age_s:.2f} s old; check hub, cable and what else the "
-                "computer does, then start the run again"
-            )
+            raise NoReply(reason("rig.old", device=named(self._reader.name), age_s=age_s))
 
     def _check_frozen(self, sample: Sample, pressed_mm: float) -> None:
         if sample.values != self._value or pressed_mm <= 0.0:
@@ -222,8 +206,13 @@ class StreamWatch:
         self._same += 1
         if self._same >= FROZEN_SAMPLES and abs(pressed_mm - self._changed_at_mm) > FROZEN_MM:
             raise BadReply(
-                f"{self._reader.name}: {sample.values[0]:.4g} {self._reader.unit} does not change while the stage "
-                f"moves {FROZEN_MM:g} mm; it is frozen or not connected to the unit"
+                reason(
+                    "rig.frozen",
+                    device=named(self._reader.name),
+                    level=sample.values[0],
+                    unit=self._reader.unit,
+                    frozen_mm=FROZEN_MM,
+                )
             )
 
     def _check_rails(self, sample: Sample, rails: tuple[float, float]) -> None:
@@ -233,10 +222,7 @@ class StreamWatch:
         elif self._on_rail_since_s is None:
             self._on_rail_since_s = sample.host_s
         elif sample.host_s - self._on_rail_since_s > RAIL_S:
-            raise BadReply(
-                f"{self._reader.name}: at the end of its range for {RAIL_S:g} s; check the unit's connector (open or "
-                "short circuit)"
-            )
+            raise BadReply(reason("rig.rail", device=named(self._reader.name), rail_s=RAIL_S))
 
     def _check_rate(self, device_s: float) -> None:
         self._times.append(device_s)
@@ -245,12 +231,10 @@ class StreamWatch:
         seen_Hz = seen_rate_Hz(np.array(self._times)[-RATE_SAMPLES:])
         if not 0.9 < seen_Hz / self._reader.rate_Hz < 1.1:
             raise BadReply(
-                f"{self._reader.name}: sends {seen_Hz:.3g} samples a second, {self._reader.rate_Hz:g} were expected; "
-                "check its firmware and the station file"
+                reason("rig.rate", device=named(self._reader.name), seen_Hz=seen_Hz, rate_Hz=self._reader.rate_Hz)
             )
         lost = round((device_s - self._times[0]) * seen_Hz) + 1 - len(self._times)
         if lost > LOST_SAMPLES:
             raise BadReply(
-                f"{self._reader.name}: {lost} of {lost + len(self._times)} samples did not come; check its cable and "
-                "whether it still sends at its rate"
+                reason("rig.missing", device=named(self._reader.name), lost=lost, count=lost + len(self._times))
             )

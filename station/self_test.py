@@ -6,10 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import DeviceError
+from softcal.core.reason import Reason, plain, reason
 from softcal.station.bench import Bench
 from softcal.station.clock import fit_clock, seen_rate_Hz
 from softcal.station.interfaces import Advises, ForceReader, Readout, RunsOn, Sample
 from softcal.station.motion import Cancelled
+from softcal.station.named import named
 from softcal.station.recording import LARGEST_DRIFT
 from softcal.station.watched import WatchedBench
 
@@ -19,6 +21,8 @@ LOOK_S = 0.001
 
 STEP_MM, STEP_S = 2.0, 10.0
 """The stage goes down by at most so much, and for at most so long: what is in the way is to be met slowly."""
+
+STAGE = named("stage")
 
 POSITION_MM = 0.02
 RATE_SHARE = 0.05
@@ -32,17 +36,17 @@ class Finding:
         device: stage, load cell, sensor readout.
         what: the quantity.
         value: what was found, with its unit.
-        cure: what to do; "" when it is good.
+        cure: what to do; None when it is good.
     """
 
-    device: str
-    what: str
-    value: str
-    cure: str = ""
+    device: Reason
+    what: Reason
+    value: Reason
+    cure: Reason | None = None
 
     @property
     def is_good(self) -> bool:
-        return not self.cure
+        return self.cure is None
 
 
 def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] = lambda: None) -> list[Finding]:
@@ -73,7 +77,7 @@ def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] =
     except Cancelled:
         raise
     except DeviceError as error:
-        findings.append(Finding("readers", "stream", "failed", str(error)))
+        findings.append(Finding(Reason("device.readers"), Reason("check.stream"), Reason("found.failed"), error.reason))
     for reader in readers:
         findings += _stream_findings(reader, samples[reader.name])
     if bench.force is not None:
@@ -83,12 +87,23 @@ def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] =
 
 def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -> list[Finding]:
     if len(samples) < 10:
-        return [Finding(reader.name, "stream", f"{len(samples)} samples", "no stream; check cable, supply, firmware")]
+        return [
+            Finding(
+                named(reader.name),
+                Reason("check.stream"),
+                reason("found.samples", count=len(samples)),
+                Reason("cure.no_stream"),
+            )
+        ]
     values = np.array([sample.values for sample in samples])
     noise = float(np.max(np.std(np.diff(values, axis=0), axis=0))) / np.sqrt(2)
     findings = [
-        Finding(reader.name, "reading", f"{', '.join(f'{v:.4g}' for v in values.mean(axis=0))} {reader.unit}"),
-        Finding(reader.name, "noise", f"{noise:.2g} {reader.unit}"),
+        Finding(
+            named(reader.name),
+            Reason("check.reading"),
+            reason("found.reading", values=", ".join(f"{v:.4g}" for v in values.mean(axis=0)), unit=reader.unit),
+        ),
+        Finding(named(reader.name), Reason("check.noise"), reason("found.noise", noise=noise, unit=reader.unit)),
     ]
     if samples[0].device_s is None:
         return findings
@@ -96,13 +111,24 @@ def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -
     fit = fit_clock(device_s, np.array([sample.host_s for sample in samples]))
     rate_Hz = seen_rate_Hz(device_s)
     is_right = abs(rate_Hz / reader.rate_Hz - 1) < RATE_SHARE
-    slow = f"{reader.rate_Hz:g} Hz were expected; correct rate_Hz in the station file or the firmware"
-    drift = "clock far off; check its firmware" if abs(fit.rate - 1) > LARGEST_DRIFT else ""
+    slow = reason("cure.rate", rate_Hz=reader.rate_Hz)
+    drift = Reason("cure.clock") if abs(fit.rate - 1) > LARGEST_DRIFT else None
     return [
         *findings,
-        Finding(reader.name, "rate", f"{rate_Hz:.4g} Hz", "" if is_right else slow),
-        Finding(reader.name, "clock drift", f"{_ppm(1 - fit.rate)} ppm, give or take {_ppm(LOOK_S / LISTEN_S)}", drift),
-        Finding(reader.name, "latency", f"median {1e3 * fit.late_s:.1f} ms, largest {1e3 * fit.latest_s:.1f} ms"),
+        Finding(
+            named(reader.name), Reason("check.rate"), reason("found.rate", rate_Hz=rate_Hz), None if is_right else slow
+        ),
+        Finding(
+            named(reader.name),
+            Reason("check.drift"),
+            reason("found.drift", drift_ppm=_ppm(1 - fit.rate), doubt_ppm=_ppm(LOOK_S / LISTEN_S)),
+            drift,
+        ),
+        Finding(
+            named(reader.name),
+            Reason("check.latency"),
+            reason("found.latency", middle_ms=1000.0 * fit.late_s, most_ms=1000.0 * fit.latest_s),
+        ),
     ]
 
 
@@ -114,8 +140,8 @@ def _zero_findings(bench: Bench, samples: Sequence[Sample]) -> list[Finding]:
     if not samples:
         return []
     zero_N, allowed_N = float(np.mean([sample.values[0] for sample in samples])), bench.config.safety.zero_N
-    cure = "" if abs(zero_N) <= allowed_N else f"at most {allowed_N:g} N; unload the cell, then zero it"
-    return [Finding("load cell", "zero", f"{zero_N:+.3f} N", cure)]
+    cure = None if abs(zero_N) <= allowed_N else reason("cure.zero", allowed_N=allowed_N)
+    return [Finding(named("load cell"), Reason("check.zero"), reason("found.zero", zero_N=zero_N), cure)]
 
 
 def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[Finding]:
@@ -126,12 +152,21 @@ def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[Finding]:
     except Cancelled:
         raise
     except DeviceError as error:
-        return [Finding("stage", "homing and moving", "failed", str(error))]
-    cure = "" if abs(error_mm) < POSITION_MM else "it does not come back; check screws, belt and steps per mm"
+        return [Finding(STAGE, Reason("check.homing_moving"), Reason("found.failed"), error.reason)]
+    cure = None if abs(error_mm) < POSITION_MM else Reason("cure.return")
     return [
-        Finding("stage", "homing", "found its switch"),
-        Finding("stage", "travel", f"{stage.travel_mm:g} mm, {stage.max_speed_mm_s:g} mm/s"),
-        Finding("stage", "out and back", f"{2 * down_mm:.3g} mm in {took_s:.2f} s, off by {error_mm:+.3f} mm", cure),
+        Finding(STAGE, Reason("check.homing"), Reason("found.switch")),
+        Finding(
+            STAGE,
+            Reason("check.travel"),
+            reason("found.travel", travel_mm=stage.travel_mm, speed_mm_s=stage.max_speed_mm_s),
+        ),
+        Finding(
+            STAGE,
+            Reason("check.return"),
+            reason("found.return", way_mm=2 * down_mm, took_s=took_s, error_mm=error_mm),
+            cure,
+        ),
         *_safety_findings(bench, watched),
     ]
 
@@ -152,7 +187,7 @@ def _go_out_and_back(watched: WatchedBench) -> tuple[float, float, float]:
     took_s, count = bench.clock.now_s() - began_s, len(watched.readings.polls)
     watched.motion.wait(0.4)
     if len(watched.readings.polls) == count:
-        raise DeviceError("stage: does not say where it is; check its cable")
+        raise DeviceError(Reason("rig.no_position.known"))
     return took_s, down_mm, watched.readings.polls[-1].position_mm - began_mm
 
 
@@ -162,15 +197,14 @@ def _safety_findings(bench: Bench, watched: WatchedBench) -> list[Finding]:
         return []
     bounds, stage = watched.bounds, bench.stage
     settings = stage.unsafe_settings() if isinstance(stage, Advises) else ()
-    unsafe = [Finding("stage", "setting", value, cure) for value, cure in settings]
-    safe = (
-        f"{bounds.free_mm_s:.2g} mm/s where nothing was felt, {bounds.unknown_mm_s:.2g} mm/s where the unit was not "
-        f"pressed yet, so that a stop ends below {bounds.ceiling_N:g} N"
+    unsafe = [Finding(STAGE, Reason("check.setting"), plain(value), cure) for value, cure in settings]
+    safe = reason(
+        "found.safe_speed", free_mm_s=bounds.free_mm_s, unknown_mm_s=bounds.unknown_mm_s, ceiling_N=bounds.ceiling_N
     )
-    findings = [*unsafe, Finding("stage", "safe speed", safe)]
+    findings = [*unsafe, Finding(STAGE, Reason("check.safe_speed"), safe)]
     if isinstance(stage, RunsOn):
         speed_mm_s = bench.config.safety.speed_mm_s
         on_s = stage.runs_on_s(speed_mm_s)
-        value = f"at {speed_mm_s:g} mm/s at most {on_s:.2f} s and {on_s * speed_mm_s:.2g} mm"
-        findings.append(Finding("stage", "runs on when the host dies", value))
+        value = reason("found.runs_on", speed_mm_s=speed_mm_s, on_s=on_s, way_mm=on_s * speed_mm_s)
+        findings.append(Finding(STAGE, Reason("check.runs_on"), value))
     return findings

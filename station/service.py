@@ -21,10 +21,12 @@ from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.profiles import Profile
 from softcal.core.quality.gate import Gate, RigFacts
+from softcal.core.reason import Reason, reason, root_of, several
 from softcal.station.acquisition import HOMING, RunProgress, ZeroMoved, record
 from softcal.station.bench import Bench
 from softcal.station.interfaces import Reader, Stage
 from softcal.station.motion import Cancelled
+from softcal.station.named import named
 from softcal.station.recording import StationRecording
 from softcal.station.self_test import Finding, self_test
 from softcal.station.spool import Spool
@@ -89,9 +91,10 @@ class StationService:
         self._started_s = time.monotonic()
         self._heard_s: dict[str, float] = {}
         self._cell_clock_s = self._zero_return_N = 0.0
-        self._homing_fault = self._zero_fault = ""
+        self._homing_fault: Reason | None = None
+        self._zero_fault: Reason | None = None
         self.state = StationState.STARTING
-        self.reasons: tuple[str, ...] = ()
+        self.reasons: tuple[Reason, ...] = ()
         self.gate = Gate()
         self.findings: list[Finding] = []
 
@@ -112,7 +115,7 @@ class StationService:
         try:
             self._bench = self._open.enter_context(self._open_bench())
         except DeviceError as error:
-            self.state, self.reasons = StationState.STOPPED, (str(error),)
+            self.state, self.reasons = StationState.STOPPED, (error.reason,)
             return
         self._heard_s = {}
         self.settle()
@@ -137,7 +140,7 @@ class StationService:
                 if reader is not None:
                     self._listen(bench, reader)
         except DeviceError as error:
-            self.state, self.reasons = StationState.STOPPED, (str(error),)
+            self.state, self.reasons = StationState.STOPPED, (error.reason,)
 
     def acknowledge(self) -> None:
         """Somebody has read why the station stopped: open the ports again; the next run homes first."""
@@ -151,7 +154,7 @@ class StationService:
         """
         if order.kind is OrderKind.ACKNOWLEDGE:
             self.acknowledge()
-            self._end(order, RunState.DONE, "", "acknowledged")
+            self._end(order, RunState.DONE, "", (Reason("run.acknowledged"),))
             return None
         code, refusal = self._refusal(order)
         if refusal:
@@ -168,7 +171,7 @@ class StationService:
             self._remember(error, relay.phase)
             self._stop(order, RunState.ERROR, _code(error), error)
         except Exception:
-            self.state, self.reasons = StationState.STOPPED, ("a defect of softcal ended the run; its log has more",)
+            self.state, self.reasons = StationState.STOPPED, (Reason("rig.defect"),)
             raise
         return None
 
@@ -198,26 +201,26 @@ class StationService:
                 self._cell_clock_s = samples[-1].device_s
         silent_s = now_s - self._heard_s.setdefault(reader.name, now_s)
         if silent_s > SILENT_S:
-            raise NoReply(f"{reader.name}: nothing for {silent_s:.0f} s; check its cable and supply")
+            raise NoReply(reason("rig.silent.between", device=named(reader.name), seconds=silent_s))
 
-    def _refusal(self, order: Order) -> tuple[str, str]:
-        """Return code and reason why an order may not run; both empty when it may."""
+    def _refusal(self, order: Order) -> tuple[str, tuple[Reason, ...]]:
+        """Return code and reasons why an order may not run; both empty when it may."""
         if self.state is StationState.STOPPED or self._bench is None:
-            return "E-GATE", f"the station is stopped: {'; '.join(self.reasons)}; acknowledge first"
+            return "E-GATE", (*(reason("rig.stopped", why=why) for why in self.reasons), Reason("rig.acknowledge"))
         gate = self._hooks.gate(order.kind, self.rig)
-        return ("", "") if gate.is_open else ("E-GATE", "; ".join(gate.reasons))
+        return ("", ()) if gate.is_open else ("E-GATE", gate.reasons)
 
     def _remember(self, error: SoftcalError, phase: str) -> None:
         """Keep what closes the gate until a self-test is good."""
         if isinstance(error, ZeroMoved):
-            self._zero_fault = _first_clause(error)
+            self._zero_fault = root_of(error.reason)
         elif phase == HOMING:
-            self._homing_fault = _first_clause(error)
+            self._homing_fault = root_of(error.reason)
 
     def _run(self, order: Order, relay: "_Relay") -> StationRecording | None:
         bench = self._bench
         if bench is None:
-            raise NoReply("the station has no open devices; acknowledge first")
+            raise NoReply(Reason("rig.no_devices"))
         if order.kind is OrderKind.CHECK:
             self._check(order, bench, relay)
             return None
@@ -233,12 +236,16 @@ class StationService:
     def _check(self, order: Order, bench: Bench, relay: "_Relay") -> None:
         self._hooks.report(Progress(order.order_id, RunState.RUNNING, "self-test", 0.0, CHECK_S))
         self.findings = self_test(bench, on_wait=relay.look)
-        faults = [f"self-test of {f.device}, {f.what}: {f.value}; {f.cure}" for f in self.findings if not f.is_good]
+        faults = [
+            reason("rig.self_test", device=f.device, what=f.what, value=f.value, cure=f.cure)
+            for f in self.findings
+            if f.cure is not None
+        ]
         if faults:
-            raise BadReply("; ".join(faults))
-        self._homing_fault = self._zero_fault = ""
+            raise BadReply(several(faults))
+        self._homing_fault = self._zero_fault = None
         self._zero_return_N = 0.0
-        self._end(order, RunState.DONE, "", "all devices are good")
+        self._end(order, RunState.DONE, "", (Reason("rig.all_good"),))
         self._ready()
 
     def _ready(self) -> None:
@@ -246,10 +253,10 @@ class StationService:
         self.state = StationState.READY
 
     def _stop(self, order: Order, state: RunState, code: str, error: SoftcalError) -> None:
-        self.state, self.reasons = StationState.STOPPED, (str(error),)
-        self._end(order, state, code, str(error))
+        self.state, self.reasons = StationState.STOPPED, (error.reason,)
+        self._end(order, state, code, (error.reason,))
 
-    def _end(self, order: Order, state: RunState, code: str, message: str) -> None:
+    def _end(self, order: Order, state: RunState, code: str, message: tuple[Reason, ...]) -> None:
         self._hooks.report(Progress(order.order_id, state, "", 1.0, 0.0, code, message))
 
 
@@ -265,7 +272,7 @@ class _Relay:
     def look(self) -> None:
         """Raise `Cancelled` when somebody asked for a stop."""
         if self._hooks.is_stop_wanted():
-            raise Cancelled("stopped by a person")
+            raise Cancelled(Reason("rig.by_hand"))
 
     def on_progress(self, progress: RunProgress) -> None:
         self.look()
@@ -298,7 +305,3 @@ def _look_at(stage: Stage) -> None:
 
 def _code(error: SoftcalError) -> str:
     return next(code for kind, code in CODES.items() if isinstance(error, kind) or kind is DeviceError)
-
-
-def _first_clause(error: SoftcalError) -> str:
-    return str(error).split(";")[0]

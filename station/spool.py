@@ -15,7 +15,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from softcal.core.errors import DeviceError, InputError
+from softcal.core.errors import DeviceError, InputError, reason_of
+from softcal.core.reason import Reason, plain, reason
 from softcal.station.interfaces import Sample, StagePosition
 
 SCHEMA = "softcal.spool/1"
@@ -38,13 +39,13 @@ class SpooledRun:
     force: tuple[Sample, ...]
     polls: tuple[StagePosition, ...]
     facts: dict[str, Any]
-    end: str
+    end: Reason
     damaged: int
 
     @property
     def is_whole(self) -> bool:
         """Whether the run was finished and every line is intact."""
-        return self.end == "done" and not self.damaged
+        return str(self.end) == str(Reason("spool.done")) and not self.damaged
 
 
 class Spool:
@@ -64,7 +65,7 @@ class Spool:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("ab")
         except OSError as error:
-            raise DeviceError(f"{path}: cannot be written: {error.strerror}; make room, nothing moved") from error
+            raise DeviceError(reason("file.closed", path=str(path), error=reason_of(error))) from error
         self._lines: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._error: OSError | None = None
         self._thread = threading.Thread(target=self._write_lines, name="spool", daemon=True)
@@ -77,7 +78,8 @@ class Spool:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._put({"end": "done" if error is None else f"aborted: {error or kind}"})
+        end = Reason("spool.done") if error is None else reason("spool.aborted", why=_why(error))
+        self._put({"end": end.to_json()})
         self._lines.put(None)
         self._thread.join()
         try:
@@ -109,9 +111,7 @@ class Spool:
 
     def _check(self) -> None:
         if self._error is not None:
-            raise DeviceError(
-                f"{self.path}: samples cannot be kept: {self._error.strerror}; make room on the disk, press again"
-            ) from self._error
+            raise DeviceError(reason("file.full", path=str(self.path), error=reason_of(self._error))) from self._error
 
     def _put(self, value: dict[str, Any]) -> None:
         self._lines.put(_line(value))
@@ -145,19 +145,24 @@ def read_spool(path: Path) -> SpooledRun:
     try:
         lines = path.read_bytes().split(b"\n")
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
+        raise InputError(reason("file.unreadable", path=str(path), error=reason_of(error))) from error
     values, damaged = _intact(lines)
     if not values or values[0].get("schema") != SCHEMA:
-        raise InputError(f"{path}: is no spool of softcal; nothing was changed")
+        raise InputError(reason("file.no_spool", path=str(path)))
     output, force, polls = [], [], []
     for value in values[1:]:
         output += [_sample(row) for row in value.get("output", ())]
         force += [_sample(row) for row in value.get("force", ())]
         polls += [StagePosition(*row) for row in value.get("polls", ())]
-    end = str(values[-1].get("end", "cut off"))
+    end = Reason.of(values[-1].get("end", Reason("spool.cut_off")))
     header = {key: str(text) for key, text in values[0].items() if key != "schema"}
     facts: dict[str, Any] = next((value["facts"] for value in values if "facts" in value), {})
     return SpooledRun(header, tuple(output), tuple(force), tuple(polls), facts, end, damaged)
+
+
+def _why(error: BaseException) -> Reason:
+    said = reason_of(error)
+    return said if str(said) else plain(type(error).__name__)
 
 
 def _intact(lines: Sequence[bytes]) -> tuple[list[dict[str, Any]], int]:

@@ -2,6 +2,7 @@
 
 from softcal.core.errors import CommandRefused
 from softcal.core.profiles import Profile
+from softcal.core.reason import reason
 from softcal.station.bench import Bench
 from softcal.station.interfaces import Hold, Move, Step
 
@@ -14,13 +15,21 @@ def check_profile(bench: Bench, profile: Profile) -> None:
     for segment in steps_of(profile):
         if isinstance(segment, Move) and segment.speed_mm_s > fastest_mm_s * (1 + 1e-9):
             raise CommandRefused(
-                f"profile {profile.name!r} moves at {segment.speed_mm_s:g} mm/s, the station allows {fastest_mm_s:g} "
-                "mm/s; nothing moved"
+                reason(
+                    "rig.profile.speed",
+                    profile=repr(profile.name),
+                    speed_mm_s=segment.speed_mm_s,
+                    most_mm_s=fastest_mm_s,
+                )
             )
         if isinstance(segment, Move) and not -fixture.clearance_mm <= segment.to_mm <= deepest_mm - fixture.approach_mm:
             raise CommandRefused(
-                f"profile {profile.name!r} goes to {segment.to_mm:g} mm, the station allows "
-                f"{deepest_mm - fixture.approach_mm:g} mm below its approach; nothing moved"
+                reason(
+                    "rig.profile.depth",
+                    profile=repr(profile.name),
+                    to_mm=segment.to_mm,
+                    most_mm=deepest_mm - fixture.approach_mm,
+                )
             )
 
 

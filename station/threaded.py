@@ -8,7 +8,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from softcal.core.errors import DeviceError, NoReply
+from softcal.core.reason import reason
 from softcal.station.interfaces import Clock, Sample
+from softcal.station.named import named
 
 
 @dataclass(frozen=True)
@@ -90,13 +92,10 @@ class ThreadedReader:
             raise fault
         if fault is not None:
             what = f"{type(fault).__name__}: {fault}" if str(fault) else type(fault).__name__
-            raise NoReply(f"{self.name}: its library ended with {what}; check its cable, then start again") from fault
+            raise NoReply(reason("rig.library.ended", device=named(self.name), what=what)) from fault
         silent_s = self._clock.now_s() - newest_s
         if silent_s > self._stale_s:
-            raise NoReply(
-                f"{self.name}: no new reading for {silent_s:.2f} s; its library hangs or repeats the last one, check "
-                "its cable and supply, then start again"
-            )
+            raise NoReply(reason("rig.library.silent", device=named(self.name), seconds=silent_s))
         return []
 
     def close(self) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from softcal.core.errors import BadReply, SafetyStop
+from softcal.core.reason import reason
 from softcal.station.bench import Bench
 from softcal.station.bounds import FULL, REACTION_S, ForceBounds, Reaction
 from softcal.station.config import LATEST_S, UNKNOWN_S
@@ -130,10 +131,7 @@ class WatchedBench:
         for sample in cell:
             self._lowest_N = min(self._lowest_N, sample.values[0])
             if sample.values[0] > self._lowest_N + HOMING_RISE_N:
-                raise SafetyStop(
-                    f"the force rises by {sample.values[0] - self._lowest_N:.1f} N while the stage homes; check that "
-                    "it homes away from the unit"
-                )
+                raise SafetyStop(reason("rig.homing.rises", force_N=sample.values[0] - self._lowest_N))
         self._on_tick()
 
     def _look_ahead(self) -> None:
@@ -166,8 +164,7 @@ class WatchedBench:
         touch_N = self.bench.config.fixture.touch_N
         if self._free_N is not None and self.motion.is_lowering and force_N - self._free_N > touch_N:
             raise SafetyStop(
-                f"something is in the way at {self.bench.stage.position_mm:.2f} mm: {force_N - self._free_N:.2f} N; "
-                "look at unit and fixture, correct approach_mm in the station file"
+                reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=force_N - self._free_N)
             )
 
     def pressed_mm(self) -> float:
@@ -180,7 +177,7 @@ class WatchedBench:
         deepest_mm = self.bench.config.safety.deepest_mm
         if self.readings.polls and self.readings.polls[-1].position_mm > deepest_mm + 0.01:
             at_mm = self.readings.polls[-1].position_mm
-            raise SafetyStop(f"stage at {at_mm:.2f} mm, the limit is {deepest_mm:g} mm; check the fixture")
+            raise SafetyStop(reason("rig.deepest", at_mm=at_mm, deepest_mm=deepest_mm))
 
 
 def bounds_of(bench: Bench) -> ForceBounds:

@@ -131,7 +131,8 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
         return UnitOutcome(task.item_id, task.serial, refusal)
     if task.anchors is not None:
         try:
-            check_loads(shared.source.source, task.anchors, "the unit was not calibrated")
+            known = shared.source.method.map.anchors
+            check_loads(shared.source.source, task.anchors, "the unit was not calibrated", known)
         except InputError as error:
             refusal = Refusal(Verdict.RETEST, reason("wrong_loads", error=str(error)))
             return UnitOutcome(task.item_id, task.serial, refusal, recording, audit)

@@ -5,7 +5,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import Words, coloured, level_line, limit_line, nice_step, styled
+from softcal.app.charts.style import Words, coloured, level_line, limit_line, nice_step, styled, whole_numbers
 from softcal.app.texts.reasons import said
 from softcal.app.views.lot import LotView, ProcessView, reason_kind
 from softcal.core.quality.control_chart import FORBIDDING, ControlChart
@@ -32,7 +32,8 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
         if counts.any():
             name = words(f"verdict.{verdict}")
             figure.add_bar(x=edges[:-1], y=counts, width=edges[1], offset=0, name=name, marker_color=colour)
-    figure.update_layout(barmode="stack", yaxis_tickformat="d", yaxis_rangemode="tozero")
+    figure.update_layout(barmode="stack")
+    whole_numbers(figure, float(np.histogram(every, edges)[0].max(initial=0)))
     # Without a step of their own the ticks would follow the bars, at odd numbers.
     figure.update_xaxes(range=[0.0, top], dtick=nice_step(top), tick0=0)
     if view.lot.limit_rmse is not None:

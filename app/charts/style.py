@@ -45,6 +45,11 @@ def nice_step(span: float, count: int = 6) -> float:
     return next(step * power for step in (1, 2, 5, 10) if step * power * count >= span)
 
 
+def whole_numbers(figure: go.Figure, most: float) -> None:
+    """Give the upright axis of counts ticks at whole numbers alone, from 0 to `most`."""
+    figure.update_yaxes(rangemode="tozero", tick0=0, dtick=max(1.0, nice_step(max(most, 1.0))), tickformat="d")
+
+
 def limit_line(figure: go.Figure, at: float, colours: Palette, text: str) -> None:
     """Draw a vertical line that decides, with its name."""
     font = {"color": colours.limit, "size": 12}

@@ -8,7 +8,7 @@ from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import Words, coloured
-from softcal.app.texts.reasons import said
+from softcal.app.texts.reasons import phrase, said
 from softcal.app.views.common import thinned
 from softcal.app.views.unit import UnitView
 
@@ -58,7 +58,10 @@ def _head(view: UnitView, colours: Palette, words: Words) -> str:
 
 def _parts(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
     found, unit = view.explanation, view.lot.reference_unit
-    names, values = [said(name, words) for name in found.contributions][::-1], list(found.contributions.values())[::-1]
+    names, values = (
+        [phrase("part", name, words) for name in found.contributions][::-1],
+        list(found.contributions.values())[::-1],
+    )
     bars = go.Bar(x=values, y=names, orientation="h", marker_color=colours.source, showlegend=False)
     _at(figure, PARTS, bars)
     if found.forecast is not None:

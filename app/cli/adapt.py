@@ -120,6 +120,9 @@ def _report(registry: "Registry", options: argparse.Namespace, report: "AdaptRep
     say(f"{options.out}: {report.rows} rows; {', '.join(flags) or 'no row flagged'}")
     unit = report.lot.reference_unit
     say(f"map: {verdicts or 'never moved'}; predicted error {report.current.predicted_rmse:.3g} {unit}")
+    say(f"method: {report.method.id[:12]}")
+    if report.changed:
+        say(f"the method has changed since this stream was last followed: {'; '.join(report.changed)}")
     if report.current.reason:
         say(f"{report.current.verdict}: {report.current.reason}")
     if report.current.alarm:

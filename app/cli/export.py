@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of, say_caution
-from softcal.app.export.names import FORMATS
+from softcal.app.export.names import formats
 from softcal.app.output import Progress, print_table, say, write_json
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="which verdicts release device files: pass (default), or conditional too, whose error is within the limit",
     )
     units.add_argument("--failed-too", action="store_true", help="device files of every unit, for the laboratory")
-    parser.add_argument("--format", action="append", default=[], choices=FORMATS, help="may be repeated")
+    parser.add_argument("--format", action="append", default=[], choices=formats(), help="may be repeated")
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder to write into or to check")
     parser.add_argument("--check", action="store_true", help="read back: complete, unchanged, signed by whom?")
     _add_device_options(parser)

@@ -330,7 +330,7 @@ def _recovered_row(run: "Recovered") -> tuple[str, str, str, int, str]:
 
 
 def _row(finding: "Finding") -> tuple[str, str, str, str]:
-    return finding.device, finding.what, finding.value, finding.cure or "good"
+    return str(finding.device), str(finding.what), str(finding.value), str(finding.cure or "good")
 
 
 def _progress() -> "OnProgress":

@@ -13,7 +13,6 @@ from softcal.app.cli.options import add_json, add_network, add_registry, network
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import DeviceError, InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState
-from softcal.core.reason import joined, unpacked
 
 if TYPE_CHECKING:
     from softcal.core.orders import Heartbeat
@@ -221,8 +220,7 @@ def run_order(options: argparse.Namespace) -> int:
             progress = _followed(registry, options.name, order_id)
     if options.json:
         write_json(options.json, _order_json(options, progress))
-    said = joined(unpacked(progress.message))
-    say(f"{f'{kind} {options.serial}'.strip()}: {progress.verdict or progress.state}: {said}")
+    say(f"{f'{kind} {options.serial}'.strip()}: {progress.verdict or progress.state}: {progress.text}")
     if progress.state is not RunState.DONE:
         return 2 if progress.code == "E-ORDER" else 3
     return 0 if progress.verdict in ("", "pass") else 1
@@ -248,8 +246,8 @@ def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
 
 
 def _order_json(options: argparse.Namespace, progress: Progress) -> dict[str, object]:
-    names = ("order_id", "state", "code", "message", "verdict", "recording_sha256")
-    facts = {name: getattr(progress, name) for name in names}
+    names = ("order_id", "state", "code", "verdict", "recording_sha256")
+    facts = {name: getattr(progress, name) for name in names} | {"message": progress.text}
     return {"schema": "softcal.station-order/1", "kind": options.kind, "serial": options.serial, **facts}
 
 
@@ -290,9 +288,9 @@ def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> d
         "state": beat.state.value if is_there or beat.state == "off" else f"not answering (was {beat.state})",
         "at": f"{beat.at:%Y-%m-%d %H:%M:%S} UTC",
         "process": beat.process,
-        "reasons": list(beat.reasons),
+        "reasons": list(map(str, beat.reasons)),
         "is_overridden": beat.is_overridden,
-        "gate": [vars(condition) for condition in beat.gate],
+        "gate": [{"name": str(c.name), "is_good": c.is_good, "says": str(c.says)} for c in beat.gate],
         "run": run,
         "quarantine": list(held),
     }

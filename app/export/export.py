@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from softcal.app.export.calibrated_unit import CalibratedUnit, ExportOptions, UnitLoader
-from softcal.app.export.formats import WRITERS, Writer, device_summary
+from softcal.app.export.formats import Writer, device_summary, writer_of
 from softcal.app.export.manifest import FileEntry, Manifest, read_manifest, write_manifest
 from softcal.app.export.names import APART, AUDIT, DEVICE_FORMATS, SIGNED_APART
+from softcal.app.export.names import formats as known_formats
 from softcal.app.export.signature import SigningKey
 from softcal.app.files.atomic import write_bytes, write_text
 from softcal.app.registry.anchors import anchor_json, remember
@@ -58,7 +59,7 @@ def export_units(
     Args:
         registry: where the calibrations are.
         serials: which units.
-        formats: of `WRITERS`.
+        formats: names of `softcal.app.export.names.formats`.
         out: folder; files of other units in it stay, and stay in its manifest.
         options: choices for all of them.
         on_unit: told after each unit.
@@ -101,10 +102,9 @@ def lot_serials(registry: Registry, lot_id: str, options: ExportOptions) -> list
 
 
 def _writers(formats: Sequence[str]) -> dict[str, Writer]:
-    unknown = [name for name in formats if name not in WRITERS]
-    if unknown or not formats:
-        raise InputError(f"format {', '.join(unknown) or 'missing'}; known: {', '.join(WRITERS)}")
-    return {name: WRITERS[name] for name in dict.fromkeys(formats)}
+    if not formats:
+        raise InputError(f"no format is given; known: {', '.join(known_formats())}")
+    return {name: writer_of(name) for name in dict.fromkeys(formats)}
 
 
 def _check_serials(registry: Registry, serials: Sequence[str], lot_id: str | None) -> None:

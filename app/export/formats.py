@@ -1,15 +1,17 @@
 """One function per export format: a calibrated unit in, the contents of its files out."""
 
+import re
 import sys
 from collections.abc import Callable, Mapping
-from importlib.metadata import version
+from functools import partial
+from importlib.metadata import EntryPoint, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from softcal.app.export.calibrated_unit import CalibratedUnit
-from softcal.app.export.names import FORMATS
+from softcal.app.export.names import FORMATS, GROUP, formats
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import longest_step_ms
 from softcal.core.export.c_text import network_header, unit_header
@@ -20,6 +22,7 @@ from softcal.core.export.graph import compose
 from softcal.core.export.intel_hex import intel_hex
 from softcal.core.export.json_text import json_text, network_values, unit_values
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE
+from softcal.core.plugins import installed, loaded, who
 from softcal.core.windows import TAPS
 
 Writer = Callable[[CalibratedUnit], dict[str, bytes]]
@@ -179,4 +182,48 @@ WRITERS: Mapping[str, Writer] = dict(
         strict=True,
     )
 )
-"""What writes each format."""
+"""What writes each of softcal's own formats."""
+
+
+def writer_of(name: str) -> Writer:
+    """Return what writes a format, its own or a plug-in's.
+
+    Raises:
+        InputError: no such format, a plug-in that cannot be loaded, or one that takes the name of an own format.
+    """
+    points = [point for point in installed(GROUP) if point.name == name]
+    if name in WRITERS and not points:
+        return WRITERS[name]
+    if not points:
+        raise InputError(f"format {name}; known: {', '.join(formats())}")
+    if name in WRITERS or len(points) > 1:
+        raise InputError(f"{who(points[-1], KIND)}: the name {name!r} is taken already; give it another")
+    write = loaded(points[0], KIND)
+    if not callable(write):
+        raise InputError(f"{who(points[0], KIND)}: is {type(write).__name__}; a function was expected")
+    return partial(_plugin_files, points[0], write)
+
+
+KIND = "exporter"
+
+
+def _plugin_files(point: EntryPoint, write: Callable[[CalibratedUnit], Any], unit: CalibratedUnit) -> dict[str, bytes]:
+    # What a plug-in writes may give numbers: a unit that is not released has none of it.
+    unit.check_usable()
+    try:
+        files: Any = write(unit)
+    except UnitRefused:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{who(point, KIND)}: cannot write unit {unit.serial} ({error}); repair the package"
+        ) from error
+    is_whole = isinstance(files, dict) and all(
+        isinstance(content, bytes) and re.fullmatch(r"[\w][\w.-]*", str(name)) and unit.serial in str(name)
+        for name, content in files.items()
+    )
+    if not is_whole:
+        raise InputError(
+            f"{who(point, KIND)}: gave no files; names with the serial {unit.serial} and bytes were expected"
+        )
+    return dict(files)

@@ -1,6 +1,17 @@
 """The one list of export formats, light enough for a parser to import."""
 
+from softcal.core.plugins import installed
+
 FORMATS = ("json", "c", "blob", "hex", "onnx", "pdf", "dcc")
+
+GROUP = "softcal.exporters"
+"""Entry points of formats that other packages bring along; the name of the entry point is the name of the format."""
+
+
+def formats() -> tuple[str, ...]:
+    """Return every format: softcal's own, then those of plug-ins, whose code is not loaded yet."""
+    return (*FORMATS, *(point.name for point in installed(GROUP) if point.name not in FORMATS))
+
 
 DEVICE_FORMATS = ("blob", "c", "hex")
 """Those that firmware reads."""

@@ -13,6 +13,7 @@ from softcal.app.logs import log_crash
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import RunState
+from softcal.core.reason import packed, to_kept
 from softcal.core.recording import LabelledRecording
 from softcal.db.job_board import Job, JobBoard
 from softcal.db.registry import Registry
@@ -40,7 +41,7 @@ def run_job(registry: Registry, job_id: str, on_cancel: Callable[[], None]) -> R
         outcome = _work(job.kind)(registry, job, Teller(board, job_id))
         board.end(job_id, RunState.DONE, outcome.message, outcome.result, outcome.arrays)
     except SoftcalError as error:
-        board.end(job_id, RunState.ERROR, str(error))
+        board.end(job_id, RunState.ERROR, packed([error.reason]))
     except Exception as error:
         board.end(job_id, RunState.ERROR, log_crash(error, f"job {job.kind}"))
     finally:
@@ -155,4 +156,7 @@ def check(registry: Registry, job: Job, tell: Teller) -> Outcome:
     file = None if request["file"] is None else Path(request["file"])
     tell(0.1, "")
     found = check_station(request["ports"], file, request["simulated"], request["may_move"])
-    return Outcome("", found.as_json() | {"toml": station_toml(found.config)})
+    findings = [
+        [to_kept(f.device), to_kept(f.what), to_kept(f.value), f.cure and to_kept(f.cure)] for f in found.findings
+    ]
+    return Outcome("", found.as_json() | {"found": findings, "toml": station_toml(found.config)})

@@ -19,6 +19,7 @@ from softcal.core.quality.gate import (
     may_run,
     quarantined,
 )
+from softcal.core.reason import Reason, reason
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.estimate import estimate
 from softcal.db.entries import GoldenRun
@@ -90,7 +91,7 @@ class StationGate:
             InputError: no reason.
         """
         if not reason.strip():
-            raise InputError("an override needs a reason; the gate is as it was")
+            raise InputError(Reason("gate.needs_reason"))
         until = datetime.now(UTC) + self._rules.shift
         facts = {"until": until.isoformat()}
         self._registry.add_event(
@@ -113,14 +114,14 @@ def check_golden(registry: Registry, station: str, recording: LabelledRecording,
     value = float(np.sqrt(np.nanmean((found - recording.reference) ** 2)))
     earlier = [run.value for run in registry.golden_runs(station, recording.serial) if run.passed]
     if len(earlier) >= FIRST_RUNS:
-        largest, what = control_chart(np.array(earlier)).upper, "its control limit"
+        largest, what = control_chart(np.array(earlier)).upper, Reason("golden.own_limit")
     else:
         # Without a limit of its lot, the one that its own verdict was given by.
         largest = lot.limit_rmse or float(str(calibration.evidence["limit_rmse"]))
-        what = "the limit of its lot"
+        what = Reason("golden.lot_limit")
     passed = value <= largest
     unit = recording.reference_unit
-    reasons = () if passed else (f"error {value:.3g} {unit} is above {what}, {largest:.3g} {unit}",)
+    reasons = () if passed else (reason("golden.error", error=value, unit=unit, what=what, limit=largest),)
     run = GoldenRun(station, recording.serial, datetime.now(UTC), value, unit, passed, reasons, actor)
     registry.add_golden_run(run)
     return run

@@ -13,6 +13,7 @@ from typing import Protocol
 
 from softcal.core.errors import InputError, RegistryError, SoftcalError
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
+from softcal.core.reason import Reason, reason
 from softcal.db.order_queue import OrderQueue
 from softcal.station.recording import StationRecording
 from softcal.station.service import StationService
@@ -28,7 +29,7 @@ MISSED_BEATS = 3
 LISTEN_S = 0.01
 """How long the devices are listened to at every such look."""
 
-INTERRUPTED = "the station's service was started again; press the unit again"
+INTERRUPTED = Reason("run.interrupted")
 
 
 class Keeper(Protocol):
@@ -54,7 +55,7 @@ class Fixture(Protocol):
         """Take the phase a run is in."""
         ...
 
-    def inject(self, name: str) -> str:
+    def inject(self, name: str) -> Reason:
         """Break something, and say what will happen."""
         ...
 
@@ -68,13 +69,13 @@ class HandFixture:
     def follow(self, phase: str) -> None:
         """Nothing follows."""
 
-    def inject(self, name: str) -> str:
+    def inject(self, name: str) -> Reason:
         """Refuse.
 
         Raises:
             InputError: always; a real station breaks by itself.
         """
-        raise InputError("faults can be ordered on a simulated station only; nothing was done")
+        raise InputError(Reason("fault.real"))
 
 
 class StationHost:
@@ -110,7 +111,7 @@ class StationHost:
         self._active = ""
         self._newest: Progress | None = None
         self._is_stop_wanted, self._is_over = threading.Event(), threading.Event()
-        self._lost = ""
+        self._lost: Reason | None = None
         self._at_desk = threading.Lock()
         self._late: list[tuple[Order, StationRecording]] = []
         self._unsaid: list[Progress] = []
@@ -149,12 +150,12 @@ class StationHost:
         if before is None or before.state is StationState.OFF or before.process == self._process:
             return
         if self._queue.is_answering(self._station):
-            raise InputError(f"station {self._station!r} is served by {before.process}; stop that one first")
+            raise InputError(reason("station.served", station=repr(self._station), process=before.process))
         end_s = time.monotonic() + MISSED_BEATS * BEAT_S
         while time.monotonic() < end_s:
             now = self._queue.heartbeat(self._station)
             if now is not None and now.at != before.at and now.process == before.process:
-                raise InputError(f"station {self._station!r} is served by {now.process}; stop that one first")
+                raise InputError(reason("station.served", station=repr(self._station), process=now.process))
             time.sleep(IDLE_S)
 
     def _turn(self) -> None:
@@ -185,10 +186,10 @@ class StationHost:
                 self._late.append((order, recording))
                 self._store_late()
         except InputError as error:
-            self._report(Progress(order.order_id, RunState.ERROR, "", 1.0, code="E-ORDER", message=str(error)))
+            self._report(Progress(order.order_id, RunState.ERROR, "", 1.0, code="E-ORDER", message=(error.reason,)))
         except RegistryError as error:
             if not self._late:
-                self._report(Progress(order.order_id, RunState.ERROR, code="E-REGISTRY", message=str(error)))
+                self._report(Progress(order.order_id, RunState.ERROR, code="E-REGISTRY", message=(error.reason,)))
         except Exception as error:  # The line must go on: a defect ends this run alone.
             self._report(self._defect(order, error))
         finally:
@@ -199,8 +200,8 @@ class StationHost:
         """Write a defect into the log, for support, and return how its order ends."""
         self._log("defect", {"order": order.order_id, "error": repr(error), "exc_info": error})
         kind = type(error).__name__
-        message = f"a defect of softcal ended this run ({kind}); the details are in its log, press again"
-        return Progress(order.order_id, RunState.ERROR, "", 1.0, code="E-INTERNAL", message=message)
+        message = reason("run.defect", kind=str(kind))
+        return Progress(order.order_id, RunState.ERROR, "", 1.0, code="E-INTERNAL", message=(message,))
 
     def _store_late(self) -> None:
         """Keep what was recorded; what the registry cannot take now is tried again at every turn.
@@ -213,7 +214,7 @@ class StationHost:
             try:
                 progress = self._keeper.keep(order, recording, self._report)
             except InputError as error:
-                progress = Progress(order.order_id, RunState.ERROR, code="E-RECORDING", message=str(error))
+                progress = Progress(order.order_id, RunState.ERROR, code="E-RECORDING", message=(error.reason,))
             except RegistryError:
                 raise
             except Exception as error:
@@ -252,7 +253,7 @@ class StationHost:
             progress = self._unsaid[0]
             self._queue.report(progress)
             self._unsaid.pop(0)
-            self._log("order", {"order": progress.order_id, "state": progress.state, "message": progress.message})
+            self._log("order", {"order": progress.order_id, "state": progress.state, "message": progress.text})
 
     def _keep_desk(self, goes_on: Callable[[], bool]) -> None:
         beaten_s = 0.0
@@ -282,10 +283,10 @@ class StationHost:
         if order is None:
             return
         if order.kind is OrderKind.ACKNOWLEDGE:
-            self._say(order, RunState.DONE, "a run is in progress; nothing to acknowledge")
+            self._say(order, RunState.DONE, Reason("run.in_progress"))
         elif order.kind is OrderKind.STOP:
             self._is_stop_wanted.set()
-            self._say(order, RunState.DONE, "the run is being stopped")
+            self._say(order, RunState.DONE, Reason("run.stopping"))
         else:
             self._answer(order)
 
@@ -294,26 +295,26 @@ class StationHost:
         try:
             match order.kind:
                 case OrderKind.STOP:
-                    cancelled = self._queue.cancel_queued(self._station, "cancelled before it began")
-                    self._say(order, RunState.DONE, "cancelled before it began" if cancelled else "nothing was running")
+                    cancelled = self._queue.cancel_queued(self._station, Reason("run.cancelled"))
+                    self._say(order, RunState.DONE, Reason("run.cancelled") if cancelled else Reason("run.none"))
                 case OrderKind.OVERRIDE:
                     self._override(order.actor, order.reason)
-                    self._say(order, RunState.DONE, "the gate is open for this shift; the reason is in the audit trail")
+                    self._say(order, RunState.DONE, Reason("run.opened"))
                 case OrderKind.FAULT:
                     self._say(order, RunState.DONE, self._fixture.inject(order.reason))
         except InputError as error:
-            self._say(order, RunState.ERROR, str(error))
+            self._say(order, RunState.ERROR, error.reason)
 
-    def _say(self, order: Order, state: RunState, message: str) -> None:
+    def _say(self, order: Order, state: RunState, message: Reason) -> None:
         code = "" if state is RunState.DONE else "E-ORDER"
-        self._queue.report(Progress(order.order_id, state, "", 1.0, code=code, message=message))
+        self._queue.report(Progress(order.order_id, state, "", 1.0, code=code, message=(message,)))
 
     def _beat_or_give_way(self) -> None:
         """Beat; where a station has two owners, whoever was silent too long gives way."""
         try:
             self._beat()
         except InputError as error:
-            self._lost = f"{error}; this service was silent too long and has given up"
+            self._lost = reason("station.lost", why=error.reason)
             self._is_stop_wanted.set()
 
     def _beat(self) -> None:

@@ -14,6 +14,7 @@ from softcal.app.line.serials import is_unheard_of
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, RunState
+from softcal.core.reason import Reason
 from softcal.db.registry import Registry
 
 NEWEST_LOTS = 8
@@ -55,11 +56,11 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
     for _ in range(MOST_CONFLICTS):
         facts = read_line(registry, screen)
         if facts.heartbeat is None:
-            raise InputError("no station is chosen at this screen; the scan was not taken")
+            raise InputError(Reason("line.no_station"))
         step = _step(registry, facts, screen, scan, actor or _badged(facts))
         if write_place(registry.line_places, facts.station, step.place):
             return _ordered(registry, facts, screen, step)
-    raise InputError("other screens of this line scanned at the same time; the scan was not taken, scan again")
+    raise InputError(Reason("line.other_screens"))
 
 
 def _ordered(registry: Registry, facts: LineFacts, screen: Screen, step: Step) -> LineFacts:

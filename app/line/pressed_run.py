@@ -16,7 +16,7 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress, RunState
-from softcal.core.reason import Reason, packed
+from softcal.core.reason import Reason, joined, reason
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import UnitProblem
@@ -68,15 +68,14 @@ class RunKeeper:
             self._registry.calibration(order.serial)
             return
         if not order.lot_id:
-            raise InputError(f"unit {order.serial}: which lot does it belong to? the order names none; nothing moved")
+            raise InputError(reason("run.no_lot", serial=order.serial))
         if order.kind is OrderKind.SOURCE and self._known_lot(order.lot_id) is None:
             Lot(order.lot_id, order.serial, 1.0)  # refuses an id that cannot be one
             return
         source = self._registry.lot(order.lot_id).source
         if (order.serial == source) != (order.kind is OrderKind.SOURCE):
             raise InputError(
-                f"the source unit of lot {order.lot_id} is {source}; {order.serial} was ordered as {order.kind}; "
-                "nothing moved"
+                reason("run.wrong_kind", lot=order.lot_id, source=source, serial=order.serial, kind=str(order.kind))
             )
 
     def keep(self, order: Order, recording: StationRecording, tell: Tell) -> Progress:
@@ -101,10 +100,10 @@ class RunKeeper:
         sha256 = kept[0][0]
         verdicts = [verdict for _, verdict in kept if verdict is not None]
         if not verdicts:
-            message = f"recorded; lot {order.lot_id} has no shared network yet: press its source unit, or train one"
+            message = (reason("run.no_network", lot=order.lot_id),)
             return replace(done, message=message, recording_sha256=sha256)
         word, reasons = max(verdicts, key=lambda verdict: Verdict(verdict[0]).severity)
-        return replace(done, message=packed(reasons), recording_sha256=sha256, verdict=word)
+        return replace(done, message=reasons, recording_sha256=sha256, verdict=word)
 
     def _keep_golden(self, order: Order, recording: StationRecording, done: Progress) -> Progress:
         labelled = recording.labelled_recording()
@@ -113,16 +112,18 @@ class RunKeeper:
         run = check_golden(self._registry, self._station, labelled, order.actor)
         done = replace(done, recording_sha256=sha256, verdict="pass" if run.passed else "fail")
         if run.passed:
-            return replace(done, message="golden unit within its limits")
+            return replace(done, message=(Reason("golden.good"),))
         held = quarantine(self._registry, self._station, run.made_at)
         facts = {"units": list(held), "golden": order.serial}
-        self._registry.add_event("quarantine", "station", (self._station,), facts, reason="; ".join(run.reasons))
-        return replace(done, message=f"{'; '.join(run.reasons)}; quarantined: {', '.join(held) or 'no unit'}")
+        self._registry.add_event("quarantine", "station", (self._station,), facts, reason=joined(run.reasons))
+        return replace(
+            done, message=(*run.reasons, reason("golden.held", serials=", ".join(held) or Reason("golden.none")))
+        )
 
     def _keep_source(self, order: Order, recording: StationRecording, tell: Tell, done: Progress) -> Progress:
         def on_epoch(report: EpochReport) -> None:
             fraction = report.epoch / report.max_epochs
-            tell(Progress(order.order_id, RunState.RUNNING, TRAINING, fraction, message=_epoch_line(report)))
+            tell(Progress(order.order_id, RunState.RUNNING, TRAINING, fraction, message=(_epoch_line(report),)))
 
         tell(Progress(order.order_id, RunState.RUNNING, TRAINING))
         source = recording.labelled_recording()
@@ -133,7 +134,7 @@ class RunKeeper:
         trained = train_or_find(lot, source, self._registry, self._network, order.actor or None, on_epoch)
         state_reference(self._registry, lot.id, used, source, order.actor or None)
         rmse = trained.metrics["validation_rmse"]
-        message = f"source recorded, shared network trained: {rmse:.3g} {lot.reference_unit} on held-out blocks"
+        message = (reason("run.trained", rmse=rmse, unit=lot.reference_unit),)
         return replace(done, message=message, recording_sha256=source.sha256)
 
     def _keep_unit(self, order: Order, unit: OutputRecording) -> tuple[str, Outcome | None]:
@@ -189,5 +190,5 @@ def _units(order: Order, recording: StationRecording) -> list[OutputRecording]:
     return [recording.output_recording(channel, numbered(order.serial, channel)) for channel in range(channels)]
 
 
-def _epoch_line(report: EpochReport) -> str:
-    return f"epoch {report.epoch} of at most {report.max_epochs}, error {report.validation_rmse:.3g}"
+def _epoch_line(report: EpochReport) -> Reason:
+    return reason("run.epoch", epoch=report.epoch, most=report.max_epochs, error=report.validation_rmse)

@@ -61,10 +61,10 @@ def _recover(path: Path, out: Path) -> Recovered:
         files = tuple(out / f"{check_serial(name)}.csv" for name in _serials(run, recording.output.shape[1]))
         for channel, file in enumerate(files):
             write_columns(file, columns(recording, channel))
-        return Recovered(path, serial, profile, run.end, len(recording.t_s), files)
+        return Recovered(path, serial, profile, str(run.end), len(recording.t_s), files)
     file = out / f"{path.stem}.aborted.csv"
     write_columns(file, _aborted_columns(run))
-    return Recovered(path, serial, profile, run.end, len(run.output), (file,))
+    return Recovered(path, serial, profile, str(run.end), len(run.output), (file,))
 
 
 def _aborted_columns(run: SpooledRun) -> list[tuple[str, Any]]:
@@ -80,7 +80,7 @@ def _aborted_columns(run: SpooledRun) -> list[tuple[str, Any]]:
     if run.polls:
         poll_s, stage_mm = zip(*((p.host_s, p.position_mm) for p in run.polls), strict=True)
         columns.append(("stage_mm", np.interp(host_s, poll_s, stage_mm)))
-    return [*columns, ("aborted", [run.end] * len(device_s))]
+    return [*columns, ("aborted", [str(run.end)] * len(device_s))]
 
 
 def _serials(run: SpooledRun, channels: int) -> list[str]:

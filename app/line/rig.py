@@ -15,6 +15,7 @@ from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError, NoReply
 from softcal.core.lot import Lot, check_serial
 from softcal.core.profiles import Profile, source_profile, unit_profile
+from softcal.core.reason import Reason, several
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.twin.simulate import Twin
 from softcal.core.twin.spread import draw_lot
@@ -80,14 +81,15 @@ def find_devices(ports: Sequence[str]) -> list[Identity]:
     candidates = list(ports) or available_ports()
     if not candidates:
         raise NoReply(f"no USB serial port on this machine; looked for {LOOKED_FOR}; plug them in, or use --simulated")
-    found, faults = [], []
+    found: list[Identity] = []
+    faults: list[Reason] = []
     for port in candidates:
         try:
             found.append(identify(port, HostClock()))
         except NoReply as error:
-            faults.append(str(error))
+            faults.append(error.reason)
     if faults and ports:
-        raise NoReply("; ".join(faults))
+        raise NoReply(several(faults))
     return found
 
 
@@ -138,9 +140,14 @@ class StationCheck:
             "schema": "softcal.station-check/1",
             "station": self.config.name,
             "devices": [asdict(device) for device in self.devices],
-            "findings": [asdict(finding) | {"is_good": finding.is_good} for finding in self.findings],
+            "findings": [_finding_json(finding) for finding in self.findings],
             "is_good": all(finding.is_good for finding in self.findings),
         }
+
+
+def _finding_json(finding: Finding) -> dict[str, object]:
+    texts = {name: str(getattr(finding, name) or "") for name in ("device", "what", "value", "cure")}
+    return texts | {"is_good": finding.is_good}
 
 
 def check_station(

@@ -1,6 +1,7 @@
 """The source behind a shared network: the one place that puts its recording, network and model together."""
 
 from softcal.core.errors import InputError
+from softcal.core.reason import reason
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
@@ -20,7 +21,7 @@ def source_recording(registry: Registry, network_id: str) -> LabelledRecording:
     """
     source = registry.recording(source_sha256(registry, network_id))
     if not isinstance(source, LabelledRecording):
-        raise InputError(f"network {network_id[:12]}: its source recording has no reference; train it again")
+        raise InputError(reason("run.bare_network", network=network_id[:12]))
     return source
 
 

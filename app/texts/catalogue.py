@@ -4,14 +4,14 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
-from softcal.core.reason import ENGLISH
+from softcal.core.reason import ENGLISH, filled
 
 LANGUAGES = {"en": "English", "ko": "한국어"}
 
 
 @cache
 def catalogue() -> dict[str, dict[str, str]]:
-    """Return every text by language and key; what the numerics say is English in `core.reason`.
+    """Return every text by language and key; what softcal's reasons say is English in `core.reason`.
 
     Raises:
         ValueError: a text stands in two files.
@@ -26,6 +26,6 @@ def catalogue() -> dict[str, dict[str, str]]:
     return texts
 
 
-def text(language: str, key: str, **values: object) -> str:
+def text(language: str, key: str, /, **values: object) -> str:
     """Return one text with its values filled in; an unknown language gives English."""
-    return catalogue().get(language, catalogue()["en"])[key].format(**values)
+    return filled(catalogue().get(language, catalogue()["en"])[key], values)

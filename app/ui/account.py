@@ -15,6 +15,7 @@ from softcal.app.ui.browser_memory import forget, recall, remember
 from softcal.app.ui.pins import Pauses, is_code, new_code
 from softcal.app.ui.registry_of_server import registry
 from softcal.core.errors import InputError
+from softcal.core.reason import Reason, reason
 from softcal.db.entries import User
 from softcal.db.people import PERMISSIONS, ROLES, may
 
@@ -94,9 +95,9 @@ def make_first_account(name: str, pin: str, code: str) -> User:
     _pauses().check(FIRST_ACCOUNT)
     if not is_code(code, first_code()):
         _pauses().failed(FIRST_ACCOUNT)
-        raise InputError("this is not the code that the server printed; nothing was made")
+        raise InputError(Reason("account.no_code"))
     if registry().users():
-        raise InputError("there is an account already; sign in, or ask whoever has it")
+        raise InputError(Reason("account.first_is_there"))
     registry().set_user(name, "quality", pin, actor=name, reason="the first account, by the code of the server")
     return sign_in(name, pin)
 
@@ -126,7 +127,7 @@ def permit(action: str) -> User:
     user = person()
     if not may(user, action):
         allowed = [role for role in ROLES if action in PERMISSIONS[role]]
-        raise InputError(f"{user.role} may not do this; sign in as {' or '.join(allowed)}; nothing was changed")
+        raise InputError(reason("account.may_not", role=user.role, roles=" or ".join(allowed)))
     return user
 
 

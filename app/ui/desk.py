@@ -1,6 +1,6 @@
 """What every page of the Streamlit application shares: the language, the colours, reasons, and how errors look."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -10,11 +10,12 @@ import streamlit as st
 from softcal.app.charts.palette import Palette, palette
 from softcal.app.logs import log_crash
 from softcal.app.texts.catalogue import LANGUAGES, text
-from softcal.app.texts.reasons import told
+from softcal.app.texts.reasons import all_said, said, told
 from softcal.app.ui.account import permit, person
 from softcal.app.ui.browser_memory import recall, remember
 from softcal.app.ui.registry_of_server import registry
-from softcal.core.errors import SoftcalError
+from softcal.core.errors import SoftcalError, printable
+from softcal.core.reason import Reason
 from softcal.db.people import may
 
 __all__ = [
@@ -51,9 +52,13 @@ def words() -> Callable[..., str]:
     return partial(text, language())
 
 
-def in_words(message: object) -> str:
-    """Return an error, or what a station or a job says, in the chosen language where the catalogue has it."""
-    return told(str(message), words())
+def in_words(message: SoftcalError | Reason | Iterable[Reason] | str) -> str:
+    """Return an error, what a station says, or what a job kept as text, in the chosen language."""
+    if isinstance(message, SoftcalError):
+        return printable(said(message.reason, words()))
+    if isinstance(message, Reason):
+        return said(message, words())
+    return told(message, words()) if isinstance(message, str) else all_said(message, words())
 
 
 def colours() -> Palette:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 from softcal.core.errors import InputError
+from softcal.core.reason import Reason, reason
 
 FREE_FAILURES = 2
 FIRST_PAUSE, LONGEST_PAUSE = timedelta(seconds=2), timedelta(minutes=5)
@@ -25,12 +26,12 @@ def check_pin(pin: str, again: str) -> None:
         InputError: not equal, all digits equal, a run such as 1234 or 9876, or one pair repeated.
     """
     if pin != again:
-        raise InputError("the two PINs differ; type the same one twice")
+        raise InputError(Reason("account.pins_differ"))
     steps = {(int(b) - int(a)) % 10 for a, b in zip(pin, pin[1:], strict=False) if a.isdecimal() and b.isdecimal()}
     is_run = pin.isdecimal() and len(steps) == 1 and steps <= {0, 1, 9}
     is_pair = len(pin) >= 4 and len(pin) % 2 == 0 and pin == pin[:2] * (len(pin) // 2)
     if is_run or is_pair:
-        raise InputError("this PIN is among the first that anybody would guess; choose another one")
+        raise InputError(Reason("account.pin_easy"))
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Pauses:
         known = self._failures.get(_key(name))
         left = known.until - self._clock() if known else timedelta(0)
         if left > timedelta(0):
-            raise InputError(f"too many wrong tries; wait {max(1, round(left.total_seconds()))} s")
+            raise InputError(reason("account.wait", seconds=max(1, round(left.total_seconds()))))
 
     def failed(self, name: str) -> None:
         """Count a wrong try."""

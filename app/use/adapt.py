@@ -4,7 +4,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.adapter import AdaptConfig, Adapter, MapUpdate
+from softcal.core.use.method import UseMethod
 from softcal.db.registry import Registry
 
 REASON = "the source unit itself: the shared network needs no map"
@@ -139,6 +140,8 @@ class AdaptReport:
         flags: rows by flag; the empty flag are the trusted ones.
         verdicts: how often the map was followed, held or jumped.
         current: the correction in force.
+        method: every number that decides how it is followed.
+        changed: numbers of the method that differ from those the stream was followed with before.
         trace: the course of output, estimate and predicted error, thinned.
     """
 
@@ -148,6 +151,8 @@ class AdaptReport:
     mode: str
     current: MapUpdate
     lot: Lot
+    method: UseMethod
+    changed: list[str] = field(default_factory=list)
     rows: int = 0
     flags: Counter[str] = field(default_factory=Counter)
     verdicts: Counter[str] = field(default_factory=Counter)
@@ -183,11 +188,13 @@ class Follower:
         self._kept_until = -1 if newest is None else int(newest["sample"])
         self._began: int | None = 0
         self._state_until = -1
+        self._method_id = options.config.method.id
+        changed: list[str] = []
         last = registry.last_checkpoint(serial, unit.revision, stream)
         # A file that was broken off is begun again, and so is one whose content names its stream.
         has_begun = last is not None and options.stream is not None if is_repeatable else newest is not None
         if options.resume and last is not None:
-            self._restore(stream, last["state"])
+            changed = self._restore(stream, last["state"])
             self._began = last.get("began")
         elif not options.resume and has_begun:
             raise InputError(f"stream {stream!r} has begun already; go on with --resume, or give --stream another name")
@@ -197,11 +204,22 @@ class Follower:
         rate_Hz = unit.recording.sample_rate_Hz
         self._maps_rows, self._state_rows = (max(1, round(s * rate_Hz)) for s in (MAPS_S, options.checkpoint_s))
         self._since_maps = self._since_state = 0
-        self.report = AdaptReport(serial, unit.revision, stream, options.config.mode, self._adapter.current, unit.lot)
+        self.report = AdaptReport(
+            serial,
+            unit.revision,
+            stream,
+            options.config.mode,
+            self._adapter.current,
+            unit.lot,
+            options.config.method,
+            changed,
+        )
+        # Written once: from then on the newest step of the stream names the new method.
+        self._note_change = bool(changed) and newest is not None and newest.get("method") != self._method_id
 
-    def _restore(self, stream: str, state: Mapping[str, Any]) -> None:
+    def _restore(self, stream: str, state: Mapping[str, Any]) -> list[str]:
         try:
-            self._adapter.restore(state)
+            return self._adapter.restore(state)
         except InputError as error:
             begin = "begin again from the calibration with another --stream NAME"
             raise InputError(f"stream {stream!r} cannot be gone on with: {error}; {begin}") from error
@@ -251,13 +269,18 @@ class Follower:
     def checkpoint(self) -> None:
         """Keep every map since the last time and the state now, in one transaction."""
         state = {"event": "checkpoint", "state": self._adapter.state(), "began": self._began}
-        self._write({"stream": self.report.stream, "sample": self._adapter.row, **state})
+        place = {"stream": self.report.stream, "sample": self._adapter.row, "method": self._method_id}
+        self._write({**place, **state})
         self._since_state = 0
 
     def _write(self, state: dict[str, Any] | None) -> None:
         report = self.report
-        maps = [_entry(report.stream, update) for update in self._pending]
+        maps = [self._entry(update) for update in self._pending]
         new = [entry for entry in maps if int(entry["sample"]) > self._kept_until]
+        if self._note_change:
+            reason = f"the method has changed: {'; '.join(report.changed)}"
+            new.insert(0, self._entry(replace(report.current, verdict="method", reason=reason)))
+            self._note_change = False
         self._kept_until = max([self._kept_until, *(int(entry["sample"]) for entry in new)])
         if state is not None and self._adapter.row > self._state_until:
             self._state_until = self._adapter.row
@@ -269,6 +292,10 @@ class Follower:
             self._writing = self._keeper.submit(self._registry.add_adaptations, report.serial, report.revision, new)
         self._pending, self._since_maps = [], 0
 
+    def _entry(self, update: MapUpdate) -> dict[str, Any]:
+        place = {"stream": self.report.stream, "sample": update.row, "event": update.verdict}
+        return {**place, **asdict(update), "method": self._method_id}
+
     def settle(self) -> None:
         """Wait until all that was to be kept is in the registry.
 
@@ -278,10 +305,6 @@ class Follower:
         if self._writing is not None:
             self._writing.result()
             self._writing = None
-
-
-def _entry(stream: str, update: MapUpdate) -> dict[str, Any]:
-    return {"stream": stream, "sample": update.row, "event": update.verdict, **asdict(update)}
 
 
 def adapt_file(
@@ -348,6 +371,7 @@ def report_json(report: AdaptReport, course: list[Mapping[str, Any]]) -> dict[st
         "rows": report.rows,
         "flags": {flag: count for flag, count in sorted(report.flags.items()) if flag},
         "verdicts": dict(report.verdicts),
+        "method": {"id": report.method.id, "changed": report.changed, "numbers": report.method.to_json()},
         "predicted_rmse": report.current.predicted_rmse,
         "alarm": report.current.alarm or None,
         "maps": [{name: value for name, value in step.items() if name != "state"} for step in maps_of(course)],

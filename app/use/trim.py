@@ -12,11 +12,9 @@ from softcal.core.reason import reason
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
+from softcal.core.use.method import TrimConfig, UseMethod
 from softcal.core.use.trim import Trimmed, trim
 from softcal.db.registry import Registry
-
-FIRM = {"paired": 0.02, "stage": 0.05}
-"""Standard deviation of a map's gain that pairs leave, by how the loads were known: two loads must not outvote them."""
 
 
 def trim_unit(registry: Registry, serial: str, loads_file: Path, actor: str | None = None) -> tuple[Trimmed, int]:
@@ -38,8 +36,9 @@ def trim_unit(registry: Registry, serial: str, loads_file: Path, actor: str | No
         registry.network(record.network_id),
         unlabelled(registry.recording(record.recording_sha256)),
     )
-    problem = replace(problem, config=_config(record, problem))
-    found = trim(problem, Calibration.from_record(record).unit_map, loads)
+    config = UseMethod().trim
+    problem = replace(problem, config=_config(record, problem, config))
+    found = trim(problem, Calibration.from_record(record).unit_map, loads, config)
     lot_id = registry.calibration(serial).lot_id
     trimmed = _record(record, found, loads)
     why = f"trimmed by {len(loads.output)} loads"
@@ -47,12 +46,14 @@ def trim_unit(registry: Registry, serial: str, loads_file: Path, actor: str | No
     return found, revision
 
 
-def _config(record: CalibrationRecord, problem: FitProblem) -> MapConfig:
+def _config(record: CalibrationRecord, problem: FitProblem, trim: TrimConfig) -> MapConfig:
     """Return how far loads are believed beside the map: a paired map is firm, and f itself misreads a load at rest."""
     config = (record.method or Method()).map
+    # Two loads must not outvote the many pairs a map was fitted to.
+    firm = {"paired": trim.firm_paired, "stage": trim.firm_stage}
     model_N = float(str(record.evidence.get("u_model") or 0.0))
     error = max(config.anchors.load_error, model_N / problem.network.reference_scale)
-    spread = min(config.anchors.gain_spread, FIRM.get(record.knowledge.kind, config.anchors.gain_spread))
+    spread = min(config.anchors.gain_spread, firm.get(record.knowledge.kind, config.anchors.gain_spread))
     return replace(config, anchors=replace(config.anchors, load_error=error, gain_spread=spread))
 
 

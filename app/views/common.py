@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from datetime import datetime
 
+from softcal.app.texts.reasons import phrase
 from softcal.core.recording import Array
 
 POINTS = 4000
@@ -32,10 +33,7 @@ def shortened(name: str, most: int) -> str:
 
 def phase_said(phase: str, words: Callable[..., str]) -> str:
     """Return the phase of a run in the language of the screen; one that nobody foresaw stays as the station says it."""
-    try:
-        return words(f"phase.{phase}") if phase else words("phase.queued")
-    except KeyError:
-        return phase
+    return phrase("phase", phase, words) if phase else words("phase.queued")
 
 
 def instant(at: datetime | None) -> str:

@@ -4,10 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from softcal.app.line.facts import SHOWN_RUNS, LineFacts, Run, standing_of
-from softcal.app.texts.reasons import parted, plainly, said, told
+from softcal.app.texts.reasons import plainly, said
 from softcal.app.views.common import number, phase_said
 from softcal.core.orders import Condition, OrderKind, Progress, RunState, Signal
-from softcal.core.reason import Reason
+from softcal.core.reason import Reason, plain, root_of
 
 Words = Callable[..., str]
 
@@ -70,7 +70,7 @@ COMMAND_OF_KEY = {key: command for command, key in KEYS.items()}
 BEFORE_RUN = ("armed", "armed_golden", "ask", "ask_new", "used_up", "closed")
 """States that are about the unit that was scanned, not about the one pressed last."""
 
-NO_CONTACT = "no contact down to "
+NO_CONTACT = "rig.no_contact"
 """How the message of a run begins that found no unit in the fixture."""
 
 
@@ -271,10 +271,10 @@ def _instruction(facts: LineFacts, state: str, serial: str, run: Run | None, wor
 def _details(facts: LineFacts, state: str, run: Run | None, words: Words) -> tuple[str, ...]:
     beat = facts.heartbeat
     if state == "closed" and beat is not None:
-        return () if beat.gate else tuple(told(reason, words) for reason in beat.reasons)
+        return () if beat.gate else tuple(said(why, words) for why in beat.reasons)
     if state == "stopped" and beat is not None:
         code = (words("line.code", code=run[1].code),) if run else ()
-        return (*(told(reason, words) for reason in beat.reasons), *code)
+        return (*(said(why, words) for why in beat.reasons), *code)
     if state == "armed" and facts.lot is not None and facts.lot.network is None:
         return (words("line.no_network"),)
     if state == "pass" and run is not None:
@@ -283,17 +283,17 @@ def _details(facts: LineFacts, state: str, run: Run | None, words: Words) -> tup
     return (*_plain(_reasons(facts, state, run), words), *_changed(facts, run, words), *code)
 
 
-def _reasons(facts: LineFacts, state: str, run: Run | None) -> tuple[str | Reason, ...]:
+def _reasons(facts: LineFacts, state: str, run: Run | None) -> tuple[Reason, ...]:
     """Return why the unit of a card stands as it does."""
     if state in ("ask", "used_up"):
         return (facts.standings.get(facts.serial) or facts.results[-1]).reasons
     if run is None or state == "running":
         return ()
     now = standing_of(facts, run)
-    return now[0].reasons if now else tuple(parted(run[1].message))
+    return now[0].reasons if now else run[1].message
 
 
-def _plain(reasons: tuple[str | Reason, ...], words: Words) -> tuple[str, ...]:
+def _plain(reasons: tuple[Reason, ...], words: Words) -> tuple[str, ...]:
     return tuple(dict.fromkeys(plainly(reason, words) for reason in reasons))[:MOST_SENTENCES]
 
 
@@ -344,12 +344,12 @@ def _news(facts: LineFacts, state: str, words: Words) -> tuple[str, ...]:
 
 def _conditions(facts: LineFacts, words: Words) -> tuple[Condition, ...]:
     gate = facts.heartbeat.gate if facts.heartbeat else ()
-    return tuple(Condition(told(c.name, words), c.is_good, told(c.says, words)) for c in gate)
+    return tuple(Condition(plain(said(c.name, words)), c.is_good, plain(said(c.says, words))) for c in gate)
 
 
 def _is_why_stopped(facts: LineFacts, run: Run) -> bool:
     """Whether the station stands still because of this run, and not because of a device between runs."""
-    return facts.heartbeat is not None and bool(run[1].code) and run[1].message in facts.heartbeat.reasons
+    return facts.heartbeat is not None and bool(run[1].code) and set(run[1].message) <= set(facts.heartbeat.reasons)
 
 
 def _cells(facts: LineFacts, operator: str, words: Words) -> tuple[tuple[str, str], ...]:
@@ -391,7 +391,8 @@ def _chip(facts: LineFacts, run: Run, words: Words) -> Chip:
 
 
 def _code_key(progress: Progress, words: Words) -> str:
-    key = "code.no_contact" if progress.message.startswith(NO_CONTACT) else f"code.{progress.code}"
+    is_free = any(root_of(why).code == NO_CONTACT for why in progress.message)
+    key = "code.no_contact" if is_free else f"code.{progress.code}"
     try:
         words(key)
     except KeyError:

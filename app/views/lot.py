@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
+from scipy.stats import fisher_exact
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
@@ -19,6 +20,12 @@ from softcal.db.registry import Registry
 
 LOOKS = 12
 """So many units that need a look are listed; the table below them has all."""
+
+NEWEST_OF_YIELD = 20
+"""So many of the newest units are compared with all before them; set, not fitted."""
+
+DROP_CHANCE = 0.005
+"""A drop that chance alone shows more often is none; set, not fitted: looked at after every unit."""
 
 NEEDS_A_LOOK = ("fail", "retest", "conditional")
 
@@ -56,7 +63,21 @@ class ProcessView:
     chart: ControlChart | None
     broken: tuple[RuleBroken, ...]
     capability: Capability | None
-    refusal: str
+    refusal: Reason | None
+
+
+@dataclass(frozen=True)
+class YieldDrop:
+    """The newest units pass less often than those before, beyond chance.
+
+    Args:
+        newest, before: shares of units that passed in their first run.
+        count: how many the newest are.
+    """
+
+    newest: float
+    before: float
+    count: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +92,7 @@ class LotView:
         reasons: why units did not pass, one reason of each kind and how many units have that kind, most frequent first.
         process: the errors in time order.
         looks: the worst units.
+        drop: of the first-pass yield; None where there is none beyond chance.
     """
 
     lot: Lot
@@ -80,6 +102,7 @@ class LotView:
     reasons: tuple[tuple[Reason, int], ...]
     process: ProcessView
     looks: tuple[UnitEntry, ...]
+    drop: YieldDrop | None = None
 
     @property
     def total(self) -> int:
@@ -137,7 +160,26 @@ def lot_view(registry: Registry, lot_id: str) -> LotView:
         found.reasons,
         process_view(runs, lot.limit_rmse),
         looks.units,
+        yield_drop(runs),
     )
+
+
+def yield_drop(runs: Sequence[RunEntry]) -> YieldDrop | None:
+    """Return a drop of the first-pass yield over the newest units; None where chance explains it.
+
+    Fisher's exact test, one-sided (Fisher 1922), over runs in time order.
+    """
+    first: dict[str, bool] = {}
+    for run in runs:
+        first.setdefault(run.serial, run.verdict == "pass")
+    passed = list(first.values())
+    newest, before = passed[-NEWEST_OF_YIELD:], passed[:-NEWEST_OF_YIELD]
+    if len(before) < NEWEST_OF_YIELD:
+        return None
+    table = [[sum(group), len(group) - sum(group)] for group in (newest, before)]
+    if fisher_exact(table, alternative="less").pvalue >= DROP_CHANCE:
+        return None
+    return YieldDrop(sum(newest) / len(newest), sum(before) / len(before), len(newest))
 
 
 def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessView:
@@ -147,12 +189,12 @@ def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessV
     try:
         chart = control_chart(np.array([value for _, value in known]))
     except InputError as error:
-        return ProcessView(serials, None, (), None, str(error))
+        return ProcessView(serials, None, (), None, error.reason)
     broken = _broken(chart, serials)
     try:
-        return ProcessView(serials, chart, broken, capability(chart, None, limit_rmse), "")
+        return ProcessView(serials, chart, broken, capability(chart, None, limit_rmse), None)
     except InputError as error:
-        return ProcessView(serials, chart, broken, None, str(error))
+        return ProcessView(serials, chart, broken, None, error.reason)
 
 
 def reason_kind(reason: str) -> str:

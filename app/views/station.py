@@ -7,6 +7,7 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.quality.control_chart import ControlChart, control_chart
+from softcal.core.reason import Reason
 from softcal.core.recording import LabelledRecording
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
@@ -24,7 +25,7 @@ class GoldenUnit:
     serial: str
     runs: tuple[GoldenRun, ...]
     chart: ControlChart | None
-    note: str
+    note: Reason | None
 
 
 def golden_units(registry: Registry) -> list[GoldenUnit]:
@@ -37,9 +38,9 @@ def golden_units(registry: Registry) -> list[GoldenUnit]:
 
 def _golden_unit(station: str, serial: str, runs: list[GoldenRun]) -> GoldenUnit:
     try:
-        chart, note = control_chart(np.array([run.value for run in runs if run.passed])), ""
+        chart, note = control_chart(np.array([run.value for run in runs if run.passed])), None
     except InputError as error:
-        chart, note = None, str(error)
+        chart, note = None, error.reason
     return GoldenUnit(station, serial, tuple(runs), chart, note)
 
 

@@ -7,12 +7,10 @@ from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
+from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.windows import resting
-
-BEYOND = 0.1
-"""A known load may lie beyond the source's range by this share of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,13 +91,14 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> Anchored
     return AnchoredMap(unit_map, gain, offset)
 
 
-def check_loads(source: LabelledRecording, loads: Anchors, nothing: str) -> None:
+def check_loads(source: LabelledRecording, loads: Anchors, nothing: str, config: AnchorConfig) -> None:
     """Refuse known loads that cannot be true: one twice, out of the source's range, or against its direction.
 
     Args:
         source: labelled recording of the lot's source.
         loads: outputs at rest under known loads.
         nothing: what was not done, the end of the message.
+        config: which loads the source knows, and which are two.
 
     Raises:
         InputError: which row is wrong, what was expected, and that nothing was changed.
@@ -107,7 +106,7 @@ def check_loads(source: LabelledRecording, loads: Anchors, nothing: str) -> None
     unit = source.reference_unit
     output, load = np.asarray(loads.output, np.float64), np.asarray(loads.reference, np.float64)
     low, high = float(source.reference.min()), float(source.reference.max())
-    margin = BEYOND * (high - low)
+    margin = config.beyond * (high - low)
     for row, value in enumerate(load, start=1):
         if not low - margin <= value <= high + margin:
             raise InputError(
@@ -116,7 +115,7 @@ def check_loads(source: LabelledRecording, loads: Anchors, nothing: str) -> None
             )
     order = np.argsort(load)
     for earlier, later in zip(order[:-1], order[1:], strict=True):
-        if load[later] - load[earlier] < 0.01 * (high - low):
+        if load[later] - load[earlier] < config.same_load * (high - low):
             rows = sorted((int(earlier) + 1, int(later) + 1))
             raise InputError(
                 f"loads {rows[0]} and {rows[1]} are the same, {load[earlier]:g} {unit}; state one "

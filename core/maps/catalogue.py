@@ -1,4 +1,4 @@
-"""The one list of map families."""
+"""The one list of map families: softcal's own, then plug-ins."""
 
 from collections.abc import Mapping
 
@@ -16,7 +16,9 @@ from softcal.core.maps.joint import Joint
 from softcal.core.maps.label_shift import LabelShift
 from softcal.core.maps.monotone import Monotone
 from softcal.core.maps.phase import Phase
+from softcal.core.maps.plugins import GROUP, with_plugins
 from softcal.core.maps.synchronous import Synchronous
+from softcal.core.plugins import installed
 
 _LISTED: tuple[MapFamily, ...] = (
     Identity(),
@@ -29,7 +31,9 @@ _LISTED: tuple[MapFamily, ...] = (
     Joint(),
 )
 
-FAMILIES: Mapping[str, MapFamily] = {family.name: family for family in _LISTED}
+OWN_FAMILIES: Mapping[str, MapFamily] = {family.name: family for family in _LISTED}
+
+FAMILIES: Mapping[str, MapFamily] = with_plugins(OWN_FAMILIES, installed(GROUP))
 
 
 def family(name: str) -> MapFamily:

@@ -20,12 +20,14 @@ class CrossingConfig:
         averages: lengths of the moving mean that are tried, shortest first, in samples.
         press_share: the median swing of presses spans at least this share of the robust range.
         robust_range: quantiles between the level at rest and the level of the hardest presses.
+        looks: turning points are looked for so many times per length of the moving mean.
     """
 
     threshold: float = setting(0.1)
     averages: tuple[int, ...] = setting((1, 3, 5, 9, 15, 27, 51))
     press_share: float = setting(0.3)
     robust_range: tuple[float, float] = setting((0.02, 0.99))
+    looks: int = setting(3)
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,14 @@ class SynchronyConfig:
         clear_gain: slow loads leave the peak of the correlation flat: lag 0 is kept where it reaches this share.
         scales: fine structure is what a mean over this many samples keeps and one over ten times as many does not.
         min_pairs: fewer windows at equal times fix no map.
+        least_length: recordings shorter than so many times the smallest scale are not compared.
+        same_rate: sample rates differ by no more than this share.
+        shown_share: quantile of the opening's own distances from one curve that stands for them.
+        same_instant: samples within this share of a sample period were taken at once; just over half of one.
+        reach: lags are looked for up to one part in so many of the common time.
+        slow: how much longer the second moving mean of `scales` is.
+        unrelated, long_enough: lags beyond so many scales are unrelated, where the recordings are so many scales long.
+        chance: the largest agreement at unrelated lags counts beyond so many standard deviations.
     """
 
     min_rank_correlation: float = setting(0.95)
@@ -114,6 +124,15 @@ class SynchronyConfig:
     clear_gain: float = setting(0.9)
     scales: tuple[int, ...] = setting((5, 25, 50))
     min_pairs: int = setting(12)
+    least_length: int = setting(20)
+    same_rate: float = setting(0.02)
+    shown_share: float = setting(0.9)
+    same_instant: float = setting(0.51)
+    reach: int = setting(4)
+    slow: int = setting(10)
+    unrelated: int = setting(10)
+    long_enough: int = setting(40)
+    chance: float = setting(4.0)
 
 
 @dataclass(frozen=True)
@@ -149,7 +168,9 @@ class PairConfig:
         damping, least_damping: Marquardt's, at the start and at least.
         settled, idle_steps: the descent ends after so many steps in a row that leave more than this share of the cost:
             f is made of flat pieces, and a step across an edge of them gains little before the next gains much.
-        blocks: stretches of which every fourth is held out to judge the window shapes by.
+        more_damping, less_damping: factors on the damping after a step that failed, and after one that did not.
+        blocks, every: stretches of which every fourth is held out to judge the window shapes by.
+        knot_range: quantiles of the unit's output between which the knots lie.
         enough_for_dynamics: fewer pairs hold out too little to judge a dynamic part by.
         shapes: orthonormal window shapes a map may be made of (level; slope, curvature and two more; all), and the
             share of the held-out error so far that it must stay below to be taken. Windows as they are come first;
@@ -169,7 +190,11 @@ class PairConfig:
     least_damping: float = setting(1e-6)
     settled: float = setting(0.99)
     idle_steps: int = setting(3)
+    more_damping: float = setting(4)
+    less_damping: float = setting(10)
     blocks: int = setting(32)
+    every: int = setting(4)
+    knot_range: tuple[float, float] = setting((0.001, 0.999))
     enough_for_dynamics: int = setting(480)
     shapes: tuple[tuple[int, float], ...] = setting(((1, 1.02), (5, 0.99), (15, 0.97)), PAIRS_CHOSEN)
 
@@ -183,16 +208,19 @@ class PlanConfig:
         neighbours: stored windows that an unseen one moves with.
         joint_windows: the same for the joint problem, which solves several plans.
         joint_rounds: of the block coordinate descent at most.
+        joint_settled: the descent ends when a round gains less than this share of the cost.
         label_weight: of the labels in the joint cost.
-        ridge: of the kernel ridge regression.
+        ridge, ridge_windows: of the kernel ridge regression, per so many windows.
     """
 
     most_windows: int = setting(1500)
     neighbours: int = setting(8)
     joint_windows: int = setting(1000)
     joint_rounds: int = setting(5)
+    joint_settled: float = setting(1e-4)
     label_weight: float = setting(1.0)
     ridge: float = setting(1e-2)
+    ridge_windows: int = setting(100)
 
 
 @dataclass(frozen=True)
@@ -203,11 +231,15 @@ class AnchorConfig:
         gain_spread: how far the gain of a map may be off before any anchor is seen (one standard deviation).
         level_spread: the same for its level at rest, as a share of the source's output range.
         load_error: error of f at rest under a known load, as a share of the reference's spread.
+        beyond: a known load may lie beyond the source's range by this share of it.
+        same_load: loads nearer than this share of the source's range are one load stated twice.
     """
 
     gain_spread: float = setting(0.1)
     level_spread: float = setting(0.03)
     load_error: float = setting(0.01)
+    beyond: float = setting(0.1)
+    same_load: float = setting(0.01)
 
 
 @dataclass(frozen=True)

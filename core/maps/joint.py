@@ -37,14 +37,14 @@ class Joint:
         # The problem has many local minima: descent starts where means and scales already agree.
         matched = (target - target.mean()) / max(float(target.std()), 1e-12) * source.std() + source.mean()
         estimate = problem.network.evaluate(matched) / problem.network.reference_scale
-        smoother = _Smoother(target, config.ridge)
+        smoother = _Smoother(target, config.ridge, config.ridge_windows)
         plan, best = np.empty((0, 0)), np.inf
         for _ in range(config.joint_rounds):
             cost = distance + config.label_weight * (estimate[:, None] - label[None, :]) ** 2
             trial = solve_exact(cost)
             total = float(np.sum(trial * cost))
             # Each step lowers the objective; below a ten-thousandth it only trades rounding.
-            if total >= best * (1 - 1e-4):
+            if total >= best * (1 - config.joint_settled):
                 break
             plan, best = trial, total
             estimate = smoother(barycentric(plan, label[:, None])[:, 0])
@@ -58,11 +58,11 @@ class Joint:
 class _Smoother:
     """Kernel ridge regression on fixed windows: labels in, fitted values out."""
 
-    def __init__(self, inputs: Array, ridge: float) -> None:
+    def __init__(self, inputs: Array, ridge: float, per_windows: int) -> None:
         # The median heuristic: the kernel is as wide as windows usually are apart, whatever their unit.
         squared = squared_distances(inputs, inputs)
         kernel = np.exp(-squared / max(float(np.median(squared)), 1e-12))
-        regularised = kernel + ridge * len(inputs) / 100 * np.eye(len(inputs))
+        regularised = kernel + ridge * len(inputs) / per_windows * np.eye(len(inputs))
         self._hat = np.linalg.solve(regularised, kernel)
 
     def __call__(self, labels: Array) -> Array:

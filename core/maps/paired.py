@@ -1,12 +1,12 @@
 """Fit a map to pairs of windows under equal load, through the network that will read it.
 
-With pairs the transport plan is known; what is left is its regression. The error that counts is that of the estimate.
-Over pairs (target window x_i, source window y_i under load r_i) the map minimises
+Pairs are a known transport plan, so that only a regression is left. What counts is the error of the estimate, not that
+of the mapped window. Over pairs (target window x_i, source window y_i, load r_i) the map minimises
 
     sum (f(map(x_i)) - r_i)^2 + (f(map(x_i)) - f(y_i))^2
 
-by Gauss-Newton steps with Marquardt's damping (Marquardt 1963): the load is what counts, and what f makes of the
-source's window is what a map into its space can be asked for.
+plus penalties on its roughness, by Gauss-Newton steps with Marquardt's damping (Marquardt 1963). The first term is the
+error of the estimate. The second keeps the map from bending to repair errors that f makes on its own source.
 """
 
 from collections.abc import Mapping
@@ -28,14 +28,15 @@ from softcal.core.windows import TAPS, resting, windows
 
 @dataclass(frozen=True, eq=False)
 class DynamicMap:
-    """A monotone curve on every sample, then a linear mix of window shapes.
+    """A monotone curve on every sample (Hammerstein model), then a linear filter within the window.
 
-    map(x) = P B P' curve(x), with P the first orthonormal polynomials over the taps: the
-    curve carries the static response, B the difference in lag and creep. Faster wiggles than P holds are noise.
+    map(x) = P B P' curve(x), with P the first orthonormal polynomials over the taps. The curve is the static response;
+    B is the difference in lag and creep between the two units. Changes within a window that are faster than the
+    polynomials in P are taken for noise and dropped.
 
     Args:
         curve: static part.
-        mix: (shapes, shapes) matrix B; the identity changes no shape.
+        mix: (shapes, shapes) matrix B; the identity leaves every polynomial as it is.
         family: name under which the catalogue rebuilds it.
     """
 
@@ -76,13 +77,13 @@ def paired_map_from_arrays(arrays: Mapping[str, NDArray[np.generic]], family: st
 
 
 def window_shapes(count: int) -> Array:
-    """Return the first orthonormal polynomials over the taps: (TAPS, count)."""
+    """Return the first orthonormal polynomials over the taps: (TAPS, count); level first, then slope, curvature."""
     tap = np.linspace(-1.0, 1.0, TAPS)
     return np.asarray(np.linalg.qr(np.vander(tap, count, increasing=True))[0])
 
 
 def fit_pairs(problem: FitProblem, source_rows: Indices, target_rows: Indices, family: str) -> PairedMap:
-    """Fit a map to pairs of windows; a dynamic part is kept only where it helps on held-out stretches.
+    """Fit a map to pairs of windows; a dynamic part is kept only where it lowers the error on held-out blocks.
 
     Args:
         problem: source, network and target.
@@ -98,12 +99,13 @@ def fit_pairs(problem: FitProblem, source_rows: Indices, target_rows: Indices, f
 
 
 def _fit(pairs: "_Pairs") -> PairedMap:
-    """Fit with the fewest window shapes that held-out stretches ask for."""
+    """Choose the number of window polynomials by blocked cross-validation, then fit to all pairs."""
     everything, config = np.arange(pairs.count), pairs.config
     if pairs.count < config.enough_for_dynamics:
         return pairs.fit(everything, 0)
+    # Whole blocks of time are held out: neighbouring windows share samples, so single rows would be no test.
     block = everything * config.blocks // pairs.count
-    held, kept = np.flatnonzero(block % 4 == 1), np.flatnonzero(block % 4 != 1)
+    held, kept = np.flatnonzero(block % config.every == 1), np.flatnonzero(block % config.every != 1)
     shapes, least = 0, pairs.error(pairs.fit(kept, 0), held)
     for more, needed in config.shapes:
         error = pairs.error(pairs.fit(kept, more), held)
@@ -113,7 +115,7 @@ def _fit(pairs: "_Pairs") -> PairedMap:
 
 
 class _Pairs:
-    """Paired windows with what every fit to some of them shares: knots, start and labels."""
+    """Paired windows, and what every fit to a part of them shares: knots, starting values and labels."""
 
     def __init__(self, problem: FitProblem, source_rows: Indices, target_rows: Indices, family: str) -> None:
         self.count = len(target_rows)
@@ -122,6 +124,7 @@ class _Pairs:
         self._family = family
         self._target = target = problem.target.windows[target_rows]
         source = problem.source.windows[source_rows]
+        # Both terms of the cost in one: (e - r)^2 + (e - f(y))^2 is 2 (e - mean of r and f(y))^2 plus a constant.
         label = (network.evaluate(source) + problem.source.window_reference[source_rows]) / 2
         self._label = label / network.reference_scale
         self._knots = _knots(target, self.config)
@@ -137,7 +140,7 @@ class _Pairs:
         return float(np.sqrt(np.mean((estimate - self._label[rows]) ** 2)))
 
     def fit(self, rows: Indices, shapes: int) -> PairedMap:
-        """Fit the curve, and the mix of `shapes` window shapes where it is not 0."""
+        """Fit the curve, and the mix of the first `shapes` window polynomials where that is not 0."""
         theta, config = np.concatenate([self._start, np.eye(shapes).ravel()]), self.config
         cost, damping, idle = self._cost(theta, rows, shapes), config.damping, 0
         for _ in range(config.steps):
@@ -149,12 +152,13 @@ class _Pairs:
                 trial_cost = self._cost(trial, rows, shapes)
                 if trial_cost < cost:
                     break
-                damping *= 4
+                damping *= config.more_damping
             else:
                 break
             idle = idle + 1 if trial_cost > config.settled * cost else 0
             theta, cost = trial, trial_cost
-            damping = max(damping / (10 if damping == tried_first else 4), config.least_damping)
+            easing = config.less_damping if damping == tried_first else config.more_damping
+            damping = max(damping / easing, config.least_damping)
             if idle == config.idle_steps:
                 break
         return self._map(theta, shapes)
@@ -170,6 +174,7 @@ class _Pairs:
         from scipy.optimize import isotonic_regression
 
         count = len(self._knots)
+        # Projection onto monotone curves after each step: the cost is not convex anyway, and the projection is exact.
         return np.concatenate([isotonic_regression(theta[:count]).x, theta[count:]])
 
     def _cost(self, theta: Array, rows: Indices, shapes: int) -> float:
@@ -177,11 +182,12 @@ class _Pairs:
         return self.error(self._map(theta, shapes), rows) ** 2 + float(penalty @ penalty)
 
     def _penalty(self, theta: Array, shapes: int) -> tuple[Array, Array]:
-        """Return what is asked of a map without any pair, as residuals whose squares are added, and their Jacobian."""
+        """Return the regularisation as residuals, whose squares are added to the cost, and their Jacobian."""
         from scipy.linalg import block_diag
 
         count, network = len(self._knots), self._network
         estimate, slope = network.gradient(resting(theta[:count]))
+        # The estimate should be smooth along the curve, not the curve itself: that must follow every kink of f's input.
         of_answer = self.config.stiffness**0.5 / network.reference_scale * self._bend
         of_curve = self.config.curve_stiffness**0.5 / network.output_scale * self._bend
         of_mix = self.config.tether**0.5 * np.eye(shapes * shapes)
@@ -210,13 +216,16 @@ class _Pairs:
 
 
 def _knots(target: Array, config: PairConfig) -> Array:
-    low, high = np.quantile(target, [0.001, 0.999])
+    low, high = np.quantile(target, config.knot_range)
     count = np.clip(len(target) // config.pairs_per_knot, config.fewest_knots, config.knots)
     return np.linspace(low, high, int(count))
 
 
 def _bend(count: int) -> Array:
-    """Return B with |B g|^2 the integral of the squared second derivative of g, given at `count` places in 0 ... 1."""
+    """Return B with |B g|^2 the integral of the squared second derivative of g on `count` even places in 0 ... 1.
+
+    A second difference over h is h^2 g'', and the integral is a sum times h: the factor is h^-1.5.
+    """
     return np.asarray(np.diff(np.eye(count), 2, axis=0) * (count - 1) ** 1.5)
 
 
@@ -226,7 +235,10 @@ def _place(samples: Array, knots: Array) -> tuple[Indices, Array]:
 
 
 def _hat_gradient(target: Array, knots: Array, per_sample: Array) -> Array:
-    """Sum, window by window, how the estimate answers to each knot's value: (n, k)."""
+    """Return the derivative of each window's estimate by each knot's value: (n, k).
+
+    A sample between two knots moves with both, by its distance from the other (hat functions).
+    """
     segment, share = _place(target, knots)
     row = np.broadcast_to(np.arange(len(target))[:, None] * len(knots), segment.shape)
     size = len(target) * len(knots)
@@ -236,7 +248,7 @@ def _hat_gradient(target: Array, knots: Array, per_sample: Array) -> Array:
 
 
 def _static_regression(target: Array, source: Array, knots: Array, stiffness: float) -> Array:
-    """Values at the knots that carry mean window levels onto mean window levels, smooth and monotone."""
+    """Return values at the knots from a smooth monotone regression of mean window levels: where the descent starts."""
     from scipy.optimize import isotonic_regression
 
     segment, share = _place(target.mean(axis=1), knots)

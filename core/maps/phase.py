@@ -1,4 +1,7 @@
-"""Pairs at equal stage position: the station knows where both units stood even though the load is unknown."""
+"""Pairs at equal stage position: two units pressed equally deep, with equal histories, carry equal loads.
+
+The station knows the stage position of both recordings, although the load on the unit is not measured.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

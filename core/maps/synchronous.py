@@ -29,7 +29,9 @@ class Synchronous:
         synchrony = problem.synchrony
         if not synchrony.is_synchronous:
             raise UnitRefused(reason("not_synchronous", correlation=synchrony.rank_correlation))
-        source_rows, target_rows = paired_rows(problem.source.unlabelled, problem.target, synchrony)
+        source_rows, target_rows = paired_rows(
+            problem.source.unlabelled, problem.target, synchrony, problem.config.synchrony
+        )
         least = problem.config.synchrony.min_pairs
         if len(target_rows) < least:
             raise UnitRefused(reason("few.times", windows=len(target_rows), enough=least))

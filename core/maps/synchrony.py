@@ -1,4 +1,8 @@
-"""Were two units pressed by the same load at the same time? Found from their outputs alone."""
+"""Were two units pressed by the same load at the same time? Found from their outputs alone, by correlation.
+
+Rank correlation says whether the loads agree. The peak of the cross-correlation of the fine structure gives the lag
+between the clocks. A recording may also open with the common load and go on with its own.
+"""
 
 from dataclasses import dataclass
 
@@ -37,10 +41,10 @@ NONE = Synchrony(0.0, 0.0, 0.0, 0.0)
 def find_synchrony(source: OutputRecording, target: OutputRecording, config: MapConfig) -> Synchrony:
     """Compare two recordings on their common stretch of time.
 
-    Ranks make the comparison blind to the static curves of the units. Fine structure that agrees at one lag and at no
-    other tells how far apart the clocks are. Where the whole does not agree, the recordings may still open alike: a
-    line often runs one profile first and other loads after it. A long opening makes the whole agree too; what follows
-    it tells.
+    Ranks do not depend on the static curves of the units, as long as these are monotone. A lag is believed where the
+    fine structure correlates at that lag and at no other. Where the whole recordings do not agree, they may still open
+    alike: a line often runs one profile first and other loads after it. A long opening makes even the whole agree;
+    then the stretch after the opening decides.
     """
     whole = _compared(source, target, config.synchrony)
     until_s = _opening_end(source, target, config)
@@ -54,7 +58,7 @@ def find_synchrony(source: OutputRecording, target: OutputRecording, config: Map
 
 
 def _parts_after(source: OutputRecording, target: OutputRecording, opening: Synchrony, config: SynchronyConfig) -> bool:
-    """Tell whether the recordings go on under loads of their own; False where too little follows to tell."""
+    """Return whether the recordings go on under loads of their own; False where too little follows to decide."""
     left = _compared(source, target, config, from_s=opening.until_s + config.guard_s)
     if left is NONE or left.is_synchronous:
         return False
@@ -69,9 +73,10 @@ def _compared(
     until_s: float = np.inf,
 ) -> Synchrony:
     rate_Hz = source.sample_rate_Hz
+    is_other_rate = abs(target.sample_rate_Hz / rate_Hz - 1) > config.same_rate
     start, stop = max(source.t_s[0], target.t_s[0], from_s), min(source.t_s[-1], target.t_s[-1], until_s)
     time_s = np.arange(start, stop, 1.0 / rate_Hz)
-    if len(time_s) < 20 * min(config.scales) or abs(target.sample_rate_Hz / rate_Hz - 1) > 0.02:
+    if len(time_s) < config.least_length * min(config.scales) or is_other_rate:
         return NONE
     # What one recording missed the other must not show either: both are read at the same instants.
     seen = time_s[_covered(source, time_s) & _covered(target, time_s)]
@@ -86,7 +91,8 @@ def _compared(
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return NONE
     # One scale would miss slow loads or drown in noise; a scale needs twenty of its lengths to judge.
-    found = [_detail(a, b, scale, rate_Hz, config) for scale in config.scales if 20 * scale <= len(time_s)]
+    scales = [scale for scale in config.scales if config.least_length * scale <= len(time_s)]
+    found = [_detail(a, b, scale, rate_Hz, config) for scale in scales]
     detail, sigma, lag = max(found, key=lambda item: item[1])
     stands_out = detail >= config.min_detail and sigma >= config.min_sigma
     # A lag that does not stand out is chance. A wrong lag pairs foreign loads; no lag at worst pairs none.
@@ -119,7 +125,7 @@ def _opening_end(source: OutputRecording, target: OutputRecording, maps: MapConf
         off = np.abs(moving_mean(_off_curve(a, b, known), settled)) / span
         # What the opening itself leaves of the curve (noise, hysteresis) is no sign of its end. Not the maximum: one
         # outlier inside must not let foreign loads in.
-        shown = float(np.quantile(off[: max(known - settled, 1)], 0.9))
+        shown = float(np.quantile(off[: max(known - settled, 1)], config.shown_share))
         allowed = max(config.same_curve, config.off_curve * shown)
         left = np.flatnonzero(off[first:] > allowed)
         end = first + int(left[0]) if len(left) else len(a)
@@ -148,12 +154,15 @@ def _off_curve(source: Array, target: Array, known: int) -> Array:
     return np.where(is_judged, source - np.interp(target, seen[order], curve), 0.0)
 
 
-def paired_rows(source: OutputRecording, target: OutputRecording, synchrony: Synchrony) -> tuple[Indices, Indices]:
+def paired_rows(
+    source: OutputRecording, target: OutputRecording, synchrony: Synchrony, config: SynchronyConfig
+) -> tuple[Indices, Indices]:
     """Return the windows of both recordings whose newest samples were taken at the same time.
 
     Args:
         source, target: both recordings.
         synchrony: what `find_synchrony` found between them.
+        config: what is the same time.
 
     Returns:
         Row numbers into `source.windows` and `target.windows`, equal lengths.
@@ -163,7 +172,7 @@ def paired_rows(source: OutputRecording, target: OutputRecording, synchrony: Syn
     # A boolean as 0 or 1: one place to the left where the earlier sample is the closer one.
     nearest = right - (target_s - source_s[right - 1] < source_s[right] - target_s)
     # Half a sample and a little rounding: no instant is paired across a gap.
-    close = np.abs(source_s[nearest] - target_s) <= 0.51 / source.sample_rate_Hz
+    close = np.abs(source_s[nearest] - target_s) <= config.same_instant / source.sample_rate_Hz
     close &= target_s <= synchrony.until_s
     return nearest[close].astype(np.int64), np.flatnonzero(close).astype(np.int64)
 
@@ -178,24 +187,26 @@ def _covered(recording: OutputRecording, time_s: Array) -> NDArray[np.bool_]:
 
 
 def _detail(a: Array, b: Array, scale: int, rate_Hz: float, config: SynchronyConfig) -> tuple[float, float, int]:
-    x, y = _band(a, scale), _band(b, scale)
+    x, y = _band(a, scale, config.slow), _band(b, scale, config.slow)
     spectrum = np.fft.rfft(x) * np.conj(np.fft.rfft(y))
     # All lags at once by the correlation theorem; its ends wrap around, which is why only a quarter is searched.
     every = np.fft.irfft(spectrum, len(x)) / (np.std(x) * np.std(y) * len(x) + 1e-300)
-    reach = min(len(x) // 4, round(config.longest_lag_s * rate_Hz))
+    reach = min(len(x) // config.reach, round(config.longest_lag_s * rate_Hz))
     near = np.concatenate([every[: reach + 1], every[-reach:]])
     # Slow loads leave the peak flat: without a clear gain the clocks are taken as equal.
     best = 0 if near[0] >= config.clear_gain * near.max() else int(np.argmax(near))
     lag = best if best <= reach else best - len(near)
     # Unrelated lags say what chance alone gives on this very recording: no assumption on its noise is needed.
-    far = every[10 * scale : -10 * scale] if len(every) > 40 * scale else every
+    edge = config.unrelated * scale
+    far = every[edge:-edge] if len(every) > config.long_enough * scale else every
     # Periodic presses agree again one period later; the largest agreement elsewhere counts as much as the usual one.
     spread = max(float(np.std(far)), 1e-12)
-    return float(near[best]), float((near[best] - max(0.0, float(far.max()) - 4 * spread)) / spread), lag
+    elsewhere = max(0.0, float(far.max()) - config.chance * spread)
+    return float(near[best]), float((near[best] - elsewhere) / spread), lag
 
 
-def _band(values: Array, scale: int) -> Array:
-    slow = moving_mean(values, 10 * scale)
+def _band(values: Array, scale: int, slow_factor: int) -> Array:
+    slow = moving_mean(values, slow_factor * scale)
     fast = moving_mean(values, scale)
     offset = (len(fast) - len(slow)) // 2
     band = fast[offset : offset + len(slow)] - slow

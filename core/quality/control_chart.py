@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from softcal.core.errors import InputError
+from softcal.core.reason import Reason, reason
 from softcal.core.recording import Array
 
 D2 = 1.128
@@ -102,9 +103,9 @@ def control_chart(values: Array, baseline: int | None = None) -> ControlChart:
     values = np.asarray(values, dtype=np.float64)
     first = values[: len(values) if baseline is None else baseline]
     if len(first) < 8:
-        raise InputError(f"{len(first)} values; a control chart needs at least 8 to find its limits")
+        raise InputError(reason("chart.few", count=len(first)))
     if not np.isfinite(values).all():
-        raise InputError(f"value {int(np.flatnonzero(~np.isfinite(values))[0])} of the control chart is not a number")
+        raise InputError(reason("chart.not_a_number", value=int(np.flatnonzero(~np.isfinite(values))[0])))
     return ControlChart(values, float(first.mean()), float(np.abs(np.diff(first)).mean()) / D2)
 
 
@@ -137,20 +138,17 @@ def capability(chart: ControlChart, minimum: float | None, maximum: float | None
     """
     count = len(chart.values)
     if minimum is None and maximum is None:
-        raise InputError("capability needs a minimum or a maximum")
+        raise InputError(Reason("chart.no_limit"))
     if minimum is not None and maximum is not None and minimum >= maximum:
-        raise InputError(f"minimum {minimum:g} is not below maximum {maximum:g}")
+        raise InputError(reason("chart.limits_crossed", minimum=minimum, maximum=maximum))
     if count < FEWEST_FOR_CAPABILITY:
-        raise InputError(f"{count} values; capability needs at least {FEWEST_FOR_CAPABILITY}")
+        raise InputError(reason("chart.capability.few", count=count, least=FEWEST_FOR_CAPABILITY))
     if not chart.is_stable:
         first = chart.instabilities[0]
-        raise InputError(
-            f"the process is not stable ({first.text}, value {first.index + 1}); find the cause first, then state "
-            "capability"
-        )
+        raise InputError(reason("chart.unstable", rule=RULES[first.rule - 1][0], number=first.index + 1))
     mean, overall = float(chart.values.mean()), float(chart.values.std(ddof=1))
     if chart.sigma == 0 or overall == 0:
-        raise InputError("all values are equal; a process without spread has no capability")
+        raise InputError(Reason("chart.flat"))
     cpk = _nearest(mean, chart.sigma, minimum, maximum)
     half = float(stats.norm.ppf(0.975)) * np.sqrt(1 / (9 * count) + cpk**2 / (2 * (count - 1)))
     width = maximum - minimum if minimum is not None and maximum is not None else None
@@ -178,7 +176,7 @@ def _signals(values: Array, centre: float, sigma: float) -> Iterator[Signal]:
     for number, (text, length, find) in enumerate(RULES, 1):
         if len(z) >= length:
             found = find(np.lib.stride_tricks.sliding_window_view(z, length))
-            yield from (Signal(int(k) + length - 1, number, text) for k in np.flatnonzero(found))
+            yield from (Signal(int(k) + length - 1, number, str(text)) for k in np.flatnonzero(found))
 
 
 def _same_side(windows: Array, beyond: float, count: int) -> Flags:
@@ -197,14 +195,14 @@ def _alternates(windows: Array) -> Flags:
     return np.asarray((steps[:, 1:] * steps[:, :-1] < 0).all(1))
 
 
-RULES: tuple[tuple[str, int, Callable[[Array], Flags]], ...] = (
-    ("a point beyond 3 sigma", 1, lambda w: np.asarray((np.abs(w) > 3).all(1))),
-    ("9 points in a row on one side", 9, lambda w: _same_side(w, 0.0, 9)),
-    ("6 points in a row rising or falling", 6, _trend),
-    ("14 points in a row alternating", 14, _alternates),
-    ("2 of 3 points beyond 2 sigma on one side", 3, lambda w: _same_side(w, 2.0, 2)),
-    ("4 of 5 points beyond 1 sigma on one side", 5, lambda w: _same_side(w, 1.0, 4)),
-    ("15 points in a row within 1 sigma", 15, lambda w: np.asarray((np.abs(w) < 1).all(1))),
-    ("8 points in a row beyond 1 sigma on both sides", 8, lambda w: np.asarray((np.abs(w) > 1).all(1))),
+RULES: tuple[tuple[Reason, int, Callable[[Array], Flags]], ...] = (
+    (Reason("chart.rule.1"), 1, lambda w: np.asarray((np.abs(w) > 3).all(1))),
+    (Reason("chart.rule.2"), 9, lambda w: _same_side(w, 0.0, 9)),
+    (Reason("chart.rule.3"), 6, _trend),
+    (Reason("chart.rule.4"), 14, _alternates),
+    (Reason("chart.rule.5"), 3, lambda w: _same_side(w, 2.0, 2)),
+    (Reason("chart.rule.6"), 5, lambda w: _same_side(w, 1.0, 4)),
+    (Reason("chart.rule.7"), 15, lambda w: np.asarray((np.abs(w) < 1).all(1))),
+    (Reason("chart.rule.8"), 8, lambda w: np.asarray((np.abs(w) > 1).all(1))),
 )
 """Nelson, Journal of Quality Technology 16 (1984) 237; the first, second, fifth and sixth are Western Electric's."""

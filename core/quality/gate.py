@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 
 from softcal.core.orders import Condition, OrderKind
+from softcal.core.reason import Reason, reason
 
 
 @dataclass(frozen=True)
@@ -55,15 +56,15 @@ class RigFacts:
     Args:
         powered: how long the load cell is powered, by its own clock where it has one.
         is_homed: whether the stage knows where it is; a run homes first where it does not.
-        homing_fault, zero_fault: what the last run died of, where it was homing or the load cell's zero; "" else. A
+        homing_fault, zero_fault: what the last run died of, where it was homing or the load cell's zero; None else. A
             good self-test clears them.
         zero_return_N: change of the unloaded load cell over the newest run; 0 before the first.
     """
 
     powered: timedelta = timedelta(0)
     is_homed: bool = False
-    homing_fault: str = ""
-    zero_fault: str = ""
+    homing_fault: Reason | None = None
+    zero_fault: Reason | None = None
     zero_return_N: float = 0.0
 
 
@@ -112,7 +113,7 @@ class Gate:
     is_overridden: bool = False
 
     @property
-    def reasons(self) -> tuple[str, ...]:
+    def reasons(self) -> tuple[Reason, ...]:
         """Everything that speaks against it, each with what to do; empty when all is well."""
         return tuple(condition.says for condition in self.conditions if not condition.is_good)
 
@@ -167,19 +168,21 @@ def _cell_conditions(facts: StationFacts) -> list[Condition]:
 def _certificate(facts: StationFacts) -> list[Condition]:
     certificate = facts.certificate
     if certificate is None:
-        says = "the load cell has no certificate on file; import it or type it in (`softcal station certificate`)"
-        return [Condition("certificate", False, says)]
+        says = Reason("gate.no_certificate")
+        return [Condition(Reason("gate.name.certificate"), False, says)]
     if facts.now.date() > certificate.valid_until:
-        says = (
-            f"the load cell's certificate {certificate.number} ended on {certificate.valid_until}; have it calibrated"
-        )
-        in_date = Condition("certificate", False, says)
+        says = reason("gate.ended", number=certificate.number, day=str(certificate.valid_until))
+        in_date = Condition(Reason("gate.name.certificate"), False, says)
     else:
-        in_date = Condition("certificate", True, f"{certificate.number}, valid until {certificate.valid_until}")
-    reaches = f"the profile reaches {facts.largest_force_N:g} N, the certificate ends at {certificate.capacity_N:g} N"
+        in_date = Condition(
+            Reason("gate.name.certificate"),
+            True,
+            reason("gate.valid", number=certificate.number, day=str(certificate.valid_until)),
+        )
+    reaches = reason("gate.reaches", force_N=facts.largest_force_N, most_N=certificate.capacity_N)
     if facts.largest_force_N > certificate.capacity_N:
-        return [in_date, Condition("force range", False, f"{reaches}; use another cell or a lower force limit")]
-    return [in_date, Condition("force range", True, reaches)]
+        return [in_date, Condition(Reason("gate.name.force_range"), False, reason("gate.too_far", reaches=reaches))]
+    return [in_date, Condition(Reason("gate.name.force_range"), True, reaches)]
 
 
 def _warm_up(facts: StationFacts) -> Condition:
@@ -187,33 +190,38 @@ def _warm_up(facts: StationFacts) -> Condition:
     if left > timedelta(0):
         # Rounded up: "0 more min" beside a closed gate would be a riddle.
         minutes = -(-int(left.total_seconds()) // 60)
-        return Condition("warm-up", False, f"the load cell warms up for {minutes} more min; wait")
-    return Condition("warm-up", True, f"the load cell is on for {int(facts.rig.powered.total_seconds()) // 60} min")
+        return Condition(Reason("gate.name.warm_up"), False, reason("gate.warms", minutes=minutes))
+    return Condition(
+        Reason("gate.name.warm_up"), True, reason("gate.warm", minutes=int(facts.rig.powered.total_seconds()) // 60)
+    )
 
 
 def _zero(facts: StationFacts) -> Condition:
     limit_N, moved_N = facts.zero_return_limit_N, facts.rig.zero_return_N
     if facts.rig.zero_fault or abs(moved_N) > limit_N:
-        what = facts.rig.zero_fault or f"the load cell's zero moved by {moved_N:.3g} N, {limit_N:g} N is allowed"
-        return Condition("zero return", False, f"{what}; check its mounting, then run the self-test")
-    return Condition("zero return", True, f"{moved_N:+.3f} N over the newest run, {limit_N:g} N is allowed")
+        what = (
+            Reason.of(facts.rig.zero_fault)
+            if facts.rig.zero_fault
+            else reason("gate.zero_moved", moved_N=moved_N, limit_N=limit_N)
+        )
+        return Condition(Reason("gate.name.zero_return"), False, reason("gate.zero_fault", why=what))
+    return Condition(Reason("gate.name.zero_return"), True, reason("gate.zero", moved_N=moved_N, limit_N=limit_N))
 
 
 def _homing(rig: RigFacts) -> Condition:
     if rig.homing_fault:
-        says = f"the stage could not be homed ({rig.homing_fault}); check its switch, then run the self-test"
-        return Condition("homing", False, says)
-    return Condition("homing", True, "homed" if rig.is_homed else "the next run homes first")
+        says = reason("gate.homing_fault", why=Reason.of(rig.homing_fault))
+        return Condition(Reason("gate.name.homing"), False, says)
+    return Condition(Reason("gate.name.homing"), True, Reason("gate.homed") if rig.is_homed else Reason("gate.homes"))
 
 
 def _golden(facts: StationFacts) -> Condition:
     golden = facts.golden
     if golden is None or golden.at < facts.shift_began:
-        return Condition("golden unit", False, "no golden unit was pressed in this shift; press one")
+        return Condition(Reason("gate.name.golden"), False, Reason("gate.no_golden"))
     if not golden.is_in_control:
-        says = (
-            f"golden unit {golden.serial} lies outside its control limits; units since the last good check are "
-            "quarantined; call the engineer"
-        )
-        return Condition("golden unit", False, says)
-    return Condition("golden unit", True, f"{golden.serial} within its limits at {golden.at:%H:%M} UTC")
+        says = reason("gate.golden_bad", serial=golden.serial)
+        return Condition(Reason("gate.name.golden"), False, says)
+    return Condition(
+        Reason("gate.name.golden"), True, reason("gate.golden", serial=golden.serial, at=f"{golden.at:%H:%M}")
+    )

@@ -11,9 +11,6 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 SHARES = np.linspace(0, 1, 101)
 """Shares of the samples at which `AuditReading.ratios` are kept."""
 
-REST = 0.02
-"""Share of the samples at whose quantile a unit is at rest."""
-
 
 @dataclass(frozen=True)
 class AuditReading:
@@ -58,7 +55,9 @@ class AuditReading:
         )
 
 
-def read_audit(value: Array, half: Array, audit: LabelledRecording, recording: OutputRecording) -> AuditReading:
+def read_audit(
+    value: Array, half: Array, audit: LabelledRecording, recording: OutputRecording, rest: float
+) -> AuditReading:
     """Compare estimates over an audit with its reference, and the audit with the recording its unit was fitted on.
 
     Args:
@@ -66,12 +65,13 @@ def read_audit(value: Array, half: Array, audit: LabelledRecording, recording: O
         half: (n,) half-width of their 90 % interval, before audits of other units scaled it.
         audit: labelled recording of the unit.
         recording: of the same unit.
+        rest: share of the samples at whose quantile a unit is at rest.
     """
     rows = np.isfinite(value)
     ratios = np.quantile((np.abs(value - audit.reference) / np.maximum(half, 1e-12))[rows], SHARES)
     rising = np.corrcoef(audit.unlabelled.output, audit.reference)[0, 1]
-    end = REST if rising >= 0 else 1 - REST
-    low, high = np.quantile(recording.output, (REST, 1 - REST))
+    end = rest if rising >= 0 else 1 - rest
+    low, high = np.quantile(recording.output, (rest, 1 - rest))
     return AuditReading(
         output_sha256=content_sha256({"output": audit.unlabelled.output}, {}),
         reference_sha256=content_sha256({"reference": audit.reference}, {}),

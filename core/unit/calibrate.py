@@ -161,7 +161,8 @@ def with_audit(
         recording: the one it was calibrated from.
     """
     found = estimate(network, calibration, audit.unlabelled)
-    return replace(calibration, audit=read_audit(found.estimate, found.upper - found.estimate, audit, recording))
+    half, rest = found.upper - found.estimate, (calibration.method or Method()).decision.audit_rest
+    return replace(calibration, audit=read_audit(found.estimate, half, audit, recording, rest))
 
 
 def _bars(problem: UnitProblem) -> tuple[Reason, ...]:
@@ -204,7 +205,8 @@ def _predicted(
     """Decide on the forecast, and say last what the line adds that no recording shows."""
     judgement, config = decide(forecast, limit, findings), problem.source.method.line
     share = (problem.line or LineSpread(config.load_spread, config.day_spread)).share
-    said = line_reason(share, rms_load(evidence.estimate), limit.unit, problem.line is not None)
+    load = rms_load(evidence.estimate, problem.source.method.forecast)
+    said = line_reason(share, load, limit.unit, problem.line is not None)
     return replace(judgement, reasons=(*judgement.reasons, said))
 
 
@@ -242,7 +244,7 @@ def _trials(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap) -> list[Tr
     """
     if chosen.family != Synchronous.name:
         return []
-    source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony)
+    source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony, fit.config.synchrony)
     if not np.isfinite(fit.synchrony.until_s):
         return [Trial(chosen.unit_map, source_rows, target_rows)]
     parts = problem.source.method.forecast.opening_parts
@@ -288,7 +290,7 @@ def _numbers(
         **{f"map_{name}": value for name, value in chosen.evidence.items()},
         **{f"u_{name}": value for name, value in evidence.budget.items()},
         "correction_rms": evidence.correction_rms,
-        "load_rms": rms_load(evidence.estimate),
+        "load_rms": rms_load(evidence.estimate, model.method.forecast),
         "limit_rmse": limit.maximum_rmse,
         "limit_origin": str(limit.origin),
         "reference_expanded": limit.reference_expanded,

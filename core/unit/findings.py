@@ -150,21 +150,22 @@ def _restless(model: SourceModel, target: OutputRecording, evidence: MapEvidence
 
 def _reversed(model: SourceModel, target: OutputRecording) -> Finding | None:
     """Return a finding where the output moves against the source's direction."""
-    source = model.source.unlabelled
+    source, config = model.source.unlabelled, model.method.findings
     if target.stage_mm is None or source.stage_mm is None:
-        unit_sign, source_sign = _lean(target.output), _lean(source.output)
+        unit_sign, source_sign = (_lean(output, config) for output in (target.output, source.output))
     else:
         unit_sign = float(np.corrcoef(target.output, target.stage_mm)[0, 1])
         source_sign = float(np.corrcoef(source.output, source.stage_mm)[0, 1])
-    is_sure = min(abs(unit_sign), abs(source_sign)) > model.method.findings.lean
+    is_sure = min(abs(unit_sign), abs(source_sign)) > config.lean
     if not is_sure or unit_sign * source_sign > 0:
         return None
     return Finding(reason("reversed"), Verdict.FAIL)
 
 
-def _lean(output: Array) -> float:
-    """Return the robust skewness (Bowley 1901, with 5 % tails): positive where the unit rests low and peaks high."""
-    low, middle, high = np.quantile(output, (0.02, 0.5, 0.98))
+def _lean(output: Array, config: FindingConfig) -> float:
+    """Return the robust skewness (Bowley 1901, with 2 % tails): positive where the unit rests low and peaks high."""
+    lower, upper = config.lean_tails
+    low, middle, high = np.quantile(output, (lower, 0.5, upper))
     return float((high + low - 2 * middle) / (high - low))
 
 

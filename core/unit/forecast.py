@@ -1,4 +1,9 @@
-"""Forecast the error of one unit without a label: a budget of what source, map and recording leave open."""
+"""Forecast the error of one unit without a label, as a measurement uncertainty budget (GUM, JCGM 100:2008).
+
+Each term is a standard uncertainty in the reference unit: how well f reads its own source, how much candidate maps
+disagree, what of the source's loads the unit has not shown, and so on. Sensitivity coefficients, chosen on simulated
+lots for each kind of knowledge about the loads (`knowledge.py`), combine them.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +16,7 @@ from softcal.core.recording import Array, Indices, OutputRecording
 from softcal.core.unit.health import OutputLimits, clipped_share
 from softcal.core.unit.knowledge import LoadKnowledge, known_by
 from softcal.core.unit.line_spread import LineSpread
-from softcal.core.unit.method import LEVELS
+from softcal.core.unit.method import LEVELS, ForecastConfig
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.stage_check import unit_difference
 from softcal.core.unit.support import WindowShape
@@ -23,7 +28,7 @@ LINE = "line"
 
 @dataclass(frozen=True, eq=False)
 class MapEvidence:
-    """What the mapped windows of one unit show.
+    """What the mapped windows of one unit show, and the uncertainty budget made of it.
 
     Args:
         rows: (n,) indices of the windows looked at, among the recording's full windows.
@@ -61,7 +66,7 @@ class MapEvidence:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A map with windows under one load at once to judge it by.
+    """A map, and paired windows of source and unit (equal load at equal time) that test it.
 
     Args:
         unit_map: the unit's map, or one fitted without these windows.
@@ -85,7 +90,7 @@ def gather_evidence(
     is_anchored: bool = False,
     line: LineSpread | None = None,
 ) -> MapEvidence:
-    """Look at one unit through its map and through the maps it might have had.
+    """Collect the budget of one unit from its map and from other maps that fit its recording too.
 
     Args:
         model: the lot's source.
@@ -94,12 +99,13 @@ def gather_evidence(
         alternatives: other candidates for the whole recording.
         resampled: the same kind of map fitted to parts of the recording.
         limits: rails of the raw output.
-        trials: maps with windows under one load at once, where the unit was pressed so.
+        trials: maps with paired windows to test them by, where source and unit were pressed together.
         gain_error: standard error of the logarithm of the map's gain, where it rests on matched levels.
         is_anchored: whether known loads of the unit entered its map.
         line: the line's spread, where somebody stated it.
     """
     config = model.method.forecast
+    # Evenly spaced rows: every statistic below costs the same however long the recording is.
     rows = np.unique(np.linspace(0, len(target.windows) - 1, config.rows).astype(np.int64))
     quantiles = np.linspace(*config.reach, config.quantiles)
     raw = target.windows[rows]
@@ -111,7 +117,9 @@ def gather_evidence(
     disagreement = _spread(estimate, [network.evaluate(other.apply(raw)) for other in alternatives])
     stability = _spread(estimate, [network.evaluate(part.apply(raw)) for part in resampled])
     cells = interval.direction(shape), interval.column(estimate)
-    overlap, speed = use_overlap(model, shape), _fast(shape) / _fast(model.shape)
+    overlap, speed = use_overlap(model, shape), _fast(shape, config) / _fast(model.shape, config)
+    # A map is only as good as the agreement of those that could have been chosen instead (disagreement), and of the
+    # same family on other parts of the recording (stability, a delete-a-group jackknife).
     budget = {
         "model": rms(model.residuals.rmse_table[cells]),
         "disagreement": rms(disagreement),
@@ -125,11 +133,11 @@ def gather_evidence(
         "overlap": (1 - overlap) ** 2 * (interval.high - interval.low),
         "speed": float(np.log(speed)) ** 2 * (interval.high - interval.low),
         "corners": _corners(model, shape) * (interval.high - interval.low),
-        "gain": gain_error * rms_load(estimate),
+        "gain": gain_error * rms_load(estimate, config),
         **_stage_terms(model, target, unit_map),
     }
     if line is not None:
-        budget[LINE] = line.share * rms_load(estimate)
+        budget[LINE] = line.share * rms_load(estimate, config)
     if trials:
         budget["paired"] = rms(np.concatenate([_misread(model, target, trial) for trial in trials]))
     unmapped_overlap = use_overlap(model, interval.support.shape(raw))
@@ -155,7 +163,7 @@ def forecast_error(budget: Mapping[str, float], knowledge: LoadKnowledge) -> Err
 
     Args:
         budget: standard uncertainties u by term, in the reference unit.
-        knowledge: how the loads are known: it names the base term and the coefficients c.
+        knowledge: how the loads are known: it names the base term and the sensitivity coefficients c.
     """
     line = budget.get(LINE, 0.0)
     rmse = float(np.sqrt(_base(budget, knowledge) ** 2 + _squares(budget, knowledge) + line**2))
@@ -164,7 +172,7 @@ def forecast_error(budget: Mapping[str, float], knowledge: LoadKnowledge) -> Err
 
 
 def map_variance(budget: Mapping[str, float], knowledge: LoadKnowledge) -> float:
-    """Return the part of the forecast's variance that is the map's and the recording's, not the network's or line's."""
+    """Return the part of the forecast's variance that comes from map and recording, without network and line."""
     beyond_model = _base(budget, knowledge) ** 2 - budget["model"] ** 2
     return _squares(budget, knowledge) + max(beyond_model, 0.0)
 
@@ -178,11 +186,12 @@ def _squares(budget: Mapping[str, float], knowledge: LoadKnowledge) -> float:
 
 
 def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
-    """Spread the map's variance over direction and load level: (3, LEVELS), half even, half where the maps disagree.
+    """Distribute the map's variance over direction and load level: (3, LEVELS).
 
-    Half of it all goes with the square of the load where the gain rests on matched levels alone: if that is wrong, the
-    error grows with the load. What the unit has not shown of the source's loads counts there alone; what the line adds
-    goes with the square of the load as well.
+    Half is even, half is in proportion to the squared disagreement of the candidate maps. Where the gain of the map
+    rests on matched levels alone, half of this in turn grows with the square of the load, as a gain error does. The
+    variance of loads that the unit has not shown is added at those loads only. What the line adds grows with the square
+    of the load as well.
     """
     budget, knowledge = evidence.budget, evidence.knowledge
     unseen = knowledge.sensitivity["extrapolation"]
@@ -211,17 +220,20 @@ def _disagreement_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     counts, sums = np.zeros_like(pattern), np.zeros_like(pattern)
     np.add.at(counts, cells, 1.0)
     np.add.at(sums, cells, evidence.disagreement**2 / mean_square)
-    return (_smooth(sums) + 5.0) / (_smooth(counts) + 5.0)
+    config = model.method.forecast
+    # Pseudo-counts pull cells with few windows towards an even disagreement of 1.
+    sums, counts = (_smooth(table, config.smooth) + config.cell_prior for table in (sums, counts))
+    return sums / counts
 
 
 def _load_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     """Return the squared load over its mean square in the unit's recording: (LEVELS,)."""
-    load = np.maximum(load_levels(model) - _rest_level(evidence.estimate), 0.0)
-    return np.asarray((load / max(rms_load(evidence.estimate), 1e-12)) ** 2)
+    load = np.maximum(load_levels(model) - _rest_level(evidence.estimate, model.method.forecast), 0.0)
+    return np.asarray((load / max(rms_load(evidence.estimate, model.method.forecast), 1e-12)) ** 2)
 
 
-def _smooth(table: Array) -> Array:
-    kernel = np.ones(9)
+def _smooth(table: Array, levels: int) -> Array:
+    kernel = np.ones(levels)
     return np.stack([np.convolve(row, kernel, mode="same") for row in table])
 
 
@@ -237,14 +249,15 @@ def _spread(estimate: Array, others: Sequence[Array]) -> Array:
 
 
 def rest_rows(model: SourceModel, estimate: Array, shape: WindowShape) -> NDArray[np.bool_]:
-    """Mark the windows at rest: holding still at the unit's own lowest loads."""
-    low = _rest_level(estimate)
+    """Mark the windows at rest: output still, load among the unit's own lowest."""
+    config = model.method.forecast
+    low = _rest_level(estimate, config)
     still = model.interval.direction(shape) == 1
-    return np.asarray(still & (estimate < low + 0.1 * (model.interval.high - model.interval.low)))
+    return np.asarray(still & (estimate < low + config.rest_band * (model.interval.high - model.interval.low)))
 
 
 def _rest_spread(model: SourceModel, estimate: Array, shape: WindowShape) -> float:
-    """Return how far estimates at rest scatter beyond what the source's own do: drift, creep, a loose mount."""
+    """Return the scatter of estimates at rest beyond the source's own: drift, creep, a loose mount."""
     spread = [
         float(np.std(e[rest_rows(model, e, s)])) if rest_rows(model, e, s).any() else 0.0
         for e, s in ((estimate, shape), (model.estimate, model.shape))
@@ -253,34 +266,36 @@ def _rest_spread(model: SourceModel, estimate: Array, shape: WindowShape) -> flo
 
 
 def _resolution(model: SourceModel, target: OutputRecording, mapped: Array, raw: Array) -> float:
-    """Return d / (2 sqrt 3) for the step d of the unit's readout, carried through map and network."""
+    """Return the quantisation uncertainty d / (2 sqrt 3) of the readout's step d, carried through map and network."""
     steps = np.abs(np.diff(np.unique(target.output)))
     quantum = float(np.min(steps, initial=np.inf))
     gain = float(np.std(mapped) / np.std(raw)) / model.network.output_scale
     source_quantum = float(np.min(np.abs(np.diff(np.unique(model.source.unlabelled.output)))))
+    # f was trained on the source's steps: only a coarser readout adds error.
     excess = max((quantum * gain) ** 2 - (source_quantum / model.network.output_scale) ** 2, 0.0)
     return model.interval.sensitivity * float(np.sqrt(excess / 12))
 
 
 def _clipping(model: SourceModel, target: OutputRecording, limits: OutputLimits) -> float:
-    """Return the error of a clipped stretch: the load there is anywhere in the upper third of the range."""
+    """Return the uncertainty of clipped samples: their load is uniform over the upper third of the range."""
     share = clipped_share(target.output, limits)
-    return float(np.sqrt(share / 12)) * (model.interval.high - model.interval.low) / 3
+    return float(np.sqrt(share / 12)) * (model.interval.high - model.interval.low) / model.method.forecast.clipped_part
 
 
-def rms_load(estimate: Array) -> float:
-    """Return the RMS load above rest: what an error of the gain is multiplied with."""
-    return rms(estimate - _rest_level(estimate))
+def rms_load(estimate: Array, config: ForecastConfig) -> float:
+    """Return the RMS load above rest: the sensitivity to a gain error."""
+    return rms(estimate - _rest_level(estimate, config))
 
 
-def _rest_level(estimate: Array) -> float:
-    return float(np.quantile(estimate, 0.02))
+def _rest_level(estimate: Array, config: ForecastConfig) -> float:
+    return float(np.quantile(estimate, config.rest_level))
 
 
 def _stage_terms(model: SourceModel, target: OutputRecording, unit_map: UnitMap) -> dict[str, float]:
     """Return how far the unit's load is from the source's at equal stage histories, beyond the source's own scatter.
 
-    What a unit misreads grows with the load; a unit pressed less hard than its source will misread more later.
+    The error of a map grows with the load. A unit pressed less hard than the source is therefore scaled up to the
+    source's loads.
     """
     if model.stage_floor is None:
         return {}
@@ -289,8 +304,9 @@ def _stage_terms(model: SourceModel, target: OutputRecording, unit_map: UnitMap)
     if difference is None:
         return {}
     beyond = difference.beyond(model.stage_floor)
-    most = model.method.forecast.most_growth
-    growth = float(np.clip(rms_load(model.estimate) / max(rms_load(estimate), 1e-12), 1.0, most))
+    config = model.method.forecast
+    ratio = rms_load(model.estimate, config) / max(rms_load(estimate, config), 1e-12)
+    growth = float(np.clip(ratio, 1.0, config.most_growth))
     return {"stage": growth * beyond.rms, "slow": growth * beyond.slow_rms}
 
 
@@ -314,28 +330,31 @@ def _beyond(load: Array, estimate: Array, shares: tuple[float, float]) -> Array:
 
 
 def use_overlap(model: SourceModel, shape: WindowShape) -> float:
-    """Return the shared area of the unit's and the source's distributions over level and slope, 0 to 1.
-
-    The grid is coarse enough for short recordings.
-    """
-    low, high = np.quantile(model.shape.level, model.method.forecast.reach)
-    levels = np.linspace(low, high, 11)
-    slopes = np.linspace(-1, 1, 8) * np.quantile(np.abs(model.shape.slope), 0.98)
+    """Return the overlap (1 - total variation distance) of the two distributions over level and slope, 0 to 1."""
+    config = model.method.forecast
+    low, high = np.quantile(model.shape.level, config.reach)
+    # A coarse grid: with finer cells two short recordings of one programme would seem to differ.
+    levels = np.linspace(low, high, config.overlap_levels)
+    steepest = np.quantile(np.abs(model.shape.slope), config.overlap_slope)
+    slopes = np.linspace(-1, 1, config.overlap_slopes) * steepest
     source, unit = (_use(part, levels, slopes) for part in (model.shape, shape))
     return float(np.minimum(source, unit).sum())
 
 
-def _fast(shape: WindowShape) -> float:
-    return max(float(np.quantile(np.abs(shape.slope), 0.95)), 1e-9)
+def _fast(shape: WindowShape, config: ForecastConfig) -> float:
+    return max(float(np.quantile(np.abs(shape.slope), config.fast)), 1e-9)
 
 
 def _corners(model: SourceModel, shape: WindowShape) -> float:
-    """Return the squared log ratio of how sharply unit and source turn, where the unit is the duller.
+    """Return the squared log ratio of how sharply unit and source turn; 0 where the unit turns more sharply.
 
-    Lag rounds corners. It is the 99 % quantile of the bend over the 95 % quantile of the slope, so that pressing faster
-    alone changes little.
+    A lagging sensor rounds the corners of its signal. Sharpness is the 99 % quantile of the second difference over the
+    95 % quantile of the slope: pressing faster raises both, so that speed alone changes little.
     """
-    unit, source = (float(np.quantile(np.abs(part.bend), 0.99)) / _fast(part) for part in (shape, model.shape))
+    config = model.method.forecast
+    unit, source = (
+        float(np.quantile(np.abs(part.bend), config.sharp)) / _fast(part, config) for part in (shape, model.shape)
+    )
     return min(float(np.log(max(unit, 1e-9) / max(source, 1e-9))), 0.0) ** 2
 
 

@@ -60,7 +60,7 @@ def rail(output: Array, is_upper: bool, config: HealthConfig) -> Rail:
     band = noise_band(output, config)
     top, span = float(rising.max()), float(np.ptp(rising))
     in_band, beside = rising > top - band, (rising <= top - band) & (rising > top - 2 * band)
-    pressed = rising >= top - max(0.1 * span, 2 * band)
+    pressed = rising >= top - max(config.near_rail * span, 2 * band)
     # Number 0 is what the recording begins with: nobody saw that press rise.
     press = np.cumsum(np.concatenate([[False], pressed[1:] & ~pressed[:-1]]))
     is_flat_run = in_band & (run_lengths(in_band.astype(np.float64)) == config.rail_run)
@@ -71,7 +71,7 @@ def rail(output: Array, is_upper: bool, config: HealthConfig) -> Rail:
     count = int(np.count_nonzero(is_flat[1:]))
     return Rail(
         level=(top - band) * (1 if is_upper else -1),
-        visits=count / max(count_presses(output), 1),
+        visits=count / max(count_presses(output, config), 1),
         count=count,
     )
 
@@ -101,7 +101,7 @@ def check_alive(target: OutputRecording, source: OutputRecording, config: Health
     if np.var(np.diff(output)) > config.noise_ratio * 2 * spread**2:
         raise UnitRefused(reason("dead.noise", spread=spread, unit=unit, cure=cure))
     # A spike must not make a dead channel look alive.
-    span, source_span = (float(np.ptp(np.quantile(x, (0.01, 0.99)))) for x in (output, source.output))
+    span, source_span = (float(np.ptp(np.quantile(x, config.span))) for x in (output, source.output))
     if span < config.dead_share * source_span:
         raise UnitRefused(reason("dead.small", span=span, source_span=source_span, unit=unit, cure=cure))
 
@@ -153,33 +153,34 @@ def _clipped(target: OutputRecording, limits: OutputLimits, config: HealthConfig
 
 
 def _frozen(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> list[Finding]:
-    longest, allowed = (_longest_inner_run(recording.output) for recording in (target, source))
+    longest, allowed = (_longest_inner_run(recording.output, config.inner) for recording in (target, source))
     if longest <= max(config.stuck_factor * allowed, config.stuck_s * target.sample_rate_Hz):
         return []
     return [Finding(reason("stuck", seconds=longest / target.sample_rate_Hz), Verdict.RETEST)]
 
 
-def _longest_inner_run(output: Array) -> int:
+def _longest_inner_run(output: Array, edge: float) -> int:
     span = float(np.ptp(output))
     # At rest and at the peak every output stands still; frozen is what does so in between.
-    inner = (output > output.min() + 0.1 * span) & (output < output.max() - 0.1 * span)
+    inner = (output > output.min() + edge * span) & (output < output.max() - edge * span)
     return int(np.max(run_lengths(output)[inner], initial=0))
 
 
 def _short(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> list[Finding]:
-    windows, presses = len(target.window_rows), count_presses(target.output)
+    windows, presses = len(target.window_rows), count_presses(target.output, config)
     # A slow programme may have but two presses in the source too.
-    enough = min(config.few_presses, count_presses(source.output))
+    enough = min(config.few_presses, count_presses(source.output, config))
     if windows >= config.few_windows and presses >= enough:
         return []
     seen = {"windows": windows, "presses": presses}
     return [Finding(reason("too_little_data", **seen, enough_windows=config.few_windows, enough_presses=enough))]
 
 
-def count_presses(output: Array) -> int:
+def count_presses(output: Array, config: HealthConfig) -> int:
     """Count the excursions of the output through the middle half of its range, there and back."""
-    low, high = np.quantile(output, (0.01, 0.99))
+    low, high = np.quantile(output, config.span)
     # Two thresholds apart (a Schmitt trigger): noise at one of them would count as presses.
-    state = np.where(output > low + 0.6 * (high - low), 1, np.where(output < low + 0.4 * (high - low), -1, 0))
+    lower, upper = (low + share * (high - low) for share in config.press_band)
+    state = np.where(output > upper, 1, np.where(output < lower, -1, 0))
     state = state[state != 0]
     return int(np.count_nonzero(np.diff(state))) // 2 + int(len(state) > 0 and np.count_nonzero(np.diff(state)) % 2)

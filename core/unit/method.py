@@ -37,6 +37,7 @@ class SourceConfig:
         cell_prior: a cell of band and direction with this many windows counts half, the whole recording the other half.
         slope_quantile, slope_share: holding still is less than this share of this quantile of the source's slopes.
         step: shift of a whole window, in standard deviations, over which the sensitivity of f is taken.
+        least_share: no cell of the residual table is below this share of the whole.
     """
 
     level_cells: int = setting(96)
@@ -50,6 +51,7 @@ class SourceConfig:
     slope_quantile: float = setting(0.9)
     slope_share: float = setting(0.15)
     step: float = setting(0.05)
+    least_share: float = setting(1e-3)
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,10 @@ class HealthConfig:
             pressed sensor; above this the channel is dead.
         dead_share: so is one that moves by less than this share of the source's span.
         few_windows, few_presses: less than this is no firm verdict.
+        span: quantiles between which an output is said to move.
+        near_rail: a press reaches within this share of the range of its end.
+        inner: this share of the range at either end is left out where a stuck reading is looked for.
+        press_band: hysteresis thresholds of a press, as shares of the span.
     """
 
     rail_run: int = setting(5)
@@ -102,6 +108,10 @@ class HealthConfig:
     dead_share: float = setting(0.02)
     few_windows: int = setting(500)
     few_presses: int = setting(3)
+    span: tuple[float, float] = setting((0.01, 0.99))
+    near_rail: float = setting(0.1)
+    inner: float = setting(0.1)
+    press_band: tuple[float, float] = setting((0.4, 0.6))
 
 
 @dataclass(frozen=True)
@@ -117,6 +127,14 @@ class ForecastConfig:
         stretches: per left-out share.
         opening_parts: parts of an opening, each left out once.
         own_rows: windows the noise is carried through.
+        rest_level: quantile of the estimates that stands for the lowest load.
+        rest_band: windows within this share of the source's range above it are at rest.
+        clipped_part: a clipped load is anywhere in this part of the range: the upper third.
+        smooth: load levels over which the disagreement of maps is averaged.
+        cell_prior: so many windows of even disagreement are added to each cell of its table.
+        overlap_levels, overlap_slopes: edges of the grid on which two mixes of loads and speeds are compared.
+        overlap_slope: quantile of the source's slopes at the edge of that grid.
+        fast, sharp: quantiles of slope and of bend that stand for fast movements and sharp turns.
     """
 
     rows: int = setting(8_000)
@@ -127,6 +145,16 @@ class ForecastConfig:
     stretches: int = setting(4)
     opening_parts: int = setting(4)
     own_rows: int = setting(2_000)
+    rest_level: float = setting(0.02)
+    rest_band: float = setting(0.1)
+    clipped_part: int = setting(3)
+    smooth: int = setting(9)
+    cell_prior: float = setting(5.0)
+    overlap_levels: int = setting(11)
+    overlap_slopes: int = setting(8)
+    overlap_slope: float = setting(0.98)
+    fast: float = setting(0.95)
+    sharp: float = setting(0.99)
 
 
 @dataclass(frozen=True)
@@ -158,6 +186,7 @@ class FindingConfig:
         misread_factor: estimates off the source's loads for a second, at equal histories, by so many times its error.
         creep_factor: scatter at rest beyond so many times the source's own.
         lean: skewness from which the direction of loading is sure.
+        lean_tails: quantiles beside the median that the skewness is taken from.
         late_s: units of one kind, started alike, follow each other within this; a third of a window is beyond it.
         blind_correction: share of the model's error below which a correction does no harm either way.
     """
@@ -176,6 +205,7 @@ class FindingConfig:
     misread_factor: float = setting(0.5)
     creep_factor: float = setting(1.0)
     lean: float = setting(0.3)
+    lean_tails: tuple[float, float] = setting((0.02, 0.98))
     late_s: float = setting(0.05)
     blind_correction: float = setting(0.5)
 
@@ -189,12 +219,14 @@ class DecisionConfig:
         coverage_factor: k of the guard band around a measured error.
         test_share: last share of an audit by time that is tested; own calibration trains on what comes before it.
         least_own_windows: with fewer training windows a network of one's own says little and is left out.
+        audit_rest: quantile of the output that stands for rest where an audit is compared with the unit's recording.
     """
 
     default_factor: float = setting(3.0)
     coverage_factor: float = setting(2.0, "95 % of a normal distribution, ILAC-G8:09/2019")
     test_share: float = setting(0.25, "Kim et al. 2020, Table 1")
     least_own_windows: int = setting(400)
+    audit_rest: float = setting(0.02)
 
 
 @dataclass(frozen=True)

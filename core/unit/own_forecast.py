@@ -1,6 +1,6 @@
-"""Forecast what a calibration of the unit's own would leave open: noise, clipping, creep. No label of the unit is seen.
+"""Forecast the error that a network trained on the unit's own labels would have; no label of the unit is needed.
 
-A unit that reads badly with any calibration is not helped by its own; the map is to blame only for what is beyond this.
+It is what noise, clipping and creep leave open with any calibration. Only the forecast error beyond it is the map's.
 """
 
 from collections.abc import Mapping
@@ -29,11 +29,13 @@ def forecast_own(terms: Mapping[str, float], knowledge: LoadKnowledge) -> float:
 def own_terms(
     model: SourceModel, target: OutputRecording, unit_map: UnitMap, evidence: MapEvidence
 ) -> dict[str, float]:
-    """Return what the unit's own calibration would suffer from too, in the reference unit.
+    """Return the standard uncertainties that a calibration of the unit's own would have too, in the reference unit.
 
-    `floor`: the error of f on its own source. `noise`: the unit's output noise, carried through map and network, beyond
-    the source's. `clipping` and `rest`: as in the budget. `excess`: what the forecast error has beyond the network's;
-    creep, lag and loops that a window does not show are misread by any network.
+    - `floor`: the error of f on its own source.
+    - `noise`: the unit's output noise beyond the source's, carried through map and network.
+    - `clipping`, `rest`: as in the budget.
+    - `excess`: the forecast error beyond the network's. Part of it is creep, lag and hysteresis that a window does not
+      show; no network that reads windows could do better.
 
     Args:
         model: the lot's source.
@@ -43,6 +45,7 @@ def own_terms(
     """
     network, budget, rows = model.network, evidence.budget, model.method.forecast.own_rows
     known = model.source.unlabelled
+    # Variances subtract: f was trained with the source's noise, so that much is in `floor` already.
     noise = noise_error(network, target, rows, unit_map) ** 2 - noise_error(network, known, rows) ** 2
     # The line spreads loads, not outputs: an own calibration sees the loads.
     forecast = forecast_error({name: u for name, u in budget.items() if name != LINE}, evidence.knowledge)
@@ -59,6 +62,7 @@ def noise_error(network: Network, recording: OutputRecording, windows: int, unit
     """Return the RMS change of the estimates under one more draw of the recording's output noise."""
     rows = np.linspace(0, len(recording.windows) - 1, windows).astype(np.int64)
     clean = recording.windows[rows]
+    # One more draw of the noise on top of the recorded one: its effect is that of the noise itself.
     noisy = clean + output_noise(recording) * np.random.default_rng(0).standard_normal(clean.shape)
     if unit_map is not None:
         clean, noisy = unit_map.apply(clean), unit_map.apply(noisy)

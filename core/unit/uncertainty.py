@@ -189,9 +189,8 @@ def _tabulate(
         for d in range(len(DIRECTIONS)):
             table[d, b] = _shrunk(values[in_band & (direction == d)], level, statistic, prior)
     centres = (np.arange(bands) + 0.5) * LEVELS / bands
-    return np.stack(
-        [np.interp(np.arange(LEVELS) + 0.5, centres, row) for row in np.maximum(table, 1e-3 * whole + 1e-12)]
-    )
+    table = np.maximum(table, config.least_share * whole + 1e-12)
+    return np.stack([np.interp(np.arange(LEVELS) + 0.5, centres, row) for row in table])
 
 
 def _shrunk(values: Array, expected: float, statistic: Callable[[Array], float], prior: float) -> float:

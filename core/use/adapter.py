@@ -1,13 +1,13 @@
-"""Estimates of a unit in long use: f∘γ₀∘A_t with a correction A_t that follows the drift of the sensor, causally.
+"""Estimates of a unit in long use: f∘γ₀∘A_t with an affine correction A_t that follows the drift of the sensor.
 
-A stream is worked through in batches of fixed size, counted from its first row: each row is estimated with the map of
-its batch, and what a batch shows can change the map of the next one only. So a row depends on no later row, one sample
-at a time and whole arrays give the same rows, and memory does not grow.
+A stream is worked through in batches of fixed size, counted from its first row. Each row is estimated with the
+correction of its batch; what a batch shows changes the correction of the next one only. So a row depends on no later
+row (the estimate is causal), single samples and whole arrays give the same rows, and memory does not grow.
 """
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,9 @@ from softcal.core.unit.estimate import FLAG_TYPE, SATURATED, STUCK, Estimate, Es
 from softcal.core.unit.uncertainty import NORMAL_90
 from softcal.core.use.activity import CalibratedUse, learn_use
 from softcal.core.use.cycles import CycleCutter
-from softcal.core.use.intake import BATCH, WRONG_RATE, Intake, Mask
+from softcal.core.use.intake import WRONG_RATE, Intake, RowMask
+from softcal.core.use.kept import restored
+from softcal.core.use.method import DoubtConfig, UseMethod
 from softcal.core.use.tracker import DriftTracker, Observation
 from softcal.core.windows import resting
 
@@ -32,7 +34,7 @@ RECALIBRATE = "recalibrate"
 UNSETTLED = "unsettled"
 """Flag of rows that would be trusted, were it not for a sudden change that more cycles must explain."""
 
-STATE_FORMAT = 2
+STATE_FORMAT = 3
 """Of what `Adapter.state` returns; raised whenever a state kept before could not be gone on from."""
 
 NOT_EVIDENCE = (STUCK, SATURATED, WRONG_RATE)
@@ -40,12 +42,6 @@ NOT_EVIDENCE = (STUCK, SATURATED, WRONG_RATE)
 
 MOST_UPDATES = 4096
 """Changes kept for a caller that does not take them."""
-
-SILENT_BATCHES = 8
-"""So many batches without a usable sample raise the alarm."""
-
-SWAP = 0.005
-"""The map is replaced when it would move an extreme of the output by this share of its scale."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +51,11 @@ class AdaptConfig:
     Args:
         mode: `none` leaves the map as it is; `basic` compares the use with the calibration recording alone; `improved`
             also learns other uses from the best estimates so far (Kim et al. 2020, Fig. 5).
-        alarm_ratio: recalibration is due when the predicted error exceeds this many times that of the calibration.
+        method: every number that decides.
     """
 
     mode: str = "improved"
-    alarm_ratio: float = 2.0
+    method: UseMethod = field(default_factory=UseMethod)
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
@@ -118,16 +114,23 @@ class Adapter:
     ) -> None:
         check_fits(network, calibration, recording.output_unit)
         self._network, self._calibration, self._config = network, calibration, config
-        self._use, self._error_per_scale = _learn(network, calibration, recording)
+        method = self._method = config.method
+        self._use, self._error_per_scale = _learn(network, calibration, recording, method)
         self._calibrated_rmse = _calibrated_rmse(calibration)
         self._sample_rate_Hz = recording.sample_rate_Hz
-        self._intake = Intake(self._sample_rate_Hz, self._use.mean)
-        self._cutter = CycleCutter(self._use.low, self._use.high, self._use.usual, self._use.longest)
-        self._tracker = DriftTracker(self._use, config.mode == "improved")
+        self._intake, self._cutter, self._tracker = self._parts()
         self._evidence: list[tuple[float, float] | None] = []
         self._row, self._silent_batches, self._doubt = 0, 0, 0.0
         self._current = self._start()
         self._updates = deque([self._current], maxlen=MOST_UPDATES)
+
+    def _parts(self) -> tuple[Intake, CycleCutter, DriftTracker]:
+        use, method = self._use, self._method
+        return (
+            Intake(self._sample_rate_Hz, use.mean, method.intake),
+            CycleCutter(use.low, use.high, use.usual, use.longest, method.cycle),
+            DriftTracker(use, self._config.mode == "improved", method),
+        )
 
     @property
     def current(self) -> MapUpdate:
@@ -164,26 +167,27 @@ class Adapter:
             output: in the unit of the calibration; NaN makes the row `invalid`.
         """
         n = len(output)
-        value, lower, upper = (np.full(n, np.nan) for _ in range(3))
+        value, lower, upper = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
         flag = np.empty(n, dtype=FLAG_TYPE)
-        start = 0
+        start, batch = 0, self._method.intake.batch
         while start < n:
-            stop = min(n, start + BATCH - self._row % BATCH)
+            stop = min(n, start + batch - self._row % batch)
             piece = slice(start, stop)
             value[piece], lower[piece], upper[piece], flag[piece] = self._estimate(t_s[piece], output[piece])
             self._row += stop - start
-            if self._row % BATCH == 0:
+            if self._row % batch == 0:
                 self._close_batch()
             start = stop
         return Estimate(t_s, value, lower, upper, flag, self._network.reference_unit)
 
     def _estimate(self, t_s: Array, output: Array) -> tuple[Array, Array, Array, Flags]:
-        first = self._row % BATCH
+        first = self._row % self._method.intake.batch
         rows = slice(first, first + len(output))
         taken = self._intake.take(t_s, output, first)
         correction = AffineMap(self._current.gain, self._current.offset)
         mapped = self._calibration.unit_map.apply(correction.apply(taken.windows))
         value, lower, upper, flag = judge(self._network, self._calibration, mapped, taken.windows[:, -1], taken.run)
+        # Independent errors add in squares: those of the calibration's interval and of the drift.
         half = np.sqrt((0.5 * (upper - lower)) ** 2 + (NORMAL_90 * self._doubt) ** 2)[rows]
         value = np.where(taken.is_full, value, np.nan)[rows]
         flag = np.where(taken.flag != "", taken.flag, flag)[rows]
@@ -192,7 +196,7 @@ class Adapter:
             flag[flag == ""] = UNSETTLED if self._tracker.is_unsettled else RECALIBRATE
         return value, value - half, value + half, flag
 
-    def _gather(self, t_s: Array, output: Array, is_valid: Mask, is_restart: Mask, flag: Flags) -> None:
+    def _gather(self, t_s: Array, output: Array, is_valid: RowMask, is_restart: RowMask, flag: Flags) -> None:
         """Keep what this piece says about the use; None marks a break in it."""
         is_usable = is_valid & ~np.isin(flag, NOT_EVIDENCE)
         for k in range(len(output)):
@@ -227,6 +231,7 @@ class Adapter:
                 continue
             for cycle in self._cutter.advance(stretch[:, 0], stretch[:, 1]):
                 observations.append(self._tracker.observe(cycle))
+            self._cutter.join(self._tracker.least_s * self._sample_rate_Hz)
         return observations
 
     def _proposed(self, last: Observation | None, growth: float) -> MapUpdate:
@@ -234,7 +239,8 @@ class Adapter:
         gain, offset = self._tracker.correction()
         ends = np.array([self._use.low, self._use.high])
         moved = (gain - self._current.gain) * ends + offset - self._current.offset
-        if np.max(np.abs(moved)) < SWAP * self._use.scale:
+        # Below this size a new correction is not worth a row of the record.
+        if np.max(np.abs(moved)) < self._method.doubt.swap * self._use.scale:
             gain, offset = self._current.gain, self._current.offset
         predicted_rmse = self._predicted_rmse(growth)
         seen = self._current if last is None else last
@@ -268,13 +274,13 @@ class Adapter:
         return float(np.hypot(self._calibrated_rmse, drift_error))
 
     def _alarm(self, predicted_rmse: float) -> str:
-        if self._silent_batches >= SILENT_BATCHES:
+        if self._silent_batches >= self._method.intake.silent_batches:
             return "the sensor gives no usable samples; check sensor and cable"
         if self._tracker.alarm:
             return self._tracker.alarm
         if self._tracker.is_unsettled:
             return self._current.alarm
-        if predicted_rmse > self._config.alarm_ratio * self._calibrated_rmse:
+        if predicted_rmse > self._method.doubt.alarm_ratio * self._calibrated_rmse:
             return "the predicted error has grown past the limit; calibrate against a reference"
         return ""
 
@@ -292,16 +298,21 @@ class Adapter:
             row: count rows from here at least.
         """
         self._row = max(self._row, row)
-        self._row += -self._row % BATCH
+        # A batch never holds rows from before and after the interruption.
+        self._row += -self._row % self._method.intake.batch
         self._evidence = []
-        self._intake = Intake(self._sample_rate_Hz, self._use.mean)
+        self._intake = Intake(self._sample_rate_Hz, self._use.mean, self._method.intake)
         self._cutter.restart()
         self._tracker.reconnect()
 
     def state(self) -> dict[str, object]:
-        """Return all that a restart needs besides network, calibration and recording, as JSON values."""
+        """Return all that a restart needs besides network, calibration and recording, as JSON values.
+
+        The method is part of it: `restore` under another method says which numbers changed.
+        """
         return {
             "format": STATE_FORMAT,
+            "method": self._method.to_json(),
             "row": self._row,
             "doubt": self._doubt,
             "silent_batches": self._silent_batches,
@@ -312,23 +323,33 @@ class Adapter:
             "tracker": self._tracker.state(),
         }
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: Mapping[str, Any]) -> list[str]:
         """Go on from a `state()` taken earlier, of the same unit and calibration.
 
+        Returns:
+            The numbers of the method that have changed since, as `name: earlier value, now value`.
+
         Raises:
-            InputError: the state was taken by a version that keeps other things in it.
+            InputError: the state was taken by a version that keeps other things in it; nothing was changed.
         """
         # The first states named no format.
         if (found := state.get("format", 1)) != STATE_FORMAT:
             raise InputError(f"its state has format {found}, this version goes on from format {STATE_FORMAT} alone")
+        names = {"format", "method", "row", "doubt", "silent_batches", "evidence", "current", "intake", "cutter"}
+        if wrong := {*names, "tracker"} ^ set(state):
+            raise InputError(f"its state does not fit this version: {min(wrong)} is missing or unknown")
+        current = restored(MapUpdate, state["current"])
+        # All of it is read before any of it counts: a state that does not fit changes nothing.
+        intake, cutter, tracker = self._parts()
+        intake.restore(state["intake"])
+        cutter.restore(state["cutter"])
+        tracker.restore(state["tracker"])
+        self._intake, self._cutter, self._tracker, self._current = intake, cutter, tracker, current
         self._row, self._doubt = int(state["row"]), float(state["doubt"])
         self._silent_batches = int(state["silent_batches"])
         self._evidence = [None if pair is None else (pair[0], pair[1]) for pair in state["evidence"]]
-        self._current = MapUpdate(**state["current"])
         self._updates.clear()
-        self._intake.restore(state["intake"])
-        self._cutter.restore(state["cutter"])
-        self._tracker.restore(state["tracker"])
+        return self._method.changes(UseMethod.of(state["method"]))
 
 
 def _stretches(evidence: list[tuple[float, float] | None]) -> list[Array | None]:
@@ -346,28 +367,36 @@ def _stretches(evidence: list[tuple[float, float] | None]) -> list[Array | None]
     return stretches[:-1]
 
 
-def _learn(network: Network, calibration: Calibration, recording: OutputRecording) -> tuple[CalibratedUse, float]:
+def _learn(
+    network: Network, calibration: Calibration, recording: OutputRecording, method: UseMethod
+) -> tuple[CalibratedUse, float]:
     """Return the calibrated use, and by how much an estimate moves (RMS) when the output moves by one scale of it."""
-    windows = recording.windows[:: max(1, len(recording) // 4000)]
+    config = method.doubt
+    windows = recording.windows[:: max(1, len(recording) // config.slope_rows)]
 
     def estimates(moved: Array) -> Array:
         return network.evaluate(calibration.unit_map.apply(moved))
 
     is_rising = np.cov(windows[:, -1], estimates(windows))[0, 1] >= 0
-    use = learn_use(recording, bool(is_rising), _zero_load_output(recording, estimates))
-    step = 0.05 * use.scale
-    rise = (estimates(windows + step) - estimates(windows - step)) / 0.1
+    zero_output = _zero_load_output(recording, estimates, method.cycle.swing, config)
+    use = learn_use(recording, bool(is_rising), zero_output, method)
+    # A difference over a finite step, not the derivative: f is piecewise linear with kinks close together.
+    step = config.slope_step * use.scale
+    rise = (estimates(windows + step) - estimates(windows - step)) / (2 * config.slope_step)
     return use, float(np.sqrt(np.mean(rise**2)))
 
 
-def _zero_load_output(recording: OutputRecording, estimates: Callable[[Array], Array]) -> float | None:
+def _zero_load_output(
+    recording: OutputRecording, estimates: Callable[[Array], Array], swing: tuple[float, float], config: DoubtConfig
+) -> float | None:
     """Return the constant output that is estimated as zero, up to a swing beyond the recording; None without one."""
-    low, high = np.quantile(recording.output, (0.02, 0.98))
-    levels = np.linspace(2 * low - high, 2 * high - low, 300)
+    low, high = np.quantile(recording.output, swing)
+    levels = np.linspace(2 * low - high, 2 * high - low, config.zero_levels)
     values = estimates(resting(levels))
     crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)
     if not len(crossings):
         return None
+    # f may cross zero more than once outside what it was trained on: the crossing next to the unloaded end counts.
     unloaded = low if values[-1] > values[0] else high
     return float(levels[crossings[np.argmin(np.abs(levels[crossings] - unloaded))]])
 

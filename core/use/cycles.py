@@ -1,46 +1,30 @@
-"""Cut a stream into its cycles of use and describe each by a few numbers; constant memory, no knowledge of drift."""
+"""Segmentation of a stream into cycles of use, each described by a few features; constant memory.
+
+A cycle ends where the output rises through an upper threshold after it was below a lower one (hysteresis thresholding,
+as a Schmitt trigger does). Nothing here knows of drift.
+"""
 
 from collections.abc import Mapping
-from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from softcal.core.recording import Array
+from softcal.core.use.kept import array, restored, state_of
+from softcal.core.use.method import CycleConfig
 from softcal.core.windows import TAPS
-
-LEVELS = (np.arange(16) + 0.5) / 16
-"""Probabilities at which the distribution of a cycle is described."""
-
-KEPT = 512
-"""Samples of a cycle kept for its quantiles; a longer cycle is thinned evenly."""
-
-MIN_SAMPLES = 32
-"""Shorter cycles are taken together until they have this many samples."""
-
-BAND = (0.3, 0.7)
-"""A cycle ends where the output rises through the upper of these shares of its swing after being below the lower."""
-
-SWING_MEMORY = 0.2
-"""Weight of the newest cycle in the swing the next one is cut with."""
-
-OVERDUE = 1.5
-"""A cycle that takes so many times the usual turns elsewhere: the swing is taken anew from the latest samples."""
-
-LEAST_SWING = 0.3
-"""Unless that is smaller than this share of the calibrated swing: then it is a pause."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
-    """One cycle of use as unlabelled data show it.
+    """One cycle of use, described by features of the output alone.
 
     Args:
         level: mean of the output, in its unit.
         scale: standard deviation, in the same unit.
-        low, high: mean of the lowest and highest sixteenth: the turning points.
-        shape: (16,) standardised quantiles, (quantile - level) / scale.
+        low, high: mean of the lowest and highest sixteenth of the samples: the turning points.
+        shape: (q,) standardised quantiles, (quantile - level) / scale.
         speed: RMS change over one window, in units of `scale`.
         duration_s: how long it took.
         end_s: time of its last sample.
@@ -51,7 +35,7 @@ class Cycle:
     scale: float
     low: float
     high: float
-    shape: Array
+    shape: Array = field(metadata=array("q"))
     speed: float
     duration_s: float
     end_s: float
@@ -66,14 +50,40 @@ class Cycle:
         moved = {name: (getattr(self, name) - mean) / scale for name in ("level", "low", "high")}
         return replace(self, scale=self.scale / scale, **moved)
 
-    def state(self) -> dict[str, object]:
-        """Return the cycle as JSON values."""
-        return vars(self) | {"shape": self.shape.tolist()}
 
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> "Cycle":
-        """Rebuild from `state()`."""
-        return cls(**{**state, "shape": np.array(state["shape"])})
+@dataclass
+class CutterState:
+    """What a restart needs.
+
+    Args:
+        low, high: turning points that cycles are cut with, in the unit of the output.
+        usual: samples of a usual cycle.
+        least: fewest samples of a cycle; shorter ones are joined until they have so many.
+        silent: samples since the output last turned.
+        was_low: whether the output was below the lower threshold since the last cycle began.
+        has_start: whether the cycle under way was seen from its start.
+        kept: samples of the cycle under way, every `stride`th.
+        tail: last TAPS - 1 samples, for changes over a window.
+        stride, count: decimation of `kept`, and samples of the cycle so far.
+        start_s, end_s: times of its first and newest sample.
+        changes, squared_changes: number and sum of squares of its changes over a window.
+    """
+
+    low: float
+    high: float
+    usual: float
+    least: float
+    silent: int = 0
+    was_low: bool = False
+    has_start: bool = False
+    kept: list[float] = field(default_factory=list)
+    tail: list[float] = field(default_factory=list)
+    stride: int = 1
+    count: int = 0
+    start_s: float = 0.0
+    end_s: float = 0.0
+    changes: int = 0
+    squared_changes: float = 0.0
 
 
 class CycleCutter:
@@ -83,113 +93,133 @@ class CycleCutter:
         low, high: where the output turned in the calibration recording, in its unit: the first swing to cut with.
         usual: samples of a cycle there.
         longest: most samples of a cycle; after that many the output counts as not cycling.
+        config: thresholds and lengths.
     """
 
-    def __init__(self, low: float, high: float, usual: float, longest: int) -> None:
-        self._low, self._high, self._usual, self._longest = low, high, usual, longest
-        self._patience = OVERDUE * max(usual, MIN_SAMPLES)
-        self._least_swing = LEAST_SWING * (high - low)
-        self._silent = 0
-        self.restart()
+    def __init__(self, low: float, high: float, usual: float, longest: int, config: CycleConfig) -> None:
+        self._longest, self._config = longest, config
+        self._patience = config.overdue * max(usual, config.min_samples)
+        self._least_swing = config.least_swing * (high - low)
+        self._levels = (np.arange(config.quantiles) + 0.5) / config.quantiles
+        self._now = CutterState(low, high, usual, config.min_samples)
 
     def restart(self) -> None:
         """Forget the cycle under way, after a gap or a fault: it ends in no `Cycle`."""
-        self._was_low, self._has_start = False, False
-        self._silent = 0
-        self._kept: list[float] = []
-        self._tail: list[float] = []
-        self._stride, self._count, self._start_s, self._end_s = 1, 0, 0.0, 0.0
-        self._changes, self._squared_changes = 0, 0.0
+        self._now = CutterState(self._now.low, self._now.high, self._now.usual, self._now.least)
+
+    def join(self, samples: float) -> None:
+        """Join cycles until they have so many samples from now on: single ones of an irregular use are not alike.
+
+        By samples and not by number: joined cycles of one length have nearly equal durations.
+        """
+        if samples > self._now.least:
+            self._now.least = self._now.usual = samples
+            self.restart()
 
     def advance(self, t_s: Array, output: Array) -> list[Cycle]:
         """Take (n,) further samples that follow the last ones without a gap; return the cycles that ended in them."""
-        found, start = [], 0
+        now, found, start = self._now, [], 0
         for end in self._turns(output):
             self._collect(t_s[start:end], output[start:end])
             start = end
-            if self._has_start and self._count >= MIN_SAMPLES:
+            if now.has_start and now.count >= now.least:
                 found.append(self._finish(is_complete=True))
-            elif not self._has_start:
+            elif not now.has_start:
                 self._begin()
         self._collect(t_s[start:], output[start:])
-        self._silent = len(output) - start + (0 if start else self._silent)
-        if self._count >= self._longest:
+        now.silent = len(output) - start + (0 if start else now.silent)
+        if now.count >= max(self._longest, 2 * now.least):
             found.append(self._finish(is_complete=False))
-        elif self._silent > max(self._patience, OVERDUE * self._usual):
+        elif now.silent > max(self._patience, self._config.overdue * now.usual):
             self._take_swing()
         return found
 
     def _take_swing(self) -> None:
-        """Look for cycles in the swing of what was seen lately."""
-        recent = self._kept[-max(1, self._silent // self._stride) :]
-        self._silent = 0
-        low, high = (float(v) for v in np.quantile(recent, (0.02, 0.98)))
+        """Estimate the turning points anew from the samples since the last turn."""
+        now = self._now
+        recent = now.kept[-max(1, now.silent // now.stride) :]
+        now.silent = 0
+        low, high = (float(v) for v in np.quantile(recent, self._config.swing))
+        # Noise at rest also has a swing. Cut with it, a pause would give cycles of its own.
         if high - low >= self._least_swing:
-            self._low, self._high = low, high
-            self._was_low, self._has_start = False, False
+            now.low, now.high = low, high
+            now.was_low, now.has_start = False, False
 
     def _turns(self, output: Array) -> list[int]:
         """Return the positions where a new cycle begins."""
+        now, (lower, upper) = self._now, self._config.band
         turns, position = [], 0
-        swing = self._high - self._low
-        below = output < self._low + BAND[0] * swing
-        above = output > self._low + BAND[1] * swing
+        swing = now.high - now.low
+        below = output < now.low + lower * swing
+        above = output > now.low + upper * swing
         while position < len(output):
-            wanted = above if self._was_low else below
+            wanted = above if now.was_low else below
             step = int(np.argmax(wanted[position:]))
             if not wanted[position + step]:
                 break
             position += step
-            if self._was_low:
+            if now.was_low:
                 turns.append(position)
-            self._was_low = not self._was_low
+            now.was_low = not now.was_low
         return turns
 
     def _begin(self) -> None:
-        self._kept.clear()
-        self._stride, self._count = 1, 0
-        self._changes, self._squared_changes = 0, 0.0
-        self._has_start = True
+        now = self._now
+        now.kept = []
+        now.stride, now.count = 1, 0
+        now.changes, now.squared_changes = 0, 0.0
+        now.has_start = True
 
     def _collect(self, t_s: Array, output: Array) -> None:
         if not len(output):
             return
-        if self._count == 0:
-            self._start_s = float(t_s[0])
-        self._end_s = float(t_s[-1])
-        first = -self._count % self._stride
-        self._kept.extend(output[first :: self._stride].tolist())
-        while len(self._kept) > KEPT:
-            self._kept, self._stride = self._kept[::2], 2 * self._stride
-        self._count += len(output)
-        joined = np.concatenate([self._tail, output])
+        now = self._now
+        if now.count == 0:
+            now.start_s = float(t_s[0])
+        now.end_s = float(t_s[-1])
+        first = -now.count % now.stride
+        now.kept.extend(output[first :: now.stride].tolist())
+        # Halving keeps the samples evenly spaced however long the cycle becomes; a reservoir would need random numbers.
+        while len(now.kept) > self._config.kept:
+            now.kept, now.stride = now.kept[::2], 2 * now.stride
+        now.count += len(output)
+        joined = np.concatenate([now.tail, output])
         changes = joined[TAPS - 1 :] - joined[: -TAPS + 1]
-        self._changes += len(changes)
-        self._squared_changes += float(changes @ changes)
-        self._tail = joined[-TAPS + 1 :].tolist()
+        now.changes += len(changes)
+        now.squared_changes += float(changes @ changes)
+        now.tail = joined[-TAPS + 1 :].tolist()
 
     def _finish(self, is_complete: bool) -> Cycle:
-        values = np.sort(self._kept)
+        now, config = self._now, self._config
+        values = np.sort(now.kept)
         level, scale = float(values.mean()), float(values.std())
-        part = max(1, len(values) // 16)
+        # Means of many samples: single extremes would follow the noise.
+        part = max(1, len(values) // config.turning_parts)
         low, high = float(values[:part].mean()), float(values[-part:].mean())
-        shape = (np.interp(LEVELS, (np.arange(len(values)) + 0.5) / len(values), values) - level) / max(scale, 1e-300)
-        speed = np.sqrt(self._squared_changes / max(1, self._changes)) / max(scale, 1e-300)
+        quantiles = np.interp(self._levels, (np.arange(len(values)) + 0.5) / len(values), values)
+        speed = np.sqrt(now.squared_changes / max(1, now.changes)) / max(scale, 1e-300)
         cycle = Cycle(
-            level, scale, low, high, shape, float(speed), self._end_s - self._start_s, self._end_s, is_complete
+            level=level,
+            scale=scale,
+            low=low,
+            high=high,
+            shape=(quantiles - level) / max(scale, 1e-300),
+            speed=float(speed),
+            duration_s=now.end_s - now.start_s,
+            end_s=now.end_s,
+            is_complete=is_complete,
         )
-        self._low += SWING_MEMORY * (low - self._low)
-        self._high += SWING_MEMORY * (high - self._high)
+        now.low += config.memory * (low - now.low)
+        now.high += config.memory * (high - now.high)
         if is_complete:
-            self._usual += SWING_MEMORY * (self._count - self._usual)
+            now.usual += config.memory * (now.count - now.usual)
         self._begin()
         return cycle
 
     def state(self) -> dict[str, object]:
         """Return all that a restart needs, as JSON values."""
-        return {name.removeprefix("_"): copy(value) for name, value in vars(self).items()}
+        return state_of(self._now)
 
-    def restore(self, state: Mapping[str, object]) -> None:
+    def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a `state()` taken earlier."""
-        for name in vars(self):
-            setattr(self, name, copy(state[name.removeprefix("_")]))
+        self._now = restored(CutterState, state)

@@ -1,30 +1,30 @@
-"""The random-walk filter (Kalman 1960) that drift is followed with; each activity is a witness with a bias of its own.
+"""A Kalman filter for the drift of one sensor (Kalman 1960): a random walk, measured with a bias by each activity.
 
-The state is the drift d, (2,) shift and log gain, and for each known activity k the bias b_k of what its cycles say:
-they measure d + b_k. An activity learnt in use was told the drift as it was known then: its bias is the error of that,
-fully correlated with the drift. So it never knows the drift better than that, and what it sees move is known well.
+The state is the drift d, (2,) shift and log gain, and for each known activity k the bias b_k of its cycles: a cycle of
+activity k measures d + b_k plus noise. The calibrated activity has an independent bias. An activity learnt in use took
+the drift as it was estimated then as its zero, so its bias is the error of that estimate, fully correlated with the
+drift. Its cycles therefore never make the drift better known than it was then, but show well how it moves on.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from softcal.core.recording import Array
+from softcal.core.recording import Array, Indices
+from softcal.core.use.kept import array
 
 
 @dataclass(frozen=True, eq=False)
 class DriftFilter:
-    """Drift and biases as they are known.
+    """Estimated drift and biases with their covariance.
 
     Args:
         mean: (2 + 2 K,) drift, then the bias of each of K activities.
         covariance: (2 + 2 K, 2 + 2 K) of their errors.
     """
 
-    mean: Array
-    covariance: Array
+    mean: Array = field(metadata=array("n"))
+    covariance: Array = field(metadata=array("n", "n"))
 
     @classmethod
     def start(cls, doubt: Array) -> "DriftFilter":
@@ -41,7 +41,7 @@ class DriftFilter:
         return self.covariance[:2, :2]
 
     def moved(self, variance: Array) -> "DriftFilter":
-        """Return the filter after the drift may have moved, (2, 2) variance."""
+        """Return the filter after a step of the random walk with (2, 2) process noise."""
         covariance = self.covariance.copy()
         covariance[:2, :2] += variance
         return DriftFilter(self.mean, covariance)
@@ -69,8 +69,9 @@ class DriftFilter:
         return DriftFilter(np.append(self.mean, [0.0, 0.0]), covariance)
 
     def with_learnt(self, variance: Array) -> "DriftFilter":
-        """Return the filter with one activity more, that was told the drift as it is known now."""
+        """Return the filter with one activity more, whose zero is the drift as it is estimated now."""
         n = len(self.mean)
+        # b = -(d - estimate of d) + error of the mean over the cycles it was learnt from.
         told = np.vstack([np.eye(n), np.zeros((2, n))])
         told[n:, :2] = -np.eye(2)
         covariance = told @ self.covariance @ told.T
@@ -79,19 +80,15 @@ class DriftFilter:
 
     def without(self, index: int) -> "DriftFilter":
         """Return the filter with one activity less."""
-        kept = np.delete(np.arange(len(self.mean)), [2 + 2 * index, 3 + 2 * index])
+        kept = np.delete(np.arange(len(self.mean)), self._places(index))
         return DriftFilter(self.mean[kept], self.covariance[np.ix_(kept, kept)])
 
     def _sight(self, index: int) -> Array:
+        """Return the (2, n) measurement matrix of an activity: drift plus its bias."""
         sight = np.zeros((2, len(self.mean)))
-        sight[:, :2] = sight[:, 2 + 2 * index : 4 + 2 * index] = np.eye(2)
+        sight[:, :2] = sight[:, self._places(index)] = np.eye(2)
         return sight
 
-    def state(self) -> dict[str, object]:
-        """Return all fields as JSON values."""
-        return {"mean": self.mean.tolist(), "covariance": self.covariance.tolist()}
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> "DriftFilter":
-        """Rebuild from `state()`."""
-        return cls(np.array(state["mean"]), np.array(state["covariance"]))
+    def _places(self, index: int) -> Indices:
+        """Return the (2,) places of an activity's bias in the state."""
+        return 2 * (index + 1) + np.arange(2)

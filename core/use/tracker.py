@@ -1,74 +1,33 @@
 """How far a sensor has drifted since its calibration, from the cycles of its use; and when that cannot be told.
 
-With m and s the mean and scale of the calibrated use, drift is a shift mu and a log gain lambda,
+With m and s the mean and scale of the calibrated use, drift is a level shift mu and a log gain lambda,
 
     (output - m) / s = mu + exp(lambda) (calibrated output - m) / s,
 
-followed over cycles by a random-walk filter (Kalman 1960). Its measurement noise is what cycles of one activity differ
-by; its measurements are the cycles whose standardised distribution, speed and duration are those of a known activity.
-A change of use alters these; a drift of the sensor does not.
+estimated over cycles by a Kalman filter on a random walk (Kalman 1960). The measurements are the cycles of known
+activities; their scatter within an activity is the measurement noise. Three changes are told apart:
+
+- drift: small innovations, which the filter follows, faster while their mean has one sign for long (an adaptive
+  process noise in place of a fixed forgetting factor);
+- a re-seated sensor: an abrupt change (a jump) that moves the level of rest;
+- another use: another distribution, speed or duration of the cycles, or an abrupt change that leaves the rest alone.
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.use.activity import REST_SCATTER, Activity, CalibratedUse, learn_activity
-from softcal.core.use.cycles import OVERDUE, Cycle
+from softcal.core.use.activity import Activity, CalibratedUse, learn_activity
+from softcal.core.use.cycles import Cycle
 from softcal.core.use.filter import DriftFilter
+from softcal.core.use.kept import array, part, parts, restored, state_of
+from softcal.core.use.method import UseMethod
 from softcal.core.use.reseating import is_like_but_for_shape, rest_step
-from softcal.core.use.trust import Trust, gain_per_shift, movement
-
-DRIFT_PRIOR = np.array([0.02, 0.012])
-"""Standard deviation of the drift over a time as long as the calibration recording, before any is seen."""
-
-START_DOUBT = np.array([0.10, 0.05])
-"""Standard deviation of what may have happened between the calibration and the start of a stream."""
-
-STEADY_MEMORY, STEADY_SAMPLES = 20, 2560
-"""Cycles, and samples, that a drift at rest is averaged over at least."""
-
-SETTLING_SAMPLES = 256
-"""So many samples of known use after a start, and of a rest that moved, are looked at before they count."""
-
-TREND_WEIGHT = 0.1
-"""Weight of the newest cycle in the mean surprise, which tells a drift under way from chance."""
-
-PACE = 12.0
-"""A mean surprise is chance while its squared distance from zero is below this; 2 is its mean without a drift."""
-
-FASTEST = 400.0
-"""A drift under way is followed with up to this many times the variance of one at rest."""
-
-CORRECTION_DOUBT, WAY_DOUBT = 0.2, 0.12
-"""Shares of a correction, and of the way the rest has gone in all, that are doubted however well they are known.
-
-Drift is neither affine nor all of it seen, and a sensor that is on its way is followed late.
-"""
-
-UNSEEN_DRIFT = 0.15
-"""Drift in scales that may have come, unseen, in held use as long as the calibration recording, and stays so much."""
-
-JUMP_SIGMAS, JUMP_FLOOR = 4.0, np.array([0.08, 0.12])
-"""A cycle whose rest or log gain is further than both from what was expected is a jump; so far a rest has moved."""
-
-JUMP_CYCLES, MOST_JUMPS = 2, 8
-"""So many like cycles after a jump decide what it was; so many are kept while they cannot."""
-
-LARGEST_JUMP, LARGEST_DRIFT = np.array([1.0, 0.35]), np.array([1.5, 0.6])
-"""The trust region: no jump and no drift beyond these is ever followed."""
-
-NEW_ACTIVITY_CYCLES, MOST_STRANGERS = 6, 64
-NEW_ACTIVITY_SHARE = 0.25
-"""A new activity is learnt from at least so many cycles over this share of the calibration recording's length."""
-
-MAX_ACTIVITIES = 3
-REFRESH = 0.05
-"""Weight of the newest cycle in the moving shape of an activity (improved mode)."""
+from softcal.core.use.trust import Trust, movement
 
 FOLLOWED, HELD, TRIED, JUMPED = "followed", "held", "tried", "jumped"
 REST_MOVED = "the rest moved at once; the next cycles decide what it is"
@@ -98,6 +57,49 @@ class Observation:
     activity: int
 
 
+@dataclass
+class TrackerState:
+    """What a restart needs besides the calibrated use.
+
+    Args:
+        filter: drift and biases of the activities.
+        trust: what decides which part of the drift is applied.
+        activities: known ones, the calibrated one first.
+        to_settle: cycles left before the estimate is applied; `carried`, (2,), is applied until then.
+        trend: (2,) exponential mean of the innovations.
+        latest: index of the activity of the latest cycle.
+        last_s: end of the latest cycle; None before the first.
+        strangers: cycles in a row of no known activity.
+        jumps: like cycles since a jump that is not yet explained.
+        trial: shift that is applied on trial until the next cycle.
+        was_known: whether the latest cycle belonged to a known activity.
+        unseen_s: seconds of use since the drift was last measured.
+        alarm: why a calibration with a reference is due; else empty.
+        unresolved: size of an unexplained jump, in scales; 0 where there is none.
+        joined, single_s: usual cycles that are taken together as one, and the duration of a single one.
+        first_s: end of the first cycle; None before it.
+    """
+
+    filter: DriftFilter = field(metadata=part(DriftFilter))
+    trust: Trust = field(metadata=part(Trust))
+    activities: list[Activity] = field(metadata=parts(Activity))
+    to_settle: int
+    trend: Array = field(metadata=array(2))
+    carried: Array = field(metadata=array(2))
+    strangers: list[Cycle] = field(metadata=parts(Cycle))
+    jumps: list[Cycle] = field(metadata=parts(Cycle))
+    latest: int = 0
+    last_s: float | None = None
+    trial: float = 0.0
+    was_known: bool = False
+    unseen_s: float = 0.0
+    alarm: str = ""
+    unresolved: float = 0.0
+    joined: int = 1
+    single_s: float = 0.0
+    first_s: float | None = None
+
+
 class DriftTracker:
     """Follows the drift of one unit, cycle by cycle.
 
@@ -105,75 +107,94 @@ class DriftTracker:
         use: what the calibration recording taught.
         is_improved: whether new activities are learnt from the best estimates so far, and shapes may move; otherwise
             every cycle is compared with the calibration recording alone.
+        method: every number that decides.
     """
 
-    def __init__(self, use: CalibratedUse, is_improved: bool) -> None:
-        self._use, self._is_improved = use, is_improved
-        known = use.lesson.activity
+    def __init__(
+        self,
+        use: CalibratedUse,
+        is_improved: bool,
+        method: UseMethod = UseMethod(),  # noqa: B008 - frozen
+    ) -> None:
+        self._use, self._is_improved, self._method = use, is_improved, method
+        known, drift = use.lesson.activity, method.drift
         self._has_calibrated = known is not None
-        self._activities = [] if known is None else [known]
         # Without a calibrated activity the drift is counted from the first one learnt.
-        self._filter = DriftFilter.start(START_DOUBT * self._has_calibrated)
+        state = DriftFilter.start(np.array(drift.start_doubt) * self._has_calibrated)
         if known is not None:
-            self._filter = self._filter.with_independent(known.doubt)
-        self._walk = np.diag(DRIFT_PRIOR**2 + use.lesson.trend**2 * self._has_calibrated) / use.duration_s
-        self._overdue_s = OVERDUE * use.usual_s
-        self._memory = max(STEADY_MEMORY, STEADY_SAMPLES / use.usual)
-        self._trend = np.zeros(2)
-        self._trust = Trust(use.zero)
-        self._settling = max(1, math.ceil(SETTLING_SAMPLES / use.usual))
-        self._to_settle, self._carried = self._settling, np.zeros(2)
-        self._latest = 0
-        self._last_s: float | None = None
-        self._strangers: list[Cycle] = []
-        self._jumps: list[Cycle] = []
-        self._trial, self._was_known = 0.0, False
-        self._unseen_s = 0.0
-        self.alarm = ""
-        self.unresolved = 0.0
+            state = state.with_independent(known.doubt)
+        # A trend seen in the calibration recording itself may go on.
+        spread = np.array(drift.prior) ** 2 + use.lesson.trend**2 * self._has_calibrated
+        self._walk = np.diag(spread) / use.duration_s
+        self._overdue_s = method.cycle.overdue * use.usual_s
+        self._memory = max(drift.memory_cycles, drift.memory_samples / use.usual)
+        self._settling = max(1, math.ceil(drift.settling_samples / use.usual))
+        self._now = TrackerState(
+            filter=state,
+            trust=Trust(use.zero, config=method.trust),
+            activities=[] if known is None else [known],
+            to_settle=self._settling,
+            trend=np.zeros(2),
+            carried=np.zeros(2),
+            strangers=[],
+            jumps=[],
+        )
+
+    @property
+    def alarm(self) -> str:
+        """Why a calibration with a reference is due; empty while it is not."""
+        return self._now.alarm
+
+    @property
+    def is_unsettled(self) -> bool:
+        """Whether a sudden change waits for more cycles to say what it was."""
+        return self._now.unresolved > 0
+
+    @property
+    def least_s(self) -> float:
+        """Seconds that a cycle must last at least, shorter ones being joined; 0 while single cycles are compared."""
+        return self._now.joined * self._now.single_s
 
     def observe(self, cycle: Cycle) -> Observation:
         """Take one cycle of the raw output."""
-        self._filter = self._filter.moved(self._walked(cycle.end_s))
-        self._last_s, self._trial = cycle.end_s, 0.0
+        now = self._now
+        now.first_s = cycle.end_s if now.first_s is None else now.first_s
+        now.filter = now.filter.moved(self._walked(cycle.end_s))
+        now.last_s, now.trial = cycle.end_s, 0.0
         if not cycle.is_complete:
-            self._strangers.clear()
-            self._was_known = False
+            now.strangers.clear()
+            now.was_known = False
             return self._held(cycle, "no cycle of use was completed in the longest time one may take")
         standard = cycle.standardised(self._use.mean, self._use.scale)
         index = self._recognise(standard)
         if index < 0:
             return self._meet_stranger(standard)
-        self._strangers.clear()
-        self._was_known = True
+        now.strangers.clear()
+        now.was_known = True
         return self._compare(standard, index)
-
-    @property
-    def is_unsettled(self) -> bool:
-        """Whether a sudden change waits for more cycles to say what it was."""
-        return self.unresolved > 0
 
     def start(self) -> Observation:
         """Return what is known before the first cycle."""
-        shift_sd, log_gain_sd = np.sqrt(np.diag(self._filter.doubt())).tolist()
+        shift_sd, log_gain_sd = np.sqrt(np.diag(self._now.filter.doubt())).tolist()
         return Observation(0.0, HELD, "", 0.0, 0.0, shift_sd, log_gain_sd, -1)
 
     def reconnect(self) -> None:
         """Allow for what may have happened in an interruption of unknown length."""
-        self._last_s, self._trial, self._was_known = None, 0.0, False
-        self._carried, self._to_settle = self._applied(), self._settling
-        self._filter = self._filter.moved(np.diag(START_DOUBT**2))
-        self._jumps.clear()
-        self._strangers.clear()
+        now = self._now
+        now.last_s, now.trial, now.was_known = None, 0.0, False
+        now.carried, now.to_settle = self._applied(), self._settling
+        now.filter = now.filter.moved(np.diag(np.array(self._method.drift.start_doubt) ** 2))
+        now.jumps.clear()
+        now.strangers.clear()
 
     def expire(self, t_s: float) -> None:
         """End a trial whose next cycle is overdue by a time."""
-        if self._last_s is not None and t_s - self._last_s > self._overdue_s:
-            self._trial = 0.0
+        if self._now.last_s is not None and t_s - self._now.last_s > self._overdue_s + self.least_s:
+            self._now.trial = 0.0
 
     def _walked(self, t_s: float) -> Array:
-        """Return the (2, 2) variance of what drift may have come since the last cycle."""
-        return self._walk * (0.0 if self._last_s is None else max(0.0, t_s - self._last_s))
+        """Return the (2, 2) process noise since the last cycle."""
+        return self._walk * (0.0 if self._now.last_s is None else max(0.0, t_s - self._now.last_s))
 
     def correction(self) -> tuple[float, float]:
         """Return gain and offset that carry the output now to the output at calibration, as far as evidence goes."""
@@ -184,238 +205,272 @@ class DriftTracker:
     def doubt_at(self, t_s: float) -> tuple[float, float]:
         """Return two standard deviations of the drift left in the corrected output, in scales of the calibrated use.
 
-        Both hold the doubt about what was applied, a share of it and of the way of the rest, that its gain was use,
-        what a jump left open, and what may have come unseen. The first also holds all that was seen but not applied,
-        and is for intervals; the second of what is beyond chance only as much as is as likely drift as use, and is for
-        the predicted error.
+        The first is for intervals, the second for the predicted error. Both are sums of squares of: the error of the
+        applied correction (its variance, a share of its size, a share of the whole way of the rest, and that its gain
+        may have been use), what may have come since the last cycle or in use that was not compared, and an unexplained
+        jump. The first adds all of the estimated drift that was not applied. The second adds of it only what exceeds
+        chance, and of that the part that is as likely drift as use. It leaves out use that was not compared while the
+        unit's first use is still being learnt.
         """
-        drift, applied = self._filter.drift, self._applied()
-        chance = float(np.trace(self._filter.doubt()))
+        now, config = self._now, self._method.doubt
+        drift, applied = now.filter.drift, self._applied()
+        chance = float(np.trace(now.filter.doubt()))
         left = float(np.sum((drift - applied) ** 2))
         share = float(np.linalg.norm(applied)) / max(float(np.linalg.norm(drift)), 1e-12)
-        known = share**2 * chance + CORRECTION_DOUBT**2 * float(applied @ applied)
-        known += (WAY_DOUBT * self._trust.moved) ** 2 + self._trust.use_doubt(drift, applied)
-        unseen = UNSEEN_DRIFT * min(1.0, self._unseen_s / self._use.duration_s)
-        common = known + float(np.trace(self._walked(t_s))) + unseen**2 + self.unresolved**2
-        beyond = (1 - self._trust.use_share) * max(0.0, left - chance)
-        return float(np.sqrt(common + left)), float(np.sqrt(common + beyond))
+        known = share**2 * chance + config.correction**2 * float(applied @ applied)
+        known += (config.way * now.trust.moved) ** 2 + now.trust.use_doubt(drift, applied)
+        unseen = config.unseen * min(1.0, now.unseen_s / self._use.duration_s)
+        known += float(np.trace(self._walked(t_s)))
+        beyond = (1 - now.trust.use_share) * max(0.0, left - chance)
+        counted = 0.0 if self._is_learning(t_s) else unseen
+        widening = known + unseen**2 + now.unresolved**2 + left
+        growth = known + counted**2 + now.unresolved**2 + beyond
+        return float(np.sqrt(widening)), float(np.sqrt(growth))
+
+    def _is_learning(self, t_s: float) -> bool:
+        """Return whether no use is known yet, and the time in which one may be learnt is not over."""
+        now = self._now
+        if not self._is_improved or now.activities or now.first_s is None:
+            return False
+        return t_s - now.first_s < self._method.learning.first_use_s
 
     def _applied(self) -> Array:
-        if self._to_settle:
-            return self._carried
-        applied = self._trust.applied(self._filter.drift, self._seen())
-        return np.asarray(applied + np.array([self._trial, 0.0]))
+        now = self._now
+        if now.to_settle:
+            return now.carried
+        applied = now.trust.applied(now.filter.drift, self._seen())
+        return np.asarray(applied + np.array([now.trial, 0.0]))
 
     def _seen(self) -> Array:
         """Return the (2, 2) covariance of the drift as the latest activity shows it."""
-        return self._filter.seen_by(self._latest)[1] if self._activities else self._filter.doubt()
+        now = self._now
+        return now.filter.seen_by(now.latest)[1] if now.activities else now.filter.doubt()
 
     def _recognise(self, cycle: Cycle) -> int:
         """Return the activity a cycle belongs to, -1 for none; of several the latest, unless only another fits."""
-        candidates = [k for k, activity in enumerate(self._activities) if activity.strangeness(cycle) <= 1]
-        candidates.sort(key=lambda k: k != self._latest)
+        now = self._now
+        candidates = [k for k, activity in enumerate(now.activities) if activity.strangeness(cycle) <= 1]
+        candidates.sort(key=lambda k: k != now.latest)
         fitting = [k for k in candidates if not self._is_jump(cycle, k)]
         return (fitting or candidates or [-1])[0]
 
     def _is_jump(self, cycle: Cycle, index: int) -> bool:
-        """Return whether the rest or the gain a cycle shows is no drift, nor what cycles differ by."""
+        """Return whether the innovation of a cycle, at its rest or in its log gain, is too large for drift."""
+        now, config = self._now, self._method.jump
         surprise, expected = self._surprise(cycle, index)
-        gain = np.exp(self._filter.drift[1])
-        sight = np.array([[1.0, gain * self._activities[index].rest], [0.0, 1.0]])
+        gain = np.exp(now.filter.drift[1])
+        # From (shift, log gain) to (movement of the rest, log gain): use moves the shift, but no rest.
+        sight = np.array([[1.0, gain * now.activities[index].rest], [0.0, 1.0]])
         sigma = np.sqrt(np.diag(sight @ expected @ sight.T))
-        return bool(np.any(np.abs(sight @ surprise) > np.maximum(JUMP_SIGMAS * sigma, JUMP_FLOOR)))
+        return bool(np.any(np.abs(sight @ surprise) > np.maximum(config.sigmas * sigma, config.floor)))
 
     def _is_like_jumps(self, cycle: Cycle, index: int) -> bool:
-        """Return whether a cycle is nearer to those since a change of use than to what was expected.
+        """Return whether a cycle is nearer to those since a jump than to the prediction (Mahalanobis distance).
 
-        Were those of a changed use followed that happen to be within reach, they would drag the drift after the use.
+        After a change of use some of its cycles lie within reach of the old use. Followed, they would drag the drift
+        after the use.
         """
-        if len(self._jumps) < JUMP_CYCLES:
+        now = self._now
+        if len(now.jumps) < self._method.jump.cycles:
             return False
-        activity, (surprise, _) = self._activities[index], self._surprise(cycle, index)
-        drifts = [activity.drift_of(c, self._use.rest_is_low) for c in (*self._jumps, cycle)]
+        activity, (surprise, _) = now.activities[index], self._surprise(cycle, index)
+        drifts = [activity.drift_of(c, self._use.rest_is_low) for c in (*now.jumps, cycle)]
         apart = drifts[-1] - np.mean(drifts[:-1], axis=0)
         near, far = (float(d @ np.linalg.solve(activity.noise, d)) for d in (apart, surprise))
         return near < far
 
     def _surprise(self, cycle: Cycle, index: int) -> tuple[Array, Array]:
-        """Return how far the drift a cycle shows is from the one expected, and the covariance of that."""
-        mean, covariance = self._filter.seen_by(index)
-        activity = self._activities[index]
+        """Return the innovation: measured drift less the predicted one, and its covariance."""
+        now = self._now
+        mean, covariance = now.filter.seen_by(index)
+        activity = now.activities[index]
         return activity.drift_of(cycle, self._use.rest_is_low) - mean, covariance + activity.noise
 
     def _compare(self, cycle: Cycle, index: int) -> Observation:
-        activity = self._activities[index]
+        now = self._now
+        activity = now.activities[index]
         if self._is_jump(cycle, index) or self._is_like_jumps(cycle, index):
             return self._meet_jump(cycle, index)
-        self._jumps.clear()
+        now.jumps.clear()
         surprise, expected = self._surprise(cycle, index)
-        moving = self._filter.moved(self._pace(surprise, expected) * activity.noise / self._memory**2)
+        # Process noise R / n^2 makes the steady filter average over about n cycles.
+        moving = now.filter.moved(self._pace(surprise, expected) * activity.noise / self._memory**2)
         measured = moving.measured(index, activity.drift_of(cycle, self._use.rest_is_low), activity.noise)
-        if np.any(np.abs(measured.drift) > LARGEST_DRIFT):
-            self.alarm = "the drift has left the range that is followed"
-            return self._held(cycle, self.alarm, index)
+        if np.any(np.abs(measured.drift) > self._method.drift.largest):
+            now.alarm = "the drift has left the range that is followed"
+            return self._held(cycle, now.alarm, index)
         if self._is_improved:
-            self._activities[index] = activity.refreshed(cycle, REFRESH)
-        self._to_settle = max(0, self._to_settle - 1)
-        self._accept(measured, index, 1 / self._settling)
-        is_open = self._trust.is_use_as_likely(self._filter.drift, self._seen())
+            now.activities[index] = activity.refreshed(cycle, self._method.learning.refresh)
+        now.to_settle = max(0, now.to_settle - 1)
+        self._accept(measured, index)
+        is_open = now.trust.is_use_as_likely(now.filter.drift, self._seen())
         return self._observation(cycle, FOLLOWED, USE_OR_GAIN if is_open else "", index)
 
-    def _accept(self, measured: DriftFilter, index: int, weight: float) -> None:
+    def _accept(self, measured: DriftFilter, index: int) -> None:
         """Take a measurement for the drift."""
-        self._filter, self._latest, self._unseen_s = measured, index, 0.0
-        self._trust = self._trust.after(self._activities[index], measured.drift, self._seen(), weight)
-        self._jumps.clear()
-        self.alarm, self.unresolved = "", 0.0
+        now = self._now
+        now.filter, now.latest, now.unseen_s = measured, index, 0.0
+        now.trust = now.trust.after(now.activities[index], measured.drift, self._seen(), 1 / self._settling)
+        now.jumps.clear()
+        now.alarm, now.unresolved = "", 0.0
 
     def _pace(self, surprise: Array, expected: Array) -> float:
-        """Return how many times faster than at rest the drift is, from surprises that keep one sign."""
-        self._trend = self._trend + TREND_WEIGHT * (surprise - self._trend)
-        chance = TREND_WEIGHT / (2 - TREND_WEIGHT) * expected
-        return float(np.clip(self._trend @ np.linalg.solve(chance, self._trend) / PACE, 1, FASTEST))
+        """Return the factor on the process noise: above 1 while innovations keep one sign beyond chance."""
+        now, config = self._now, self._method.drift
+        weight = config.trend_weight
+        now.trend = now.trend + weight * (surprise - now.trend)
+        # Variance of an exponential mean of independent values.
+        chance = weight / (2 - weight) * expected
+        distance = now.trend @ np.linalg.solve(chance, now.trend)
+        return float(np.clip(distance / config.pace, 1, config.fastest))
 
     def _meet_jump(self, cycle: Cycle, index: int) -> Observation:
         """Hold a sudden change until like cycles say what it was, then follow it or not."""
-        activity = self._activities[index]
+        now, config = self._now, self._method.jump
+        activity = now.activities[index]
         level = self._jump_level(cycle, activity)
-        step = level - self._filter.seen_by(index)[0]
-        self.unresolved = float(np.hypot(*step))
-        if len(self._jumps) < JUMP_CYCLES:
+        step = level - now.filter.seen_by(index)[0]
+        now.unresolved = float(np.hypot(*step))
+        if len(now.jumps) < config.cycles:
             if self._try(cycle, index):
                 return self._observation(cycle, TRIED, REST_MOVED, index)
-            return self._held(cycle, f"a sudden change; {JUMP_CYCLES} like cycles decide what it is", index)
-        if np.any(np.abs(step) > LARGEST_JUMP) or np.any(np.abs(self._filter.drift + step) > LARGEST_DRIFT):
-            self.alarm = "a sudden change larger than is ever followed; check the sensor and its mounting"
-            return self._held(cycle, self.alarm, index)
+            return self._held(cycle, f"a sudden change; {config.cycles} like cycles decide what it is", index)
+        after = now.filter.drift + step
+        if np.any(np.abs(step) > config.largest) or np.any(np.abs(after) > self._method.drift.largest):
+            now.alarm = "a sudden change larger than is ever followed; check the sensor and its mounting"
+            return self._held(cycle, now.alarm, index)
         if not activity.has_rest:
-            self.alarm = "a sudden change of sensor or use, which no known rest can tell apart"
-            return self._held(cycle, self.alarm, index)
+            now.alarm = "a sudden change of sensor or use, which no known rest can tell apart"
+            return self._held(cycle, now.alarm, index)
         moved = self._rest_moved(activity, step)
-        if abs(moved) > max(JUMP_FLOOR[0], 4 * activity.rest_scatter):
+        if abs(moved) > max(config.floor[0], config.rest_sigmas * activity.rest_scatter):
             return self._follow_jump(cycle, index, level, moved)
-        self.unresolved = 0.0
-        if self._is_improved and len(self._jumps) == MOST_JUMPS and self._learn(self._jumps):
-            self._jumps.clear()
+        now.unresolved = 0.0
+        if self._is_improved and len(now.jumps) == config.most and self._learn(now.jumps):
+            now.jumps.clear()
         return self._held(cycle, "the rest is where it was: the use changed, not the sensor", index)
 
     def _jump_level(self, cycle: Cycle, activity: Activity) -> Array:
         """Add a cycle to the like ones since a jump; return the drift they show."""
+        now, config = self._now, self._method.jump
         measured = activity.drift_of(cycle, self._use.rest_is_low)
-        before = [activity.drift_of(c, self._use.rest_is_low) for c in self._jumps[-MOST_JUMPS + 1 :]]
-        apart = JUMP_SIGMAS * np.sqrt(2 * np.diag(activity.noise))
+        before = [activity.drift_of(c, self._use.rest_is_low) for c in now.jumps[-config.most + 1 :]]
+        # The difference of two cycles has twice the variance of one.
+        apart = config.sigmas * np.sqrt(2 * np.diag(activity.noise))
         if before and np.any(np.abs(measured - np.mean(before, axis=0)) > apart):
             before = []
-        self._jumps = [*self._jumps[len(self._jumps) - len(before) :], cycle]
+        now.jumps = [*now.jumps[len(now.jumps) - len(before) :], cycle]
         return np.asarray(np.mean([*before, measured], axis=0))
 
     def _try(self, cycle: Cycle, index: int) -> bool:
         """Follow the rest of one cycle until the next one, where it shows a re-seating."""
-        activity, zero = self._activities[index], self._trust.zero
+        now = self._now
+        activity, zero = now.activities[index], now.trust.zero
         # Harder use moves the turning point of a preloaded sensor, though not its output at zero load.
-        if zero is None or abs(activity.rest - zero) > REST_SCATTER:
+        if zero is None or abs(activity.rest - zero) > self._method.activity.rest_scatter:
             return False
-        bounds = (float(JUMP_FLOOR[0]), float(LARGEST_JUMP[0]))
-        step = rest_step(cycle, activity, self._filter.drift, self._use.rest_is_low, bounds)
-        self._trial = step if abs(self._filter.drift[0] + step) <= LARGEST_DRIFT[0] else 0.0
-        return self._trial != 0
+        step = rest_step(cycle, activity, now.filter.drift, self._use.rest_is_low, self._method.jump)
+        now.trial = step if abs(now.filter.drift[0] + step) <= self._method.drift.largest[0] else 0.0
+        return now.trial != 0
 
     def _rest_moved(self, activity: Activity, step: Array) -> float:
         """Return how far a jump moved the output at rest and at zero load alike, which no use does."""
-        levels = [level for level in (activity.rest, self._trust.zero) if level is not None]
-        drift = self._filter.drift
+        now = self._now
+        levels = [level for level in (activity.rest, now.trust.zero) if level is not None]
+        drift = now.filter.drift
         moved = [movement(drift + step, level) - movement(drift, level) for level in levels]
         return min(moved, key=abs) if min(moved) * max(moved) > 0 else 0.0
 
     def _follow_jump(self, cycle: Cycle, index: int, level: Array, moved: float) -> Observation:
         """Follow a re-seating; of one with more gain than its rest vouches for, the rest alone."""
-        seen = self._filter.seen_by(index)[0]
+        now, config = self._now, self._method.jump
+        activity = now.activities[index]
+        seen = now.filter.seen_by(index)[0]
         reason = "the rest and all levels moved at once: re-seated"
-        if abs(level[1] - seen[1]) > gain_per_shift(self._activities[index].rest) * abs(moved):
+        if abs(level[1] - seen[1]) > now.trust.gain_per_shift(activity.rest) * abs(moved):
             level = seen + np.array([moved, 0.0])
             reason = "the rest moved at once, and the use changed with it: re-seated"
-        free = self._filter.moved(np.diag((LARGEST_JUMP / 3) ** 2))
-        self._trust = self._trust.reseated(self._filter.drift, self._seen(), moved, round(self._memory))
-        self._trend, self._to_settle = np.zeros(2), 0
-        self._accept(
-            free.measured(index, level, self._activities[index].noise / JUMP_CYCLES), index, 1 / self._settling
-        )
+        # Wide process noise lets the filter go to the new place at once instead of averaging over old cycles.
+        free = now.filter.moved(np.diag((np.array(config.largest) / config.largest_sigmas) ** 2))
+        now.trust = now.trust.reseated(now.filter.drift, self._seen(), moved, round(self._memory))
+        now.trend, now.to_settle = np.zeros(2), 0
+        self._accept(free.measured(index, level, activity.noise / config.cycles), index)
         return self._observation(cycle, JUMPED, reason, index)
 
     def _meet_stranger(self, cycle: Cycle) -> Observation:
-        self._jumps.clear()
-        was_known, self._was_known, self.unresolved = self._was_known, False, 0.0
-        latest = self._latest
+        now, config = self._now, self._method.learning
+        now.jumps.clear()
+        was_known, now.was_known, now.unresolved = now.was_known, False, 0.0
+        latest = now.latest
         # A sensor re-seated in the midst of a cycle gives it another shape.
-        if was_known and is_like_but_for_shape(cycle, self._activities[latest], self._filter.drift, LARGEST_JUMP[1]):
+        if was_known and is_like_but_for_shape(cycle, now.activities[latest], now.filter.drift, self._method.jump):
             if self._try(cycle, latest):
-                self.unresolved = abs(self._trial)
+                now.unresolved = abs(now.trial)
                 return self._observation(cycle, TRIED, REST_MOVED, -1)
         if not self._is_improved:
             return self._held(cycle, "the use is not that of the calibration recording")
-        self._strangers = [*self._strangers[-MOST_STRANGERS + 1 :], cycle]
-        span_s = cycle.end_s - self._strangers[0].end_s
-        is_long = span_s >= NEW_ACTIVITY_SHARE * self._use.duration_s or len(self._strangers) == MOST_STRANGERS
-        if len(self._strangers) >= NEW_ACTIVITY_CYCLES and is_long and self._learn(self._strangers):
-            self._strangers.clear()
-            return self._held(cycle, "a new use was learnt from the estimates so far", len(self._activities) - 1)
+        now.strangers = [*now.strangers[-config.most_cycles + 1 :], cycle]
+        span_s = cycle.end_s - now.strangers[0].end_s
+        is_long = span_s >= config.length * self._use.duration_s or len(now.strangers) == config.most_cycles
+        enough = config.cycles if now.joined == 1 else config.joined_cycles
+        if len(now.strangers) >= enough and is_long and self._learn(now.strangers):
+            now.strangers.clear()
+            learnt = self._held(cycle, "a new use was learnt from the estimates so far", len(now.activities) - 1)
+            if len(now.activities) == 1:
+                # The drift is counted from the first activity: nothing of it came before.
+                now.unseen_s = 0.0
+            return learnt
+        most = config.most_cycles if now.joined == 1 else enough
+        if not now.activities and is_long and len(now.strangers) >= most:
+            self._join_more()
         return self._held(cycle, "the use is none of those known")
+
+    def _join_more(self) -> None:
+        """Take more cycles together: means over several random presses are alike where single presses are not."""
+        now = self._now
+        more = [count for count in self._method.cycle.joined if count > now.joined]
+        if more:
+            if now.joined == 1:
+                now.single_s = float(np.median([cycle.duration_s for cycle in now.strangers]))
+            now.joined = more[0]
+            now.strangers.clear()
 
     def _learn(self, cycles: list[Cycle]) -> bool:
         """Learn an activity from cycles with the drift known now taken out."""
-        shift, gain = float(self._filter.drift[0]), float(np.exp(self._filter.drift[1]))
+        now = self._now
+        shift, gain = float(now.filter.drift[0]), float(np.exp(now.filter.drift[1]))
         calibrated = [c.standardised(shift, gain) for c in cycles]
-        activity = learn_activity(calibrated, self._use.rest_is_low).activity
+        activity = learn_activity(calibrated, self._use.rest_is_low, self._method.activity).activity
         if activity is None:
             return False
-        if len(self._activities) == MAX_ACTIVITIES:
+        if len(now.activities) == self._method.learning.activities:
             oldest = 1 if self._has_calibrated else 0
-            del self._activities[oldest]
-            self._filter = self._filter.without(oldest)
-        self._activities.append(activity)
-        self._filter = self._filter.with_learnt(activity.doubt)
-        self._latest = len(self._activities) - 1
+            del now.activities[oldest]
+            now.filter = now.filter.without(oldest)
+        now.activities.append(activity)
+        now.filter = now.filter.with_learnt(activity.doubt)
+        now.latest = len(now.activities) - 1
         return True
 
     def _held(self, cycle: Cycle, reason: str, index: int = -1) -> Observation:
-        self._unseen_s += cycle.duration_s
+        self._now.unseen_s += cycle.duration_s
         return self._observation(cycle, HELD, reason, index)
 
     def _observation(self, cycle: Cycle, verdict: str, reason: str, index: int) -> Observation:
-        shift, log_gain = self._filter.drift.tolist()
-        shift_sd, log_gain_sd = np.sqrt(np.diag(self._filter.doubt())).tolist()
+        shift, log_gain = self._now.filter.drift.tolist()
+        shift_sd, log_gain_sd = np.sqrt(np.diag(self._now.filter.doubt())).tolist()
         return Observation(cycle.end_s, verdict, reason, shift, log_gain, shift_sd, log_gain_sd, index)
 
     def state(self) -> dict[str, object]:
         """Return all that a restart needs besides the calibrated use, as JSON values."""
-        return {
-            "filter": self._filter.state(),
-            "trend": self._trend.tolist(),
-            "latest": self._latest,
-            "to_settle": self._to_settle,
-            "carried": self._carried.tolist(),
-            "trust": self._trust.state(),
-            "last_s": self._last_s,
-            "activities": [activity.state() for activity in self._activities],
-            "strangers": [cycle.state() for cycle in self._strangers],
-            "jumps": [cycle.state() for cycle in self._jumps],
-            "trial": self._trial,
-            "was_known": self._was_known,
-            "unseen_s": self._unseen_s,
-            "alarm": self.alarm,
-            "unresolved": self.unresolved,
-        }
+        return state_of(self._now)
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a `state()` taken earlier."""
-        self._filter = DriftFilter.from_state(state["filter"])
-        self._trend, self._latest = np.array(state["trend"]), int(state["latest"])
-        self._to_settle, self._carried = int(state["to_settle"]), np.array(state["carried"])
-        self._trust = Trust.from_state(state["trust"])
-        self._last_s = state["last_s"]
-        self._activities = [Activity.from_state(activity) for activity in state["activities"]]
-        self._strangers = [Cycle.from_state(cycle) for cycle in state["strangers"]]
-        self._jumps = [Cycle.from_state(cycle) for cycle in state["jumps"]]
-        self._trial, self._was_known = float(state["trial"]), bool(state["was_known"])
-        self._unseen_s = float(state["unseen_s"])
-        self.alarm, self.unresolved = str(state["alarm"]), float(state["unresolved"])
+        """Go on from a `state()` taken earlier.
+
+        Raises:
+            InputError: it was taken by a version that keeps other things in it.
+        """
+        found = restored(TrackerState, state)
+        # The thresholds are this method's, not those the state was taken with.
+        self._now = replace(found, trust=replace(found.trust, config=self._method.trust))

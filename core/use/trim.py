@@ -9,10 +9,8 @@ from softcal.core.maps.anchors import AnchoredMap, check_loads, refine
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
+from softcal.core.use.method import TrimConfig
 from softcal.core.windows import resting
-
-MOST_GAIN = 2.0
-"""A unit whose gain would change by more than this factor is another unit, or was given other units of load."""
 
 NOTHING = "nothing was changed"
 
@@ -31,24 +29,30 @@ class Trimmed:
     after_rmse: float
 
 
-def trim(problem: FitProblem, unit_map: UnitMap, loads: Anchors) -> Trimmed:
+def trim(
+    problem: FitProblem,
+    unit_map: UnitMap,
+    loads: Anchors,
+    config: TrimConfig = TrimConfig(),  # noqa: B008 - frozen
+) -> Trimmed:
     """Re-anchor a map by known loads at the place of use.
 
     Args:
         problem: source, network and recording of the unit the map was fitted with.
         unit_map: in use now; an earlier trim of it is trimmed further, not stacked.
         loads: outputs at rest under known loads, at least two different ones.
+        config: which loads, and which gain, can be of this unit.
 
     Raises:
         InputError: the loads cannot be of this unit as they stand; the message says which and why.
     """
     if len(loads.reference) < 2:
         raise InputError(f"{len(loads.reference)} known load; zero and span take two different ones; {NOTHING}")
-    check_loads(problem.source, loads, NOTHING)
+    check_loads(problem.source, loads, NOTHING, problem.config.anchors)
     network = problem.network
     before = _error(network, unit_map, loads)
     found = refine(problem, unit_map, loads)
-    if not 1 / MOST_GAIN <= found.gain <= MOST_GAIN:
+    if not 1 / config.most_gain <= found.gain <= config.most_gain:
         raise InputError(
             f"the loads ask for {found.gain:.2g} x the gain of unit {problem.target.serial}; that is another unit, or "
             f"other units of load or output; {NOTHING}"

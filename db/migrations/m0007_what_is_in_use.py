@@ -3,8 +3,6 @@
 The work queue keeps no results.
 """
 
-from datetime import UTC, datetime
-
 import sqlalchemy as sa
 from alembic import op
 
@@ -75,7 +73,7 @@ def upgrade() -> None:
 
 
 def _releases_and_line() -> None:
-    """Make the tables. What a lot had before stays in use; of what it gets from now on, only what is released."""
+    """Make the tables. That what a lot had before stays in use is stated in the audit trail, by `db.adoption`."""
     op.create_table(
         "network_releases",
         sa.Column("network_id", sa.String(length=64), nullable=False),
@@ -98,5 +96,3 @@ def _releases_and_line() -> None:
         sa.Column("place", sa.Text(), nullable=False),
         sa.PrimaryKeyConstraint("station", name="pk_line_places"),
     )
-    info = sa.table("registry_info", sa.column("key", sa.String), sa.column("value", sa.Text))
-    op.execute(sa.insert(info).values(key="releases_since", value=datetime.now(UTC).isoformat()))

@@ -1,6 +1,7 @@
 """Which moves a stage may be given: the same rule for every controller, asked before a byte is written."""
 
 from softcal.core.errors import CommandRefused
+from softcal.core.reason import Reason, reason
 from softcal.station.interfaces import Move, Stage
 
 SPEED_ROUNDING = 1e-6
@@ -19,12 +20,12 @@ def admit(stage: Stage, move: Move, slowest_mm_s: float = 0.0) -> None:
         CommandRefused: not homed, still moving, or beyond travel or speed; nothing was sent.
     """
     if not stage.is_position_known:
-        raise CommandRefused("stage: not homed; nothing was sent, home it first")
+        raise CommandRefused(Reason("rig.not_homed"))
     if stage.is_moving:
-        raise CommandRefused("stage: the move before is not finished; nothing was sent")
+        raise CommandRefused(Reason("rig.moving"))
     if not 0.0 <= move.to_mm <= stage.travel_mm:
-        raise CommandRefused(f"stage: {move.to_mm:g} mm is outside [0, {stage.travel_mm:g}] mm; nothing was sent")
+        raise CommandRefused(reason("rig.outside.travel", to_mm=move.to_mm, travel_mm=stage.travel_mm))
     fastest_mm_s = stage.max_speed_mm_s
     if not slowest_mm_s <= move.speed_mm_s <= fastest_mm_s * (1 + SPEED_ROUNDING) or move.speed_mm_s == 0.0:
         bounds = f"[{slowest_mm_s:.3g}, {fastest_mm_s:g}]" if slowest_mm_s else f"(0, {fastest_mm_s:g}]"
-        raise CommandRefused(f"stage: {move.speed_mm_s:g} mm/s is outside {bounds} mm/s; nothing was sent")
+        raise CommandRefused(reason("rig.outside.speed", speed_mm_s=move.speed_mm_s, bounds=bounds))

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from softcal.core.errors import InputError
+from softcal.core.reason import reason
 from softcal.station.config import ReadoutConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import TextStream
@@ -31,9 +32,11 @@ class ArduinoConfig(ReadoutConfig):
 
     def __post_init__(self) -> None:
         if not self.vref_V > 0:
-            raise InputError(f"readout.vref_V is {self.vref_V:g}; a number above 0 was expected")
+            raise InputError(reason("station_file.positive", name="readout.vref_V", value=self.vref_V))
         if not 1 <= self.adc_bits <= 32:
-            raise InputError(f"readout.adc_bits is {self.adc_bits}; a number in [1, 32] was expected")
+            raise InputError(
+                reason("station_file.outside", name="readout.adc_bits", value=self.adc_bits, low=1, high=32)
+            )
 
 
 class ArduinoReadout:

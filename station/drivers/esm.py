@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
+from softcal.core.reason import Reason, reason
 from softcal.station.config import ForceConfig, StageConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit
@@ -79,7 +80,7 @@ class SharedPort:
                 asked_s, take = self._open.popleft()
                 take(line, asked_s)
         if self._open and self.link.clock.now_s() - self._open[0][0] > SILENCE_S:
-            raise NoReply(f"stage: no answer for {SILENCE_S:g} s; check the stand's power and cable, then home")
+            raise NoReply(reason("esm.no_answer", seconds=SILENCE_S))
 
     def resynchronise(self) -> None:
         """Begin again after an answer was lost: without it every answer would be taken for the one before."""
@@ -146,14 +147,12 @@ class EsmStage:
             on_wait()
             if status.motion != "U" or self.port.link.clock.now_s() > end_s:
                 self._tell(esm.STOP)
-                raise DeviceError("stage: homing failed: the upper limit was not reached; look for what blocks it")
+                raise DeviceError(Reason("esm.no_upper_limit"))
             status = self._status()
         self._tell(esm.STOP, esm.ZERO_TRAVEL)
         self.position_mm = self._travel_position(self.port.answer(esm.TRAVEL))
         if abs(self.position_mm) > AT_MM:
-            raise BadReply(
-                f"stage: travel reads {-self.position_mm:.2f} mm after it was zeroed; switch the stand to mm"
-            )
+            raise BadReply(reason("esm.travel", travel_mm=-self.position_mm))
         self.is_position_known = True
 
     def begin(self, move: Move) -> None:
@@ -247,10 +246,7 @@ class EsmStage:
             self.is_moving = False
         elif asked_s > self._began_s + STARTS_WITHIN_S:
             self.is_moving = False
-            raise DeviceError(
-                f"stage: stopped at {self.position_mm:.2f} mm on its way to {self._target_mm:.2f} mm (limit switch, or "
-                "somebody at its panel); look at the stand, then start the run again"
-            )
+            raise DeviceError(reason("esm.stopped_at", position_mm=self.position_mm, target_mm=self._target_mm))
 
 
 class EsmGauge:
@@ -278,9 +274,9 @@ class EsmGauge:
             port.link.write(esm.to_gauge(command))
         settings = gcl2.parse_settings(port.answer(esm.to_gauge("LIST")))
         if (settings.mode, settings.unit) != ("CUR", "N"):
-            raise NoReply(f"load cell: the gauge stays in {settings.mode} and {settings.unit}; switch it to CUR and N")
+            raise NoReply(reason("gauge.mode", mode=settings.mode, unit=settings.unit))
         if not settings.has_units or not settings.has_sign:
-            raise CommandRefused("load cell: readings lack unit or sign; switch both on in the gauge's menu")
+            raise CommandRefused(Reason("gauge.settings"))
 
     def start(self) -> None:
         """Throw away what was read and begin to ask."""
@@ -319,10 +315,7 @@ def _open(config: EsmConfig, opening: Opening) -> EsmStage:
 
 def _open_gauge(config: EsmGaugeConfig, opening: Opening) -> EsmGauge:
     if not isinstance(opening.stage, EsmStage) or opening.stage.port.link.port != config.port:
-        raise NoReply(
-            f"load cell ({config.port}): kind esm is the gauge on an ESM stand; none is open on the same port, check "
-            "[stage] in the station file"
-        )
+        raise NoReply(reason("esm.no_stand", port=config.port))
     return opening.stage.gauge(config.capacity_N, config.sign, config.rate_Hz)
 
 

@@ -2,11 +2,12 @@
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
+from softcal.core.reason import Reason, reason
 from softcal.station.config import StageConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit
@@ -34,11 +35,11 @@ MARGIN = 1.5
 OFF_SWITCH_MM = 1.0
 """A stage whose position is only roughly known keeps so far from its homing switch."""
 
-SAFE_SETTINGS: tuple[tuple[int, Callable[[float], bool], str], ...] = (
-    (1, lambda value: value == 255, "send $1=255 once; the motor lets go at rest and the stage may sink"),
-    (20, lambda value: value == 1, "send $20=1 once; nothing keeps the stage inside its travel"),
-    (21, lambda value: value == 1, "send $21=1 once; a limit switch does not stop the stage"),
-    (120, lambda value: value >= SLOW_MM_S2, "send ${number}=200 once; the stage brakes slowly and must go slowly"),
+SAFE_SETTINGS: tuple[tuple[int, Callable[[float], bool], Reason], ...] = (
+    (1, lambda value: value == 255, Reason("grbl.safe.1")),
+    (20, lambda value: value == 1, Reason("grbl.safe.20")),
+    (21, lambda value: value == 1, Reason("grbl.safe.21")),
+    (120, lambda value: value >= SLOW_MM_S2, Reason("grbl.safe.acceleration")),
 )
 """Settings of a controller, what is safe, and the command that mends it."""
 
@@ -66,7 +67,7 @@ class GrblConfig(StageConfig):
 
     def __post_init__(self) -> None:
         if self.axis not in ("X", "Y", "Z"):
-            raise InputError(f"stage.axis is {self.axis!r}; known are X, Y, Z")
+            raise InputError(reason("station_file.known", name="stage.axis", value=repr(self.axis), known="X, Y, Z"))
 
 
 class GrblStage:
@@ -150,7 +151,7 @@ class GrblStage:
         positions = [p for line in self._link.read_lines() if (p := self._take(line)) is not None]
         now_s = self._link.clock.now_s()
         if self._asked_s is not None and now_s - self._asked_s > SILENCE_S:
-            raise NoReply(f"stage: no status for {SILENCE_S:g} s; check power and cable of the controller, then home")
+            raise NoReply(reason("grbl.no_status", seconds=SILENCE_S))
         self._feed()
         if self._asked_s is None and now_s >= self._next_status_s:
             self._ask_status(now_s)
@@ -182,7 +183,7 @@ class GrblStage:
         if self.is_position_known:
             self._await_status()
         if self._is_button_held:
-            raise Held("stage: somebody holds it at the machine; let its hold button go, look at the rig, then start")
+            raise Held(Reason("grbl.held.now"))
 
     def lift_roughly(self, distance_mm: float, speed_mm_s: float) -> None:
         """Begin to go away from the unit after a stop that had to cut the motion; `poll` follows it.
@@ -195,7 +196,7 @@ class GrblStage:
         """
         distance_mm = min(distance_mm, self.position_mm - OFF_SWITCH_MM)
         if not self.can_lift_roughly or distance_mm <= 0.0:
-            raise CommandRefused("stage: where it is is not known well enough to lift it; home it")
+            raise CommandRefused(Reason("grbl.lost"))
         self._link.discard()
         lines = (
             grbl.UNLOCK,
@@ -208,14 +209,14 @@ class GrblStage:
             self._in_flight.append(len(line))
             self._link.write(line)
 
-    def unsafe_settings(self) -> list[tuple[str, str]]:
+    def unsafe_settings(self) -> list[tuple[str, Reason]]:
         """Return each setting that takes safety away as `$n=value`, and the command that mends it."""
         found = []
         for number, is_safe, cure in SAFE_SETTINGS:
             value = self.settings.get(number + (self._index if number == 120 else 0))
             if value is not None and not is_safe(value):
                 shown = number + (self._index if number == 120 else 0)
-                found.append((f"${shown}={value:g}", cure.format(number=shown)))
+                found.append((f"${shown}={value:g}", replace(cure, values={"number": shown})))
         return found
 
     def runs_on_s(self, speed_mm_s: float) -> float:
@@ -235,9 +236,7 @@ class GrblStage:
                 return self._wait_for_greeting(1.2)
             except NoReply:
                 continue
-        raise NoReply(
-            f"stage ({self._link.port}): no GRBL controller answers; check power, cable and baud rate (115200)"
-        )
+        raise NoReply(reason("grbl.none", port=self._link.port))
 
     def _read_settings(self) -> dict[int, float]:
         # A controller that greets in several lines may still be talking.
@@ -252,11 +251,11 @@ class GrblStage:
                 settings[reply.number] = reply.value
         needed = (110 + self._index, 120 + self._index, 130 + self._index)
         if missing := [f"${number}" for number in needed if number not in settings]:
-            raise BadReply(f"stage: the settings dump lacks {', '.join(missing)}; is this GRBL 1.1?")
+            raise BadReply(reason("grbl.settings", missing=", ".join(missing)))
         if not settings.get(22):
-            raise CommandRefused("stage: homing is disabled; send $22=1 once, wire the switch, then try again")
+            raise CommandRefused(Reason("grbl.homing_off"))
         if settings.get(13):
-            raise CommandRefused("stage: positions are reported in inches; send $13=0 once, then try again")
+            raise CommandRefused(Reason("grbl.inches"))
         return settings
 
     def _cut(self, path: Trapezoid) -> list[tuple[float, bytes]]:
@@ -291,15 +290,13 @@ class GrblStage:
             if not self.is_moving:
                 self.position_mm = self._target_mm  # Newer than the last status poll.
         elif isinstance(reply, grbl.Refusal):
-            raise CommandRefused(f"stage: the controller answered {reply}; check the settings of the controller")
+            raise CommandRefused(reason("grbl.refused", reply=reply.reason))
         elif isinstance(reply, grbl.Alarm):
             self.is_position_known = self.is_position_known and not reply.loses_position
-            raise DeviceError(f"stage: {reply}; look at the rig, then home it")
+            raise DeviceError(reason("grbl.alarm", reply=reply.reason))
         elif isinstance(reply, grbl.Greeting):
             self.is_position_known = False
-            raise DeviceError(
-                "stage: the controller started again by itself, its position is lost; check its supply, then home"
-            )
+            raise DeviceError(Reason("grbl.restarted"))
         elif isinstance(reply, grbl.Status):
             return self._position(reply, line.host_s)
         return None
@@ -309,12 +306,12 @@ class GrblStage:
         self._asked_s = None
         self._is_button_held = "H" in status.pins
         if status.state == "Hold":
-            raise Held("stage: held by the button at the machine; let it go, look at the rig, then start again")
+            raise Held(Reason("grbl.held"))
         if status.state == "Door":
-            raise DeviceError("stage: the safety door is open; close it, then start again")
+            raise DeviceError(Reason("grbl.door"))
         if status.state in ("Alarm", "Sleep"):
             self.is_position_known = False
-            raise DeviceError(f"stage: the controller is in {status.state}; look at the rig, then home it")
+            raise DeviceError(reason("grbl.state", state=status.state))
         self._offset_mm = status.offset_mm or self._offset_mm
         self.position_mm = self._sign * self._machine_mm(status)
         return StagePosition((asked_s + host_s) / 2, self.position_mm)
@@ -323,7 +320,7 @@ class GrblStage:
         if status.machine_mm is not None:
             return status.machine_mm[self._index]
         if status.work_mm is None or self._offset_mm is None:
-            raise BadReply("stage: a status report has no position; set $10=1 so that machine positions are reported")
+            raise BadReply(Reason("grbl.no_position"))
         return status.work_mm[self._index] + self._offset_mm[self._index]
 
     def _ask_status(self, now_s: float) -> None:
@@ -401,16 +398,16 @@ class GrblStage:
                 self._check_homing(reply)
             self._link.clock.sleep_s(POLL_S)
             on_wait()
-        raise NoReply(f"stage: not at home after {HOMING_S:g} s; look for what blocks it")
+        raise NoReply(reason("rig.not_home", seconds=HOMING_S))
 
     def _check_homing(self, reply: grbl.Reply) -> None:
         if isinstance(reply, grbl.Refusal):
             self._is_homing = False
-            raise CommandRefused(f"stage: homing was refused: {reply}; check the settings of the controller")
+            raise CommandRefused(reason("grbl.homing_refused", reply=reply.reason))
         if isinstance(reply, (grbl.Alarm, grbl.Greeting)):
             self._is_homing = False
-            why = reply if isinstance(reply, grbl.Alarm) else "the controller started again"
-            raise DeviceError(f"stage: homing failed: {why}; check the homing switch and its cable")
+            why = reply.reason if isinstance(reply, grbl.Alarm) else Reason("grbl.part.restarted")
+            raise DeviceError(reason("grbl.homing_failed", why=why))
 
 
 def _is_locked(reply: grbl.Reply) -> bool:

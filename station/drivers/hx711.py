@@ -3,11 +3,13 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, InputError
+from softcal.core.reason import Reason, reason
 from softcal.station.config import ForceConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import TextStream
 from softcal.station.interfaces import Sample
 from softcal.station.link import Link, link_for_driver
+from softcal.station.named import named
 
 RAILS = (-(2**23), 2**23 - 1)
 """Counts of a saturated converter: overload, or a bridge that is not connected."""
@@ -32,7 +34,7 @@ class Hx711Config(ForceConfig):
 
     def __post_init__(self) -> None:
         if self.counts_per_N == 0:
-            raise InputError("force.counts_per_N is 0; run `softcal station calibrate-cell`")
+            raise InputError(Reason("station_file.no_scale"))
 
 
 class Hx711Cell:
@@ -75,10 +77,7 @@ class Hx711Cell:
     def _in_N(self, sample: Sample) -> Sample:
         count = sample.values[0]
         if not RAILS[0] < count < RAILS[1]:
-            raise BadReply(
-                f"{self.name}: converter saturated at {count:.0f} counts; the cell is overloaded or its bridge is not "
-                "connected, check cable and load, then zero it"
-            )
+            raise BadReply(reason("hx711.saturated", device=named(self.name), count=count))
         return Sample(sample.host_s, sample.device_s, ((count - self.zero_counts) / self.counts_per_N,))
 
 

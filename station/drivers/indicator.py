@@ -6,7 +6,7 @@ from softcal.core.errors import BadReply
 from softcal.station.config import ForceConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import BAD_IN_A_ROW
-from softcal.station.frames.indicator import parse_N
+from softcal.station.frames.indicator import OVERLOADED, parse_N
 from softcal.station.interfaces import Sample
 from softcal.station.link import Link, link_for_driver
 
@@ -68,7 +68,7 @@ class IndicatorCell:
                 self._bad_in_a_row = 0
             except BadReply as error:
                 self._bad_in_a_row += 1
-                if "overloaded" in str(error) or self._bad_in_a_row >= BAD_IN_A_ROW:
+                if error.reason == OVERLOADED or self._bad_in_a_row >= BAD_IN_A_ROW:
                     raise
         return samples
 

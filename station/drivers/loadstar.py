@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, NoReply
+from softcal.core.reason import reason
 from softcal.station.config import ForceConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import BAD_IN_A_ROW
@@ -54,9 +55,7 @@ class LoadstarCell:
         self._stop_stream()
         self.model = self._ask(loadstar.MODEL)
         if not any(known in self.model.encode() for known in loadstar.KNOWN_MODELS):
-            raise NoReply(
-                f"load cell: {self.model[:40]!r} is no DI-100 or DI-1000; check force.kind in the station file"
-            )
+            raise NoReply(reason("loadstar.model", model=repr(self.model[:40])))
         self.native_unit = loadstar.parse_unit(self._ask(loadstar.UNITS).encode())
 
     def start(self) -> None:
@@ -104,9 +103,7 @@ class LoadstarCell:
         self._link.write(loadstar.PING)
         answer = self._link.next_line(ANSWER_S).text
         if answer != loadstar.READY:
-            raise NoReply(
-                f"load cell: answered {answer[:40]!r}, a Loadstar interface says 'A'; check port and baud rate"
-            )
+            raise NoReply(reason("loadstar.answer", answer=repr(answer[:40])))
 
     def _ask(self, question: bytes) -> str:
         self._link.write(question)

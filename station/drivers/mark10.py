@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import CommandRefused, NoReply
+from softcal.core.reason import Reason, reason
 from softcal.station.asked import AskedReader
 from softcal.station.config import ForceConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
@@ -80,9 +81,9 @@ class Mark10Gauge:
         self._link.write(gcl2.LIST)
         settings = gcl2.parse_settings(self._link.next_line(ANSWER_S).text)
         if (settings.mode, settings.unit) != ("CUR", "N"):
-            raise NoReply(f"load cell: the gauge stays in {settings.mode} and {settings.unit}; switch it to CUR and N")
+            raise NoReply(reason("gauge.mode", mode=settings.mode, unit=settings.unit))
         if not settings.has_units or not settings.has_sign:
-            raise CommandRefused("load cell: readings lack unit or sign; switch both on in the gauge's menu")
+            raise CommandRefused(Reason("gauge.settings"))
 
 
 def _open(config: Mark10Config, opening: Opening) -> Mark10Gauge:

@@ -7,11 +7,13 @@ remote control. Both measure on demand, so that every answer is a fresh reading.
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
+from softcal.core.reason import Reason, reason
 from softcal.station.asked import AskedReader
 from softcal.station.config import ReadoutConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.interfaces import Sample
 from softcal.station.link import Link, link_for_driver
+from softcal.station.named import named
 from softcal.station.transport import WireKind
 
 NAME = "sensor readout"
@@ -27,7 +29,12 @@ LCR_MODELS = ("E4980A", "E4980AL")
 
 DMM_QUANTITIES = {"voltage": ("VOLT:DC", "V"), "resistance": ("RES", "ohm"), "resistance_4w": ("FRES", "ohm")}
 LCR_QUANTITIES = {"capacitance": ("CPD", "pF", 1e12), "resistance": ("RX", "ohm", 1.0)}
-LCR_STATUS = {1: "overload", 3: "its signal source is overloaded", 4: "it cannot keep the level", -1: "no data"}
+LCR_STATUS = {
+    1: Reason("scpi.overloaded"),
+    3: Reason("scpi.source"),
+    4: Reason("scpi.level"),
+    -1: Reason("scpi.no_data"),
+}
 
 
 @dataclass(frozen=True)
@@ -54,14 +61,22 @@ class DmmConfig(ReadoutConfig):
         _known("readout.quantity", self.quantity, DMM_QUANTITIES)
         _one_channel(self)
         if self.cycles not in (0.02, 0.2, 1.0, 10.0, 100.0):
-            raise InputError(f"readout.cycles is {self.cycles:g}; known are 0.02, 0.2, 1, 10, 100")
+            raise InputError(
+                reason(
+                    "station_file.known", name="readout.cycles", value=f"{self.cycles:g}", known="0.02, 0.2, 1, 10, 100"
+                )
+            )
         if self.rate_Hz * self.cycles / MAINS_HZ > 0.8:
             raise InputError(
-                f"readout.rate_Hz is {self.rate_Hz:g}; with cycles = {self.cycles:g} at most "
-                f"{0.8 * MAINS_HZ / self.cycles:g} readings a second are possible"
+                reason(
+                    "station_file.dmm_rate",
+                    rate_Hz=self.rate_Hz,
+                    cycles=self.cycles,
+                    most_Hz=0.8 * MAINS_HZ / self.cycles,
+                )
             )
         if not self.full_scale > 0:
-            raise InputError(f"readout.full_scale is {self.full_scale:g}; a number above 0 was expected")
+            raise InputError(reason("station_file.positive", name="readout.full_scale", value=self.full_scale))
 
 
 @dataclass(frozen=True)
@@ -91,11 +106,13 @@ class LcrConfig(ReadoutConfig):
         _known("readout.quantity", self.quantity, LCR_QUANTITIES)
         _one_channel(self)
         if not 20.0 <= self.frequency_Hz <= 2e6:
-            raise InputError(f"readout.frequency_Hz is {self.frequency_Hz:g}; a value in [20, 2e+06] was expected")
+            raise InputError(
+                reason("station_file.outside", name="readout.frequency_Hz", value=self.frequency_Hz, low=20, high=2e6)
+            )
         if not 0.0 < self.level_V <= 20.0:
-            raise InputError(f"readout.level_V is {self.level_V:g}; a value in (0, 20] was expected")
+            raise InputError(reason("station_file.level", level_V=self.level_V))
         if not self.full_scale > 0:
-            raise InputError(f"readout.full_scale is {self.full_scale:g}; a number above 0 was expected")
+            raise InputError(reason("station_file.positive", name="readout.full_scale", value=self.full_scale))
 
 
 class ScpiReadout:
@@ -158,7 +175,9 @@ class ScpiReadout:
         identity = self._link.next_line(ANSWER_S).text.decode("ascii", "replace").strip()
         fields = [field.strip() for field in identity.split(",")]
         if len(fields) < 2 or fields[1] not in models:
-            raise NoReply(f"{NAME}: {identity[:60]!r} is none of {', '.join(models)}; check port and kind")
+            raise NoReply(
+                reason("scpi.other", device=named(NAME), identity=repr(identity[:60]), models=", ".join(models))
+            )
         return identity
 
     def _set(self, setup: tuple[str, ...]) -> None:
@@ -168,7 +187,7 @@ class ScpiReadout:
         self._link.write(b"SYST:ERR?\n")
         error = self._link.next_line(ANSWER_S).text.decode("ascii", "replace")
         if int_of(error.split(",")[0]) != 0:
-            raise CommandRefused(f"{NAME}: does not take its settings: {error[:80]}; check them in the station file")
+            raise CommandRefused(reason("scpi.settings", device=named(NAME), error=error[:80]))
 
     def _parse(self, line: bytes) -> tuple[float, ...]:
         return (self._per_unit * parse_reading(line),)
@@ -184,14 +203,18 @@ def parse_reading(line: bytes) -> float:
     try:
         value = float(fields[0])
     except ValueError as error:
-        raise BadReply(f"{NAME}: a reading reads {line[:40]!r}; a number was expected") from error
+        raise BadReply(reason("scpi.reading", device=named(NAME), line=repr(line[:40]))) from error
     status = int_of(fields[2].decode("ascii", "replace")) if len(fields) > 2 else 0
     if status:
         raise BadReply(
-            f"{NAME}: {LCR_STATUS.get(status, f'status {status}')}; check the unit's connector and the range"
+            reason(
+                "scpi.status",
+                device=named(NAME),
+                why=LCR_STATUS.get(status) or reason("scpi.status.other", status=status),
+            )
         )
     if not abs(value) < OVERLOAD:
-        raise BadReply(f"{NAME}: overload; check the unit's connector, then choose a larger full_scale")
+        raise BadReply(reason("scpi.overload", device=named(NAME)))
     return value
 
 
@@ -204,7 +227,7 @@ def int_of(text: str) -> int:
     try:
         return int(float(text))
     except (ValueError, OverflowError) as error:
-        raise BadReply(f"{NAME}: {text[:40]!r} was read where a whole number was expected") from error
+        raise BadReply(reason("scpi.whole", device=named(NAME), text=repr(text[:40]))) from error
 
 
 def dmm_setup(config: DmmConfig) -> tuple[str, ...]:
@@ -270,12 +293,12 @@ def _simulate_lcr(around: Surroundings) -> Simulated[LcrConfig]:
 
 def _known(name: str, value: str, known: dict[str, tuple[str, str]] | dict[str, tuple[str, str, float]]) -> None:
     if value not in known:
-        raise InputError(f"{name} is {value!r}; known are {', '.join(known)}")
+        raise InputError(reason("station_file.known", name=name, value=repr(value), known=", ".join(known)))
 
 
 def _one_channel(config: ReadoutConfig) -> None:
     if config.channels != 1:
-        raise InputError(f"readout.channels is {config.channels}; kind {config.kind} reads one channel")
+        raise InputError(reason("station_file.one_channel", channels=config.channels, kind=str(config.kind)))
 
 
 _WIRES: tuple[WireKind, ...] = ("tcp", "visa", "serial")

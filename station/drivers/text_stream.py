@@ -1,10 +1,12 @@
 """Driver of an Arduino-like device that prints `ms,value` by its own clock."""
 
-from softcal.core.errors import BadReply
+from softcal.core.errors import BadReply, reason_of
+from softcal.core.reason import reason
 from softcal.station.clock import unwrap_ms
 from softcal.station.frames.text_stream import parse
 from softcal.station.interfaces import Sample
 from softcal.station.link import Link
+from softcal.station.named import named
 
 BAD_IN_A_ROW = 10
 """So many unreadable lines one after the other are no longer noise."""
@@ -67,7 +69,7 @@ class TextStream:
             self._count_unreadable(error)
             return None
         if len(line.counts) != self.channels:
-            self._count_unreadable(BadReply(f"{len(line.counts)} channels in a line, {self.channels} expected"))
+            self._count_unreadable(BadReply(reason("rig.channels", count=len(line.counts), expected=self.channels)))
             return None
         last_ms = self._last_ms
         device_ms = line.device_ms if last_ms is None else unwrap_ms(last_ms, line.device_ms)
@@ -75,10 +77,7 @@ class TextStream:
             self.repeated += 1
             return None
         if last_ms is not None and not 0 < device_ms - last_ms <= LONGEST_STEP_MS:
-            raise BadReply(
-                f"{self.name}: its clock went from {last_ms} ms to {device_ms} ms; the device started again, "
-                "check its supply and its cable"
-            )
+            raise BadReply(reason("rig.clock.back", device=named(self.name), before_ms=last_ms, after_ms=device_ms))
         self._last_ms, self._bad_in_a_row = device_ms, 0
         return Sample(host_s, device_ms / 1000.0, tuple(map(float, line.counts)))
 
@@ -86,4 +85,6 @@ class TextStream:
         self.unreadable += 1
         self._bad_in_a_row += 1
         if self._bad_in_a_row >= BAD_IN_A_ROW:
-            raise BadReply(f"{self.name}: {BAD_IN_A_ROW} unreadable lines in a row, the last: {error}") from error
+            raise BadReply(
+                reason("rig.unreadable", device=named(self.name), count=BAD_IN_A_ROW, why=reason_of(error))
+            ) from error

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
+from softcal.core.reason import reason
 from softcal.station.command import Control, Measurement
 from softcal.station.config import StageConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
@@ -43,7 +44,7 @@ class ZaberConfig(StageConfig):
 
     def __post_init__(self) -> None:
         if not self.microstep_mm > 0:
-            raise InputError(f"stage.microstep_mm is {self.microstep_mm:g}; a number above 0 was expected")
+            raise InputError(reason("station_file.positive", name="stage.microstep_mm", value=self.microstep_mm))
 
 
 class ZaberStage:
@@ -94,7 +95,7 @@ class ZaberStage:
         end_s = self._link.clock.now_s() + HOMING_S
         while (reply := self._command("")).is_busy:
             if self._link.clock.now_s() > end_s:
-                raise NoReply(f"stage: not at home after {HOMING_S:g} s; look for what blocks it")
+                raise NoReply(reason("rig.not_home", seconds=HOMING_S))
             self._link.clock.sleep_s(STATUS_S)
             on_wait()
         self._check(reply)
@@ -134,7 +135,7 @@ class ZaberStage:
         now_s = self._link.clock.now_s()
         if self._asked is not None and now_s - self._asked[1] > SILENCE_S:
             self.is_position_known = False
-            raise NoReply(f"stage: no status for {SILENCE_S:g} s; check its power and cable, then home")
+            raise NoReply(reason("zaber.no_status", seconds=SILENCE_S))
         if self._asked is None and now_s >= self._next_status_s:
             self._asked = (self._send("get pos"), now_s)
             self._next_status_s = now_s + STATUS_S
@@ -176,7 +177,7 @@ class ZaberStage:
             if reply is not None and reply.message_id == message_id:
                 break
         if not reply.is_ok:
-            raise CommandRefused(f"stage: {words!r} was rejected: {reply.data}; nothing moved by it")
+            raise CommandRefused(reason("zaber.rejected", words=repr(words), why=reply.data))
         return reply
 
     def _send(self, words: str) -> int:
@@ -189,7 +190,7 @@ class ZaberStage:
             return
         self.is_position_known = self.is_moving = False
         what = zaber.WARNINGS.get(reply.warning, reply.warning)
-        raise DeviceError(f"stage: warning {reply.warning} ({what}); look at the rig, then home it")
+        raise DeviceError(reason("zaber.warning", code=reply.warning, why=what))
 
     def _forget(self) -> None:
         self.is_moving, self._asked = False, None
@@ -199,7 +200,7 @@ def _number(reply: zaber.Reply) -> float:
     try:
         return float(reply.data)
     except ValueError as error:
-        raise BadReply(f"stage: its position reads {reply.data[:40]!r}; a number was expected") from error
+        raise BadReply(reason("zaber.position", answer=repr(reply.data[:40]))) from error
 
 
 def _open(config: ZaberConfig, opening: Opening) -> ZaberStage:

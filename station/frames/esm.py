@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply
+from softcal.core.reason import reason
 
 UP, DOWN, STOP = b"u", b"d", b"s"
 TRAVEL, STATUS, GAUGE_READING = b"x", b"p", b"?"
@@ -67,7 +68,7 @@ def parse_status(line: bytes) -> Status:
     """
     found = _STATUS.fullmatch(line.decode("ascii", "replace").strip())
     if not found:
-        raise BadReply(f"stage: answered {line[:40]!r}; a status such as `S M UL` was expected")
+        raise BadReply(reason("esm.status", line=repr(line[:40])))
     return Status(found[1], found[2], found[3] or "")
 
 
@@ -79,7 +80,7 @@ def parse_travel_mm(line: bytes) -> float:
     """
     found = _TRAVEL.fullmatch(line.decode("ascii", "replace").strip())
     if not found:
-        raise BadReply(f"stage: answered {line[:40]!r}; a travel such as `-7.52 mm` was expected")
+        raise BadReply(reason("esm.travel_line", line=repr(line[:40])))
     return float(found[1]) * (MM_PER_INCH if found[2] == "in" else 1.0)
 
 

@@ -1,6 +1,7 @@
 """Units of force as gauges and indicators print them, in newtons."""
 
 from softcal.core.errors import BadReply
+from softcal.core.reason import reason
 
 STANDARD_GRAVITY = 9.80665
 """m/s², exact by definition: what turns a weight indicator's kilograms into newtons."""
@@ -28,5 +29,5 @@ def in_newtons(value: float, unit: str) -> float:
     """
     factor = NEWTONS.get(unit.lower())
     if factor is None:
-        raise BadReply(f"load cell: unit {unit!r} is not known; set it to N")
+        raise BadReply(reason("rig.force_unit", unit=repr(unit)))
     return value * factor

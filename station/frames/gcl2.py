@@ -4,16 +4,17 @@ import re
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply
+from softcal.core.reason import Reason, reason
 from softcal.station.frames.force_unit import in_newtons
 
 CURRENT, LIST = b"?C\r", b"LIST\r"
 END = b"\r"
 
 ERRORS = {
-    "*10": "illegal command",
-    "*11": "not applicable in this state",
-    "*12": "invalid specifier",
-    "*22": "value too large",
+    "*10": Reason("gcl2.error.10"),
+    "*11": Reason("gcl2.error.11"),
+    "*12": Reason("gcl2.error.12"),
+    "*22": Reason("gcl2.error.22"),
 }
 
 _READING = re.compile(r"([+-]?\d+(?:\.\d+)?)(?: ([A-Za-z]+))?")
@@ -44,12 +45,12 @@ def parse_reading_N(line: bytes) -> float:
     """
     text = _text(line)
     if text in ERRORS:
-        raise BadReply(f"gauge: {text} ({ERRORS[text]}); check its settings")
+        raise BadReply(reason("gcl2.error", code=text, why=ERRORS[text]))
     reading = _READING.fullmatch(text)
     if not reading:
-        raise BadReply(f"gauge answered {line[:40]!r}; a reading such as `-18.78 lbF` was expected")
+        raise BadReply(reason("gcl2.reading", line=repr(line[:40])))
     if not reading[2]:
-        raise BadReply("gauge: readings come without their unit; switch off 'Numeric only' in its menu")
+        raise BadReply(Reason("gcl2.no_unit"))
     return in_newtons(float(reading[1]), reading[2])
 
 
@@ -62,7 +63,7 @@ def parse_settings(line: bytes) -> GaugeSettings:
     fields = _text(line).split(";")
     modes = [field for field in fields if field in ("CUR", "PT", "PC")]
     if len(fields) < 4 or not fields[0].startswith("V") or not modes:
-        raise BadReply(f"gauge answered {line[:60]!r} to LIST; `V1.00;LBF;CUR;...` was expected")
+        raise BadReply(reason("gcl2.list", line=repr(line[:60])))
     return GaugeSettings(fields[1], modes[0], "NUM" not in fields, "NOPOL" not in fields)
 
 
@@ -70,4 +71,4 @@ def _text(line: bytes) -> str:
     try:
         return line.decode("ascii").strip()
     except UnicodeDecodeError as error:
-        raise BadReply(f"gauge answered {line[:40]!r}, which is noise") from error
+        raise BadReply(reason("gcl2.noise", line=repr(line[:40]))) from error

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from softcal.core.errors import BadReply
+from softcal.core.reason import Reason, reason
 
 STATUS, HOLD, RESUME, RESET, DOOR, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x84", b"\x85"
 """Real-time bytes: picked out of the stream at once, never queued, no line end."""
@@ -13,30 +14,33 @@ LINE_LENGTH = 127
 """Usable bytes of the receive buffer."""
 
 ERRORS = {
-    1: "expected a command letter",
-    2: "bad number format",
-    3: "unknown $ command",
-    5: "homing is not enabled ($22=0)",
-    7: "settings could not be read and were set to their defaults",
-    8: "only possible when idle",
-    9: "locked: home first or unlock",
-    10: "soft limits need homing",
-    15: "target beyond the travel",
-    20: "unsupported command",
-    22: "no feed rate was given",
+    1: Reason("grbl.error.1"),
+    2: Reason("grbl.error.2"),
+    3: Reason("grbl.error.3"),
+    5: Reason("grbl.error.5"),
+    7: Reason("grbl.error.7"),
+    8: Reason("grbl.error.8"),
+    9: Reason("grbl.error.9"),
+    10: Reason("grbl.error.10"),
+    15: Reason("grbl.error.15"),
+    20: Reason("grbl.error.20"),
+    22: Reason("grbl.error.22"),
 }
 
 ALARMS = {
-    1: "hard limit switch hit",
-    2: "target beyond the travel (soft limit)",
-    3: "reset while moving, position lost",
-    4: "probe already closed",
-    5: "probe did not close",
-    6: "homing was reset",
-    7: "safety door opened while homing",
-    8: "homing switch did not open again, it is stuck",
-    9: "homing switch was not found",
+    1: Reason("grbl.alarm.1"),
+    2: Reason("grbl.alarm.2"),
+    3: Reason("grbl.alarm.3"),
+    4: Reason("grbl.alarm.4"),
+    5: Reason("grbl.alarm.5"),
+    6: Reason("grbl.alarm.6"),
+    7: Reason("grbl.alarm.7"),
+    8: Reason("grbl.alarm.8"),
+    9: Reason("grbl.alarm.9"),
 }
+
+
+MANUAL = Reason("grbl.manual")
 
 
 @dataclass(frozen=True)
@@ -50,8 +54,10 @@ class Refusal:
 
     code: int
 
-    def __str__(self) -> str:
-        return f"error:{self.code} ({ERRORS.get(self.code, 'see the GRBL manual')})"
+    @property
+    def reason(self) -> Reason:
+        """What the controller objects to."""
+        return reason("grbl.error", code=self.code, why=ERRORS.get(self.code, MANUAL))
 
 
 @dataclass(frozen=True)
@@ -65,8 +71,10 @@ class Alarm:
         """Whether steps may have been lost."""
         return self.code not in (2, 4, 5)
 
-    def __str__(self) -> str:
-        return f"ALARM:{self.code} ({ALARMS.get(self.code, 'see the GRBL manual')})"
+    @property
+    def reason(self) -> Reason:
+        """Why it stopped."""
+        return reason("grbl.alarmed", code=self.code, why=ALARMS.get(self.code, MANUAL))
 
 
 @dataclass(frozen=True)
@@ -140,7 +148,7 @@ def parse(line: bytes) -> Reply:
         text = line.decode("ascii")
         return _parse(text)
     except (UnicodeDecodeError, ValueError) as error:
-        raise BadReply(f"GRBL answered {line[:60]!r}, which is no GRBL reply") from error
+        raise BadReply(reason("grbl.noise", line=repr(line[:60]))) from error
 
 
 def _parse(text: str) -> Reply:

@@ -3,9 +3,13 @@
 import re
 
 from softcal.core.errors import BadReply
+from softcal.core.reason import Reason, reason
 from softcal.station.frames.force_unit import in_newtons
 
 _LINE = re.compile(r"(ST|US|OL),(GS|NT),([+-])\s*(\d+(?:\.\d+)?)\s*([A-Za-z]+)")
+
+
+OVERLOADED = Reason("indicator.overloaded")
 
 
 def parse_N(line: bytes) -> float:
@@ -17,10 +21,10 @@ def parse_N(line: bytes) -> float:
     try:
         fields = _LINE.fullmatch(line.decode("ascii").strip())
     except UnicodeDecodeError as error:
-        raise BadReply(f"indicator sent {line[:40]!r}, which is noise") from error
+        raise BadReply(reason("indicator.noise", line=repr(line[:40]))) from error
     if not fields:
-        raise BadReply(f"indicator sent {line[:40]!r}; `ST,GS,+  4.876kg` was expected")
+        raise BadReply(reason("indicator.line", line=repr(line[:40])))
     state, _, sign, number, unit = fields.groups()
     if state == "OL":
-        raise BadReply("load cell: overloaded (OL); unload it and have its calibration checked")
+        raise BadReply(OVERLOADED)
     return in_newtons(float(sign + number), unit)

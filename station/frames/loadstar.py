@@ -1,6 +1,7 @@
 """Loadstar DI-100 and DI-1000 load cell interfaces ("DI-100U / DI-1000U Command Set", loadstarsensors.com). No I/O."""
 
 from softcal.core.errors import BadReply
+from softcal.core.reason import reason
 from softcal.station.frames.force_unit import in_newtons
 
 END = b"\r"
@@ -23,7 +24,7 @@ def parse_N(line: bytes, unit: str) -> float:
     try:
         return in_newtons(float(line.decode("ascii").strip()), unit)
     except ValueError as error:
-        raise BadReply(f"load cell sent {line[:40]!r}; a number such as -0.000456 was expected") from error
+        raise BadReply(reason("loadstar.line", line=repr(line[:40]))) from error
 
 
 def parse_unit(line: bytes) -> str:

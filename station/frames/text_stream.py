@@ -9,6 +9,7 @@ from functools import reduce
 from operator import xor
 
 from softcal.core.errors import BadReply
+from softcal.core.reason import reason
 
 
 @dataclass(frozen=True)
@@ -27,14 +28,14 @@ def parse(line: bytes) -> StreamLine:
     """
     content, star, checksum = line.partition(b"*")
     if star and checksum.upper() != _checksum(content):
-        raise BadReply(f"a stream line reads {line[:40]!r}; its checksum should be {_checksum(content).decode()}")
+        raise BadReply(reason("stream.checksum", line=repr(line[:40]), checksum=_checksum(content).decode()))
     fields = content.split(b",")
     # int() alone would take "1_0", " 7" and "+7"
     if len(fields) < 2 or not fields[0].isdigit() or not all(f.removeprefix(b"-").isdigit() for f in fields[1:]):
-        raise BadReply(f"a stream line reads {line[:40]!r}; `ms,value` in whole numbers was expected")
+        raise BadReply(reason("stream.line", line=repr(line[:40])))
     device_ms = int(fields[0])
     if device_ms >= 2**32:
-        raise BadReply(f"a stream line has the time {device_ms} ms; a 32-bit counter was expected")
+        raise BadReply(reason("stream.time", device_ms=device_ms))
     return StreamLine(device_ms, tuple(int(field) for field in fields[1:]))
 
 

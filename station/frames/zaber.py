@@ -3,31 +3,32 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply
+from softcal.core.reason import Reason, reason
 
 WARNINGS = {
-    "FF": "critical system error",
-    "FN": "peripheral not supported",
-    "FZ": "peripheral inactive",
-    "FH": "hardware emergency stop",
-    "FV": "overvoltage or undervoltage",
-    "FO": "driver disabled",
-    "FC": "current inrush error",
-    "FM": "motor temperature error",
-    "FD": "driver disabled by a fault",
-    "FQ": "encoder error",
-    "FI": "index error",
-    "FA": "analog encoder error",
-    "FR": "overdrive limit exceeded",
-    "FS": "stalled and stopped",
-    "FB": "stream bounds error",
-    "FP": "interpolated path deviation",
-    "FE": "limit error",
-    "FT": "excessive twist",
-    "WS": "stalled, position recovered",
-    "WR": "no reference position",
-    "WH": "not homed",
-    "NC": "moved by its knob",
-    "NI": "movement interrupted",
+    "FF": Reason("zaber.flag.FF"),
+    "FN": Reason("zaber.flag.FN"),
+    "FZ": Reason("zaber.flag.FZ"),
+    "FH": Reason("zaber.flag.FH"),
+    "FV": Reason("zaber.flag.FV"),
+    "FO": Reason("zaber.flag.FO"),
+    "FC": Reason("zaber.flag.FC"),
+    "FM": Reason("zaber.flag.FM"),
+    "FD": Reason("zaber.flag.FD"),
+    "FQ": Reason("zaber.flag.FQ"),
+    "FI": Reason("zaber.flag.FI"),
+    "FA": Reason("zaber.flag.FA"),
+    "FR": Reason("zaber.flag.FR"),
+    "FS": Reason("zaber.flag.FS"),
+    "FB": Reason("zaber.flag.FB"),
+    "FP": Reason("zaber.flag.FP"),
+    "FE": Reason("zaber.flag.FE"),
+    "FT": Reason("zaber.flag.FT"),
+    "WS": Reason("zaber.flag.WS"),
+    "WR": Reason("zaber.flag.WR"),
+    "WH": Reason("zaber.flag.WH"),
+    "NC": Reason("zaber.flag.NC"),
+    "NI": Reason("zaber.flag.NI"),
 }
 """Warning flags that matter here; a device reports its worst one in every reply."""
 
@@ -97,7 +98,7 @@ def parse_command(line: bytes) -> tuple[Command, bool]:
         BadReply: no command, or a checksum that does not match.
     """
     if not line.startswith(b"/"):
-        raise BadReply(f"{line[:40]!r} is no Zaber command")
+        raise BadReply(reason("zaber.no_command", line=repr(line[:40])))
     content, has_checksum = _without_checksum(line)
     numbers: list[int] = []
     words = content.decode("ascii", "replace").split()
@@ -131,14 +132,14 @@ def parse_reply(line: bytes) -> Reply | None:
         message_id = int(words.pop(2)) if words[2].isdigit() else None
         verdict, state, warning, *data = words[2:]
     except (ValueError, IndexError) as error:
-        raise BadReply(f"Zaber answered {line[:60]!r}, which is no Zaber reply") from error
+        raise BadReply(reason("zaber.noise", line=repr(line[:60]))) from error
     if line[:1] != b"@" or verdict not in ("OK", "RJ") or state not in ("BUSY", "IDLE"):
-        raise BadReply(f"Zaber answered {line[:60]!r}, which is no Zaber reply")
+        raise BadReply(reason("zaber.noise", line=repr(line[:60])))
     return Reply(device, scope, message_id, verdict == "OK", state == "BUSY", warning, " ".join(data))
 
 
 def _without_checksum(line: bytes) -> tuple[bytes, bool]:
     content, colon, checksum = line[1:].rstrip().partition(b":")
     if colon and checksum != lrc(content):
-        raise BadReply(f"{line[:60]!r}: the checksum should be {lrc(content).decode()}")
+        raise BadReply(reason("zaber.checksum", line=repr(line[:60]), checksum=lrc(content).decode()))
     return content, bool(colon)

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from functools import partial
 
 from softcal.core.errors import InputError
+from softcal.core.reason import Reason, reason
 from softcal.core.twin.simulate import Twin
 from softcal.station.bench import Bench, open_simulated_bench
 from softcal.station.simulated.faults import FAULTS, Fault
@@ -49,7 +50,7 @@ class SimulatedLine:
             self._phase = phase
             self._release(phase)
 
-    def inject(self, name: str) -> str:
+    def inject(self, name: str) -> Reason:
         """Break something in the phase the fault's name says, in this run or the next; return what will happen.
 
         Raises:
@@ -57,11 +58,13 @@ class SimulatedLine:
         """
         fault = NAMES.get(name)
         if fault is None:
-            raise InputError(f"fault {name!r} is unknown; known: {', '.join(NAMES)}")
+            raise InputError(reason("fault.unknown", name=repr(name), known=", ".join(NAMES)))
         self._armed.append(fault)
         if fault.phase and fault.phase == self._phase:
             self._release(fault.phase)
-        return f"{name}: comes {f'while {fault.phase}' if fault.phase else 'with the next run'}"
+        if fault.phase:
+            return reason("fault.in_phase", name=name, phase=fault.phase)
+        return reason("fault.next", name=name)
 
     def _release(self, phase: str) -> None:
         station = self._station

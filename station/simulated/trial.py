@@ -7,6 +7,7 @@ from typing import Any
 
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile, moves
+from softcal.core.reason import Reason
 from softcal.station.acquisition import RunProgress, record
 from softcal.station.bench import open_simulated_bench
 from softcal.station.simulated.faults import DOWN_S, PRESS, Fault
@@ -32,6 +33,7 @@ class Outcome:
         largest_force_N: that the unit saw.
         record: "none" (nothing was recorded as good), "good" otherwise.
         spool: how the spool says the run ended.
+        reason: the message as a code, for a screen in another language; None where the run went through.
     """
 
     fault: str
@@ -42,6 +44,7 @@ class Outcome:
     largest_force_N: float
     record: str
     spool: str
+    reason: Reason | None = None
 
 
 def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> Outcome:
@@ -78,7 +81,8 @@ def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], S
             watch.stopped_s(),
             station.rig.largest_force_N,
             record_state,
-            read_spool(path).end,
+            str(read_spool(path).end),
+            error.reason if error else None,
         )
 
 
@@ -107,7 +111,7 @@ def run_with_dead_host(folder: Path, seed: int = 0) -> Outcome:
                 return
             died_s = station.world.now_s()
             station.world.sleep_s(COAST_S)
-            spool_says = read_spool(path).end
+            spool_says = str(read_spool(path).end)
             raise _HostDied
 
         try:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,9 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
+from softcal.app.use.adapt import AdaptOptions, adapt_file
+from softcal.core.use.adapter import AdaptConfig
+from softcal.core.use.method import UseMethod
 from softcal.db.connection import open_registry
 
 RELEASED = Path(__file__).parents[1] / "core" / "released"
@@ -198,3 +202,34 @@ def test_unknown_serial_and_missing_file_are_refused(
     assert adapt(bench, tmp_path / "nowhere.csv", tmp_path / "out.csv") == 2
     assert "no such file" in capsys.readouterr().err
     assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_stream_resumed_under_other_numbers_says_which_and_goes_on(
+    bench: Path, stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = replace(UseMethod(), drift=replace(UseMethod().drift, pace=13.0))
+    with open_registry(url(bench)) as registry:
+        first = AdaptOptions(stream="numbers")
+        adapt_file(registry, "A1", stream, tmp_path / "first.csv", first)
+        resumed = AdaptOptions(AdaptConfig(method=other), stream="numbers", resume=True)
+
+        report = adapt_file(registry, "A1", stream, tmp_path / "second.csv", resumed)
+
+        course = registry.adaptations("A1", "numbers")
+        again = adapt_file(registry, "A1", stream, tmp_path / "third.csv", resumed)
+        changes = [step for step in registry.adaptations("A1", "numbers") if step["event"] == "method"]
+    assert report.changed == ["drift.pace: 12.0, now 13.0"] and again.changed == []
+    assert len(changes) == 1 and "drift.pace: 12.0, now 13.0" in changes[0]["reason"]
+    assert {step["method"] for step in course} == {UseMethod().id, other.id}
+    assert course[-1]["state"]["method"] == json.loads(json.dumps(other.to_json()))
+
+
+def test_the_method_is_named_in_the_report(
+    bench: Path, stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert adapt(bench, stream, tmp_path / "out.csv", "--json", str(tmp_path / "out.json")) == 0
+
+    report = json.loads((tmp_path / "out.json").read_text())
+    assert report["method"]["id"] == UseMethod().id
+    assert UseMethod.of(report["method"]["numbers"]) == UseMethod()
+    assert UseMethod().id[:12] in capsys.readouterr().err

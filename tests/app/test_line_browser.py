@@ -77,7 +77,7 @@ def line(tmp_path_factory: pytest.TempPathFactory, serve: Callable, serve_statio
         while (progress := registry.order_queue.progress(source)).state.is_active:
             assert time.monotonic() < deadline_s, progress
             time.sleep(0.2)
-        assert progress.state is RunState.DONE, progress.message
+        assert progress.state is RunState.DONE, progress.text
         yield line
 
 

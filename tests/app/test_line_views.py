@@ -18,7 +18,7 @@ from softcal.app.views.line import ACTIONS, KEYS, TONES, away_view, line_view
 from softcal.core.lot import Lot
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.reason import reason
+from softcal.core.reason import Reason, plain, reason
 from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import NetworkEntry, RunEntry, UnitStanding
 from softcal.db.network_release import NetworkState
@@ -49,7 +49,7 @@ def waits(serial: str = "A1", run: str = "", **more) -> Place:
 
 
 def result(verdict: str, times: int = 1) -> tuple[RunEntry, ...]:
-    return tuple(RunEntry("A1", NOW - timedelta(hours=1), verdict, ("because",)) for _ in range(times))
+    return tuple(RunEntry("A1", NOW - timedelta(hours=1), verdict, (plain("because"),)) for _ in range(times))
 
 
 def shown(**changes):
@@ -70,7 +70,7 @@ SITUATIONS = {
     "used_up": {"place": waits(), "results": result("fail", 2)},
     "closed": {"heartbeat": heartbeat(StationState.CLOSED, reasons=("no golden unit",))},
     "running": {"active": run(Progress("o1", RunState.RUNNING, "pressing", 0.4, 12.0))},
-    "stopped": {"heartbeat": heartbeat(StationState.STOPPED, reasons=(ERROR.message,)), "runs": (run(ERROR),)},
+    "stopped": {"heartbeat": heartbeat(StationState.STOPPED, reasons=(ERROR.text,)), "runs": (run(ERROR),)},
     "broken": {"runs": (run(replace(ERROR, code="E-INTERRUPTED")),)},
     "pass": {"runs": (run(),)},
     "conditional": {"runs": (run(replace(UNIT_DONE, verdict="conditional")),)},
@@ -118,8 +118,8 @@ def test_a_unit_that_waits_stands_there_and_not_the_result_of_the_one_before():
 
 
 def test_no_unit_in_the_fixture_is_said_so():
-    message = "no contact down to 40 mm; is a unit in the fixture and connected?"
-    empty = replace(ERROR, code="E-SAFETY", message=message)
+    message = reason("rig.aborted", why=reason("rig.no_contact", deepest_mm=40.0), state=Reason("left.lifted"))
+    empty = replace(ERROR, code="E-SAFETY", message=(message,))
     view = shown(heartbeat=heartbeat(StationState.STOPPED, reasons=(message,)), runs=(run(empty),))
     assert view.instruction.startswith("No unit was found in the fixture") and "safety" not in view.instruction
 
@@ -197,7 +197,7 @@ def test_every_sentence_about_a_scan_ends_with_the_next_run():
 def test_a_stop_names_what_happened_what_to_do_and_its_code():
     view = shown(**SITUATIONS["stopped"])
     assert "cable" in view.instruction and "F4" in view.instruction
-    assert view.details == (ERROR.message, "Code E-SILENT")
+    assert view.details == (ERROR.text, "Code E-SILENT")
 
 
 def test_a_station_that_stopped_between_runs_does_not_blame_the_last_run():

@@ -6,6 +6,7 @@ import subprocess
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
+import numpy as np
 import pytest
 
 from softcal.app.line.facts import Screen, read_line
@@ -16,6 +17,7 @@ from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.reason import plain
+from softcal.core.recording import OutputRecording
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 
@@ -55,6 +57,12 @@ class Line:
     @property
     def facts(self):
         return read_line(self.registry, HERE)
+
+
+def register(registry, lot_id: str, serial: str) -> None:
+    """Put a unit without a result into a lot: its recording came in."""
+    recording = OutputRecording(serial, np.arange(20) / 50.0, np.sin(np.arange(20.0)), 50.0)
+    registry.add_recording(lot_id, recording, "unit")
 
 
 @pytest.fixture
@@ -101,7 +109,7 @@ def test_what_cannot_be_done_is_said_and_orders_nothing(line, scanned, refusal):
 
 def test_a_unit_of_another_lot_is_refused_by_its_row_and_by_its_pattern(line):
     line.registry.add_lot(Lot("L2", "B0", 50.0))
-    line.registry.add_unit("L2", "X7")
+    register(line.registry, "L2", "X7")
     line.registry.set_line_rules("L1", LineRules(r"A\d+", "upper"), reason="drawing")
     line.registry.set_line_rules("L2", LineRules(r"B\d+", "upper"), reason="drawing")
     line.scan("LOT:l1")
@@ -167,7 +175,7 @@ def test_after_a_stop_nothing_goes_on_until_it_was_read_and_then_the_unit_is_sca
 @pytest.mark.parametrize("refused", ["A0", "X7", "not a serial!", "http://x.y", "LOT:nowhere"])
 def test_a_refused_scan_takes_the_unit_before_it_off_the_screen(line, refused):
     line.registry.add_lot(Lot("L2", "B0", 50.0))
-    line.registry.add_unit("L2", "X7")
+    register(line.registry, "L2", "X7")
     line.scan("LOT:L1")
     line.scan("A1")
     assert line.facts.serial == "A1" and line.scan(refused) is not None
@@ -247,7 +255,7 @@ def test_a_serial_unlike_any_of_the_lot_becomes_a_unit_only_once_that_was_read(l
 
 
 def test_where_units_were_registered_by_name_every_other_one_is_asked_for(line):
-    line.registry.add_unit("L1", "A1")
+    register(line.registry, "L1", "A1")
     line.scan("A2")
     assert line.facts.open_question == "ask_new"
     line.scan("A1")

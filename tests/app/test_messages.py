@@ -1,126 +1,134 @@
-"""Everything a station can say, its gate's conditions and its stops, is said in the language of the screen."""
+"""What a station, its gate and the registry say is a code with values, said in the language of the screen."""
 
 import ast
-import inspect
+import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from functools import partial
-from importlib import import_module
-from pkgutil import iter_modules
-from types import ModuleType
+from pathlib import Path
+from string import Formatter
 
 import pytest
 
-from softcal.app.line import gate_facts, pressed_run
-from softcal.app.line import host as station_host
+import softcal.core.errors
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
-from softcal.app.texts.reasons import told
-from softcal.core.orders import OrderKind, RunState
-from softcal.core.quality import gate as station_gate
+from softcal.app.texts.reasons import PREFIX, said
+from softcal.core.errors import NoReply, SoftcalError
+from softcal.core.orders import Condition, Heartbeat, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.gate import CellCertificate, GoldenCheck, RigFacts, StationFacts, may_run
-from softcal.core.use import tracker as drift
-from softcal.db import people
-from softcal.station import (
-    acquisition,
-    bench,
-    command,
-    contact,
-    drivers,
-    frames,
-    link,
-    motion,
-    proof,
-    recording,
-    safety,
-    self_test,
-    service,
-    spool,
-    steps,
-    watched,
-)
+from softcal.core.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, root_of
+from softcal.core.rig_sentences import SENTENCES
+from softcal.db.connection import open_registry
 from softcal.station.frames import gcl2, grbl, zaber
+from softcal.station.named import named
 
-KOREAN, ENGLISH = partial(text, "ko"), partial(text, "en")
-MODULES = [
-    *(station_gate, gate_facts, station_host, pressed_run, people, drift),
-    *(acquisition, bench, command, contact, link, motion, proof, recording, safety, self_test, service, spool, steps),
-    watched,
-    *(
-        import_module(f"{folder.__name__}.{m.name}")
-        for folder in (drivers, frames)
-        for m in iter_modules(folder.__path__)
-    ),
-]
-NOT_SHOWN = (
-    *("recorded without a reference", "is no spool of softcal", "pressed on", "is no Zaber command"),
-    *("nobody has this PIN", "is none of"),
-    # Keys of a station file, said to the engineer who wrote it.
-    *("a number above 0 was expected", "a number in [", "a value in ", "known are", "force.counts_per_N is"),
-    *("reads one channel", "readings a second are possible", "check [stage] in the station file"),
-    # What `softcal station drivers` lists.
-    *("text lines `", "stands under PC control", "the gauge on a", "grblHAL controllers", "weighing indicators that"),
-    *("SCPI multimeters:", "Zaber stages, ASCII"),
-)
-"""Errors of a caller, and words for the audit trail and for lists."""
-
-DECLARED = ("Get", "Set", "Control", "Measure", "get ", "set ")
-"""A declared quantity of a driver begins so: its documentation and its command, no message."""
-
-DEVICE, VALUE = re.compile(r"\0[^\0]*(name|label|sensor)\0:"), re.compile(r"\0[^\0]*\0")
+KOREAN, ENGLISH_WORDS = partial(text, "ko"), partial(text, "en")
+ROOT = Path(softcal.core.errors.__file__).parents[1]
+FILES = sorted(path for room in ("station", "app", "db", "core") for path in (ROOT / room).rglob("*.py"))
+ERRORS = {"Held", "Cancelled", "StoppedByHand", "ZeroMoved"} | {
+    name
+    for name in dir(softcal.core.errors)
+    if name[0].isupper() and name.endswith(("Error", "Refused", "Reply", "Stop"))
+}
 
 
-def sentences(module: ModuleType) -> list[str]:
-    """Return every text of three words or more in a module, with a device or a number in the place of each value."""
-    tree = ast.parse(inspect.getsource(module))
-    quiet = [node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)]
-    quiet += [part for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values]
-    texts = [_filled(node) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]
-    constants = (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and node not in quiet)
-    texts += [node.value for node in constants if isinstance(node.value, str)]
-    phases = {key.removeprefix("phase.") for key in catalogue()["en"] if key.startswith("phase.")}
-    return [
-        found
-        for found in texts
-        if len(re.findall(r"[a-z]{2,}", found)) > 2
-        and found not in phases
-        and not found.startswith(DECLARED)
-        and not any(part in found for part in NOT_SHOWN)
-    ]
+def calls(path: Path) -> Iterator[tuple[ast.Call, str]]:
+    """Yield every call of a plain name in a file, with that name."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            yield node, node.func.id
 
 
-def _filled(sentence: ast.JoinedStr) -> str:
-    made = "".join(
-        part.value if isinstance(part, ast.Constant) else f"\0{ast.unparse(part.value)}\0" for part in sentence.values
+def given(call: ast.Call) -> tuple[str, set[str]] | None:
+    """Return code and names of the values of a reason that is made in place; None for one that is passed on."""
+    code, *rest = call.args
+    if not isinstance(code, ast.Constant):
+        return None
+    names = {str(key.value) for table in rest if isinstance(table, ast.Dict) for key in table.keys}
+    names |= {str(keyword.arg) for keyword in call.keywords}
+    # `**shared`: whatever else the sentence needs.
+    return str(code.value), (names - {"None"}) | (
+        places(ENGLISH.get(str(code.value), "")) if "None" in names else set()
     )
-    return VALUE.sub("1.5", DEVICE.sub("load cell:", made))
 
 
-@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.__name__.removeprefix("softcal."))
-def test_every_sentence_of_the_station_is_said_in_korean(
-    module: ModuleType, english_in: Callable[[str], list[str]]
-) -> None:
-    found = sentences(module)
-    assert [(sentence, told(sentence, KOREAN)) for sentence in found if english_in(told(sentence, KOREAN))] == []
-    assert [sentence for sentence in found if told(sentence, ENGLISH) != sentence] == []
+def places(sentence: str) -> set[str]:
+    """Return the names in the braces of a sentence."""
+    return {name for _, name, _, _ in Formatter().parse(sentence) if name}
 
 
-def test_a_sentence_that_is_in_no_catalogue_would_be_found(english_in: Callable[[str], list[str]]) -> None:
-    assert english_in(told("load cell: sings out of tune; check its ears", KOREAN))
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_reason_that_is_given_has_its_sentence_and_all_of_its_values(path: Path) -> None:
+    for call, name in calls(path):
+        if name not in ("reason", "Reason") or not call.args or (found := given(call)) is None:
+            continue
+        code, values = found
+        assert code in ENGLISH, (code, call.lineno)
+        # The cure of a setting is given its number where the setting is known.
+        assert values == places(ENGLISH[code]) or code == "grbl.safe.acceleration", (code, call.lineno)
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_every_sentence_is_said_in_every_language_with_the_same_values(language: str) -> None:
+    told = catalogue()[language]
+    other = [code for code, said in SENTENCES.items() if places(told[f"{PREFIX}{code}"]) != places(said)]
+    assert other == []
+
+
+def test_every_sentence_is_given_somewhere() -> None:
+    source = "\n".join(path.read_text(encoding="utf-8") for path in FILES if path.name != "rig_sentences.py")
+    assert [code for code in SENTENCES if f'"{code}"' not in source] == []
+
+
+SAME = {code for code, sentence in SENTENCES.items() if not re.search(r"[a-z]{3,}", re.sub(r"\{[^}]*\}", "", sentence))}
+"""Sentences of numbers and units alone."""
+
+KEYS = {"name", "true", "force", "stage", "safety", "without_cell", "cycles", "esm"}
+"""Words of the station file: they stand in it in English."""
+
+
+def test_every_sentence_with_words_is_korean_in_korean(english_in: Callable[[str], list[str]]) -> None:
+    for code in SENTENCES.keys() - SAME:
+        korean = re.sub(r"\{[^}]*\}", "1", catalogue()["ko"][f"{PREFIX}{code}"])
+        korean = re.sub(r"[a-z_]{2,}", lambda word: "" if word[0] in KEYS else word[0], korean)
+        assert re.search("[가-힣]", korean) and english_in(korean) == [], code
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in FILES if "station" in path.relative_to(ROOT).parts], ids=lambda path: path.stem
+)
+def test_no_error_of_the_station_is_a_sentence(path: Path) -> None:
+    written = ast.JoinedStr | ast.Constant
+    raised = [
+        call
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call)
+        for call in [node.exc]
+    ]
+    sentences = [
+        ast.unparse(call)
+        for call in raised
+        if isinstance(call.func, ast.Name)
+        and call.func.id in ERRORS
+        and call.args
+        and isinstance(call.args[0], written)
+    ]
+    assert sentences == []
+
+
+def test_no_text_is_taken_apart_to_be_said() -> None:
+    for path in (ROOT / "app" / "texts").glob("*.py"):
+        tree = ast.parse(path.read_text())
+        imported = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+        taken_apart = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)} & {"split", "partition", "match"}
+        assert "re" not in imported and not taken_apart
 
 
 @pytest.mark.parametrize("codes", [grbl.ALARMS, grbl.ERRORS, zaber.WARNINGS, gcl2.ERRORS])
 def test_every_code_of_a_device_is_explained_in_korean(codes: dict, english_in: Callable[[str], list[str]]) -> None:
-    assert [why for why in codes.values() if english_in(told(why, KOREAN))] == []
-
-
-def test_what_the_self_test_looks_at_has_a_korean_name(english_in: Callable[[str], list[str]]) -> None:
-    calls = [node for node in ast.walk(ast.parse(inspect.getsource(self_test))) if isinstance(node, ast.Call)]
-    findings = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id == "Finding"]
-    names = {arg.value for call in findings for arg in call.args[:2] if isinstance(arg, ast.Constant)}
-    assert len(names) > 8
-    assert [name for name in names if english_in(told(name, KOREAN))] == []
+    assert [why for why in codes.values() if english_in(said(why, KOREAN))] == []
 
 
 NOW = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
@@ -128,11 +136,12 @@ GOOD = StationFacts(
     NOW, CellCertificate("K-17", date(2027, 1, 1), 20.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", True),
     RigFacts(timedelta(hours=2), is_homed=True),
 )  # fmt: skip
+HOMING = reason("grbl.homing_failed", why=grbl.Alarm(9).reason)
 BAD = StationFacts(
     NOW, CellCertificate("K-17", date(2026, 1, 1), 9.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", False),
-    RigFacts(homing_fault="stage: homing failed: ALARM:9 (homing switch was not found)", zero_return_N=1.0),
+    RigFacts(homing_fault=HOMING, zero_return_N=1.0),
 )  # fmt: skip
-FAULT = "load cell: reads 3 N unloaded, at most 0.5 N is allowed"
+FAULT = reason("rig.not_zero", zero_N=3.0, allowed_N=0.5)
 GATES = {
     "good": GOOD,
     "bad": BAD,
@@ -148,22 +157,76 @@ def test_every_condition_of_the_gate_is_said_in_korean(
     conditions = may_run(facts, OrderKind.UNIT).conditions
     assert len(conditions) >= 5
     for condition in conditions:
-        assert english_in(told(condition.name, KOREAN) + " " + told(condition.says, KOREAN)) == []
-        assert told(condition.name, KOREAN) != condition.name
+        assert english_in(said(condition.name, KOREAN) + " " + said(condition.says, KOREAN)) == []
+        assert said(condition.name, KOREAN) != str(condition.name)
 
 
-def test_values_and_codes_survive() -> None:
-    said = told("stage (/dev/ttyACM0): no answer within 0.5 s; check cable, power and baud rate", KOREAN)
-    assert said == "스테이지 (/dev/ttyACM0): 0.5초 안에 응답 없음; 케이블, 전원, 통신 속도를 확인하십시오"
+def test_an_error_is_english_as_text_and_korean_on_a_screen() -> None:
+    error = NoReply(reason("rig.no_answer", device=named("stage", "/dev/ttyACM0"), within_s=0.5))
+    assert str(error) == "stage (/dev/ttyACM0): no answer within 0.5 s; check cable, power and baud rate"
+    korean = said(error.reason, KOREAN)
+    assert korean == "스테이지 (/dev/ttyACM0): 0.5초 안에 응답 없음; 케이블, 전원, 통신 속도를 확인하십시오"
 
 
 def test_a_cause_within_a_message_is_said_too(english_in: Callable[[str], list[str]]) -> None:
-    stopped = f"the station is stopped: {FAULT}; zero it; the stage is stopped and lifted, the run is aborted"
-    said = told(f"{stopped}; acknowledge first", KOREAN)
-    assert english_in(said) == [] and "무부하 값 3 N" in said and "작업 중단" in said
+    stopped = reason("rig.aborted", why=FAULT, state=Reason("left.lifted"))
+    korean = said(reason("rig.stopped", why=stopped), KOREAN)
+    assert english_in(korean) == [] and "무부하 값 3 N" in korean and "작업 중단" in korean
+    assert root_of(stopped) == FAULT and root_of(FAULT) == FAULT
+
+
+def test_a_device_of_another_maker_keeps_its_name() -> None:
+    assert said(named("spectrometer"), KOREAN) == "spectrometer"
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_a_number_that_is_none_never_keeps_a_stop_from_being_said(value: float) -> None:
+    why = reason("rig.force", force_N=value, coming_N=1.0, limit_N=5.0)
+    assert f"force {value} N, 1.00 N by the time" in str(why)
+    assert str(value) in said(Reason.of(json.loads(json.dumps(why.to_json(), allow_nan=False))), KOREAN)
+
+
+def test_what_a_station_says_crosses_the_registry_with_its_values(tmp_path: Path) -> None:
+    stopped = reason("rig.aborted", why=FAULT, state=Reason("left.lifted"))
+    gate = tuple(may_run(BAD, OrderKind.UNIT).conditions)
+    beat = Heartbeat("s1", StationState.STOPPED, NOW, (stopped,), "host:1", gate=gate)
+    with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as registry:
+        registry.order_queue.beat(beat)
+        assert registry.order_queue.heartbeat("s1") == beat
+    message = Progress("o1", RunState.ERROR, message=packed([stopped])).message  # type: ignore[arg-type]
+    assert message == (stopped,) and "무부하 값 3 N" in said(message[0], KOREAN)
+
+
+def test_a_row_of_an_older_version_is_shown_as_it_stands() -> None:
+    old = "stage: no answer within 0.5 s; check cable, power and baud rate"
+    assert Progress("o1", RunState.ERROR, message=old).message == (plain(old),)  # type: ignore[arg-type]
+    beat = Heartbeat("s1", StationState.STOPPED, NOW, (old,), gate=(Condition("homing", True, "homed"),))  # type: ignore[arg-type]
+    assert said(beat.reasons[0], KOREAN) == old and beat.gate[0].says.code == PLAIN
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_every_order_and_every_end_of_a_run_has_a_name(language: str) -> None:
     known = catalogue()[language].keys()
     assert {f"order.{kind}" for kind in OrderKind} <= known and {f"run.{state}" for state in RunState} <= known
+
+
+@pytest.mark.parametrize("module", ["tracker", "adapter"])
+def test_every_reason_to_calibrate_again_has_its_korean_text(
+    module: str, english_in: Callable[[str], list[str]]
+) -> None:
+    tree = ast.parse((ROOT / "core" / "use" / f"{module}.py").read_text())
+    kept = [n.value for n in ast.walk(tree) if isinstance(n, ast.Assign) and "alarm" in ast.unparse(n.targets[0])]
+    kept += [n.value for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) and f.name == "_alarm"
+             for n in ast.walk(f) if isinstance(n, ast.Return)]  # fmt: skip
+    phrases = {
+        n.value for value in kept for n in ast.walk(value) if isinstance(n, ast.Constant) and " " in str(n.value)
+    }
+    assert len(phrases) >= 1
+    assert [phrase for phrase in phrases if english_in(KOREAN(f"adapt.{phrase}"))] == []
+
+
+def test_an_error_survives_the_way_between_processes() -> None:
+    import pickle
+
+    error = pickle.loads(pickle.dumps(NoReply(FAULT)))
+    assert isinstance(error, SoftcalError) and error.reason == FAULT

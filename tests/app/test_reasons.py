@@ -10,11 +10,12 @@ from string import Formatter
 import pytest
 
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
-from softcal.app.texts.reasons import PLAINLY, PREFIX, parted, plainly, said
+from softcal.app.texts.reasons import PLAINLY, PREFIX, plainly, said
 from softcal.app.views.lot import reason_kind
 from softcal.core import reason as reasons
 from softcal.core.maps import affine, ends, monotone, paired, phase, synchronous
-from softcal.core.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, to_kept
+from softcal.core.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, to_kept, unpacked
+from softcal.core.rig_sentences import SENTENCES
 from softcal.core.unit import findings, health, verdict
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit, decide, decide_audited, default_limit
@@ -31,7 +32,8 @@ def example(code: str) -> Reason:
     return Reason(code, {name: 0.5 if spec else "N" if name == "unit" else plain("so") for name, spec in places})
 
 
-EXAMPLES = [example(code) for code in ENGLISH]
+VERDICTS = [code for code in ENGLISH if code not in SENTENCES]
+EXAMPLES = [example(code) for code in VERDICTS]
 
 
 @pytest.mark.parametrize("one", EXAMPLES, ids=str)
@@ -65,7 +67,7 @@ def test_every_reason_is_said_plainly_to_the_line_without_numbers(one: Reason, l
 
 
 def test_a_reason_kept_as_a_sentence_is_shown_as_it_is() -> None:
-    assert plainly(plain("two maps"), KOREAN) == plainly("two maps", KOREAN) == "two maps"
+    assert plainly(plain("two maps"), KOREAN) == said(plain("two maps"), KOREAN) == "two maps"
 
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda module: module.__name__)
@@ -86,7 +88,7 @@ def test_every_code_is_given_somewhere() -> None:
     source = "\n".join(path.read_text() for path in files)
     # `decide` puts these two together from the name of what it judges.
     known = {PLAIN, "part.predicted", "part.measured"}
-    unused = [code for code in ENGLISH if f'"{code}"' not in source and code not in known]
+    unused = [code for code in VERDICTS if f'"{code}"' not in source and code not in known]
     assert unused == []
 
 
@@ -94,7 +96,7 @@ def test_every_code_is_given_somewhere() -> None:
 def test_a_reason_survives_being_kept(one: Reason) -> None:
     assert Reason.of(json.loads(json.dumps(one.to_json()))) == one
     assert Reason.of(json.loads(json.dumps(to_kept(one)))) == one
-    assert parted(packed([one, one])) == [one, one] or one.code == PLAIN
+    assert unpacked(packed([one, one])) == (one, one) or one.code == PLAIN
 
 
 def test_the_sentence_an_older_version_kept_stays_as_it_is() -> None:
@@ -127,9 +129,9 @@ def test_the_cause_within_a_reason_is_said_too() -> None:
     assert "빠른 움직임" in said(one, KOREAN) and "12%" in said(one, KOREAN)
 
 
-def test_a_message_that_is_no_list_of_reasons_is_parted_at_its_marks() -> None:
-    assert parted("") == []
-    assert parted("the moon was full") == ["the moon was full"]
+def test_a_message_that_was_kept_as_a_sentence_is_that_sentence() -> None:
+    assert unpacked("") == () and packed(()) == ""
+    assert unpacked("the moon was full; so was the glass") == (plain("the moon was full; so was the glass"),)
 
 
 @pytest.mark.parametrize("language", LANGUAGES)

@@ -47,7 +47,7 @@ def test_a_source_is_registered_pressed_looked_at_and_trained_from_its_page(url:
             time.sleep(0.2)
         (order, progress), *_ = found
         assert (order.kind, order.serial, order.lot_id) == (OrderKind.SOURCE, "A0", LOT)
-        assert progress.state is RunState.DONE, progress.message
+        assert progress.state is RunState.DONE, progress.text
         (recording,) = registry.recordings(LOT, kind="source")
         (network,) = registry.networks()
     screen.run()

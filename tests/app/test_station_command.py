@@ -181,7 +181,7 @@ def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
     process.wait()
     (spool,) = tmp_path.glob("spool/*.spool")
     run = read_spool(spool)
-    assert run.end == "cut off"
+    assert str(run.end) == "cut off"
     assert len(run.output) > 20
     assert not (tmp_path / "A1.csv").exists()
 

@@ -80,7 +80,7 @@ def test_an_order_becomes_a_recording_in_the_registry(registry, tmp_path):
 
     serve_until(host, place_and_wait)
     progress = queue.progress("o1")
-    assert progress.state is RunState.DONE, progress.message
+    assert progress.state is RunState.DONE, progress.text
     recording = registry.recording(progress.recording_sha256)
     assert recording.serial == "A1"
     assert recording.stage_mm.max() == pytest.approx(2.0, abs=0.02)
@@ -193,5 +193,5 @@ def test_a_defect_ends_its_run_alone(registry, tmp_path, monkeypatch):
     serve_until(host, placed_and_ended(registry, "L1"))
     progress = queue.progress("o1")
     assert (progress.state, progress.code) == (RunState.ERROR, "E-INTERNAL")
-    assert "ZeroDivisionError" in progress.message
+    assert "ZeroDivisionError" in progress.text
     assert host._service.spool_path(Order("o1", "s1", OrderKind.UNIT, "A1")).exists()  # what was pressed is kept

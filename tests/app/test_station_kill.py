@@ -49,7 +49,7 @@ def test_a_killed_service_leaves_an_interrupted_run_and_its_samples(tmp_path):
         wait_for(lambda: not queue.is_answering("s1"))
         assert queue.progress("o1").state is RunState.RUNNING  # Nobody is there to say otherwise.
         (spooled,) = recover(tmp_path / "spool", tmp_path / "recovered")
-        assert spooled.end == "cut off"
+        assert str(spooled.end) == "cut off"
         assert len(pd.read_csv(spooled.files[0])) == spooled.samples > 400
         with served(url, tmp_path):
             wait_for(lambda: not queue.progress("o1").state.is_active)

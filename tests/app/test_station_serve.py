@@ -13,7 +13,6 @@ from softcal.app.line.serve import Serving, serve
 from softcal.core.errors import InputError
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import Order, OrderKind, RunState, StationState
-from softcal.core.reason import packed
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
 from softcal.db.tables import heartbeats
@@ -77,8 +76,8 @@ def served(tmp_path, **changes):
 def line(tmp_path_factory):
     with served(tmp_path_factory.mktemp("line")) as line:
         done = line.order("source", "A0")
-        assert done.state is RunState.DONE, done.message
-        assert "shared network trained" in done.message
+        assert done.state is RunState.DONE, done.text
+        assert "shared network trained" in done.text
         yield line
 
 
@@ -92,9 +91,9 @@ def test_a_unit_gets_its_verdict_in_its_order_and_in_the_registry(line):
     done = line.order("unit", "A1")
     assert done.state is RunState.DONE
     assert done.verdict in ("pass", "conditional", "fail", "retest")
-    assert done.message
+    assert done.text
     (unit,) = [unit for unit in line.registry.units("L1") if unit.serial == "A1"]
-    assert (unit.verdict, packed(unit.reasons)) == (done.verdict, done.message)
+    assert (unit.verdict, unit.reasons) == (done.verdict, done.message)
     assert line.registry.recording(done.recording_sha256).serial == "A1"
 
 
@@ -115,7 +114,7 @@ def test_a_unit_pressed_again_gets_another_revision_with_its_reason(line):
 def test_an_order_that_makes_no_sense_moves_nothing(line, kind, serial, message):
     refused = line.order(kind, serial)
     assert (refused.state, refused.code) == (RunState.ERROR, "E-ORDER")
-    assert message in refused.message
+    assert message in refused.text
     answered_at = datetime.now(UTC)
     assert line.wait_for(lambda beat: beat.at > answered_at).state is StationState.READY
 
@@ -124,9 +123,9 @@ def test_a_fault_in_mid_run_stops_the_station_and_an_acknowledgement_brings_it_b
     assert line.order("fault", reason="load cell unplugged while pressing").state is RunState.DONE
     broken = line.order("unit", "A3")
     assert (broken.state, broken.code, broken.verdict) == (RunState.ERROR, "E-SILENT", "")
-    assert "load cell" in broken.message
+    assert "load cell" in broken.text
     beat = line.wait_for(lambda beat: beat.state is StationState.STOPPED)
-    assert "load cell" in beat.reasons[0]
+    assert "load cell" in str(beat.reasons[0])
     assert line.order("unit", "A3").code == "E-GATE"
     line.order("acknowledge")
     assert line.order("unit", "A3").state is RunState.DONE
@@ -139,7 +138,7 @@ def test_a_golden_unit_is_judged_and_one_out_of_control_quarantines_what_was_pre
     line.registry.set_limit("L1", 1e-6, reason="nothing is good enough")
     failed = line.order("golden", "G1")
     assert failed.verdict == "fail"
-    assert failed.message.endswith("quarantined: A5")
+    assert failed.text.endswith("quarantined: A5")
     assert [run.passed for run in line.registry.golden_runs("s1")] == [True, False]
     assert [row.action for row in line.registry.audit_rows()].count("quarantine") == 1
 
@@ -147,11 +146,11 @@ def test_a_golden_unit_is_judged_and_one_out_of_control_quarantines_what_was_pre
 def test_an_unknown_fault_names_the_known_ones(line):
     refused = line.order("fault", reason="earthquake")
     assert refused.state is RunState.ERROR
-    assert "homing switch missing" in refused.message
+    assert "homing switch missing" in refused.text
 
 
 def test_a_self_test_without_a_unit_is_done(line):
-    assert line.order("check").message == "all devices are good"
+    assert line.order("check").text == "all devices are good"
 
 
 def test_a_stop_before_the_run_began_means_that_run_too(line):
@@ -176,7 +175,7 @@ def test_the_gate_tells_every_condition_and_an_override_opens_it(tmp_path):
         }
         refused = line.order("source", "A0")
         assert refused.code == "E-GATE"
-        assert refused.message.count(";") >= 3  # all reasons at once, each with its cure
+        assert refused.text.count(";") >= 3  # all reasons at once, each with its cure
         assert line.order("override").state is RunState.ERROR
         line.registry.add_certificate(
             CellCertificate("SIM-CELL", "17", "Lab", date(2020, 1, 1), date(2090, 1, 1), 20.0, 0.02)

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,8 @@ from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.adapter import RECALIBRATE, STATE_FORMAT, UNSETTLED, AdaptConfig, Adapter
-from softcal.core.use.intake import CLOCK_ROWS, WRONG_RATE
+from softcal.core.use.intake import WRONG_RATE
+from softcal.core.use.method import UseMethod
 from softcal.core.windows import TAPS
 
 RELEASED = Path(__file__).parent / "released"
@@ -47,9 +49,8 @@ def read_V(force_N: Array, seed: int) -> Array:
     return REST_V + GAIN_V_N * force_N + 0.002 * np.random.default_rng(seed).normal(size=len(force_N))
 
 
-@pytest.fixture(scope="module")
-def make_adapter() -> Callable[..., Adapter]:
-    force_N = walk_N(90.0, 0)
+def maker(force_N: Array) -> Callable[..., Adapter]:
+    """Return a function that makes adapters of a unit calibrated under a load."""
     recording = OutputRecording("A1", np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 1), RATE_HZ)
     network = exact_network()
     interval = make_source_model(LabelledRecording(recording, force_N), network, np.arange(0, 4000, 7)).interval
@@ -65,11 +66,21 @@ def make_adapter() -> Callable[..., Adapter]:
         evidence={},
     )
 
-    def make(mode: str = "improved") -> Adapter:
-        return Adapter(network, calibration, recording, AdaptConfig(mode))
+    def make(mode: str = "improved", method: UseMethod = UseMethod()) -> Adapter:  # noqa: B008 - frozen
+        return Adapter(network, calibration, recording, AdaptConfig(mode, method))
 
     make.calibration, make.network = calibration, network  # type: ignore[attr-defined]
     return make
+
+
+@pytest.fixture(scope="module")
+def make_adapter() -> Callable[..., Adapter]:
+    return maker(walk_N(90.0, 0))
+
+
+@pytest.fixture(scope="module")
+def make_irregular() -> Callable[..., Adapter]:
+    return maker(irregular_N(90.0, 4))
 
 
 def stream(seconds: float = 120.0, seed: int = 3) -> tuple[Array, Array, Array]:
@@ -171,6 +182,56 @@ def test_faulty_rows_are_flagged_and_move_nothing(make_adapter: Callable[..., Ad
     assert adapter.current.offset == pytest.approx(clean.current.offset, abs=0.01)
 
 
+def irregular_N(seconds: float, seed: int) -> Array:
+    """Presses as the station's random profile makes them: depths, durations and pauses all differ widely."""
+    rng = np.random.default_rng(seed)
+    force_N: list[Array] = []
+    while sum(map(len, force_N)) < seconds * RATE_HZ:
+        rise, hold, fall, rest = (round(RATE_HZ * s) for s in rng.uniform(0.15, 1.0, 4))
+        shape = [np.linspace(0, 1, rise), np.ones(hold), np.linspace(1, 0, fall), np.zeros(rest)]
+        force_N.append(rng.uniform(0.6, 2.0) * np.concatenate(shape))
+    return np.concatenate(force_N)[: round(seconds * RATE_HZ)]
+
+
+def test_unit_calibrated_by_random_presses_is_followed_in_such_use(make_irregular: Callable[..., Adapter]) -> None:
+    force_N = irregular_N(2000.0, 5)
+    t_s, output_V = np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 6)
+    shift_V = 0.15 * np.clip((t_s - 1000.0) / 300.0, 0, 1)
+    last = slice(round(1700.0 * RATE_HZ), None)
+    adapter = make_irregular()
+
+    followed = adapter.advance(t_s, output_V + shift_V).estimate
+
+    # Not followed, 0.15 V are 0.6 N.
+    assert rmse(followed[last], force_N[last]) < 0.3
+
+
+def test_first_use_of_a_unit_without_drift_raises_no_alarm(make_irregular: Callable[..., Adapter]) -> None:
+    force_N = irregular_N(900.0, 7)
+    t_s, output_V = np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 8)
+    adapter = make_irregular()
+
+    rows = adapter.advance(t_s, output_V)
+
+    assert {update.alarm for update in adapter.take_updates()} == {""}
+    assert RECALIBRATE not in rows.flag
+    assert rmse(rows.estimate, force_N) <= 1.02 * rmse(make_irregular("none").advance(t_s, output_V).estimate, force_N)
+
+
+def test_use_that_stays_unknown_is_alarmed_after_the_first_day(make_irregular: Callable[..., Adapter]) -> None:
+    """A second stream of one-sided ramps, never twice alike, two days long in time stamps of one sample a second."""
+    learning = replace(UseMethod().learning, first_use_s=300.0)
+    adapter = make_irregular(method=replace(UseMethod(), learning=learning))
+    # Steps of a random walk: no eight of its cycles are like eight others.
+    walk = np.cumsum(np.random.default_rng(9).normal(0, 0.02, 30_000))
+    force_N = 1.0 + np.abs((walk + 1) % 4 - 2)
+
+    adapter.advance(np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 10))
+
+    assert "predicted error" in adapter.current.alarm
+    assert (adapter.current.gain, adapter.current.offset) == (1.0, 0.0)
+
+
 def test_dropped_samples_and_long_gaps_leave_estimates_out_until_a_window_is_full(
     make_adapter: Callable[..., Adapter],
 ) -> None:
@@ -203,8 +264,8 @@ def test_clock_that_restarts_goes_on_after_a_stated_number_of_rows(make_adapter:
 
     rows = make_adapter().advance(t_s, output_V)
 
-    assert set(rows.flag[1500 : 1500 + CLOCK_ROWS - 1]) == {INVALID}
-    assert rows.flag[1500 + CLOCK_ROWS + TAPS] == ""
+    assert set(rows.flag[1500 : 1500 + UseMethod().intake.clock_rows - 1]) == {INVALID}
+    assert rows.flag[1500 + UseMethod().intake.clock_rows + TAPS] == ""
 
 
 def test_stuck_sensor_is_held_and_alarmed(make_adapter: Callable[..., Adapter]) -> None:

@@ -82,8 +82,8 @@ def test_the_record_is_lossless_and_json(calibrate, linear_network, good):
 
 
 def test_without_a_limit_the_verdict_says_where_its_limit_comes_from(calibrate, good):
-    assert "no limit was stated" in str(calibrate(good).decision.predicted.reasons[-1])
-    assert "stated for the lot" in str(calibrate(good, Limit("N", 0.5)).decision.predicted.reasons[-1])
+    assert "no limit was stated" in str(calibrate(good).decision.predicted.reasons[-2])
+    assert "stated for the lot" in str(calibrate(good, Limit("N", 0.5)).decision.predicted.reasons[-2])
 
 
 def test_a_generous_limit_is_held_by_the_forecast_alone_and_a_strict_one_fails(calibrate, good):

@@ -7,11 +7,13 @@ import pytest
 
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.use.activity import CalibratedUse, learn_use
-from softcal.core.use.cycles import KEPT, Cycle, CycleCutter
-from softcal.core.use.tracker import FOLLOWED, HELD, JUMP_CYCLES, JUMPED, TRIED, DriftTracker, Observation
+from softcal.core.use.cycles import Cycle, CycleCutter
+from softcal.core.use.method import UseMethod
+from softcal.core.use.tracker import FOLLOWED, HELD, JUMPED, TRIED, DriftTracker, Observation
 
 RATE_HZ = 50.0
 PERIOD_S = 4.0
+CYCLE = UseMethod().cycle
 
 
 def presses(
@@ -34,7 +36,7 @@ def calibrated_use(output: Array | None = None, zero_output: float | None = None
 
 
 def cycles_of(output: Array, use: CalibratedUse, start_s: float = 0.0) -> list[Cycle]:
-    cutter = CycleCutter(use.low, use.high, use.usual, use.longest)
+    cutter = CycleCutter(use.low, use.high, use.usual, use.longest, CYCLE)
     t_s = start_s + np.arange(len(output)) / RATE_HZ
     found = []
     for k in range(0, len(output), 32):
@@ -65,12 +67,12 @@ def test_cycle_of_a_sine_has_the_moments_of_a_sine() -> None:
 
 
 def test_memory_of_a_cycle_does_not_grow_with_its_length() -> None:
-    cutter = CycleCutter(0.0, 1.0, 100, 10**9)
+    cutter = CycleCutter(0.0, 1.0, 100, 10**9, CYCLE)
 
     for k in range(0, 100_000, 1000):
         cutter.advance(np.arange(k, k + 1000) / RATE_HZ, np.full(1000, 0.5) + 1e-6 * np.arange(1000))
 
-    assert len(cutter.state()["kept"]) <= KEPT  # type: ignore[arg-type]
+    assert len(cutter.state()["kept"]) <= CYCLE.kept  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.08), (0.92, 0.0), (1.06, -0.1)])
@@ -186,7 +188,7 @@ def test_reseated_sensor_is_followed_after_the_stated_cycles() -> None:
     seen = observe(tracker, 0.95 * presses(200.0, seed=6) + 0.25, use, 200.0)
 
     first = next(k for k, observation in enumerate(seen) if observation.verdict == JUMPED)
-    assert first <= JUMP_CYCLES
+    assert first <= UseMethod().jump.cycles
     assert error_of(tracker, 0.95, 0.25) < 0.02
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from softcal.core.recording import Array
 from softcal.core.use.filter import DriftFilter
+from softcal.core.use.kept import restored, state_of
 
 NOISE = np.array([[0.04, -0.01], [-0.01, 0.02]])
 
@@ -82,7 +83,7 @@ def test_covariance_stays_symmetric_and_positive(steps: int, rng: np.random.Gene
 def test_state_goes_through_json(rng: np.random.Generator) -> None:
     state = DriftFilter.start(np.array([0.1, 0.05])).with_learnt(NOISE).measured(0, rng.normal(size=2), NOISE)
 
-    other = DriftFilter.from_state(json.loads(json.dumps(state.state())))
+    other = restored(DriftFilter, json.loads(json.dumps(state_of(state))))
 
     assert_same(other.mean, state.mean)
     assert_same(other.covariance, state.covariance)

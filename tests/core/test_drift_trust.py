@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from softcal.core.recording import Array
-from softcal.core.use.trust import STEP, Trust, movement
+from softcal.core.use.method import UseMethod
+from softcal.core.use.trust import Trust, movement
 
+STEP = UseMethod().trust.step
 SURE = 1e-8 * np.eye(2)
 REST = -1.2
 

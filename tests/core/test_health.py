@@ -29,7 +29,7 @@ def test_run_lengths_count_equal_samples():
 @pytest.mark.parametrize("peaks", [1, 2, 7])
 def test_presses_are_counted(peaks):
     output = np.concatenate([np.zeros(30), *[np.concatenate([np.hanning(60), np.zeros(20)]) for _ in range(peaks)]])
-    assert count_presses(output) == peaks
+    assert count_presses(output, HEALTH) == peaks
 
 
 def test_a_good_unit_has_no_finding(press, source):

@@ -43,7 +43,7 @@ def filled(factory, recording_of):
     factory.calibrate("A1", 2)
     factory.registry.add_refusal("L1", "A2", "fail", (plain("constant"),))
     factory.registry.set_line_rules("L1", LineRules(), reason="first lot")
-    factory.registry.add_adaptation("A1", 1, {"stream": "s", "sample": 3, "gain": 1.5})
+    factory.registry.add_adaptations("A1", 1, [{"stream": "s", "sample": 3, "gain": 1.5}])
     factory.registry.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, 6, tzinfo=UTC), 0.01, "N", True))
     factory.registry.withdraw_network(factory.registry.networks()[0].id, reason="to be trained again")
     factory.registry.add_certificate(CellCertificate("C1", "7", "lab", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.01))

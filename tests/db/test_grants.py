@@ -9,6 +9,7 @@ from sqlalchemy import text
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
 from softcal.core.quality.line_rules import LineRules
+from softcal.core.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
 from softcal.db.grants import grant_statements
@@ -137,7 +138,7 @@ def test_a_reader_reads_units_and_no_pins(as_role, make_factory):
     with pytest.raises(RegistryError, match="permission denied"):
         reader.users()
     with pytest.raises(RegistryError, match="permission denied"):
-        reader.add_unit("L1", "A2")
+        reader.add_refusal("L1", "A2", "retest", (plain("cable"),))
 
 
 def test_a_name_that_is_no_role_is_refused():

@@ -13,7 +13,7 @@ from softcal.db.lot_pages import UnitFilter
 
 
 @pytest.fixture
-def lot(factory):
+def lot(factory, recording_of):
     """Ten units: calibrated once, twice, refused before and after a map, refused only, and not begun."""
     registry = factory.registry
     for k in range(6):
@@ -24,7 +24,7 @@ def lot(factory):
     registry.add_refusal("L1", "B1", "fail", (plain("dead"),))
     registry.add_refusal("L1", "B2", "retest", (plain("noise"),))
     registry.add_calibration("L1", factory.record("B2", 2))
-    registry.add_unit("L1", "C%1")
+    registry.add_recording("L1", recording_of("C%1"), "unit")
     return registry
 
 
@@ -60,12 +60,12 @@ def test_the_errors_are_those_of_the_newest_maps(lot):
     assert errors["A1"] == ("pass", 0.9, 0.9, 0.4, 0.3) and errors["A2"][0] == "retest" and "B1" not in errors
 
 
-def test_the_marker_changes_with_whatever_is_added_to_a_lot(lot, factory):
+def test_the_marker_changes_with_whatever_is_added_to_a_lot(lot, factory, recording_of):
     golden = GoldenRun("line-1", "G1", datetime.now(UTC), 0.1, "N", True, (), "Oh")
     changes = (
         lambda: factory.calibrate("A1", 12),
         lambda: lot.add_refusal("L1", "A1", "retest", (plain("dead"),)),
-        lambda: lot.add_unit("L1", "A77"),
+        lambda: lot.add_recording("L1", recording_of("A77"), "unit"),
         lambda: lot.set_limit("L1", 0.3, reason="drawing"),
         lambda: lot.set_line_rules("L1", LineRules(target=9), reason="order"),
         lambda: lot.add_golden_run(golden),

@@ -9,14 +9,14 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Date, DateTime, LargeBinary, MetaData, insert, text
+from sqlalchemy import Date, DateTime, LargeBinary, MetaData, insert, select, text
 
 from softcal.app.registry.maintenance import upgrade
 from softcal.core.errors import RegistryError
 from softcal.db.connection import open_registry
 from softcal.db.database import open_database
 from softcal.db.maintenance import MIGRATIONS, migrate
-from softcal.db.tables import SCHEMA, metadata
+from softcal.db.tables import SCHEMA, metadata, registry_info
 
 SCRIPTS = ScriptDirectory(str(MIGRATIONS), version_locations=[str(MIGRATIONS)])
 RELEASED = sorted(Path(__file__).with_name("released").glob("*.json"))
@@ -82,8 +82,11 @@ def test_an_older_registry_is_refused_then_upgraded_with_its_data(released, rows
             "A2": "retest",
             "S0": None,
         }
+        assert {(state.state, state.actor) for state in registry.network_states("L1")} == {("released", "softcal")}
         with registry.database.reading() as connection:
             assert compare_metadata(MigrationContext.configure(connection), metadata) == []
+            keys = set(connection.execute(select(registry_info.c.key)).scalars())
+            assert keys == {"origin", "origin_sha256"}, "what decides anything stands under the audit trail"
 
 
 def test_an_sqlite_registry_is_backed_up_before_its_upgrade(released):

@@ -207,12 +207,12 @@ def test_an_adaptation_resumes_from_its_last_step(factory):
     factory.calibrate("A1", 1)
     steps = [{"stream": "s", "sample": k, "map": {"gain": 1.0 + k}} for k in (10, 20)]
     assert factory.registry.add_adaptations("A1", 1, steps) == 2
-    assert factory.registry.add_adaptation("A1", 1, {"stream": "t", "sample": 5}) == 3
+    assert factory.registry.add_adaptations("A1", 1, [{"stream": "t", "sample": 5}]) == 3
     assert factory.registry.last_adaptation("A1", 1, "s") == steps[-1]
     assert factory.registry.last_adaptation("A1", 1, "u") is None
     assert factory.registry.adaptations("A1", "s") == steps
     with pytest.raises(InputError, match="no revision 2"):
-        factory.registry.add_adaptation("A1", 2, steps[0])
+        factory.registry.add_adaptations("A1", 2, steps[:1])
 
 
 def test_a_lot_read_from_the_registry_states_no_new_limit(factory):

@@ -15,6 +15,7 @@ from softcal.core.reason import plain
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
 from softcal.db.entries import Anchor
+from softcal.db.lot_pages import UnitFilter
 from softcal.db.tables import AUDITED, metadata
 
 
@@ -232,3 +233,48 @@ def test_no_flipped_bit_is_silent(file_registry, make_factory, tmp_path, seed, f
         if told != true:
             silent.append(at)
     assert silent == [] and defects == []
+
+
+HIDDEN = {
+    "a calibration in use": "sqlite_autoindex_calibrations_1",
+    "a revision": "ix_calibrations_serial_input",
+    "a statement": "sqlite_autoindex_in_use_1",
+}
+
+
+@pytest.mark.parametrize("index", HIDDEN.values(), ids=HIDDEN)
+def test_a_row_that_a_damaged_index_hides_or_swaps_is_missed_by_whoever_asks(
+    file_registry, make_factory, tmp_path, index
+):
+    factory = make_factory(file_registry)
+    for number in (1, 2):
+        for serial in ("A1", "B1"):
+            factory.calibrate(serial, number)
+    path, copy = Path(file_registry.database.path), tmp_path / "hidden.db"
+    file_registry.close()
+    with sqlite3.connect(path) as raw:
+        size = raw.execute("PRAGMA page_size").fetchone()[0]
+        pages = [n for (n,) in raw.execute("SELECT pageno FROM dbstat WHERE name = ? AND pagetype = 'leaf'", (index,))]
+
+    def told(url: str) -> list[object]:
+        with open_registry(url, create=False) as registry:
+            pages = registry.unit_page("L1", UnitFilter()).units
+            revisions = [[c.record.map_sha256 for c in registry.history(serial)] for serial in ("A1", "B1")]
+            used = [registry.calibration(serial).revision for serial in ("A1", "B1")]
+            return [registry.units(), pages, revisions, used]
+
+    true, content, refused, swapped = told(f"sqlite:///{path}"), path.read_bytes(), 0, []
+    for number in pages:
+        for name in (b"A1", b"B1"):
+            start = (number - 1) * size
+            for at in range(start, start + size):
+                if content[at : at + 2] == name:
+                    # The index says another serial than the row it points to.
+                    other = b"A1" if name == b"B1" else b"B1"
+                    copy.write_bytes(content[:at] + other + content[at + 2 :])
+                    try:
+                        if told(f"sqlite:///{copy}") != true:
+                            swapped.append(at)
+                    except SoftcalError:
+                        refused += 1
+    assert swapped == [] and refused > 0

@@ -9,16 +9,21 @@ from pathlib import Path
 import pytest
 
 from softcal.core.unit.method import Method
+from softcal.core.use.method import UseMethod
 
 CORE = Path(__file__).parents[2] / "core"
-ROOMS = ("unit", "maps")
+ROOMS = ("unit", "maps", "use")
 NO_DECISION = {
     "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
+    "core/unit/audit_reading.py": {"SHARES"},  # quantiles of the stored reading
+    # From three gains on a lot says what they show; 1 is the end of what a share can be. Neither is of one unit.
+    "core/unit/line_spread.py": {"LEAST_GAINS", "MOST_SPREAD"},
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
     "core/unit/explanation.py": {"DENSITY_BINS"},  # bars of a figure
     "core/unit/budget.py": {"COVERAGE", "DIVISORS"},  # what a certificate states, and the GUM's distributions
     "core/maps/crossing.py": {"KEPT"},  # entries of a cache
     "core/maps/synchrony.py": {"NONE"},  # zeros
+    "core/use/adapter.py": {"STATE_FORMAT", "MOST_UPDATES"},  # of the stored state; length of a queue for the caller
 }
 """Numbers outside the method that cannot change a map, an interval, a forecast or a verdict."""
 
@@ -36,6 +41,59 @@ def constants(path: Path) -> Iterator[str]:
             )
             if is_number:
                 yield from (name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name))
+
+
+TRIVIAL = {0, 1, 2, 0.5}
+GUARD = 1e-6
+"""A number this small keeps a division or a logarithm finite; what it changes is rounding."""
+
+EXPLAINED = {
+    "core/maps/crossing.py": {"2048": "places of an axis over the whole range"},
+    "core/maps/curve.py": {"3": "thirds of a curve"},
+    "core/maps/ends.py": {
+        "0.6745": "median of the magnitude of a standard normal variable",
+        "6": "variance of a second difference over that of the samples",
+        "12": "variance of a uniform variable over its squared width",
+    },
+    "core/maps/label_shift.py": {"5": "a third of a window"},
+    "core/maps/paired.py": {"1.5": "exponent of the integral of a squared second difference"},
+    "core/maps/plan.py": {"2000000": "iterations of the exact solver: it refuses beyond them, nothing else changes"},
+    "core/unit/estimate.py": {"3": "columns: estimate and both limits", "12": "letters of a name in a message"},
+    "core/unit/forecast.py": {"12": "variance of a uniform variable over its squared width"},
+    "core/unit/health.py": {
+        "0.6745": "median of the magnitude of a standard normal variable",
+        "6": "variance of a second difference over that of the samples",
+    },
+    "core/unit/support.py": {"3": "terms of a parabola", "4": "features of a window"},
+}
+"""Numbers inside functions that nobody chose, with what they are."""
+
+
+def literals(path: Path) -> Iterator[tuple[str, int]]:
+    """Yield (number, line) of every number inside a function that is neither trivial nor a guard."""
+    for function in ast.walk(ast.parse(path.read_text())):
+        if not isinstance(function, ast.FunctionDef):
+            continue
+        for part in ast.walk(function):
+            value = part.value if isinstance(part, ast.Constant) else None
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                if value not in TRIVIAL and not 0 < value <= GUARD:
+                    yield f"{value:.15g}", part.lineno
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_function_holds_a_number_that_decides(room: str) -> None:
+    found = []
+    for path in sorted((CORE / room).glob("*.py")):
+        place = path.relative_to(CORE.parent).as_posix()
+        explained = EXPLAINED.get(place, {})
+        found += [f"{place}:{line}: {text}" for text, line in literals(path) if text not in explained]
+    assert not found, "\n".join(found)
+
+
+def test_explained_numbers_are_there() -> None:
+    for place, explained in EXPLAINED.items():
+        assert set(explained) <= {text for text, _ in literals(CORE.parent / place)}, place
 
 
 @pytest.mark.parametrize("room", ROOMS)
@@ -91,8 +149,17 @@ def test_numbers_of_the_file_formats_cannot_be_changed() -> None:
             Method(**{name: getattr(Method(), name) + 1})
 
 
-def test_every_number_says_where_it_comes_from() -> None:
-    assert [name for name, _, origin in Method().numbers() if not origin.strip()] == []
+@pytest.mark.parametrize("method", [Method(), UseMethod()], ids=["calibration", "use"])
+def test_every_number_says_where_it_comes_from(method: Method | UseMethod) -> None:
+    assert [name for name, _, origin in method.numbers() if not origin.strip()] == []
+
+
+def test_every_number_of_use_is_part_of_its_identity() -> None:
+    method = UseMethod()
+    changes = dict(changed(method))
+    assert set(changes) == {name for name, _, _ in method.numbers()}
+    for name, config in changes.items():
+        assert config.id != method.id, name  # type: ignore[attr-defined]
 
 
 def test_a_method_comes_back_from_what_was_kept() -> None:

@@ -30,7 +30,7 @@ def test_greetings(line):
 def test_answers():
     assert grbl.parse(b"ok") == grbl.Ok()
     assert grbl.parse(b"error:9") == grbl.Refusal(9)
-    assert "locked" in str(grbl.Refusal(9))
+    assert "locked" in str(grbl.Refusal(9).reason)
     assert grbl.parse(b"ALARM:3") == grbl.Alarm(3)
     assert grbl.parse(b"[PRB:0.000,0.000,-4.221:1]") == grbl.Probe((0.0, 0.0, -4.221), True)
     assert grbl.parse(b"$122=250.000") == grbl.Setting(122, 250.0)

@@ -109,10 +109,12 @@ def test_the_self_test_watches_the_force_and_keeps_above_the_approach():
     with open_rig(replace(QUICK, surface_mm=1.4, law=ForceLaw(stop_mm=0.0, stop_N_mm=60.0))) as (bench, station):
         findings = self_test(bench)
         stage = [finding for finding in findings if not finding.is_good]
-        assert any("something is in the way" in finding.cure and "lifted" in finding.cure for finding in stage)
+        assert any(
+            "something is in the way" in str(finding.cure) and "lifted" in str(finding.cure) for finding in stage
+        )
         assert station.axis.deepest_mm - 1.4 < 12.0 / 60.0
     with open_rig(QUICK) as (bench, station):
-        assert all(finding.is_good for finding in self_test(bench) if finding.device == "stage")
+        assert all(finding.is_good for finding in self_test(bench) if str(finding.device) == "stage")
         assert station.axis.deepest_mm <= QUICK.approach_mm + 1e-6
 
 
@@ -202,7 +204,7 @@ def test_ctrl_c_stops_lifts_and_says_so():
 def test_the_self_test_names_unsafe_settings_and_the_command_that_mends_each():
     with open_rig(replace(QUICK, acceleration_mm_s2=10.0)) as (bench, _):
         bench.stage.settings |= {1: 25.0, 20: 0.0, 21: 0.0}
-        found = {f.value: f.cure for f in self_test(bench) if f.what == "setting"}
+        found = {str(f.value): str(f.cure) for f in self_test(bench) if str(f.what) == "setting"}
     assert set(found) == {"$1=25", "$20=0", "$21=0", "$122=10"}
     assert [cure.split(" once")[0] for cure in found.values()] == [
         "send $1=255", "send $20=1", "send $21=1", "send $122=200",

@@ -44,7 +44,7 @@ def test_all_faults_are_named_at_once():
         station.stage.switch = "stuck"
         station.readout.rate_factor = 0.5
         station.rig.force_fault = lambda now_s, force_N: force_N + 5.0
-        cures = [finding.cure for finding in self_test(bench) if not finding.is_good]
+        cures = [str(finding.cure) for finding in self_test(bench) if not finding.is_good]
     assert len(cures) == 3
     assert any("stuck" in cure for cure in cures)
     assert any("50 Hz were expected" in cure for cure in cures)

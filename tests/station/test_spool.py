@@ -25,7 +25,7 @@ def write(path: Path) -> Path:
 
 def test_what_was_read_comes_back(tmp_path):
     run = read_spool(write(tmp_path / "a.spool"))
-    assert (run.header, run.end, run.damaged) == ({"serial": "A1"}, "done", 0)
+    assert (run.header, str(run.end), run.damaged) == ({"serial": "A1"}, "done", 0)
     assert run.output == tuple(SAMPLES)
     assert run.polls == (StagePosition(0.1, 3.0),)
 
@@ -36,7 +36,7 @@ def test_an_error_is_the_end_of_the_spool(tmp_path):
             spool.append(SAMPLES, (), ())
             raise DeviceError("unplugged")
     run = read_spool(tmp_path / "a.spool")
-    assert run.end == "aborted: unplugged"
+    assert str(run.end) == "aborted: unplugged"
     assert len(run.output) == 5
 
 

@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 
 from softcal.app.texts.catalogue import text
-from softcal.app.texts.reasons import told
+from softcal.app.texts.reasons import said
 from softcal.core.errors import BadReply
 from softcal.station.acquisition import record
 from softcal.station.bench import open_simulated_bench
@@ -38,7 +38,8 @@ def test_fault_stops_the_stage_and_records_nothing(fault, tmp_path, english_in):
     assert outcome.spool.startswith("aborted: ")
     assert "\n" not in outcome.message
     assert ";" in outcome.message  # what happened; what became of the stage
-    assert english_in(told(outcome.message, partial(text, "ko"))) == []
+    assert outcome.reason is not None and outcome.message == str(outcome.reason)
+    assert english_in(said(outcome.reason, partial(text, "ko"))) == []
     if fault.name not in SEEN_LATE:
         assert math.isnan(outcome.stopped_s) or outcome.stopped_s <= STANDS_WITHIN_S
     assert outcome.largest_force_N < 14.0

@@ -152,7 +152,9 @@ def _trace_rows(facts: Certificate) -> list[tuple[str, str]]:
     named, cell = facts.laboratory.load_cell, facts.reference
     rows = [("Chain", f"{facts.traceability} {facts.basis}")]
     if cell is None or cell.is_simulated or not cell.certificate:
-        return rows
+        said = f"{_stated(named.manufacturer, named.model, named.serial)}; certificate: {named.certificate}"
+        is_named = named.serial != NOT_STATED or named.certificate != NOT_STATED
+        return [*rows, ("Load cell named", f"{said}; no verdict was made with it")] if is_named else rows
     uncertainty, unit = NOT_STATED, facts.reference_unit
     if cell.uncertainty is not None:
         uncertainty = f"U = {cell.uncertainty:g} {unit}, k = {cell.coverage_factor:g}"

@@ -34,7 +34,7 @@ def render() -> None:
             st.subheader(say("unit.map"))
             show_figure(maps_together((left, right), colours(), say), "compare-maps")
         with second:
-            st.subheader(say("why.interval"))
+            st.subheader(say("compare.interval"))
             show_figure(predicted_over_load((left, right), colours(), say), "compare-interval")
 
 

@@ -3,7 +3,8 @@
 import streamlit as st
 
 from softcal.app.charts.long_term import course_figure
-from softcal.app.ui.desk import choose, colours, empty, errors_in_words, in_words, registry, show_figure, words
+from softcal.app.texts.reasons import phrase
+from softcal.app.ui.desk import choose, colours, empty, errors_in_words, registry, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
 from softcal.app.views.common import number
@@ -27,7 +28,9 @@ def render() -> None:
         found = course(registry(), serial, stream)
         st.subheader(say("long_term.course", serial=serial))
         if found.alarm:
-            st.warning(in_words(found.alarm), icon=":material/notification_important:", title=say("long_term.due"))
+            st.warning(
+                phrase("adapt", found.alarm, say), icon=":material/notification_important:", title=say("long_term.due")
+            )
         if not found.steps:
             st.caption(say("long_term.no_steps"))
             return
@@ -44,5 +47,5 @@ def _row(unit: UnitInUse) -> dict[str, object]:
         say("chart.drift_scale"): number(unit.drift),
         say("long_term.steps"): unit.steps,
         say("column.made"): unit.made_at,
-        say("column.remark"): in_words(unit.alarm),
+        say("column.remark"): phrase("adapt", unit.alarm, say),
     }

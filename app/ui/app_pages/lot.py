@@ -1,5 +1,7 @@
 """The lot at a glance: yields, errors, the process behind them, the units that need a look, the table."""
 
+from datetime import UTC, datetime
+
 import streamlit as st
 
 from softcal.app.charts import lot as charts_lot
@@ -11,6 +13,7 @@ from softcal.app.ui.desk import colours, empty, errors_in_words, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import figure_under, lot_heading, numbers
+from softcal.app.views.alerts import alerts
 from softcal.app.views.common import number, percent
 from softcal.app.views.lot import LotView
 
@@ -27,6 +30,7 @@ def render() -> None:
         if not view.judged:
             empty(say("empty.units"), say("empty.units.how"))
             return
+        _alerts(view)
         _numbers(view)
         if not rest_may_follow():
             return
@@ -34,6 +38,13 @@ def render() -> None:
         looks(view)
         st.subheader(say("lot.table"))
         unit_table(view.lot)
+
+
+def _alerts(view: LotView) -> None:
+    say = words()
+    for alert in alerts(registry(), view, datetime.now(UTC)):
+        draw, icon = (st.error, "report") if alert.is_urgent else (st.warning, "notifications")
+        draw(say(f"alert.{alert.kind}", **alert.values), icon=f":material/{icon}:")
 
 
 def _numbers(view: LotView) -> None:

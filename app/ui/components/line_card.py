@@ -92,7 +92,7 @@ def chips_html(view: LineView, title: str, empty: str) -> str:
 
 def _condition(condition: Condition) -> str:
     look, name = ("sc-good", "yes") if condition.is_good else ("sc-bad", "no")
-    said = f"<b>{escape(condition.name)}</b> <span>{escape(condition.says)}</span>"
+    said = f"<b>{escape(str(condition.name))}</b> <span>{escape(str(condition.says))}</span>"
     return f'<li class="{look}">{_mark(name)}{said}</li>'
 
 

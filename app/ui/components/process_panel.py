@@ -14,7 +14,7 @@ def control_panel(process: ProcessView, lot: Lot) -> None:
     """Draw the control chart, or why there is none."""
     if process.chart is None:
         st.subheader(words()("lot.process"))
-        st.caption(in_words(process.refusal))
+        st.caption(in_words(process.refusal or ""))
         return
     figure = charts_lot.control_chart_figure(process, lot.reference_unit, colours(), words())
     figure_under("lot.process", figure, "control-chart")
@@ -29,7 +29,7 @@ def capability_panel(process: ProcessView, lot: Lot) -> None:
     if lot.limit_rmse is None:
         st.caption(say("lot.capability.no_limit"))
     elif found is None:
-        st.warning(in_words(process.refusal), icon=":material/block:", title=say("lot.capability.refused"))
+        st.warning(in_words(process.refusal or ""), icon=":material/block:", title=say("lot.capability.refused"))
     else:
         interval = say("lot.cpk.help", low=number(found.cpk_lower), high=number(found.cpk_upper))
         numbers((("Cpk", number(found.cpk), interval), ("Ppk", number(found.ppk), say("lot.ppk.help"))))

@@ -10,6 +10,7 @@ from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.desk import in_words, registry, words
 from softcal.app.ui.panels import table
+from softcal.core.reason import Reason
 from softcal.db.people import may
 from softcal.station.link import available_ports
 
@@ -55,13 +56,13 @@ def _found(result: Mapping[str, Any]) -> None:
     table(
         [
             {
-                "": marks[bool(finding["is_good"])],
-                say("setup.device"): in_words(finding["device"]),
-                say("setup.what"): in_words(finding["what"]),
-                say("setup.value"): in_words(finding["value"]),
-                say("setup.cure"): in_words(finding["cure"]),
+                "": marks[not cure],
+                say("setup.device"): in_words(Reason.of(device)),
+                say("setup.what"): in_words(Reason.of(what)),
+                say("setup.value"): in_words(Reason.of(value)),
+                say("setup.cure"): in_words(Reason.of(cure or "")),
             }
-            for finding in result["findings"]
+            for device, what, value, cure in result["found"]
         ]
     )
     with st.expander(say("setup.file_of"), icon=":material/description:"):

@@ -1,0 +1,87 @@
+"""What somebody should look at now, beside the units themselves: said on the page of the lot. No Streamlit."""
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+
+from softcal.app.views.common import percent
+from softcal.app.views.lot import LotView
+from softcal.core.orders import Heartbeat, StationState
+from softcal.db.entries import CellCertificate, GoldenRun
+from softcal.db.order_queue import SILENT_AFTER
+from softcal.db.registry import Registry
+
+DUE_WITHIN = timedelta(days=30)
+FORGOTTEN_AFTER = timedelta(days=7)
+"""A station that has been silent for longer is no news any more."""
+
+
+@dataclass(frozen=True)
+class Alert:
+    """One thing to look at.
+
+    Args:
+        kind: of the text `alert.KIND`.
+        values: of that text.
+        is_urgent: whether what is made meanwhile may be wrong.
+    """
+
+    kind: str
+    values: dict[str, object] = field(default_factory=dict)
+    is_urgent: bool = False
+
+
+def alerts(registry: Registry, view: LotView, now: datetime) -> tuple[Alert, ...]:
+    """Return what should be looked at now, the urgent first."""
+    due = [unit.serial for unit in registry.adapted_units() if unit.entry.get("alarm")]
+    found = [
+        *_of_process(view),
+        *_golden(registry.golden_runs()),
+        *(alert for beat in registry.order_queue.stations() if (alert := _silent(beat, now))),
+        *_certificates(registry.certificates(), now),
+        *([Alert("units_due", {"count": len(due), "first": due[0]})] if due else []),
+    ]
+    return tuple(sorted(found, key=lambda alert: not alert.is_urgent))
+
+
+def _of_process(view: LotView) -> list[Alert]:
+    found = []
+    if view.drop is not None:
+        drop = view.drop
+        values = {"newest": percent(drop.newest), "before": percent(drop.before), "count": drop.count}
+        found.append(Alert("yield", dict(values), is_urgent=True))
+    if any(rule.forbids for rule in view.process.broken):
+        last = next(rule for rule in view.process.broken if rule.forbids)
+        found.append(Alert("process", {"last": last.last, "count": last.count}))
+    return found
+
+
+def _golden(runs: list[GoldenRun]) -> list[Alert]:
+    """Return the stations whose newest check with a golden unit failed."""
+    newest = {run.station: run for run in sorted(runs, key=lambda run: run.made_at)}
+    return [
+        Alert("golden", {"station": run.station, "serial": run.serial, "at": f"{run.made_at:%Y-%m-%d %H:%M} UTC"}, True)
+        for run in newest.values()
+        if not run.passed
+    ]
+
+
+def _silent(beat: Heartbeat, now: datetime) -> Alert | None:
+    """Return that a station that did not say goodbye does not answer."""
+    age = now - beat.at
+    if beat.state is StationState.OFF or not SILENT_AFTER < age < FORGOTTEN_AFTER:
+        return None
+    return Alert("station", {"station": beat.station, "at": f"{beat.at.astimezone(UTC):%Y-%m-%d %H:%M} UTC"})
+
+
+def _certificates(found: list[CellCertificate], now: datetime) -> list[Alert]:
+    """Return the load cells whose newest certificate ends soon or has ended."""
+    newest = {entry.cell_serial: entry for entry in sorted(found, key=lambda entry: entry.issued_on)}
+    alerts_of = []
+    for entry in newest.values():
+        left = entry.due_on - now.date()
+        if left < timedelta(0):
+            alerts_of.append(Alert("certificate_over", {"cell": entry.cell_serial, "due": f"{entry.due_on}"}, True))
+        elif left <= DUE_WITHIN:
+            values = {"cell": entry.cell_serial, "due": f"{entry.due_on}", "days": left.days}
+            alerts_of.append(Alert("certificate_due", dict(values)))
+    return alerts_of

@@ -1,0 +1,473 @@
+"""What stations, their gates and the registry say, in English: one sentence a code. `core.reason` reads it."""
+
+from collections.abc import Mapping
+
+SENTENCES: Mapping[str, str] = {
+    # How a device is called.
+    "device.stage": "stage",
+    "device.cell": "load cell",
+    "device.readout": "sensor readout",
+    "device.gauge": "gauge",
+    "device.readers": "readers",
+    "device.at": "{device} ({port})",
+    # A run, a self-test and their stops.
+    "rig.needs_cell": "a source unit needs the load cell, the station file has none; nothing moved",
+    "rig.no_limit": (
+        "nothing limits the force without a load cell; set without_cell in the station file where the stage can hurt "
+        "nothing; nothing moved"
+    ),
+    "rig.not_zero": "load cell: reads {zero_N:.3g} N unloaded, at most {allowed_N:g} N is allowed; zero it",
+    "rig.zero_moved": (
+        "load cell: its zero moved by {change_N:.3g} N over the run, {allowed_N:g} N is allowed; let it warm up, "
+        "check its mounting"
+    ),
+    "rig.no_contact": "no contact down to {deepest_mm:g} mm; is a unit in the fixture and connected?",
+    "rig.too_fast": (
+        "profile {profile} moves at {speed_mm_s:g} mm/s, on this unit ({force_N:.1f} N, {stiffness_N_mm:.1f} N/mm) a "
+        "stop could end at {worst_N:.1f} N, {ceiling_N:.1f} N is the most for this load cell; press at "
+        "{slower_mm_s:.2g} mm/s or slower"
+    ),
+    "rig.few_readings": "{device}: {count} readings in {read_s:g} s; check its cable and rate",
+    "rig.one_weight": "one weight gives no scale; use the unloaded cell and at least one weight",
+    "rig.not_following": "load cell: the reading does not follow the weights; check its bridge and mounting",
+    "rig.number.reads": "{device}: {quantity} reads {answer}; a number was expected",
+    "rig.outside.quantity": (
+        "{device}: {quantity} = {value:g} {unit} is outside [{low:g}, {high:g}] {unit}; nothing was sent"
+    ),
+    "rig.no_contact.cell": (
+        "load cell: shows no contact although the output has changed by {change:.3g}; check the cell's bridge and cable"
+    ),
+    "rig.port": "{device}: {why}",
+    "rig.no_answer": "{device}: no answer within {within_s:g} s; check cable, power and baud rate",
+    "rig.no_line_end": "{device}: {count} bytes without a line end; check device and baud rate",
+    "rig.gone": (
+        "{device}: the device is gone (unplugged, switched off, or another program took the port); check its cable, "
+        "then start again"
+    ),
+    "rig.keyboard": "stopped by the keyboard; {state}, the run is aborted",
+    "rig.aborted": "{why}; {state}, the run is aborted",
+    "rig.not_home": "stage: not at home after {seconds:g} s; look for what blocks it",
+    "rig.late": "stage: {seconds:g} s late at {to_mm:.2f} mm; look for what blocks it, then home it",
+    "rig.lost.at_touch": "stage: lost its position when it was stopped at the touch; home it",
+    "rig.too_deep": "the profile would reach {to_mm:.2f} mm, the limit is {deepest_mm:g} mm; check the fixture",
+    "rig.late.lifting": "stage: late while it was lifted",
+    "rig.behind": (
+        "load cell: its readings are {found_s:.3f} s behind the stage, {declared_s:.3f} s are declared; look for a "
+        "slow line or a filter, or state latency_s = {latency_s:.2f} in the station file"
+    ),
+    "rig.gain": (
+        "load cell: at equal depths one press shows {ratio:.2f} times the force of another; check the cell's "
+        "amplifier, its mounting and the unit's seat, then press again"
+    ),
+    "rig.run_ended": "run of {serial}: {end}; press the unit again",
+    "rig.clock": "{device}: its clock is off by {percent:+.1f} %; check its firmware",
+    "rig.lost": "{device}: {lost} of {count} samples were lost; check its cable, then record again",
+    "rig.gap": "load cell: a gap of {seconds:.2f} s in its samples; check its cable, then record again",
+    "rig.force": (
+        "force {force_N:.2f} N, {coming_N:.2f} N by the time the stage can brake: the limit is {limit_N:g} N; check "
+        "unit, fixture and profile"
+    ),
+    "rig.no_force": (
+        "load cell: {force_N:.2f} N although the stage is {pressed_mm:.2f} mm below the contact; check the cell's "
+        "bridge, the fixture and whether the stage is blocked"
+    ),
+    "rig.jump": (
+        "load cell: jumped from {before_N:.2f} N to {after_N:.2f} N while the stage stands still; check its cable and "
+        "mounting, keep hands off the rig"
+    ),
+    "rig.stuck": (
+        "{device}: stays at {level:.4g} while the stage moves {stuck_mm:g} mm on the unit; check the motor's supply, "
+        "the channel and its cable"
+    ),
+    "rig.silent": "{device}: nothing for {seconds:.2f} s; check its cable and supply, then start the run again",
+    "rig.old": (
+        "{device}: its readings have become {age_s:.2f} s old; check hub, cable and what else the computer does, then "
+        "start the run again"
+    ),
+    "rig.frozen": (
+        "{device}: {level:.4g} {unit} does not change while the stage moves {frozen_mm:g} mm; it is frozen or not "
+        "connected to the unit"
+    ),
+    "rig.rail": (
+        "{device}: at the end of its range for {rail_s:g} s; check the unit's connector (open or short circuit)"
+    ),
+    "rig.rate": (
+        "{device}: sends {seen_Hz:.3g} samples a second, {rate_Hz:g} were expected; check its firmware and the "
+        "station file"
+    ),
+    "rig.missing": (
+        "{device}: {lost} of {count} samples did not come; check its cable and whether it still sends at its rate"
+    ),
+    "rig.no_position.known": "stage: does not say where it is; check its cable",
+    "rig.defect": "a defect of softcal ended the run; its log has more",
+    "rig.silent.between": "{device}: nothing for {seconds:.0f} s; check its cable and supply",
+    "rig.stopped": "the station is stopped: {why}",
+    "rig.no_devices": "the station has no open devices; acknowledge first",
+    "rig.self_test": "self-test of {device}, {what}: {value}; {cure}",
+    "rig.all_good": "all devices are good",
+    "rig.by_hand": "stopped by a person",
+    "rig.profile.speed": (
+        "profile {profile} moves at {speed_mm_s:g} mm/s, the station allows {most_mm_s:g} mm/s; nothing moved"
+    ),
+    "rig.profile.depth": (
+        "profile {profile} goes to {to_mm:g} mm, the station allows {most_mm:g} mm below its approach; nothing moved"
+    ),
+    "rig.library.ended": "{device}: its library ended with {what}; check its cable, then start again",
+    "rig.library.silent": (
+        "{device}: no new reading for {seconds:.2f} s; its library hangs or repeats the last one, check its cable and "
+        "supply, then start again"
+    ),
+    "rig.homing.rises": (
+        "the force rises by {force_N:.1f} N while the stage homes; check that it homes away from the unit"
+    ),
+    "rig.in_the_way": (
+        "something is in the way at {position_mm:.2f} mm: {force_N:.2f} N; look at unit and fixture, correct "
+        "approach_mm in the station file"
+    ),
+    "rig.deepest": "stage at {at_mm:.2f} mm, the limit is {deepest_mm:g} mm; check the fixture",
+    "rig.not_homed": "stage: not homed; nothing was sent, home it first",
+    "rig.moving": "stage: the move before is not finished; nothing was sent",
+    "rig.outside.travel": "stage: {to_mm:g} mm is outside [0, {travel_mm:g}] mm; nothing was sent",
+    "rig.outside.speed": "stage: {speed_mm_s:g} mm/s is outside {bounds} mm/s; nothing was sent",
+    "rig.channels": "{count} channels in a line, {expected} expected",
+    "rig.clock.back": (
+        "{device}: its clock went from {before_ms} ms to {after_ms} ms; the device started again, check its supply "
+        "and its cable"
+    ),
+    "rig.unreadable": "{device}: {count} unreadable lines in a row, the last: {why}",
+    "rig.force_unit": "load cell: unit {unit} is not known; set it to N",
+    "rig.acknowledge": "acknowledge first",
+    # What became of the stage.
+    "left.stopped": "the stage is stopped",
+    "left.held": "the stage stands where somebody holds it and is not lifted",
+    "left.must_home": "the stage is stopped and must be homed",
+    "left.lifted": "the stage is stopped and lifted",
+    "left.lifted_roughly": "the stage is stopped and lifted, it must be homed",
+    "left.not_lifted": "the stage is stopped but could not be lifted: lift it by hand and home it",
+    "left.there": "the stage is stopped and not lifted",
+    "left.runs_on": (
+        "the stage does not answer any more, it stops within {seconds:.1f} s: switch it off before you reach in"
+    ),
+    "left.unreachable": (
+        "the stage does not answer any more, it ends the move it has: switch it off before you reach in"
+    ),
+    "left.may_stand": "{state}, it may stand on the unit",
+    "left.stands": "{state}, with {force_N:.1f} N on the load cell",
+    # A port that cannot be opened.
+    "port.unreached": "cannot be reached: {error}; check address, power and network cable",
+    "port.visa": "cannot be opened: {error}; `pyvisa-shell` lists the resources there are",
+    "port.none": "no such port; check the cable, then run `softcal station check` to see the ports there are",
+    "port.taken": "in use by {owner}; end that program, one process owns a port",
+    "port.closed": "cannot be opened: {error}",
+    "port.owner": "{name} (process {process})",
+    # Text lines of a readout or load-cell amplifier.
+    "stream.checksum": "a stream line reads {line}; its checksum should be {checksum}",
+    "stream.line": "a stream line reads {line}; `ms,value` in whole numbers was expected",
+    "stream.time": "a stream line has the time {device_ms} ms; a 32-bit counter was expected",
+    # GRBL.
+    "grbl.safe.1": "send $1=255 once; the motor lets go at rest and the stage may sink",
+    "grbl.safe.20": "send $20=1 once; nothing keeps the stage inside its travel",
+    "grbl.safe.21": "send $21=1 once; a limit switch does not stop the stage",
+    "grbl.safe.acceleration": "send ${number}=200 once; the stage brakes slowly and must go slowly",
+    "grbl.no_status": "stage: no status for {seconds:g} s; check power and cable of the controller, then home",
+    "grbl.held.now": "stage: somebody holds it at the machine; let its hold button go, look at the rig, then start",
+    "grbl.lost": "stage: where it is is not known well enough to lift it; home it",
+    "grbl.none": "stage ({port}): no GRBL controller answers; check power, cable and baud rate (115200)",
+    "grbl.settings": "stage: the settings dump lacks {missing}; is this GRBL 1.1?",
+    "grbl.homing_off": "stage: homing is disabled; send $22=1 once, wire the switch, then try again",
+    "grbl.inches": "stage: positions are reported in inches; send $13=0 once, then try again",
+    "grbl.refused": "stage: the controller answered {reply}; check the settings of the controller",
+    "grbl.alarm": "stage: {reply}; look at the rig, then home it",
+    "grbl.restarted": (
+        "stage: the controller started again by itself, its position is lost; check its supply, then home"
+    ),
+    "grbl.held": "stage: held by the button at the machine; let it go, look at the rig, then start again",
+    "grbl.door": "stage: the safety door is open; close it, then start again",
+    "grbl.state": "stage: the controller is in {state}; look at the rig, then home it",
+    "grbl.no_position": "stage: a status report has no position; set $10=1 so that machine positions are reported",
+    "grbl.homing_refused": "stage: homing was refused: {reply}; check the settings of the controller",
+    "grbl.part.restarted": "the controller started again",
+    "grbl.homing_failed": "stage: homing failed: {why}; check the homing switch and its cable",
+    "grbl.error.1": "expected a command letter",
+    "grbl.error.2": "bad number format",
+    "grbl.error.3": "unknown $ command",
+    "grbl.error.5": "homing is not enabled ($22=0)",
+    "grbl.error.7": "settings could not be read and were set to their defaults",
+    "grbl.error.8": "only possible when idle",
+    "grbl.error.9": "locked: home first or unlock",
+    "grbl.error.10": "soft limits need homing",
+    "grbl.error.15": "target beyond the travel",
+    "grbl.error.20": "unsupported command",
+    "grbl.error.22": "no feed rate was given",
+    "grbl.alarm.1": "hard limit switch hit",
+    "grbl.alarm.2": "target beyond the travel (soft limit)",
+    "grbl.alarm.3": "reset while moving, position lost",
+    "grbl.alarm.4": "probe already closed",
+    "grbl.alarm.5": "probe did not close",
+    "grbl.alarm.6": "homing was reset",
+    "grbl.alarm.7": "safety door opened while homing",
+    "grbl.alarm.8": "homing switch did not open again, it is stuck",
+    "grbl.alarm.9": "homing switch was not found",
+    "grbl.error": "error:{code} ({why})",
+    "grbl.alarmed": "ALARM:{code} ({why})",
+    "grbl.noise": "GRBL answered {line}, which is no GRBL reply",
+    "grbl.manual": "see the GRBL manual",
+    # Zaber stages.
+    "zaber.no_status": "stage: no status for {seconds:g} s; check its power and cable, then home",
+    "zaber.rejected": "stage: {words} was rejected: {why}; nothing moved by it",
+    "zaber.warning": "stage: warning {code} ({why}); look at the rig, then home it",
+    "zaber.position": "stage: its position reads {answer}; a number was expected",
+    "zaber.flag.FF": "critical system error",
+    "zaber.flag.FN": "peripheral not supported",
+    "zaber.flag.FZ": "peripheral inactive",
+    "zaber.flag.FH": "hardware emergency stop",
+    "zaber.flag.FV": "overvoltage or undervoltage",
+    "zaber.flag.FO": "driver disabled",
+    "zaber.flag.FC": "current inrush error",
+    "zaber.flag.FM": "motor temperature error",
+    "zaber.flag.FD": "driver disabled by a fault",
+    "zaber.flag.FQ": "encoder error",
+    "zaber.flag.FI": "index error",
+    "zaber.flag.FA": "analog encoder error",
+    "zaber.flag.FR": "overdrive limit exceeded",
+    "zaber.flag.FS": "stalled and stopped",
+    "zaber.flag.FB": "stream bounds error",
+    "zaber.flag.FP": "interpolated path deviation",
+    "zaber.flag.FE": "limit error",
+    "zaber.flag.FT": "excessive twist",
+    "zaber.flag.WS": "stalled, position recovered",
+    "zaber.flag.WR": "no reference position",
+    "zaber.flag.WH": "not homed",
+    "zaber.flag.NC": "moved by its knob",
+    "zaber.flag.NI": "movement interrupted",
+    "zaber.no_command": "{line} is no Zaber command",
+    "zaber.noise": "Zaber answered {line}, which is no Zaber reply",
+    "zaber.checksum": "{line}: the checksum should be {checksum}",
+    # Mark-10 stands.
+    "esm.no_answer": "stage: no answer for {seconds:g} s; check the stand's power and cable, then home",
+    "esm.no_upper_limit": "stage: homing failed: the upper limit was not reached; look for what blocks it",
+    "esm.travel": "stage: travel reads {travel_mm:.2f} mm after it was zeroed; switch the stand to mm",
+    "esm.stopped_at": (
+        "stage: stopped at {position_mm:.2f} mm on its way to {target_mm:.2f} mm (limit switch, or somebody at its "
+        "panel); look at the stand, then start the run again"
+    ),
+    "esm.no_stand": (
+        "load cell ({port}): kind esm is the gauge on an ESM stand; none is open on the same port, check [stage] in "
+        "the station file"
+    ),
+    "esm.status": "stage: answered {line}; a status such as `S M UL` was expected",
+    "esm.travel_line": "stage: answered {line}; a travel such as `-7.52 mm` was expected",
+    # Mark-10 gauges.
+    "gauge.mode": "load cell: the gauge stays in {mode} and {unit}; switch it to CUR and N",
+    "gauge.settings": "load cell: readings lack unit or sign; switch both on in the gauge's menu",
+    "gcl2.error.10": "illegal command",
+    "gcl2.error.11": "not applicable in this state",
+    "gcl2.error.12": "invalid specifier",
+    "gcl2.error.22": "value too large",
+    "gcl2.error": "gauge: {code} ({why}); check its settings",
+    "gcl2.reading": "gauge answered {line}; a reading such as `-18.78 lbF` was expected",
+    "gcl2.no_unit": "gauge: readings come without their unit; switch off 'Numeric only' in its menu",
+    "gcl2.list": "gauge answered {line} to LIST; `V1.00;LBF;CUR;...` was expected",
+    "gcl2.noise": "gauge answered {line}, which is noise",
+    # Other load cells.
+    "hx711.saturated": (
+        "{device}: converter saturated at {count:.0f} counts; the cell is overloaded or its bridge is not connected, "
+        "check cable and load, then zero it"
+    ),
+    "loadstar.model": "load cell: {model} is no DI-100 or DI-1000; check force.kind in the station file",
+    "loadstar.answer": "load cell: answered {answer}, a Loadstar interface says 'A'; check port and baud rate",
+    "loadstar.line": "load cell sent {line}; a number such as -0.000456 was expected",
+    "indicator.noise": "indicator sent {line}, which is noise",
+    "indicator.line": "indicator sent {line}; `ST,GS,+  4.876kg` was expected",
+    "indicator.overloaded": "load cell: overloaded (OL); unload it and have its calibration checked",
+    # SCPI instruments.
+    "scpi.source": "its signal source is overloaded",
+    "scpi.level": "it cannot keep the level",
+    "scpi.no_data": "no data",
+    "scpi.other": "{device}: {identity} is none of {models}; check port and kind",
+    "scpi.settings": "{device}: does not take its settings: {error}; check them in the station file",
+    "scpi.reading": "{device}: a reading reads {line}; a number was expected",
+    "scpi.status": "{device}: {why}; check the unit's connector and the range",
+    "scpi.overload": "{device}: overload; check the unit's connector, then choose a larger full_scale",
+    "scpi.whole": "{device}: {text} was read where a whole number was expected",
+    "scpi.overloaded": "overload",
+    "scpi.status.other": "status {status}",
+    # The station file.
+    "station_file.unknown_kind": "{section}.kind is {kind}; known are {known}",
+    "station_file.kind_twice": "{section}.kind {kind} is offered by {packages}; uninstall all but one",
+    "station_file.broken_package": "{section}.kind {kind}: {fault}; mend or uninstall {package}",
+    "station_file.same_port": (
+        "[{name}] and [{other}] have the same port {port}; kinds {kind} and {kind2} cannot share it"
+    ),
+    "station_file.unreadable": "{path}: {error}; write one with `softcal station check --write {path}`",
+    "station_file.no_toml": "{path}: is no TOML file: {error}",
+    "station_file.at": "{path}: {why}",
+    "station_file.unknown_top": "unknown key {key}; known are name, {known}",
+    "station_file.no_section": "section [{section}] is missing",
+    "station_file.no_force": (
+        "section [force] is missing, so nothing limits the force; add the load cell, or state without_cell = true in "
+        "[safety] where the stage can hurt nothing"
+    ),
+    "station_file.no_table": "{name} must be a section: write [{name}] and its keys below",
+    "station_file.wrong_wire": "[{section}] port {port} is a {wire} port; kind {kind} speaks over {wires}",
+    "station_file.unknown_key": "[{section}] unknown key {key}; known are {known}{similar}",
+    "station_file.no_key": "[{section}] {key} is missing",
+    "station_file.wrong_type": "{name} is {value}; {expected} was expected",
+    "station_file.outside": "{name} is {value:g}; a value in [{low:g}, {high:g}] was expected",
+    "station_file.no_scale": "force.counts_per_N is 0; run `softcal station calibrate-cell`",
+    "station_file.dmm_rate": (
+        "readout.rate_Hz is {rate_Hz:g}; with cycles = {cycles:g} at most {most_Hz:g} readings a second are possible"
+    ),
+    "station_file.level": "readout.level_V is {level_V:g}; a value in (0, 20] was expected",
+    "station_file.known": "{name} is {value}; known are {known}",
+    "station_file.one_channel": "readout.channels is {channels}; kind {kind} reads one channel",
+    "station_file.positive": "{name} is {value:g}; a number above 0 was expected",
+    # What was read, on the disk.
+    "spool.done": "done",
+    "spool.cut_off": "cut off",
+    "spool.aborted": "aborted: {why}",
+    "file.closed": "{path}: cannot be written: {error}; make room, nothing moved",
+    "file.full": "{path}: samples cannot be kept: {error}; make room on the disk, press again",
+    "file.unreadable": "{path}: {error}",
+    "file.no_spool": "{path}: is no spool of softcal; nothing was changed",
+    "system.full": "No space left on device",
+    "system.denied": "Permission denied",
+    # What the self-test looks at, what it found, and what to do.
+    "check.stream": "stream",
+    "check.reading": "reading",
+    "check.noise": "noise",
+    "check.rate": "rate",
+    "check.drift": "clock drift",
+    "check.latency": "latency",
+    "check.zero": "zero",
+    "check.homing_moving": "homing and moving",
+    "check.homing": "homing",
+    "check.travel": "travel",
+    "check.return": "out and back",
+    "check.setting": "setting",
+    "check.safe_speed": "safe speed",
+    "check.runs_on": "runs on when the host dies",
+    "found.samples": "{count} samples",
+    "found.reading": "{values} {unit}",
+    "found.noise": "{noise:.2g} {unit}",
+    "found.drift": "{drift_ppm} ppm, give or take {doubt_ppm}",
+    "found.latency": "median {middle_ms:.1f} ms, largest {most_ms:.1f} ms",
+    "found.switch": "found its switch",
+    "found.travel": "{travel_mm:g} mm, {speed_mm_s:g} mm/s",
+    "found.return": "{way_mm:.3g} mm in {took_s:.2f} s, off by {error_mm:+.3f} mm",
+    "found.safe_speed": (
+        "{free_mm_s:.2g} mm/s where nothing was felt, {unknown_mm_s:.2g} mm/s where the unit was not pressed yet, so "
+        "that a stop ends below {ceiling_N:g} N"
+    ),
+    "found.runs_on": "at {speed_mm_s:g} mm/s at most {on_s:.2f} s and {way_mm:.2g} mm",
+    "found.rate": "{rate_Hz:.4g} Hz",
+    "found.zero": "{zero_N:+.3f} N",
+    "found.failed": "failed",
+    "cure.no_stream": "no stream; check cable, supply, firmware",
+    "cure.rate": "{rate_Hz:g} Hz were expected; correct rate_Hz in the station file or the firmware",
+    "cure.clock": "clock far off; check its firmware",
+    "cure.zero": "at most {allowed_N:g} N; unload the cell, then zero it",
+    "cure.return": "it does not come back; check screws, belt and steps per mm",
+    # What the gate looks at, and what it says.
+    "gate.no_certificate": (
+        "the load cell has no certificate on file; import it or type it in (`softcal station certificate`)"
+    ),
+    "gate.ended": "the load cell's certificate {number} ended on {day}; have it calibrated",
+    "gate.valid": "{number}, valid until {day}",
+    "gate.reaches": "the profile reaches {force_N:g} N, the certificate ends at {most_N:g} N",
+    "gate.too_far": "{reaches}; use another cell or a lower force limit",
+    "gate.warms": "the load cell warms up for {minutes} more min; wait",
+    "gate.warm": "the load cell is on for {minutes} min",
+    "gate.zero_moved": "the load cell's zero moved by {moved_N:.3g} N, {limit_N:g} N is allowed",
+    "gate.zero_fault": "{why}; check its mounting, then run the self-test",
+    "gate.zero": "{moved_N:+.3f} N over the newest run, {limit_N:g} N is allowed",
+    "gate.homing_fault": "the stage could not be homed ({why}); check its switch, then run the self-test",
+    "gate.homes": "the next run homes first",
+    "gate.no_golden": "no golden unit was pressed in this shift; press one",
+    "gate.golden_bad": (
+        "golden unit {serial} lies outside its control limits; units since the last good check are quarantined; call "
+        "the engineer"
+    ),
+    "gate.golden": "{serial} within its limits at {at} UTC",
+    "gate.needs_reason": "an override needs a reason; the gate is as it was",
+    "gate.homed": "homed",
+    "gate.name.certificate": "certificate",
+    "gate.name.force_range": "force range",
+    "gate.name.warm_up": "warm-up",
+    "gate.name.zero_return": "zero return",
+    "gate.name.homing": "homing",
+    "gate.name.golden": "golden unit",
+    "golden.good": "golden unit within its limits",
+    "golden.held": "quarantined: {serials}",
+    "golden.own_limit": "its control limit",
+    "golden.lot_limit": "the limit of its lot",
+    "golden.error": "error {error:.3g} {unit} is above {what}, {limit:.3g} {unit}",
+    "golden.none": "no unit",
+    # Control charts.
+    "chart.few": "{count} values; a control chart needs at least 8 to find its limits",
+    "chart.no_limit": "capability needs a minimum or a maximum",
+    "chart.limits_crossed": "minimum {minimum:g} is not below maximum {maximum:g}",
+    "chart.not_a_number": "value {value} of the control chart is not a number",
+    "chart.capability.few": "{count} values; capability needs at least {least}",
+    "chart.unstable": "the process is not stable ({rule}, value {number}); find the cause first, then state capability",
+    "chart.flat": "all values are equal; a process without spread has no capability",
+    "chart.rule.1": "a point beyond 3 sigma",
+    "chart.rule.2": "9 points in a row on one side",
+    "chart.rule.3": "6 points in a row rising or falling",
+    "chart.rule.4": "14 points in a row alternating",
+    "chart.rule.5": "2 of 3 points beyond 2 sigma on one side",
+    "chart.rule.6": "4 of 5 points beyond 1 sigma on one side",
+    "chart.rule.7": "15 points in a row within 1 sigma",
+    "chart.rule.8": "8 points in a row beyond 1 sigma on both sides",
+    # An order, a run and the service.
+    "run.interrupted": "the station's service was started again; press the unit again",
+    "run.defect": "a defect of softcal ended this run ({kind}); the details are in its log, press again",
+    "run.in_progress": "a run is in progress; nothing to acknowledge",
+    "run.stopping": "the run is being stopped",
+    "run.cancelled": "cancelled before it began",
+    "run.none": "nothing was running",
+    "run.opened": "the gate is open for this shift; the reason is in the audit trail",
+    "run.no_lot": "unit {serial}: which lot does it belong to? the order names none; nothing moved",
+    "run.wrong_kind": "the source unit of lot {lot} is {source}; {serial} was ordered as {kind}; nothing moved",
+    "run.no_network": "recorded; lot {lot} has no shared network yet: press its source unit, or train one",
+    "run.trained": "source recorded, shared network trained: {rmse:.3g} {unit} on held-out blocks",
+    "run.epoch": "epoch {epoch} of at most {most}, error {error:.3g}",
+    "run.bare_network": "network {network}: its source recording has no reference; train it again",
+    "run.acknowledged": "acknowledged",
+    "fault.real": "faults can be ordered on a simulated station only; nothing was done",
+    "fault.unknown": "fault {name} is unknown; known: {known}",
+    "fault.in_phase": "{name}: comes while {phase}",
+    "fault.next": "{name}: comes with the next run",
+    "station.served": "station {station} is served by {process}; stop that one first",
+    "station.lost": "{why}; this service was silent too long and has given up",
+    "station.taken": "station {station} was taken by another process in this moment; stop that one first",
+    "station.busy": "station {station} has a run that is not over ({what}, {state}); wait for it or stop it",
+    "line.no_station": "no station is chosen at this screen; the scan was not taken",
+    "line.other_screens": "other screens of this line scanned at the same time; the scan was not taken, scan again",
+    # What the registry knows by name.
+    "name.windows": "serial {serial}: Windows cannot have a file of this name; give another serial",
+    "name.serial": (
+        "serial {serial}: 1 to 64 letters, digits, '.', '-' or '_' are allowed, starting with a letter or digit"
+    ),
+    "name.lot": "lot id {lot}: 1 to 64 letters, digits, spaces, '.', '-', '+' or '_' are allowed",
+    "name.no_order": "order {order} is not in the registry",
+    "name.no_such_lot": "lot {lot} is not in the registry; it holds {known}",
+    "name.no_such_serial": "serial {serial} is not in the registry; it holds {known}",
+    # People.
+    "account.no_code": "this is not the code that the server printed; nothing was made",
+    "account.first_is_there": "there is an account already; sign in, or ask whoever has it",
+    "account.may_not": "{role} may not do this; sign in as {roles}; nothing was changed",
+    "account.pins_differ": "the two PINs differ; type the same one twice",
+    "account.pin_easy": "this PIN is among the first that anybody would guess; choose another one",
+    "account.wait": "too many wrong tries; wait {seconds} s",
+    "account.no_name": "a person needs a name",
+    "account.role": "role {role} is none of {known}",
+    "account.pin_short": "a PIN has at least {digits} digits and nothing else",
+    "account.changed": "{name} was changed by somebody else (version {found}, not {version}); look again and decide",
+    "account.needs_pin": "{name} is new and needs a PIN",
+    "account.locked": "too many wrong PINs; wait {minutes} minutes",
+    "account.wrong_pin": "name or PIN is wrong",
+    "account.inactive": "this person may no longer sign in",
+    # Several reasons in the place of one.
+    "and": "{first}; {rest}",
+}

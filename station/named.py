@@ -1,0 +1,23 @@
+"""How messages call a device, in the language of whoever reads them."""
+
+from softcal.core.reason import Reason, plain, reason
+
+_NAMES = {
+    "stage": Reason("device.stage"),
+    "load cell": Reason("device.cell"),
+    "sensor readout": Reason("device.readout"),
+    "gauge": Reason("device.gauge"),
+}
+
+
+def named(name: str, port: str = "") -> Reason:
+    """Return the name of a device as a value of a sentence.
+
+    Args:
+        name: as the device has it; a driver of somebody else may call its device otherwise, that name is kept.
+        port: where it is, for a message that must tell two apart.
+    """
+    if not name:
+        return plain(port)
+    device = _NAMES.get(name) or plain(name)
+    return reason("device.at", device=device, port=port) if port else device

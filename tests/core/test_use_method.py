@@ -1,0 +1,94 @@
+"""The method of long use, and states kept by declared fields."""
+
+import json
+from collections import Counter
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.recording import Array
+from softcal.core.use.kept import array, not_kept, part, parts, restored, state_of
+from softcal.core.use.method import UseMethod
+
+
+@dataclass(frozen=True)
+class Inner:
+    mean: Array = field(metadata=array("n"))
+    covariance: Array = field(metadata=array("n", "n"))
+
+
+@dataclass
+class Outer:
+    inner: Inner = field(metadata=part(Inner))
+    many: list[Inner] = field(metadata=parts(Inner))
+    samples: list[float]
+    last_s: float | None = None
+    threshold: float = not_kept(1.0)
+
+
+def outer(n: int = 2) -> Outer:
+    inner = Inner(np.arange(n) / 3, np.eye(n) / 7)
+    return Outer(inner, [inner, inner], [0.1, 0.2], threshold=5.0)
+
+
+def through_json(value: object) -> dict[str, object]:
+    state: dict[str, object] = json.loads(json.dumps(state_of(value)))
+    return state
+
+
+def test_declared_fields_come_back_to_the_last_bit_and_others_are_given() -> None:
+    found = restored(Outer, through_json(outer()), threshold=9.0)
+
+    np.testing.assert_array_equal(found.inner.covariance, outer().inner.covariance)
+    np.testing.assert_array_equal(found.many[1].mean, outer().many[1].mean)
+    assert (found.samples, found.last_s, found.threshold) == ([0.1, 0.2], None, 9.0)
+
+
+def test_only_declared_fields_are_kept() -> None:
+    value = outer()
+    value.cache = {1: 2}  # type: ignore[attr-defined]
+
+    assert set(state_of(value)) == {"inner", "many", "samples", "last_s"}
+
+
+def test_a_state_shares_nothing_with_what_it_was_taken_of() -> None:
+    value = outer()
+    state = state_of(value)
+    value.samples.append(7.0)
+    assert state["samples"] == [0.1, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda state: state.pop("last_s"), "Outer.last_s is missing or unknown"),
+        (lambda state: state.update(more=1), "Outer.more is missing or unknown"),
+        (lambda state: state["inner"].update(mean=[[1.0, 2.0]]), "Inner.mean has shape"),
+        (lambda state: state["inner"].update(mean=[1.0, 2.0, 3.0]), "Inner.covariance has shape"),
+        (lambda state: state["inner"].update(mean="none"), "Inner.mean is no array of numbers"),
+        (lambda state: state["many"][1].pop("mean"), "Inner.mean is missing or unknown"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(change: object, said: str) -> None:
+    state = through_json(outer())
+    change(state)  # type: ignore[operator]
+
+    with pytest.raises(InputError, match=said) as refusal:
+        restored(Outer, state)
+    assert "\n" not in str(refusal.value)
+
+
+def test_the_method_of_use_comes_back_from_what_was_kept() -> None:
+    method = replace(UseMethod(), drift=replace(UseMethod().drift, pace=13.0))
+
+    assert UseMethod.of(json.loads(json.dumps(method.to_json()))) == method
+    assert method.id != UseMethod().id
+    assert method.changes(UseMethod()) == ["drift.pace: 12.0, now 13.0"]
+    assert UseMethod().changes(UseMethod()) == []
+
+
+def test_every_number_has_a_name_of_its_own() -> None:
+    names = Counter(name for name, _, _ in UseMethod().numbers())
+    assert len(names) > 40 and max(names.values()) == 1
