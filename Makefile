@@ -47,7 +47,7 @@ $(DEMO): $(VENV)/.made pyproject.toml requirements-demo.lock
 	touch $@
 
 $(STAMP): $(DEMO) pyproject.toml requirements.lock
-	@echo 'Installing what the tests need, too: about 0.5 GB more to download, 1.3 GB more in $(VENV).'
+	@echo 'Installing what the tests need, too: about 1 GB more in $(VENV).'
 	$(call install,requirements.lock)
 	touch $@
 

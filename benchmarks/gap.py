@@ -70,11 +70,11 @@ def as_case(sealed: SealedCase, plans: Sequence[RunPlan]) -> Case:
     rig = sealed.rig
     readout = ReadoutMetadata(rig.vref_V, rig.adc_bits, rig.r_series_ohm, rig.sample_rate_Hz)
     runs = []
-    for number, plan in enumerate(plans, start=1):
-        measured = sealed.measure(plan)
+    for number, found in enumerate(sealed.written(plans), start=1):
+        measured, stated = found.measured, replace(readout, sample_rate_Hz=found.sample_rate_Hz)
         columns = {name: np.round(values, 6) for name, values in measured.columns.items()}
         special = {"kind": measured.kind, "profile": measured.profile, "dummy_ohm": measured.dummy_ohm}
-        runs.append(Run(name=f"runs/{number}", readout=readout, **special, **columns))
+        runs.append(Run(name=f"runs/{number}", readout=stated, **special, **columns))
     return Case(sealed.name, tuple(runs))
 
 
@@ -151,10 +151,12 @@ def _log(found: Diagnosed, log: Path | None, what: str = "") -> None:
         return
     likely = {c["effect"]: round(c["probability"], 2) for c in found.report["causes"] if c["probability"] > 0.02}
     truth = " + ".join(f"{cause.effect} ({cause.form})" for cause in found.label.case.causes) or "none"
+    truth += f", {found.label.case.mistake}" if found.label.case.mistake else ""
+    said = [(d["what"], d["channel"], d["runs"], d["factor"]) for d in found.report["data"]]
     with log.open("a") as file:
         file.write(
             f"{found.label.case.name}{what}: {judged.outcome}; truth {truth}, {found.label.distance_sigma:.0f} sigma; "
-            f"said {found.report['verdict']} {likely} {found.report['ambiguous_with']}; {found.seconds:.1f} s\n"
+            f"said {found.report['verdict']} {likely} {found.report['ambiguous_with']} {said}; {found.seconds:.1f} s\n"
         )
 
 

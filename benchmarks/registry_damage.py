@@ -22,6 +22,7 @@ from unittest import mock
 
 import numpy as np
 from registry_common import begin_lot, print_markdown, record
+from sqlalchemy import Connection
 
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.orders import Order, OrderKind
@@ -29,6 +30,7 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.core.reason import plain
 from softcal.core.recording import OutputRecording
 from softcal.db import checks
+from softcal.db.arrays import READ_BLOB
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.registry import Registry
@@ -49,11 +51,11 @@ FLIPS = ("page", "flips", "told at use", "found by verify", "without effect", "s
 EDITS = ("table", "edits", "found by verify", "refused by the database", "changed nothing", "documented", "unseen")
 
 
-def make(path: Path) -> None:
+def make(path: Path, units: int = UNITS) -> None:
     """Fill a registry with something in every table that decides, enough for pages of every kind."""
     with open_registry(f"sqlite:///{path}") as registry:
         network_id = begin_lot(registry)
-        for k in range(UNITS):
+        for k in range(units):
             serial, output = f"U{k:03d}", np.random.default_rng(k).normal(size=400)
             registry.add_recording("bench", OutputRecording(serial, np.arange(400) / 50.0, output, 50.0), "unit")
             for number in (1, 2):
@@ -70,7 +72,7 @@ def make(path: Path) -> None:
         registry.withdraw_network(network_id, reason="to be trained again")
         for name, role in (("kim", "operator"), ("lee", "quality")):
             registry.set_user(name, role, "2580", actor="lee")
-        registry.work_queue.enqueue(WorkSet("bench", "a" * 64), {f"U{k:03d}": "b" * 64 for k in range(UNITS)})
+        registry.work_queue.enqueue(WorkSet("bench", "a" * 64), {f"U{k:03d}": "b" * 64 for k in range(units)})
         registry.order_queue.place(Order("o1", "s1", OrderKind.UNIT, "U001", "bench", "kim", "", datetime.now(UTC)))
         registry.job_board.place("gap", {"case": 1}, "kim")
         registry.line_places.write("s1", 0, {"serial": "U001"})
@@ -240,6 +242,10 @@ def _verdict_of_edit(copy: Path, table: str, column: str) -> str:
     return "unseen" if columns is None or (columns and column not in columns) else "documented"
 
 
+def _bytes_as_they_are(connection: Connection, sha256: str) -> bytes:
+    return bytes(connection.execute(READ_BLOB, {"sha": sha256}).scalar_one())
+
+
 @contextlib.contextmanager
 def blind() -> Iterator[None]:
     """Turn the checks off: a benchmark that tells nothing then tells nothing ever."""
@@ -247,6 +253,8 @@ def blind() -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         stack.enter_context(mock.patch.object(Registry, "_check_row", lambda *_: None))
         stack.enter_context(mock.patch.object(Registry, "_check_statements", lambda *_: None))
+        stack.enter_context(mock.patch.object(Registry, "_check_revisions", lambda *_: None))
+        stack.enter_context(mock.patch("softcal.db.arrays.get_bytes", _bytes_as_they_are))
         for name in ("_row_faults", "_blob_faults"):
             stack.enter_context(mock.patch(f"softcal.db.maintenance.{name}", nothing))
         stack.enter_context(mock.patch("softcal.db.history.chain_faults", nothing))

@@ -234,12 +234,12 @@ def draw_figure(lots: Lots, file: Path) -> None:
         chosen = {key: units for key, units in lots.items() if (key[0] in GOOD) == is_good}
         runs = [[d for g in released_on(chosen, n, risk=max(RISK, least_risk(n))).values() for d in g] for n in counts]
         released = [sum(d.released for d in run) for run in runs]
-        shares = [100 * r / max(sum(d.unmeasured for d in run), 1) for r, run in zip(released, runs, strict=True)]
+        good = [100 * sum(d.released - d.beyond for d in run) / max(sum(d.good for d in run), 1) for run in runs]
         beyond = [100 * sum(d.beyond for d in run) / max(r, 1) for r, run in zip(released, runs, strict=True)]
-        traces += [(1, counts, shares, label, colour, "solid"), (2, counts, beyond, label, colour, "solid")]
+        traces += [(1, counts, good, label, colour, "solid"), (2, counts, beyond, label, colour, "solid")]
     promised = [100 * max(RISK, least_risk(n)) for n in counts]
     traces.append((2, counts, promised, "risk promised", "#333333", "dash"))
-    titles = ("released, % of the unmeasured units", "beyond the limit, % of the released")
+    titles = ("released, % of the good unmeasured units", "beyond the limit, % of the released")
     figure = make_subplots(1, 2, subplot_titles=titles)
     for column, x, y, name, colour, dash in traces:
         line = {"color": colour, "dash": dash}

@@ -134,6 +134,54 @@ ENGLISH: Mapping[str, str] = {
     ),
     "part.uncertain": "is uncertain by {doubt:.3g} {unit}",
     "part.no_nearer": "brings the unit's use no nearer to the source's (overlap {gained:+.0%})",
+    # What is wrong with recordings that a diagnosis is given, and what would repair them.
+    "data.rate": "the time stamps show {seen:.4g} Hz, sample_rate_Hz says {stated:.4g} Hz",
+    "data.repair.rate": "correct the one that is wrong; if the time stamps are right, sample_rate_Hz is {seen:.4g}",
+    "data.repair.unit": "multiply {channel} by {factor:.4g}: it looks like {unit}",
+    "data.swapped_columns.steps": "another column than output_V stands on the steps of the ADC, output_V does not",
+    "data.swapped_columns.smooth": "force_N is as smooth as a commanded position, stage_mm as noisy as a force",
+    "data.repair.swap": "exchange the headings {one} and {other}",
+    "data.out_of_range.output": (
+        "output_V reaches {worst:.6g} V, an ADC with {vref:.4g} V cannot read that; {count} samples out of range"
+    ),
+    "data.out_of_range.strays": (
+        "{count} samples of {channel} lie far out, up to {worst:.6g} {unit}; nearly all others from {low:.4g} to "
+        "{high:.4g} {unit}"
+    ),
+    "data.repair.samples": "leave out the {count} samples, or record the run again; check cable and transmission",
+    "data.repair.sign": "reverse the sign of {channel}",
+    "data.swapped_runs": (
+        "{channel} does not follow the other columns of its run (correlation {now:.2f}), but those of another run "
+        "({exchanged:.2f})"
+    ),
+    "data.repair.exchange": "exchange {channel} of runs {one:g} and {other:g}",
+    "data.sign": "{channel} moves against the press: a press makes stage, force and output larger",
+    "data.swapped_divider": (
+        "the output falls when the sensor is pressed (correlation {correlation:.2f}): sensor and series resistor are "
+        "exchanged in the divider"
+    ),
+    "data.repair.divider": "exchange them, or take Vref less the output where that is how it is wired",
+    "data.unit.stiffness": (
+        "peak force over depth is {seen:.3g} N/mm; pads have {low:.3g} to {high:.3g} N/mm; state stiffness_N_mm in "
+        "recording.json if this one is right"
+    ),
+    "data.unit.size": "{channel} moves by {seen:.3g} {unit}, far from what a pad is pressed by",
+    "data.repair.gain": "multiply {channel} by {factor:.4g}, or find out what changed its gain",
+    "data.repair.zero": "subtract {offset:.4g} {unit} from {channel}: its zero was not set",
+    "data.run.apart": "{channel} of this run is {ratio:.3g} times what the other runs show",
+    "data.run.gain": (
+        "{channel} of this run is {ratio:.4g} times what all other runs show; that alone explains {share:.0%} of what "
+        "the twin leaves"
+    ),
+    "data.run.zero": (
+        "{channel} of this run is off by {offset:+.4g} {unit} from all other runs; that alone explains {share:.0%} of "
+        "what the twin leaves"
+    ),
+    "data.run.other_unit": (
+        "this run fits a unit of other stiffness ({stiffness:+.0%}), resistance ({resistance:+.0%}) and sensitivity "
+        "({sensitivity:+.0%}) than all other runs; that alone explains {share:.0%} of what the twin leaves"
+    ),
+    "data.repair.other_unit": "leave the run out, or record it again with this unit",
     # Why there is no map at all.
     "no_swing": "output makes no swing that stands out of its noise; press the unit and record it again",
     "still": "output stays at {level:.6g} {unit}; press the unit and record again",

@@ -19,7 +19,11 @@ from softcal.db.database import Database, OncePerCut
 from softcal.db.tables import heartbeats, orders, run_signals
 
 SILENT_AFTER = timedelta(seconds=3)
-"""A station whose last heartbeat is older is not there."""
+"""A station whose last heartbeat is older is not there, as far as a screen can see."""
+
+TAKEN_OVER_AFTER = timedelta(seconds=15)
+"""Another process may serve a station whose heartbeat is older. A busy machine keeps a service from its beat for
+seconds: it must not lose its rig for that."""
 
 ORDER_FIELDS = ("order_id", "station", "kind", "serial", "lot_id", "actor", "reason", "created")
 PROGRESS_FIELDS = tuple(field.name for field in fields(Progress) if field.name != "signal")
@@ -128,8 +132,11 @@ class OrderQueue(OncePerCut):
             connection.execute(mine.values(**values, changed_at=self._clock()))
         return order_ids
 
-    def beat(self, heartbeat: Heartbeat) -> None:
+    def beat(self, heartbeat: Heartbeat, after: timedelta = TAKEN_OVER_AFTER) -> None:
         """Write that a station lives and what it does.
+
+        Args:
+            after: how old the beat of another owner must be; zero for who knows that its process is gone.
 
         Raises:
             InputError: another process serves this station; ports have one owner.
@@ -142,7 +149,7 @@ class OrderQueue(OncePerCut):
             if known is None:
                 self._first_beat(connection, values)
                 return
-            is_alive = heartbeat.at - known["at"] <= SILENT_AFTER
+            is_alive = heartbeat.at - known["at"] <= after
             if is_alive and known["process"] != heartbeat.process and known["state"] != StationState.OFF:
                 raise InputError(reason("station.served", station=repr(heartbeat.station), process=known["process"]))
             connection.execute(update(heartbeats).where(where).values(**values))

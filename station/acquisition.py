@@ -98,6 +98,7 @@ class _Run:
 
     def perform(self, with_reference: bool) -> StationRecording:
         self.watched.start()
+        self.watched.await_streams()
         if not self._stage.is_position_known:
             self._enter(HOMING)
             self.watched.home()

@@ -11,15 +11,13 @@ from softcal.station.frames.indicator import OVERLOADED, parse_N
 from softcal.station.frames.text_stream import parse as parse_stream
 from softcal.station.interfaces import Clock
 from softcal.station.link import POLL_S, Line, Link
+from softcal.station.watched import BOOT_S
 
-LISTEN_S = 1.0
+LISTEN_S, FEW_LINES = 1.0, 5
 ANSWER_S = 2.5
 """An Arduino that was reset by opening its port is in its boot loader for about 1.5 s."""
 
 QUICK_S = 0.5
-
-BOOT_S = 3.0
-"""A board that is reset when its port is opened says nothing before it has booted."""
 
 CONVERTER_COUNTS, CELL_RATES_HZ = 4095, (10.0, 80.0)
 """Largest count of a 12-bit converter; the rates of an HX711."""
@@ -62,9 +60,9 @@ def identify(port: str, clock: Clock) -> Identity:
 
 def _stream(link: Link) -> Identity | None:
     banner, lines = "", []
-    heard = _heard(link)
+    heard, rate_Hz = _heard(link)
     if any(_is_indicator(line.text) for line in heard[1:3]):
-        return Identity(link.port, "force", "indicator", heard[1].text.decode(), len(heard) / LISTEN_S, 1)
+        return Identity(link.port, "force", "indicator", heard[1].text.decode(), rate_Hz, 1)
     for line in heard:
         if line.text.startswith(b"softcal "):
             banner = line.text.decode("ascii", "replace")
@@ -72,7 +70,7 @@ def _stream(link: Link) -> Identity | None:
             lines.append(parse_stream(line.text))
         except BadReply:
             continue
-    if len(lines) < 5:
+    if len(lines) < FEW_LINES:
         return None
     rate_Hz = seen_rate_Hz(np.array([line.device_ms for line in lines]) / 1000.0)
     counts = [count for line in lines for count in line.counts]
@@ -80,17 +78,21 @@ def _stream(link: Link) -> Identity | None:
     return Identity(link.port, role, kind, why, rate_Hz, len(lines[0].counts))
 
 
-def _heard(link: Link) -> list[Line]:
-    """Listen for LISTEN_S from the first line on, and up to BOOT_S for that line."""
+def _heard(link: Link) -> tuple[list[Line], float]:
+    """Listen until some lines came, for BOOT_S at most, then for LISTEN_S; return all lines and how many came a second.
+
+    A board may say a line of before, or its greeting, and only then boot.
+    """
     end_s = link.clock.now_s() + BOOT_S
     heard: list[Line] = []
-    while not heard and link.clock.now_s() < end_s:
+    while len(heard) < FEW_LINES and link.clock.now_s() < end_s:
         link.clock.sleep_s(POLL_S)
-        heard = link.read_lines()
+        heard += link.read_lines()
     if not heard:
-        return []
+        return [], 0.0
     link.clock.sleep_s(LISTEN_S)
-    return [*heard, *link.read_lines()]
+    after = link.read_lines()
+    return [*heard, *after], len(after) / LISTEN_S
 
 
 def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tuple[str, str, str]:

@@ -15,6 +15,9 @@ from softcal.station.motion import TICK_S, Motion
 from softcal.station.safety import FollowWatch, ForceWatch, JumpWatch, StreamWatch, StuckWatch
 from softcal.station.spool import Spool
 
+BOOT_S = 3.0
+"""How long a board may take to boot: 1.5 s to 2 s for an Arduino with its boot loader."""
+
 HOMING_RISE_N = 1.0
 """Homing goes away from the unit: a force that grows by this much says that it does not."""
 
@@ -71,6 +74,28 @@ class WatchedBench:
         if bench.force is not None:
             bench.force.start()
             self._streams["force"] = StreamWatch(bench.force, bench.config.safety, now_s)
+
+    def await_streams(self) -> None:
+        """Wait until every channel speaks, before anything moves.
+
+        A board that is reset when its port is opened says nothing before it has booted.
+
+        Raises:
+            NoReply: one stays silent.
+        """
+        silent, end_s = set(self._streams), self.bench.clock.now_s() + BOOT_S
+        while silent and self.bench.clock.now_s() < end_s:
+            self.bench.clock.sleep_s(TICK_S)
+            try:
+                output, cell = self._read(())
+            except BadReply:
+                break  # It speaks: what it says is judged where that is due.
+            silent -= {name for name, samples in (("readout", output), ("force", cell)) if samples}
+            self._on_tick()
+        else:
+            for name in sorted(silent):
+                self._streams[name].check_silence(self.bench.clock.now_s())
+        self.start()
 
     def home(self) -> None:
         """Home the stage while the force is watched, and begin to read anew.

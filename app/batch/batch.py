@@ -11,7 +11,11 @@ from softcal.app.batch.report import BatchReport, UnitResult
 from softcal.app.batch.train import train_or_find
 from softcal.app.batch.unit_work import SharedWork
 from softcal.app.files.lot_folder import LotFolder
+from softcal.app.files.recording_file import read_labelled
+from softcal.app.files.regular import read_regular
 from softcal.app.registry.reference import state_reference
+from softcal.core.errors import InputError
+from softcal.core.identity import content_sha256
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.verdict import stated_limit
 from softcal.db.entries import UnitStanding
@@ -25,9 +29,11 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     Whatever the registry already has for the same recording, network and configuration is not computed again.
 
     Raises:
-        InputError: the source cannot be used; without it there is no lot.
+        InputError: the source cannot be used; without it there is no lot. Or two audits are one recording: nothing was
+            fitted.
     """
     start_s = time.perf_counter()
+    _check_audit_files(folder)
     source = folder.read_source()
     trained = train_or_find(folder.lot, source, registry, config.network, config.actor, watch.on_epoch)
     own = config.network if config.score_own else None
@@ -43,6 +49,25 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     decided = update_release(registry, folder.lot.id, config.actor)
     ordered = _judged(registry, folder.lot.id, ordered)
     return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit, config.release, decided)
+
+
+def _check_audit_files(folder: LotFolder) -> None:
+    """Refuse one recording as the audit of two units before anything is fitted; what cannot be read is told later."""
+    owners: dict[str, str] = {}
+    units = folder.lot.output_unit, folder.lot.reference_unit
+    for serial in sorted(folder.unit_paths.keys() & folder.audit_paths.keys()):
+        path = folder.audit_paths[serial]
+        try:
+            content = read_regular(path, folder.root)
+            audit = read_labelled(path, serial, folder.lot.sample_rate_Hz, units, content)
+        except InputError:
+            continue
+        first = owners.setdefault(content_sha256({"output": audit.unlabelled.output}, {}), serial)
+        if first != serial:
+            raise InputError(
+                f"the audits of {first} and {serial} are one recording; one is of another unit; nothing was fitted and "
+                "nothing was released: put the right file into audit/ and run the batch again"
+            )
 
 
 def _judged(registry: Registry, lot_id: str, units: tuple[UnitResult, ...]) -> tuple[UnitResult, ...]:

@@ -26,6 +26,7 @@ WORDS = {
     "explained": "The gap is explained.",
     "ambiguous": "The gap is located, but these recordings cannot tell its causes apart.",
     "unknown": "A structured gap is left that nothing in the catalogue explains.",
+    "data": "The recordings hold a mistake. Repair it and diagnose again; nothing else was judged.",
 }
 SHOWN_CAUSES = 10
 
@@ -38,7 +39,11 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str) ->
         runs: measured and predicted channels of every run, before and after.
         serial: unit of the case.
     """
-    body = "\n".join(
+    if report["verdict"] == "data":
+        parts = [_headline(report, serial), _section("What is wrong with the recordings", _mistakes(report))]
+        return _document(serial, [*parts, _section("Run by run", *_traces(runs))])
+    return _document(
+        serial,
         [
             _headline(report, serial),
             _section("Where the twin is wrong", chain_svg(report), _places(report["where"]), *_maps(runs)),
@@ -47,8 +52,23 @@ def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str) ->
             _section("How sure this is", _hidden_words(report), *_optional(hidden_figure(report))),
             _section("What to press next", _next(report["next_experiment"])),
             _section("Before and after, run by run", *_traces(runs)),
-        ]
+        ],
     )
+
+
+def _mistakes(report: Mapping[str, Any]) -> str:
+    rows = "".join(
+        f"<tr><td>{escape(_words(d['what']))}</td><td>{escape(d['channel'])}</td>"
+        f"<td>{escape('all' if d['runs'] == 'all' else ', '.join(map(str, d['runs'])))}</td>"
+        f"<td>{escape(d['evidence'])}</td><td>{escape(d['repair'])}</td></tr>"
+        for d in report["data"]
+    )
+    heads = "".join(f"<th>{word}</th>" for word in ("mistake", "channel", "runs", "what shows it", "what repairs it"))
+    return f"<table><tr>{heads}</tr>{rows}</table>"
+
+
+def _document(serial: str, parts: Sequence[str]) -> str:
+    body = "\n".join(parts)
     return _DOCUMENT.format(title=escape(f"Gap of {serial}"), script=get_plotlyjs(), body=body)
 
 
@@ -86,9 +106,18 @@ def _headline(report: Mapping[str, Any], serial: str) -> str:
         f"<p class='unit'>Unit {escape(serial)}</p>",
         f"<h1 class='{escape(report['verdict'])}'>{escape(WORDS[report['verdict']])}</h1>",
         f"<p class='lead'>Cause: {names}.</p>" if names else "",
+        _partly(report),
         f"<p class='note'>Not recorded: {missing}.{_unseen(report)}</p>" if missing else "",
     ]
     return f"<header>{''.join(lines)}</header>"
+
+
+def _partly(report: Mapping[str, Any]) -> str:
+    found = report.get("partial")
+    if not found:
+        return ""
+    names = " and ".join(escape(_words(effect)) for effect in found["effects"])
+    return f"<p class='note'>Nearest, a partial explanation: {names}, {_percent(found['share'])} of the gap.</p>"
 
 
 def _unseen(report: Mapping[str, Any]) -> str:
@@ -245,7 +274,7 @@ main {{ max-width: 1080px; margin: 0 auto; padding: 24px 16px 64px; }}
 header, section {{ background: #fff; border: 1px solid #d8dee4; border-radius: 10px; padding: 18px 24px;
   margin: 0 0 16px; }}
 h1 {{ font-size: 26px; line-height: 1.25; margin: 2px 0 8px; padding-left: 14px; border-left: 6px solid #5b6573; }}
-h1.no_gap {{ border-color: #1b7f4d; }} h1.explained {{ border-color: #0b5cad; }}
+h1.no_gap {{ border-color: #1b7f4d; }} h1.data {{ border-color: #b3261e; }} h1.explained {{ border-color: #0b5cad; }}
 h1.ambiguous {{ border-color: #b06f00; }} h1.unknown {{ border-color: #b3261e; }}
 h2 {{ font-size: 18px; margin: 0 0 10px; }} h3 {{ font-size: 15px; margin: 12px 0 0; }}
 .unit {{ margin: 0; color: #55606c; }} .lead {{ font-size: 17px; margin: 6px 0; }}

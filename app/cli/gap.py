@@ -165,7 +165,20 @@ def _show(diagnosis: "Diagnosis", target: str | None) -> None:
         write_json(target, diagnosis.report())
     if target == "-":
         return
+    for found in diagnosis.mistakes:
+        runs = ", ".join(map(str, found.runs)) or "all"
+        kind = found.what.replace("_", " ")
+        print(f"data        {kind}{f' of {found.channel}' if found.channel else ''}, runs {runs}: {found.evidence}")
+        print(f"repair      {found.repair}")
+    if diagnosis.verdict == "data":
+        print("verdict     data: repair the recordings and diagnose again; nothing else was judged")
+        return
     _show_result(diagnosis)
+    if diagnosis.partial is not None:
+        effects = " + ".join(diagnosis.partial.effects)
+        print(f"partly      {effects}: {diagnosis.partial.share:.0%} of the gap on these runs; the rest has no name")
+    for name, value in diagnosis.on_bound.items():
+        print(f"on bound    {name} = {value:.4g}: these recordings do not determine it, or they hold a mistake")
     if diagnosis.case.missing_channels:
         print(f"missing     {', '.join(diagnosis.case.missing_channels)}")
     if diagnosis.case.unseen_stages:

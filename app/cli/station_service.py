@@ -5,17 +5,18 @@ import signal
 import time
 import uuid
 from dataclasses import replace
-from datetime import date, timedelta
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_json, add_network, add_registry, network_config, positive, registry_of
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import DeviceError, InputError
-from softcal.core.orders import Order, OrderKind, Progress, RunState
+from softcal.core.orders import Order, OrderKind, Progress, RunState, StationState
 
 if TYPE_CHECKING:
     from softcal.core.orders import Heartbeat
+    from softcal.db.order_queue import OrderQueue
     from softcal.db.registry import Registry
 
 PATIENCE_S = 10.0
@@ -209,7 +210,7 @@ def run_order(options: argparse.Namespace) -> int:
     order_id = uuid.uuid4().hex
     with registry_of(options, create=False) as registry:
         queue = registry.order_queue
-        if not queue.is_answering(options.name):
+        if not _is_there(queue, options.name):
             raise DeviceError(f"station {options.name!r} is not served; start `softcal station serve` first")
         facts = (options.serial, options.lot, current_user(), options.reason)
         queue.place(Order(order_id, options.name, kind, *facts))
@@ -226,6 +227,18 @@ def run_order(options: argparse.Namespace) -> int:
     return 0 if progress.verdict in ("", "pass") else 1
 
 
+def _is_there(queue: "OrderQueue", station: str) -> bool:
+    """Return whether a station's service is there: its beat is fresh, or late while its process is seen to live."""
+    from softcal.app.line.place import is_alive
+    from softcal.db.order_queue import TAKEN_OVER_AFTER
+
+    beat = queue.heartbeat(station)
+    if beat is None or beat.state is StationState.OFF or is_alive(beat.process) is False:
+        return False
+    is_late_alone = bool(is_alive(beat.process)) and datetime.now(UTC) - beat.at <= TAKEN_OVER_AFTER
+    return is_late_alone or queue.is_answering(station)
+
+
 def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
     """Wait for the end of an order; print each new phase and every tenth of the way."""
     shown, heard_s = ("", -1), time.monotonic()
@@ -235,7 +248,7 @@ def _followed(registry: "Registry", station: str, order_id: str) -> Progress:
             shown = step
             left = f", about {progress.remaining_s:.0f} s left" if progress.remaining_s else ""
             say(f"{100 * progress.fraction:3.0f} % {progress.phase}{left}")
-        if registry.order_queue.is_answering(station):
+        if _is_there(registry.order_queue, station):
             heard_s = time.monotonic()
         elif time.monotonic() - heard_s > PATIENCE_S:
             raise DeviceError(

@@ -40,7 +40,18 @@ def open_case(folder: Path) -> Case:
     with naming(folder):
         if len(set(serials)) > 1:
             raise InputError(f"runs of several units ({', '.join(sorted(set(serials)))}); a case is of one unit")
-        return Case(serials[0], tuple(runs))
+        return Case(serials[0], tuple(runs), stiffness_N_mm=_stated_stiffness(places[0] / METADATA))
+
+
+def _stated_stiffness(path: Path) -> tuple[float, float] | None:
+    """Return lowest and highest peak force over depth of the lot's units, where the first run's metadata state it."""
+    stated = _metadata(path).get("stiffness_N_mm")
+    if stated is None:
+        return None
+    numbers = [v for v in stated if isinstance(v, int | float)] if isinstance(stated, list) else []
+    if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] or not math.isfinite(numbers[1]):
+        raise InputError(f"{path}: stiffness_N_mm is {stated!r}; [lowest, highest] in N/mm was expected")
+    return float(numbers[0]), float(numbers[1])
 
 
 OTHER_NAMES = {"output": "output_V", "reference": "force_N"}

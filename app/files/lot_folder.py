@@ -90,27 +90,30 @@ def open_lot_folder(folder: Path) -> LotFolder:
     strangers = sorted(set(audits) - set(units) - {lot.source})
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
-    remarks = (*remarks, *_same_files(units))
+    remarks = (*remarks, *_same_files(units, folder))
     return LotFolder(folder, lot, sources[lot.source], units, audits, remarks, line, reference)
 
 
-def _same_files(units: Mapping[str, Path]) -> Iterator[str]:
-    """Say which units have one and the same file: one of the serials is wrong, or a file was copied."""
+def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
+    """Say which units have one and the same file: one of the serials is wrong, or a file was copied.
+
+    Whatever is no file, or cannot be read, is told as that unit's result later.
+    """
     by_size: dict[int, list[str]] = {}
     for serial, path in units.items():
         if path.is_file():
             by_size.setdefault(path.stat().st_size, []).append(serial)
     for alike in by_size.values():
         if len(alike) > 1:
-            yield from _same_content({serial: units[serial] for serial in alike})
+            yield from _same_content({serial: units[serial] for serial in alike}, root)
 
 
-def _same_content(units: Mapping[str, Path]) -> Iterator[str]:
+def _same_content(units: Mapping[str, Path], root: Path) -> Iterator[str]:
     by_hash: dict[str, list[str]] = {}
     for serial, path in units.items():
         # What cannot be read is the result of its unit and of no other.
         with suppress(InputError):
-            content = read_regular(path, path.parent.parent)
+            content = read_regular(path, root)
             by_hash.setdefault(hashlib.sha256(content).hexdigest(), []).append(serial)
     for serials in by_hash.values():
         if len(serials) > 1:

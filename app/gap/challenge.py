@@ -15,6 +15,7 @@ from softcal.app.files.lot_folder import write_lot_toml
 from softcal.app.files.recording_file import write_columns
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase
 from softcal.core.challenge.draw import LINES, SEED_BITS, draw_case, draw_challenge, drawn_seed
+from softcal.core.challenge.mistakes import Written
 from softcal.core.challenge.realised import realised_shrink
 from softcal.core.challenge.rig import Measured
 from softcal.core.challenge.score import ScoreSheet, score_reports
@@ -94,14 +95,14 @@ def _one_line(seed: int, count: int, line: str) -> list[SealedCase]:
 
 def write_case(folder: Path, case: SealedCase) -> str:
     """Record every run of a sealed case into `runs/<n>/` and return the content hash of the folder."""
-    for number, plan in enumerate(case.plans, start=1):
-        write_run(folder / "runs" / str(number), case, plan)
+    for number, found in enumerate(case.written(case.plans), start=1):
+        write_run(folder / "runs" / str(number), case, found)
     return folder_sha256(folder)
 
 
-def write_run(folder: Path, case: SealedCase, plan: RunPlan) -> None:
-    """Record one run as `recording.csv` and `recording.json`."""
-    measured = case.measure(plan)
+def write_run(folder: Path, case: SealedCase, found: Written) -> None:
+    """Write one run as `recording.csv` and `recording.json`."""
+    measured = found.measured
     metadata: dict[str, object] = {
         "serial": case.name.upper(),
         "kind": measured.kind,
@@ -109,7 +110,7 @@ def write_run(folder: Path, case: SealedCase, plan: RunPlan) -> None:
         "vref_V": case.rig.vref_V,
         "adc_bits": case.rig.adc_bits,
         "r_series_ohm": case.rig.r_series_ohm,
-        "sample_rate_Hz": case.rig.sample_rate_Hz,
+        "sample_rate_Hz": found.sample_rate_Hz,
     }
     if measured.dummy_ohm is not None:
         metadata["dummy_ohm"] = measured.dummy_ohm
@@ -144,7 +145,8 @@ def ask_rig(folder: Path, seal_file: Path, case_name: str, experiment: str) -> P
         raise InputError(f"{experiment}: not on the menu; known are {', '.join(EXPERIMENTS)}")
     runs = folder / case_name / "runs"
     number = 1 + sum(path.name.startswith("asked") for path in runs.iterdir())
-    write_run(runs / f"asked-{number}", case, RunPlan(experiment, case.kept_back.seed + number))
+    asked = case.measure(RunPlan(experiment, case.kept_back.seed + number))
+    write_run(runs / f"asked-{number}", case, Written(asked, case.rig.sample_rate_Hz))
     return runs / f"asked-{number}"
 
 

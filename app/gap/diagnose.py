@@ -83,6 +83,8 @@ def apply_report(report_file: Path, out: Path) -> Twin:
         InputError: the report cannot be read or holds no twin.
     """
     report = _read_json(report_file)
+    if report.get("verdict") == "data":
+        raise InputError(f"{report_file}: the recordings hold a mistake, so there is no twin of them; repair it first")
     if not isinstance(report.get("twin"), dict):
         raise InputError(f"{report_file}: holds no twin; diagnose the case again with softcal gap diagnose --json")
     twin = twin_from_record(report["twin"], str(report_file))

@@ -8,13 +8,14 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Protocol
 
+from softcal.app.line.place import is_alive
 from softcal.core.errors import InputError, RegistryError, SoftcalError
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.reason import Reason, reason
-from softcal.db.order_queue import OrderQueue
+from softcal.db.order_queue import TAKEN_OVER_AFTER, OrderQueue
 from softcal.station.recording import StationRecording
 from softcal.station.service import StationService
 
@@ -123,8 +124,7 @@ class StationHost:
         Raises:
             InputError: another process serves this station.
         """
-        self._make_sure_nobody_beats()
-        self._beat()
+        self._beat(self._patience())
         self._queue.interrupt(self._station, INTERRUPTED)
         desk = threading.Thread(target=self._keep_desk, args=(goes_on,), name="station desk", daemon=True)
         desk.start()
@@ -140,16 +140,20 @@ class StationHost:
             raise InputError(self._lost)
         self._beat()
 
-    def _make_sure_nobody_beats(self) -> None:
-        """An owner that seems silent may only have another clock: as long as it goes on beating, it is there.
+    def _patience(self) -> timedelta:
+        """Return how long another owner must have been silent: no time where its process is seen to be gone.
+
+        An owner that seems silent may only be on a busy machine, or have another clock: while it beats, it is there.
 
         Raises:
             InputError: another process serves this station.
         """
         before = self._queue.heartbeat(self._station)
         if before is None or before.state is StationState.OFF or before.process == self._process:
-            return
-        if self._queue.is_answering(self._station):
+            return TAKEN_OVER_AFTER
+        if is_alive(before.process) is False:
+            return timedelta(0)
+        if datetime.now(UTC) - before.at <= TAKEN_OVER_AFTER:
             raise InputError(reason("station.served", station=repr(self._station), process=before.process))
         end_s = time.monotonic() + MISSED_BEATS * BEAT_S
         while time.monotonic() < end_s:
@@ -157,6 +161,7 @@ class StationHost:
             if now is not None and now.at != before.at and now.process == before.process:
                 raise InputError(reason("station.served", station=repr(self._station), process=now.process))
             time.sleep(IDLE_S)
+        return TAKEN_OVER_AFTER
 
     def _turn(self) -> None:
         """Do one order, or wait a moment for one."""
@@ -317,7 +322,7 @@ class StationHost:
             self._lost = reason("station.lost", why=error.reason)
             self._is_stop_wanted.set()
 
-    def _beat(self) -> None:
+    def _beat(self, after: timedelta = TAKEN_OVER_AFTER) -> None:
         service = self._service
         is_off = service.state is StationState.OFF
         self._queue.beat(
@@ -330,5 +335,6 @@ class StationHost:
                 self._active,
                 () if is_off else service.gate.conditions,
                 not is_off and service.gate.is_overridden,
-            )
+            ),
+            after,
         )

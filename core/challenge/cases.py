@@ -1,6 +1,6 @@
 """A sealed case: one rig, its causes and its runs; recording them, and how far the causes stand out of the noise."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
 from softcal.core.challenge.chain import BLOCK_COMPLIANCE_MM_PER_N, Equation, Rack, record
+from softcal.core.challenge.mistakes import Mistake, Written, other_unit, written
 from softcal.core.challenge.other_forms import OTHER_FORMS
 from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.protocols import PROTOCOLS, weights
@@ -65,8 +66,8 @@ class SealedCase:
         plans: the runs handed over.
         withheld: columns taken out of every run.
         kept_back: a run of a protocol that is not among `plans`.
-        mistake: what went wrong when the runs were written down, in a word; empty for nothing. `measure` gives what was
-            measured; whoever writes the files puts the mistake on them.
+        mistake: what went wrong when the runs were written down (`mistakes.Mistake` as text); empty for nothing.
+            `measure` gives what was measured, `written` what the files have.
         turns_between_samples: the stage turns between two samples, so the pad goes up to 50 µm beyond the recorded
             path; otherwise the pad sees the recorded path, as the written model has it.
     """
@@ -98,6 +99,14 @@ class SealedCase:
         dummy_ohm = RESISTORS_ohm[plan.seed % len(RESISTORS_ohm)] if kind == DUMMY_RESISTOR else None
         measured = record(self.rig, Rack(self.causes, EQUATIONS), path, temperature, rng, kind, dummy_ohm, known_force)
         return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
+
+    def written(self, plans: Sequence[RunPlan]) -> list[Written]:
+        """Return runs as their files have them, with the mistake of the case; its runs stand first in `plans`."""
+        runs, others = [self.measure(plan) for plan in plans], []
+        if self.mistake and Mistake.of(self.mistake).what == "other_unit":
+            unit = replace(self, rig=other_unit(self.rig, Mistake.of(self.mistake)))
+            others = [unit.measure(plan) for plan in plans]
+        return written(self.rig, runs, others, self.mistake)
 
     def _path(self, plan: RunPlan) -> tuple[Path, Callable[[Array], Array] | None]:
         rng = np.random.default_rng([plan.seed, 0])

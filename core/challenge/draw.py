@@ -6,6 +6,7 @@ import numpy as np
 
 from softcal.core.challenge.cases import RunPlan, SealedCase, full_depth_mm
 from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
+from softcal.core.challenge.mistakes import draw_mistake
 from softcal.core.challenge.other_forms import OTHER_FORMS
 from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.published import PUBLISHED_FORMS, PUBLISHED_OUTSIDE, PUBLISHED_SIZES
@@ -102,6 +103,10 @@ def _single_or_none(stages: Sequence[str] | None = None) -> Callable[[Rng, Scope
     return lambda rng, scope: () if rng.random() < 0.2 else single(rng, scope)
 
 
+def _seldom_single(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
+    return _single(1.0)(rng, scope) if rng.random() < 0.3 else ()
+
+
 _SEEN_WITHOUT_CELL = ("motion", "mechanics", "transduction", "electronics", "acquisition")
 _SEEN_WITHOUT_STAGE = ("transduction", "electronics", "load_cell", "acquisition")
 
@@ -122,10 +127,12 @@ LINES: Mapping[str, Callable[[Rng, Scope], tuple[Cause, ...]]] = {
     "turning": _single(1.0),
     "published_form": _published_form,
     "published_outside": _published_outside,
+    "mistakes": _seldom_single,
 }
 """The strata: singles at a rig's usual size and at 0.3 and 0.1 of it, the same causes by other equations, pairs,
 triples, none, effects outside the catalogue, poor recordings, singles on a stage that turns between samples, causes and
-effects by published equations nobody wrote the solver for."""
+effects by published equations nobody wrote the solver for, and mistakes in the recordings, a third of them beside an
+effect."""
 
 _SHARES = {"usual": 6, "third": 4, "tenth": 4, "form": 4, "pair": 5, "triple": 2, "none": 5, "outside": 5}
 """The mix of a challenge; every poor line counts 1."""
@@ -144,10 +151,12 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
     """
     rng = np.random.default_rng([seed, list(LINES).index(line)])
     rig, peak_N = draw_rig(rng, adc_bits=10 if line == "ten_bit" else None)
-    causes = LINES[line](rng, _scope(rig, peak_N))
+    scope = _scope(rig, peak_N)
+    causes = LINES[line](rng, scope)
     plans = tuple(RunPlan(name_, drawn_seed(rng)) for name_ in _PROTOCOLS.get(line, FOUR_RUNS))
     needs_temperature = any("coefficient_per_K" in cause.values for cause in causes)
     unlogged = () if needs_temperature or rng.random() < 0.5 else ("temperature_C",)
+    kept_back = RunPlan("kept_back", drawn_seed(rng))
     return SealedCase(
         name=name,
         line=line,
@@ -156,9 +165,10 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
         depth_mm=full_depth_mm(rig, peak_N),
         causes=causes,
         plans=plans,
-        kept_back=RunPlan("kept_back", drawn_seed(rng)),
+        kept_back=kept_back,
         withheld=(*_WITHHELD.get(line, ()), *unlogged),
         turns_between_samples=line == "turning",
+        mistake=draw_mistake(rng, rig, peak_N, scope.span_V, len(plans)) if line == "mistakes" else "",
     )
 
 

@@ -16,6 +16,7 @@ FLOORS: Mapping[str, float] = MappingProxyType(
         "pair": 0.5,
         "form": 0.5,
         "outside": 0.5,
+        "mistakes": 0.7,
         "published_form": 0.15,
         "published_outside": 0.15,
     }

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from softcal.core.challenge.catalogue_equations import CATALOGUE
+from softcal.core.challenge.mistakes import Mistake
 from softcal.core.challenge.outside_equations import ALIASES
 from softcal.core.challenge.seal import Label
 from softcal.core.errors import InputError
@@ -28,6 +29,7 @@ class Answer:
         groups: sets of effects the report cannot tell apart.
         stages: stages under `where`, the largest share first.
         predicted, low, high: forecast of the shrink and its interval, NaN where the report has none.
+        data: mistakes in the recordings that the report names, as (kind, channel, runs), no runs for all.
     """
 
     verdict: str
@@ -39,6 +41,7 @@ class Answer:
     predicted: float
     low: float
     high: float
+    data: tuple[tuple[str, str, tuple[int, ...]], ...] = ()
 
     @property
     def candidates(self) -> frozenset[str]:
@@ -70,6 +73,10 @@ def read_answer(name: str, report: Mapping[str, Any]) -> Answer:
             predicted=_number(shrink["predicted"]),
             low=_number(shrink["low"]),
             high=_number(shrink["high"]),
+            data=tuple(
+                (str(d["what"]), str(d["channel"]), () if d["runs"] == "all" else tuple(map(int, d["runs"])))
+                for d in report.get("data", ())
+            ),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"report of {name}: {error!r}; a report of schema softcal.gap/1 was expected") from error
@@ -109,7 +116,7 @@ class Judged:
         if self.answer is None:
             return "no report"
         if self.label.case.mistake:
-            return "right" if self.answer.verdict == "data" else "wrong"
+            return self._spoilt(self.answer, Mistake.of(self.label.case.mistake))
         if self.label.case.causes and self.answer.verdict == "no_gap":
             return "missed" if self.is_visible else "below noise"
         if not self.label.case.causes:
@@ -117,6 +124,17 @@ class Judged:
         if any(cause.effect not in CATALOGUE for cause in self.label.case.causes):
             return self._outside(self.answer)
         return self._known(self.answer)
+
+    def _spoilt(self, answer: Answer, mistake: Mistake) -> str:
+        """Right is the kind of the mistake, its channel and its runs; `abstained` a mistake said, but another one."""
+        if answer.verdict != "data":
+            return "wrong"
+        channels = set(mistake.channel.split("+")) - {""}
+        named = any(
+            what == mistake.what and runs == mistake.runs and channels <= set(channel.split("+"))
+            for what, channel, runs in answer.data
+        )
+        return "right" if named else "abstained"
 
     def _outside(self, answer: Answer) -> str:
         if answer.verdict == "unknown":

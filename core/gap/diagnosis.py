@@ -1,31 +1,36 @@
 """The diagnosis of a case: where the twin is wrong, why, how much it gains, how sure that is, what to press next."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from softcal.core.errors import InputError
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.candidates import is_told
 from softcal.core.gap.case import Case
 from softcal.core.gap.explained import explained_twin, in_catalogue_form
 from softcal.core.gap.fit import BASE, Fit, from_fit
 from softcal.core.gap.next_experiment import NextExperiment, propose
+from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.place import likely_stages, loose_noise
+from softcal.core.gap.plausibility import Finding, mistakes
 from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
 from softcal.core.gap.search import Search, SearchConfig
 from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
+from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import name_of
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
-from softcal.core.twin.effects import Alias, Effect
+from softcal.core.twin.effects import Alias, Effect, Parameter
 from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.record import twin_record
 from softcal.core.twin.simulate import Twin
 
-Verdict = Literal["no_gap", "explained", "ambiguous", "unknown"]
+Verdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
 SCHEMA = "softcal.gap/1"
 
 UNKNOWN_TRUST = 0.3
@@ -70,6 +75,14 @@ class Place:
     detail: str
 
 
+@dataclass(frozen=True)
+class Partial:
+    """The causes that come nearest where nothing explains the gap, and the share they take of it on these runs."""
+
+    effects: tuple[str, ...]
+    share: float
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """Everything a report or a page needs of one diagnosis.
@@ -81,6 +94,8 @@ class Diagnosis:
         maps: the three chain relations fitted separately.
         protocol: how samples were held back for the shrink.
         explained_share: of the structured gap energy, 1 when nothing but noise is left.
+        mistakes: what is wrong with the recordings; with the verdict `data` they stand in the way of everything else.
+        partial: what comes nearest where nothing explains the gap.
     """
 
     case: Case
@@ -100,6 +115,8 @@ class Diagnosis:
     hidden_fraction: dict[str, float]
     next_experiment: NextExperiment
     explained_share: float
+    mistakes: tuple[Finding, ...] = ()
+    partial: Partial | None = None
 
     def residual(self, run: int, channel: str, after: bool) -> Array:
         """Return measured − predicted of one channel of one run in its unit, before or after the causes."""
@@ -118,8 +135,22 @@ class Diagnosis:
 
     @property
     def explained(self) -> Twin:
-        """The twin to go on with: with the named causes, or the refitted base alone where nothing explains the gap."""
+        """The twin to go on with: with the named causes, or the refitted base alone where nothing explains the gap.
+
+        Raises:
+            InputError: the recordings hold a mistake; a twin of them would hold it too.
+        """
+        if self.verdict == "data":
+            told = "; ".join(f"{f.evidence}: {f.repair}" for f in self.mistakes)
+            raise InputError(f"the recordings hold a mistake, so there is no twin of them: {told}")
         return explained_twin(self.base if self.verdict == "unknown" else self.named)
+
+    @property
+    def on_bound(self) -> dict[str, float]:
+        """Base parameters that the fit left on a bound, with their value: most often the recordings are to blame."""
+        values = {p: getattr(self.named.base, p.name) for p in BASE}
+        free = dict(zip(BASE, self.named.problem.is_free, strict=True))
+        return {p.name: v for p, v in values.items() if free[p] and _is_on_bound(p, v)}
 
     def report(self) -> dict[str, object]:
         """Return the report of the contract, ready for JSON."""
@@ -127,6 +158,7 @@ class Diagnosis:
             "schema": SCHEMA,
             "verdict": self.verdict,
             "serial": self.case.serial,
+            "data": [found.record() for found in self.mistakes],
             "gap": {name.split("_")[0]: vars(gap) for name, gap in self.gap.items()},
             "shrink": vars(self.shrink) | {"protocol": self.protocol},
             "where": [vars(place) for place in self.places],
@@ -151,10 +183,12 @@ class Diagnosis:
             "missing_channels": list(self.case.missing_channels),
             "unseen_stages": list(self.case.unseen_stages),
             "explained_share": self.explained_share,
+            "partial": None if self.partial is None else vars(self.partial) | {"effects": list(self.partial.effects)},
             "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
             "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
-            "twin": twin_record(self.explained),
-            "base_twin": twin_record(explained_twin(self.base)),
+            "on_bound": self.on_bound,
+            "twin": None if self.verdict == "data" else twin_record(self.explained),
+            "base_twin": None if self.verdict == "data" else twin_record(explained_twin(self.base)),
             "maps": [{"map": m.name, "z": m.structure.z, "structured_sigma": m.structure.rms} for m in self.maps],
         }
 
@@ -169,9 +203,16 @@ def diagnose(
         config: how wide the search goes.
     """
     say = progress or (lambda _: None)
+    say("looking for mistakes in the recordings")
+    if spoilt := mistakes(case):
+        return _stopped(unfitted(case), spoilt)
     search = Search(case, config, say)
+    if (odd := odd_run(search.base)) is not None:
+        return _stopped(search.base, (odd,))
     search.run()
     best = search.best
+    if (odd := odd_run_beside(search)) is not None:
+        return _stopped(search.base, (odd,))
     logs = log_evidences(search.fits)
     group = rivals(search.fits, best, logs)
     say("refitting the three maps separately")
@@ -180,8 +221,11 @@ def diagnose(
     quantified = quantify(search.base, best)
     share = float(np.clip(search.share(best), 0.0, 1.0))
     verdict = _verdict(search, group)
+    is_standing = not best.hypothesis.ids or quantified.held_out_gain > 0.0
+    if verdict in ("explained", "ambiguous") and not is_standing:
+        verdict = "no_gap" if search.is_clean(search.base) and loose_noise(search.base) is None else "unknown"
     # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
-    doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0
+    doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0 if is_standing else quantified.shrink.held_out
     chances = {i: p * doubt for i, p in chances_of(logs, group).items()}
     named = tuple(in_catalogue_form(found) for found in group)
     causes = _causes(search, named, chances, quantified.shrink.held_out)
@@ -204,7 +248,52 @@ def diagnose(
         hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
         next_experiment=_next(case, search, group, verdict),
         explained_share=share,
+        partial=_nearest(search) if verdict == "unknown" else None,
     )
+
+
+def _nearest(search: Search) -> Partial | None:
+    """Return the hypothesis that takes most of the gap away; of those within a hundredth of it, the simplest."""
+    shares = {ids: float(np.clip(search.share(found), 0.0, 1.0)) for ids, found in search.fits.items() if ids}
+    if not shares:
+        return None
+    most = max(shares.values())
+    ids = min((i for i, s in shares.items() if s >= most - 0.01), key=lambda i: (len(i), -shares[i]))
+    return Partial(ids, shares[ids]) if most > 0.0 else None
+
+
+def _stopped(base: Fit, found: tuple[Finding, ...]) -> Diagnosis:
+    """Return the diagnosis of recordings that hold a mistake: nothing is named and nothing forecast."""
+    problem = base.problem
+    gap = {}
+    for channel in problem.scored_channels:
+        parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks if b.channel == channel]
+        rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+        gap[channel] = ChannelGap(rms, rms, problem.sigma[channel])
+    return Diagnosis(
+        case=problem.case,
+        verdict="data",
+        base=base,
+        best=base,
+        named=base,
+        rivals=(base,),
+        causes=tuple(Cause(effect.id, effect.stage, 0.0, 0.0, {}) for effect in EFFECTS.values()),
+        places=(),
+        maps=(),
+        regimes=(),
+        gap=gap,
+        shrink=Shrink(0.0, 0.0, 0.0, 0.0),
+        protocol="not measured: the recordings hold a mistake",
+        ambiguous_with=[],
+        hidden_fraction={},
+        next_experiment=NextExperiment("none", "; ".join(str(one.repair) for one in found)),
+        explained_share=0.0,
+        mistakes=found,
+    )
+
+
+def _is_on_bound(parameter: Parameter, value: float) -> bool:
+    return any(math.isclose(value, end, rel_tol=1e-9, abs_tol=1e-9) for end in (parameter.low, parameter.high))
 
 
 def _verdict(search: Search, group: tuple[Fit, ...]) -> Verdict:
@@ -290,7 +379,7 @@ def _places(
     channel = found[0].channel.split("_")[0] if found else "output"
     regime = found[0].name if found else "everywhere"
     if verdict == "unknown":
-        places = _unknown_places(search, maps, channel, regime, detail)
+        places = _unknown_places(search, maps, found, detail)
     else:
         named = [c for c in causes if c.effect in search.best.hypothesis.ids]
         total = sum(c.shrink for c in named) or 1.0
@@ -318,8 +407,13 @@ def _held_open(place: Place, alias: Alias) -> list[Place]:
     return [replace(place, share=own), replace(place, stage=alias.stage, share=other, detail=f"or {alias.detail}")]
 
 
-def _unknown_places(search: Search, maps: tuple[Map, ...], channel: str, regime: str, detail: str) -> list[Place]:
-    """Where a gap lies that nothing in the catalogue explains: the likeliest stage first, with those it may also be."""
+def _unknown_places(search: Search, maps: tuple[Map, ...], found: tuple[Regime, ...], detail: str) -> list[Place]:
+    """Where a gap lies that nothing in the catalogue explains: the likeliest stage first, with those it may also be.
+
+    The share of each is that of the gap's energy in the regime where it stands out most.
+    """
+    channel = found[0].channel.split("_")[0] if found else "output"
+    regime = found[0].name if found else "everywhere"
     share = float(np.clip(search.share(search.best), 0.0, 1.0))
     loose = loose_noise(search.best)
     stages: tuple[str, ...] = likely_stages(search.base, maps)
@@ -332,8 +426,10 @@ def _unknown_places(search: Search, maps: tuple[Map, ...], channel: str, regime:
         stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.hypothesis.ids)) or ("unknown",)
     rest = "nothing in it the rest" if search.stranger is None else "but less well than this"
     text = f"{detail}; the catalogue explains {share:.0%} of the structured gap, {rest}"
-    others = [Place(s, channel, regime, 0.4 / (len(stages) - 1), "possible by the same maps") for s in stages[1:]]
-    return [Place(stages[0], channel, regime, 0.6 if others else 1.0, text), *others]
+    # Nothing measures how a gap splits between stages that may each hold all of it: the order tells which is likelier.
+    seen = found[0].share if found else 1.0
+    others = [Place(s, channel, regime, seen, "possible by the same maps") for s in stages[1:]]
+    return [Place(stages[0], channel, regime, seen, text), *others]
 
 
 def _next(case: Case, search: Search, group: tuple[Fit, ...], verdict: Verdict) -> NextExperiment:

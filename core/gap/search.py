@@ -281,6 +281,13 @@ class Search:
                 return
         self.fits[ids] = found
 
+    def grown_from(self, parent: Fit) -> list[Fit]:
+        """Return fits of another start than the base with each of its likeliest effects; none of them is kept."""
+        leads = screen(parent, self._probes)[: self._config.leads[-1]]
+        return [fit(parent.problem, parent.hypothesis.adding(e.effect), e.start(parent)) for e in leads] + self._placed(
+            parent
+        )
+
     def _grow(self, parent: Fit, count: int) -> list[Fit]:
         leads = screen(parent, self._probes)
         strongest = leads[0].gain if leads else 0.0

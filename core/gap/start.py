@@ -12,6 +12,11 @@ TRIMMED = 0.02
 """Share of the largest squared differences left out of a noise estimate: steps and drop-outs are not noise."""
 
 
+def unfitted(case: Case) -> Fit:
+    """Return the base at its rough start, for recordings that are not to be fitted."""
+    return fit(Problem(case, _first_noise(case)), Hypothesis(), np.nan_to_num(rough_start(case)), steps=0)
+
+
 def base_fit(case: Case) -> Fit:
     """Fit the base alone to all runs, with noise levels taken from its own residual."""
     problem = Problem(case, _first_noise(case))

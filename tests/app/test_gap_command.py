@@ -50,6 +50,23 @@ def test_diagnose_writes_the_report_and_the_page(case, tmp_path, capsys):
     assert "<html" in page.read_text()
 
 
+def test_a_mistake_is_said_before_anything_else_and_gives_no_twin(case, tmp_path, capsys):
+    described = case / "runs/2/recording.json"
+    described.write_text(json.dumps(METADATA | {"sample_rate_Hz": 25.0}))
+    report, page = tmp_path / "g.json", tmp_path / "g.html"
+    assert main(["gap", "diagnose", str(case), "--json", str(report), "--page", str(page)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("data        rate of time, runs 2: the time stamps show 50 Hz, sample_rate_Hz says 25 Hz")
+    content = json.loads(report.read_text())
+    assert content["verdict"] == "data" and content["twin"] is None
+    assert [(d["what"], d["runs"]) for d in content["data"]] == [("rate", [2])]
+    assert "The recordings hold a mistake" in page.read_text()
+    for source in ([str(case)], ["--report", str(report)]):
+        assert main(["gap", "apply", *source, "--out", str(tmp_path / "twin.json")]) == 2
+        assert "the recordings hold a mistake" in capsys.readouterr().err
+        assert not (tmp_path / "twin.json").exists()
+
+
 def test_json_on_standard_output_is_nothing_but_json(case, capsys):
     assert main(["gap", "diagnose", str(case / "runs/2"), "--json", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"] in ("explained", "ambiguous")
@@ -111,7 +128,6 @@ def _break(case, what):
             "no vref": {"vref_V": None},
             "vref in words": {"vref_V": "3.3 V"},
             "half a bit": {"adc_bits": 11.5},
-            "another rate": {"sample_rate_Hz": 25.0},
             "another reference": {"vref_V": 5.0},
             "another unit": {"serial": "G2"},
             "unknown kind": {"kind": "smash"},
@@ -131,7 +147,6 @@ def _break(case, what):
         ("no vref", "vref_V missing"),
         ("vref in words", "vref_V is '3.3 V'"),
         ("half a bit", "adc_bits is 11.5"),
-        ("another rate", "time stamps show 50 Hz"),
         ("another reference", "vref_V is 5.0, but 3.3"),
         ("another unit", "runs of several units"),
         ("unknown kind", "kind 'smash' is not known"),

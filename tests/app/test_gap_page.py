@@ -70,6 +70,19 @@ def test_every_verdict_has_its_page(run: RunView, verdict: str) -> None:
     assert "No further run" in page and "No forecast" in page
 
 
+def test_a_mistake_in_the_recordings_has_its_page(run: RunView) -> None:
+    data = {
+        "what": "unit_factor",
+        "channel": "force",
+        "runs": [2],
+        "evidence": "force of this run is <9.8> times too small",
+        "repair": "multiply by 9.807",
+    }
+    page = gap_page({**REPORT, "verdict": "data", "data": [data]}, [run], "A17")
+    assert "unit factor" in page and "&lt;9.8&gt;" in page and "multiply by 9.807" in page
+    assert "What it gains to fix it" not in page
+
+
 def test_the_residual_map_counts_in_units_of_the_noise(run: RunView) -> None:
     before, edges = residual_map([run], "output_V", is_after=False)
     after, _ = residual_map([run], "output_V", is_after=True)

@@ -6,7 +6,6 @@ import subprocess
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
-import numpy as np
 import pytest
 
 from softcal.app.line.facts import Screen, read_line
@@ -17,7 +16,6 @@ from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.reason import plain
-from softcal.core.recording import OutputRecording
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 
@@ -60,9 +58,9 @@ class Line:
 
 
 def register(registry, lot_id: str, serial: str) -> None:
-    """Put a unit without a result into a lot: its recording came in."""
-    recording = OutputRecording(serial, np.arange(20) / 50.0, np.sin(np.arange(20.0)), 50.0)
-    registry.add_recording(lot_id, recording, "unit")
+    """Put a unit into a lot by its name alone."""
+    with registry.database.writing() as connection:
+        registry._add_unit(connection, lot_id, serial, "target", None)
 
 
 @pytest.fixture

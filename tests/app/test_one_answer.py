@@ -178,6 +178,8 @@ def test_nothing_that_lies_in_the_folder_stops_the_lot(lot_folder: Path, registr
     shutil.copy(units / "A1.csv", tmp_path / "outside.csv")
     (units / "F4.csv").symlink_to(tmp_path / "outside.csv")
     (units / "F5.csv").symlink_to("F5.csv")
+    (lot_folder / "audit/A3.csv").unlink()
+    os.mkfifo(lot_folder / "audit/A3.csv")
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(units / "F6.csv"))
         told = batch(lot_folder, registry_url)
@@ -192,7 +194,8 @@ def test_nothing_that_lies_in_the_folder_stops_the_lot(lot_folder: Path, registr
     }
     for serial, why in wanted.items():
         assert told[serial]["verdict"] == "retest" and why in told[serial]["reasons"][0]
-    assert all(told[serial]["map"] for serial in ("A1", "A2", "A3"))
+    assert all(told[serial]["map"] for serial in ("A1", "A2"))
+    assert told["A3"]["verdict"] == "retest" and "a pipe" in told["A3"]["reasons"][0]
 
 
 def test_a_file_that_grows_while_it_is_read_is_a_retest(

@@ -1,11 +1,15 @@
 """Service and registry joined: orders become recordings, a second owner is refused, old orders move nothing."""
 
+import os
+import socket
+import subprocess
 import threading
 import time
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from softcal.app.cli import station_service
 from softcal.app.line.host import StationHost
 from softcal.app.line.pressed_run import RunKeeper
 from softcal.core.errors import InputError, RegistryError
@@ -99,8 +103,44 @@ def test_a_second_owner_is_refused(registry, tmp_path):
         make_host(registry, tmp_path).run(lambda: False)
 
 
-def test_a_running_owner_is_not_taken_over_by_a_clock_that_is_ahead(registry, tmp_path):
-    behind, is_over = timedelta(seconds=10), threading.Event()
+@pytest.mark.parametrize("age_s", [4.0, 10.0])
+def test_an_owner_on_a_busy_machine_keeps_its_station(registry, tmp_path, age_s):
+    for process in ("other:1", f"{socket.gethostname()}:{os.getppid()}"):
+        late = datetime.now(UTC) - timedelta(seconds=age_s)
+        registry.order_queue.beat(Heartbeat("s1", StationState.RUNNING, late, process=process), timedelta(0))
+        with pytest.raises(InputError, match="is served by"):
+            make_host(registry, tmp_path).run(lambda: False)
+
+
+def test_an_owner_whose_process_is_gone_is_followed_at_once(registry, tmp_path):
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    process = f"{socket.gethostname()}:{gone.pid}"
+    registry.order_queue.beat(Heartbeat("s1", StationState.RUNNING, datetime.now(UTC), process=process))
+    make_host(registry, tmp_path).run(lambda: False)
+    assert registry.order_queue.heartbeat("s1").process == f"{socket.gethostname()}:{os.getpid()}"
+
+
+@pytest.mark.parametrize(
+    ("is_ours", "age_s", "state", "is_there"),
+    [
+        (True, 8.0, StationState.RUNNING, True),
+        (True, 8.0, StationState.OFF, False),
+        (True, 60.0, StationState.READY, False),
+        (False, 2.0, StationState.READY, True),
+        (False, 8.0, StationState.READY, False),
+    ],
+)
+def test_an_order_goes_to_a_service_that_is_late_on_a_busy_machine(registry, is_ours, age_s, state, is_there):
+    process = f"{socket.gethostname()}:{os.getpid()}" if is_ours else "other:1"
+    late = datetime.now(UTC) - timedelta(seconds=age_s)
+    registry.order_queue.beat(Heartbeat("s1", state, late, process=process))
+    assert station_service._is_there(registry.order_queue, "s1") is is_there
+
+
+@pytest.mark.parametrize("behind_s", [10.0, 60.0])
+def test_a_running_owner_is_not_taken_over_by_a_clock_that_is_ahead(registry, tmp_path, behind_s):
+    behind, is_over = timedelta(seconds=behind_s), threading.Event()
 
     def beat():
         now = datetime.now(UTC) - behind  # what the other machine's clock says, seen from here

@@ -8,6 +8,7 @@ import pytest
 from softcal.core.challenge.catalogue_equations import CATALOGUE
 from softcal.core.challenge.draw import draw_case
 from softcal.core.challenge.floors import FLOORS, shortfalls
+from softcal.core.challenge.mistakes import Mistake
 from softcal.core.challenge.score import score_reports
 from softcal.core.challenge.seal import Label
 
@@ -31,6 +32,10 @@ def said(verdict: str, named: dict[str, float], groups: tuple[tuple[str, ...], .
 
 
 def truth(label: Label) -> dict[str, Any]:
+    if label.case.mistake:
+        told = Mistake.of(label.case.mistake)
+        named = {"what": told.what, "channel": told.channel, "runs": list(told.runs) or "all"}
+        return {**said("data", {}), "data": [named]}
     causes = {cause.effect for cause in label.case.causes}
     if not causes:
         return said("no_gap", {})

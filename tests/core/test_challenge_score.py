@@ -10,6 +10,7 @@ from scipy.stats import binomtest
 from softcal.core.challenge.cases import SealedCase
 from softcal.core.challenge.draw import draw_case
 from softcal.core.challenge.judge import Judged, read_answer
+from softcal.core.challenge.mistakes import Mistake
 from softcal.core.challenge.rig import Cause
 from softcal.core.challenge.score import calibration_error, score_reports, wilson
 from softcal.core.challenge.seal import Label
@@ -113,7 +114,22 @@ def test_a_report_of_another_shape_is_refused_in_one_line() -> None:
         read_answer("case-1", {"verdict": "explained"})
 
 
-@pytest.mark.parametrize(("verdict", "expected"), [("data", "right"), ("explained", "wrong"), ("no_gap", "wrong")])
-def test_a_mistake_in_the_recordings_asks_for_the_verdict_data(verdict: str, expected: str) -> None:
-    spoilt = replace(label("channel_creep"), case=replace(label("channel_creep").case, mistake="output in mV"))
-    assert outcome(spoilt, report(verdict, {"channel_creep": 0.98})) == expected
+@pytest.mark.parametrize(
+    ("verdict", "told", "expected"),
+    [
+        ("data", [("unit_factor", "output", [2])], "right"),
+        ("data", [("unit_factor", "output", "all")], "abstained"),
+        ("data", [("unit_factor", "force", [2])], "abstained"),
+        ("data", [("gain", "output", [2])], "abstained"),
+        ("data", [], "abstained"),
+        ("explained", [("unit_factor", "output", [2])], "wrong"),
+        ("no_gap", [], "wrong"),
+    ],
+)
+def test_a_mistake_in_the_recordings_asks_for_its_kind_channel_and_run(
+    verdict: str, told: list[tuple[str, str, object]], expected: str
+) -> None:
+    mistake = Mistake("unit_factor", "output", (2,), 1e-3).to_text()
+    spoilt = replace(label("channel_creep"), case=replace(label("channel_creep").case, mistake=mistake))
+    data = [{"what": what, "channel": channel, "runs": runs} for what, channel, runs in told]
+    assert outcome(spoilt, {**report(verdict, {"channel_creep": 0.98}), "data": data}) == expected

@@ -18,7 +18,7 @@ def damage(monkeypatch):
 @pytest.fixture
 def made(damage, tmp_path) -> Path:
     path = tmp_path / "registry.db"
-    damage.make(path)
+    damage.make(path, units=5)
     return path
 
 
@@ -27,7 +27,7 @@ def total(rows, header, *names: str) -> int:
 
 
 def test_no_page_and_no_row_is_changed_silently(damage, made, tmp_path):
-    assert set(damage.pages_by_kind(made)) == {"header", "free", "overflow", *damage.KINDS.values()}
+    assert {"header", "free", "overflow", "table, leaf", "index, leaf"} <= set(damage.pages_by_kind(made))
     flips = list(damage.flips(made, tmp_path, 21, 5))
     assert total(flips, damage.FLIPS, "silent", "defect") == 0 and total(flips, damage.FLIPS, "told at use") > 0
     edits = list(damage.edits(made, tmp_path, 42, 5))
@@ -37,6 +37,6 @@ def test_no_page_and_no_row_is_changed_silently(damage, made, tmp_path):
 def test_without_the_checks_the_same_benchmark_tells(damage, made, tmp_path):
     with damage.blind():
         edits = list(damage.edits(made, tmp_path, 42, 5))
-        flips = list(damage.flips(made, tmp_path, 56, 5))
+        flips = list(damage.flips(made, tmp_path, 42, 5))
     assert total(edits, damage.EDITS, "unseen") > 10
     assert total(flips, damage.FLIPS, "silent") > 0

@@ -6,7 +6,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
-from softcal.db.order_queue import SILENT_AFTER, OrderQueue
+from softcal.db.order_queue import SILENT_AFTER, TAKEN_OVER_AFTER, OrderQueue
 
 NOW = datetime(2026, 5, 4, tzinfo=UTC)
 
@@ -73,9 +73,17 @@ def test_a_station_has_one_owner(queue):
     queue.beat(Heartbeat("s1", StationState.READY, NOW, process="host:1"))
     with pytest.raises(InputError, match="served by host:1"):
         queue.beat(Heartbeat("s1", StationState.READY, NOW + timedelta(seconds=1), process="host:2"))
-    late = NOW + SILENT_AFTER + timedelta(seconds=1)
+    with pytest.raises(InputError, match="served by host:1"):  # a busy machine is late with its beat
+        queue.beat(Heartbeat("s1", StationState.READY, NOW + SILENT_AFTER + timedelta(seconds=1), process="host:2"))
+    late = NOW + TAKEN_OVER_AFTER + timedelta(seconds=1)
     queue.beat(Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2"))
     assert queue.heartbeat("s1") == Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2")
+
+
+def test_an_owner_whose_process_is_gone_is_followed_at_once(queue):
+    queue.beat(Heartbeat("s1", StationState.READY, NOW, process="host:1"))
+    queue.beat(Heartbeat("s1", StationState.READY, NOW + timedelta(seconds=1), process="host:2"), timedelta(0))
+    assert queue.heartbeat("s1").process == "host:2"
 
 
 def test_what_the_gate_looked_at_is_read_back(queue):

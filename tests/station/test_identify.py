@@ -2,11 +2,16 @@
 
 import pytest
 
+from softcal.core.errors import NoReply
+from softcal.core.profiles import ramps
 from softcal.core.twin.simulate import Twin
+from softcal.station.acquisition import record
 from softcal.station.bench import open_simulated_bench
 from softcal.station.identify import identify
 from softcal.station.self_test import self_test
 from softcal.station.simulated.station import SimulatedStation
+
+QUICK = ramps([2.0], 4.0, rest_s=0.3, name="quick")
 
 
 @pytest.fixture
@@ -32,6 +37,36 @@ def test_each_device_is_known_by_what_it_says(station):
 def test_a_device_that_says_nothing_is_no_device(station):
     station.stage_wire.is_silent = True
     assert identify(station.stage_wire.port, station.world).role == ""
+
+
+def boots(station, wire, seconds):
+    wire.is_silent = True
+    station.world.at(station.world.now_s() + seconds, lambda: setattr(wire, "is_silent", False))
+
+
+@pytest.mark.parametrize("boot_s", [1.6, 2.5])
+def test_a_board_that_boots_when_its_port_is_opened_is_known(station, boot_s):
+    boots(station, station.readout_wire, boot_s)
+    assert identify(station.readout_wire.port, station.world).kind == "arduino"
+
+
+@pytest.mark.parametrize("board", ["readout_wire", "force_wire"])
+def test_a_run_waits_for_a_board_that_boots_and_moves_nothing_meanwhile(board):
+    with open_simulated_bench(seed=1) as (bench, station):
+        record(bench, "A1", QUICK, True)
+        at_mm, began_s, moved = station.axis.position_mm, station.world.now_s(), []
+        boots(station, getattr(station, board), 2.5)
+        station.world.at(began_s + 2.4, lambda: moved.append(station.axis.position_mm - at_mm))
+        assert record(bench, "A2", QUICK, True).serial == "A2"
+        assert moved == [0.0]
+
+
+def test_a_board_that_never_speaks_ends_the_run_before_anything_moves():
+    with open_simulated_bench(seed=1) as (bench, station):
+        at_mm, station.readout_wire.is_silent = station.axis.position_mm, True
+        with pytest.raises(NoReply, match="sensor readout: nothing for"):
+            record(bench, "A1", QUICK, True)
+        assert station.axis.position_mm == at_mm
 
 
 def test_a_good_station_has_only_good_findings():

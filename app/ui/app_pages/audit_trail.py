@@ -50,17 +50,19 @@ def render() -> None:
 
 def _filter(entries: list[Entry]) -> TrailFilter:
     say = words()
-    first, second, third, fourth = st.columns([3, 2, 3, 2])
+    first, second, third, fourth, fifth = st.columns([3, 2, 3, 2, 2])
     text = str(first.text_input(say("trail.find"), key="trail-find", icon=":material/search:") or "")
     actors = second.multiselect(say("column.actor"), sorted({entry.row.actor for entry in entries}), key="trail-actor")
     sections = third.multiselect(
         say("trail.section"), HEADINGS, format_func=lambda name: say(f"trail.section.{name}"), key="trail-section"
     )
-    span = fourth.date_input(say("trail.days"), value=(), key="trail-days")
-    days = [day for day in (span if isinstance(span, tuple) else (span,)) if isinstance(day, date)]
-    since = datetime.combine(days[0], time.min, UTC) if days else None
-    until = datetime.combine(days[-1], time.max, UTC) if days else None
+    since = _midnight(fourth.date_input(say("trail.since"), value=None, key="trail-since"), time.min)
+    until = _midnight(fifth.date_input(say("trail.until"), value=None, key="trail-until"), time.max)
     return TrailFilter(text, tuple(actors), tuple(sections), since, until)
+
+
+def _midnight(day: date | None, at: time) -> datetime | None:
+    return None if day is None else datetime.combine(day, at, UTC)
 
 
 def _counts(found: int, of: int, is_whole: bool) -> None:

@@ -90,12 +90,12 @@ def _columns(path: Path, content: pd.DataFrame) -> tuple[Columns, float]:
     return columns, rate_Hz
 
 
-def _rate_Hz(path: Path, time: str | None) -> float:
+def _rate_Hz(path: Path, time_column: str | None) -> float:
     say = words()
-    if time is None:
+    if time_column is None:
         return float(st.number_input(f"{say('column.rate')} [Hz]", 0.1, 100_000.0, 50.0, key="new-lot-rate"))
     try:
-        rate_Hz = median_rate_Hz(path, time)
+        rate_Hz = median_rate_Hz(path, time_column)
     except InputError as error:
         told = str(error).replace(f"{path}: ", "").split(";")[0]
         st.error(say("new_lot.time.refused", why=told), icon=":material/error:")

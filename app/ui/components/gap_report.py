@@ -10,6 +10,7 @@ from softcal.app.charts.gap_page import chain_svg
 from softcal.app.charts.style import coloured
 from softcal.app.gap.desk import has_sealed_rig, run_views_of, truth
 from softcal.app.jobs.process import start_job
+from softcal.app.texts.reasons import said
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.desk import colours, registry, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
@@ -25,10 +26,17 @@ from softcal.app.views.gap import (
     place_rows,
     plain_name,
 )
+from softcal.core.reason import Reason
 from softcal.db.job_board import Job
 from softcal.db.people import may
 
-ICONS = {"no_gap": "check_circle", "explained": "lightbulb", "ambiguous": "call_split", "unknown": "help"}
+ICONS = {
+    "no_gap": "check_circle",
+    "explained": "lightbulb",
+    "ambiguous": "call_split",
+    "unknown": "help",
+    "data": "report",
+}
 SHOWN_CAUSES = 8
 
 
@@ -36,6 +44,9 @@ def gap_report(job: Job, case: Path) -> None:
     """Draw the diagnosis a job has left."""
     report = job.result
     _headline(report)
+    if report["verdict"] == "data":
+        # The figures of such recordings would show the mistake as a gap.
+        return
     if not rest_may_follow():
         return
     runs = run_views_of(report, registry().job_board.arrays(job))
@@ -49,6 +60,12 @@ def gap_report(job: Job, case: Path) -> None:
 def _headline(report: Report) -> None:
     say = words()
     st.subheader(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
+    for found in report.get("data", ()):
+        evidence, repair = (said(Reason.of(one), say) for one in found["reasons"])
+        runs = say("gap.data.all") if found["runs"] == "all" else ", ".join(map(str, found["runs"]))
+        st.error(say("gap.data.found", runs=runs, evidence=evidence, repair=repair), icon=":material/report:")
+    if report["verdict"] == "data":
+        return
     if causes := named_causes(report):
         st.markdown(say("gap.causes", causes=", ".join(causes)))
     if report["missing_channels"]:

@@ -1,0 +1,293 @@
+"""Mistakes that people make when they record: drawn for a sealed case, and put on what was measured."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from softcal.core.challenge.rig import PRESS, Measured, Rig
+from softcal.core.recording import Array
+
+Rng = np.random.Generator
+COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "force": {"kgf": 9.80665, "gf": 9.80665e-3, "mN": 1e-3},
+    "stage": {"inch": 25.4, "m": 1e3, "um": 1e-3},
+    "output": {"mV": 1e-3},
+}
+"""What one of these units is in the unit of the column."""
+
+UNITS_OF_RUN: Mapping[str, Mapping[str, float]] = {
+    "force": {**UNITS["force"], "lbf": 4.44822},
+    "stage": {**UNITS["stage"], "cm": 10.0, "2.54 mm": 2.54, "degree as rad": float(np.pi / 180.0)},
+    "output": UNITS["output"],
+}
+"""The same where the other runs are right. A whole case in cm or lbf is as stiff as other pads are."""
+
+FEW = 12
+"""Most samples that a broken transmission spoils in a run."""
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One mistake in the recordings of a case.
+
+    Args:
+        what: kind, as in a report of schema `softcal.gap/1`.
+        channel: `stage`, `force`, `output` or `time`; empty where it concerns several.
+        runs: numbers of the runs from 1; empty for all.
+        factor: true values over written ones, or of a gain or zero what was multiplied or added; 0 where there is none.
+        seed: of what else is random in it.
+    """
+
+    what: str
+    channel: str = ""
+    runs: tuple[int, ...] = ()
+    factor: float = 0.0
+    seed: int = 0
+
+    def to_text(self) -> str:
+        """Return it as one line for a label."""
+        return json.dumps(self.__dict__)
+
+    @classmethod
+    def of(cls, text: str) -> "Mistake":
+        """Read what `to_text` wrote."""
+        record = json.loads(text)
+        return cls(**{**record, "runs": tuple(record["runs"])})
+
+    def concerns(self, run: int) -> bool:
+        """Whether run number `run`, from 1, is written wrongly."""
+        return not self.runs or run in self.runs
+
+
+@dataclass(frozen=True)
+class Written:
+    """A run as its files have it.
+
+    Args:
+        sample_rate_Hz: what the metadata say.
+    """
+
+    measured: Measured
+    sample_rate_Hz: float
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """What a mistake is put on: the measured runs, and the same paths pressed on another unit."""
+
+    rig: Rig
+    runs: Sequence[Measured]
+    of_other_unit: Sequence[Measured]
+    rates_Hz: list[float] = field(default_factory=list)
+
+
+def other_unit(rig: Rig, mistake: Mistake) -> Rig:
+    """Return another unit of the lot: every parameter of its own, on the same electronics."""
+    rng = np.random.default_rng([mistake.seed, 5])
+
+    def varied(value: float, spread: float) -> float:
+        # A unit within 5 % of the other one is nobody's mistake to notice.
+        return float(value * np.exp(rng.choice([-1.0, 1.0]) * rng.uniform(0.05, spread)))
+
+    return replace(
+        rig,
+        u0_mm=rig.u0_mm + float(rng.uniform(-0.05, 0.2)),
+        k1_N_mm=varied(rig.k1_N_mm, 0.2),
+        k3_N_mm3=varied(rig.k3_N_mm3, 0.2),
+        r0_ohm=varied(rig.r0_ohm, 0.25),
+        kappa_per_N=varied(rig.kappa_per_N, 0.12),
+    )
+
+
+def written(rig: Rig, runs: Sequence[Measured], of_other_unit: Sequence[Measured], text: str) -> list[Written]:
+    """Return the runs of a case as its files have them.
+
+    Args:
+        rig: of the case.
+        runs: what was measured.
+        of_other_unit: the same runs of `other_unit`; only looked at where the mistake is of that kind.
+        text: the mistake, empty for none.
+    """
+    if not text:
+        return [Written(measured, rig.sample_rate_Hz) for measured in runs]
+    mistake = Mistake.of(text)
+    spoil = _SPOILERS[mistake.what]
+    sheet = _Sheet(rig, runs, of_other_unit, [rig.sample_rate_Hz] * len(runs))
+    spoilt = [
+        spoil(sheet, k, mistake) if mistake.concerns(k + 1) and measured.kind == PRESS else measured
+        for k, measured in enumerate(runs)
+    ]
+    return [Written(measured, rate_Hz) for measured, rate_Hz in zip(spoilt, sheet.rates_Hz, strict=True)]
+
+
+def _with(measured: Measured, **columns: Array) -> Measured:
+    return replace(measured, columns={**measured.columns, **columns})
+
+
+def _column(measured: Measured, mistake: Mistake) -> tuple[str, Array]:
+    name = COLUMNS[mistake.channel]
+    return name, measured.columns[name]
+
+
+def _unit(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
+    name, values = _column(sheet.runs[k], mistake)
+    return _with(sheet.runs[k], **{name: values / mistake.factor})
+
+
+def _gain(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
+    name, values = _column(sheet.runs[k], mistake)
+    return _with(sheet.runs[k], **{name: values * mistake.factor})
+
+
+def _zero(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
+    name, values = _column(sheet.runs[k], mistake)
+    return _with(sheet.runs[k], **{name: values + mistake.factor})
+
+
+def _sign(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
+    name, values = _column(sheet.runs[k], mistake)
+    return _with(sheet.runs[k], **{name: -values})
+
+
+def _swapped_columns(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
+    one, other = (COLUMNS[name] for name in mistake.channel.split("+"))
+    columns = sheet.runs[k].columns
+    return _with(sheet.runs[k], **{one: columns[other], other: columns[one]})
+
+
+def _swapped_divider(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
+    # The channel above, the series resistor below: V = Vref·Rs/(R + Rs), read by the same ADC.
+    return _with(sheet.runs[k], output_V=sheet.rig.vref_V - sheet.runs[k].columns["output_V"])
+
+
+def _other_unit(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
+    return sheet.of_other_unit[k]
+
+
+def _swapped_runs(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
+    name = COLUMNS[mistake.channel]
+    partner = next(run for run in mistake.runs if run != k + 1) - 1
+    return _with(sheet.runs[k], **{name: sheet.runs[partner].columns[name]})
+
+
+def _rate(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
+    sheet.rates_Hz[k] = sheet.rig.sample_rate_Hz * mistake.factor
+    return sheet.runs[k]
+
+
+def _out_of_range(sheet: _Sheet, k: int, mistake: Mistake) -> Measured:
+    rng = np.random.default_rng([mistake.seed, 6])
+    name, values = _column(sheet.runs[k], mistake)
+    spoilt = values.copy()
+    spoilt[rng.choice(len(values), int(rng.integers(1, FEW + 1)), replace=False)] = mistake.factor
+    return _with(sheet.runs[k], **{name: spoilt})
+
+
+_SPOILERS: Mapping[str, Callable[[_Sheet, int, Mistake], Measured]] = {
+    "unit_factor": _unit,
+    "gain": _gain,
+    "zero": _zero,
+    "sign": _sign,
+    "swapped_columns": _swapped_columns,
+    "swapped_divider": _swapped_divider,
+    "other_unit": _other_unit,
+    "swapped_runs": _swapped_runs,
+    "rate": _rate,
+    "out_of_range": _out_of_range,
+}
+
+RAILS = {"output": (6.5535e4, 9.99, -1.0), "force": (999.0, -999.0, 8388.607), "stage": (999.0, -999.0)}
+"""What a broken transmission leaves in a column."""
+
+
+def draw_mistake(rng: Rng, rig: Rig, peak_N: float, span_V: float, runs: int) -> str:
+    """Draw one mistake for a case of several runs, every kind alike; return it as a label has it.
+
+    Args:
+        rig: of the case.
+        peak_N: force at full depth.
+        span_V: range of the output between rest and peak.
+        runs: how many the case has, two or more.
+    """
+    return list(_DRAWS.values())[rng.integers(len(_DRAWS))](rng, peak_N, span_V, runs).to_text()
+
+
+def _pick(rng: Rng, names: Sequence[str]) -> str:
+    return str(names[int(rng.integers(len(names)))])
+
+
+def _one(rng: Rng, runs: int) -> tuple[int, ...]:
+    return (int(rng.integers(1, runs + 1)),)
+
+
+def _all_or_one(rng: Rng, runs: int) -> tuple[int, ...]:
+    return () if rng.random() < 0.5 else _one(rng, runs)
+
+
+def _draw_unit(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
+    at = _all_or_one(rng, runs)
+    units = UNITS_OF_RUN if at else UNITS
+    channel = _pick(rng, list(units))
+    return Mistake("unit_factor", channel, at, units[channel][_pick(rng, list(units[channel]))])
+
+
+def _draw_gain(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
+    factor = 1.0 + float(rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 0.25))
+    # An output above its reference would be another mistake.
+    channel = _pick(rng, ("force", "output"))
+    return Mistake("gain", channel, _one(rng, runs), min(factor, 1.0 / factor) if channel == "output" else factor)
+
+
+def _draw_zero(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
+    channel = _pick(rng, ("stage", "force", "output"))
+    size = {"stage": rng.uniform(0.3, 1.0), "force": peak_N * rng.uniform(0.05, 0.2), "output": span_V * 0.1}[channel]
+    return Mistake("zero", channel, _one(rng, runs), float(rng.choice([-1.0, 1.0]) * size))
+
+
+def _draw_sign(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
+    return Mistake("sign", _pick(rng, ("stage", "force")), _all_or_one(rng, runs))
+
+
+def _draw_columns(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
+    pair = _pick(rng, ("stage+force", "force+output", "stage+output"))
+    return Mistake("swapped_columns", pair, _all_or_one(rng, runs))
+
+
+def _draw_divider(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
+    return Mistake("swapped_divider", "output", ())
+
+
+def _draw_other_unit(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
+    return Mistake("other_unit", "", _one(rng, runs), seed=int(rng.integers(2**31)))
+
+
+def _draw_swapped_runs(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
+    one, other = (int(k) + 1 for k in rng.choice(runs, 2, replace=False))
+    return Mistake("swapped_runs", _pick(rng, ("force", "output")), tuple(sorted((one, other))))
+
+
+def _draw_rate(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
+    return Mistake("rate", "time", _all_or_one(rng, runs), float(rng.choice([0.5, 2.0, 0.9, 1.2, 10.0])))
+
+
+def _draw_out_of_range(rng: Rng, peak_N: float, span_V: float, runs: int) -> Mistake:
+    channel = _pick(rng, list(RAILS))
+    rail = float(RAILS[channel][int(rng.integers(len(RAILS[channel])))])
+    return Mistake("out_of_range", channel, _one(rng, runs), rail, int(rng.integers(2**31)))
+
+
+_DRAWS: Mapping[str, Callable[[Rng, float, float, int], Mistake]] = {
+    "unit_factor": _draw_unit,
+    "gain": _draw_gain,
+    "zero": _draw_zero,
+    "sign": _draw_sign,
+    "swapped_columns": _draw_columns,
+    "swapped_divider": _draw_divider,
+    "other_unit": _draw_other_unit,
+    "swapped_runs": _draw_swapped_runs,
+    "rate": _draw_rate,
+    "out_of_range": _draw_out_of_range,
+}

@@ -1,0 +1,250 @@
+"""A run that stands apart from all others by a gain, a zero, or as that of another unit: mistakes, not effects.
+
+An effect acts in every run. Where one number, or the base parameters, of one run alone explain what the twin leaves in
+all of them, that run was recorded otherwise.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.gap.case import Case
+from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.linear import energy
+from softcal.core.gap.plausibility import Finding, numbers
+from softcal.core.gap.residual import structure
+from softcal.core.gap.screen import Tangent
+from softcal.core.gap.search import Search
+from softcal.core.reason import reason
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
+
+SHARE = 0.93
+"""Share of what the twin leaves that one run's mistake must explain."""
+
+LEAST = {"gain": 0.02, "zero": 0.02}
+"""Smallest gain, and zero against the span, that is a mistake: a smaller one is the tare or the seating of a run."""
+
+SHARE_BESIDE = 0.85
+PARENTS = 3
+AHEAD = 40.0
+"""The same beside a cause, how many single causes are tried, and by how much χ² with its penalty must be ahead of the
+catalogue's best: other equations of a cause leave much less to one run alone."""
+
+PROMISED, LEAST_PROMISED = 0.5, 0.15
+"""Share that a mistake must promise to be fitted: alone, and where a cause of the same size stands beside it."""
+
+FEWEST_RUNS = 3
+"""With two runs nobody can tell which one is wrong."""
+
+EACH, DEARER = 3.0, 2e-4
+"""What a number costs, in ln n, and which share of the gap besides where structure is left."""
+
+
+@dataclass(frozen=True)
+class _Oddity:
+    """One way in which a run may differ: what, of which channel, by which effects of the twin."""
+
+    what: str
+    channel: str
+    hooks: tuple[tuple[Hook, str, bool], ...]
+    """(place of the chain, signal, whether it is multiplied instead of shifted) of every number."""
+
+
+ODDITIES = (
+    _Oddity("gain", "force", ((Hook.READING, "reading_N", True),)),
+    _Oddity("zero", "force", ((Hook.READING, "reading_N", False),)),
+    _Oddity("gain", "output", ((Hook.OUTPUT, "output_V", True),)),
+    _Oddity("zero", "output", ((Hook.OUTPUT, "output_V", False),)),
+    _Oddity("zero", "stage", ((Hook.MOTION, "pad_mm", False),)),
+    _Oddity("gain", "stage", ((Hook.MOTION, "pad_mm", True),)),
+    _Oddity(
+        "other_unit",
+        "",
+        (
+            (Hook.FORCE, "force_N", True),
+            (Hook.CHANNEL, "drive", True),
+            (Hook.RESISTANCE, "resistance_ohm", True),
+            (Hook.MOTION, "pad_mm", False),
+        ),
+    ),
+)
+
+
+_Fitted = tuple[Fit, int, _Oddity, float]
+"""A fit with a mistake, its run, what it is, and the share it explains."""
+
+
+def odd_run(base: Fit, least_share: float = SHARE) -> Finding | None:
+    """Return the mistake of one run that explains what a fit leaves, None where none does.
+
+    Args:
+        base: the fit, of the base alone or with causes.
+        least_share: of what it leaves that must be explained.
+    """
+    for fitted, run, oddity, share in nearest(base)[:1]:
+        return None if share < least_share else _finding(fitted, run, oddity, share)
+    return None
+
+
+def odd_run_beside(search: Search) -> Finding | None:
+    """Return the mistake of one run that, with one cause or none, explains more than all causes that were found."""
+    best, base = search.best, search.base
+    if len(best.hypothesis.ids) < 2 and search.is_clean(best):
+        return None
+    singles = sorted((f for ids, f in search.fits.items() if len(ids) == 1), key=lambda f: f.chi2)[:PARENTS]
+    tried = [(parent, found) for parent in (*singles, best) for found in nearest(parent)[:1]]
+    if not search.is_explained(best):
+        # A cause as large as the mistake hides it from the base alone; beside the mistake it may explain the rest.
+        for fitted, run, oddity, share in nearest(base, LEAST_PROMISED)[:2]:
+            clean = [grown for grown in search.grown_from(fitted) if search.is_clean(grown)]
+            tried += [(base, (grown, run, oddity, share)) for grown in clean]
+    kept = []
+    for parent, found in tried:
+        fitted, run, oddity, share = found
+        # The mistake counts as one number more; it belongs to no catalogue and has no prior odds of its own.
+        price = parent.penalty if parent is not base or not singles else singles[0].penalty
+        price += float(np.log(base.problem.count)) * len(oddity.hooks)
+        if (share > SHARE_BESIDE or parent is base) and fitted.chi2 + price < best.bic - AHEAD:
+            kept.append((fitted.chi2 + price, fitted, run, oddity, share))
+    if not kept:
+        return None
+    _, fitted, run, oddity, share = min(kept, key=lambda k: k[0])
+    return _finding(fitted, run, oddity, share)
+
+
+def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
+    """Return the fits of mistakes of one run that explain most of what a fit leaves, the simplest of equals first.
+
+    Args:
+        promised_share: of what the fit leaves that a mistake must promise, to first order, to be fitted.
+    """
+    runs = [k for k, run in enumerate(base.problem.case.runs) if run.kind == "press"]
+    excess = base.chi2 - base.problem.count
+    is_within_noise = excess < 4.0 * np.sqrt(2.0 * base.problem.count)
+    if len(runs) < FEWEST_RUNS or is_within_noise or _is_clean(base):
+        return []
+    promised = sorted(_promised(base, runs), key=lambda p: -p[0])
+    found = []
+    for gain, run, oddity in promised[:3]:
+        if gain < max(promised_share * excess, 0.5 * promised[0][0]):
+            continue
+        hypothesis, effects = base.hypothesis, _effects(run, oddity, base)
+        for effect in effects:
+            hypothesis = hypothesis.adding(effect)
+        fitted = fit(base.problem, hypothesis, np.append(base.coordinates, np.zeros(len(effects))), steps=30)
+        found.append((fitted, run, oddity, (base.chi2 - fitted.chi2) / excess))
+
+    def price(one: _Fitted) -> float:
+        dearer = 0.0 if _is_clean(one[0]) else DEARER * excess
+        return one[0].chi2 + len(one[2].hooks) * (EACH * float(np.log(base.problem.count)) + dearer)
+
+    return sorted(found, key=price)
+
+
+def _is_clean(found: Fit) -> bool:
+    return not structure(found).is_significant
+
+
+def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]]:
+    """Return to first order by how much each oddity of each run would lower χ², everything else fitted again."""
+    tangent, problem = Tangent(base), base.problem
+    promised = []
+    slopes = base.jacobian[base.hypothesis.of_base]
+    for run in runs:
+        inside = np.zeros(len(problem.measured))
+        for block in problem.blocks:
+            inside[block.place] = 1.0 if block.run == run else 0.0
+        of_channel = {
+            short: sum((_marks(b.place, len(inside)) for b in problem.blocks if (b.run, b.channel) == (run, name)), 0.0)
+            for short, name in (("force", "force_N"), ("output", "output_V"))
+        }
+        rows: dict[tuple[str, str], list[Array]] = {("other_unit", ""): [row * inside for row in slopes]}
+        for short, at in of_channel.items():
+            if np.any(at):
+                rows["zero", short] = [np.asarray(at * problem.weights)]
+                rows["gain", short] = [np.asarray(at * problem.weights * base.predicted)]
+        if problem.is_free[0]:
+            rows["zero", "stage"] = [slopes[0] * inside]
+        for oddity in ODDITIES:
+            signatures = rows.get((oddity.what, oddity.channel))
+            if signatures is not None:
+                promised.append((_gain(tangent, signatures, base.residual), run, oddity))
+    return promised
+
+
+def _marks(place: slice, count: int) -> Array:
+    out = np.zeros(count)
+    out[place] = 1.0
+    return out
+
+
+def _gain(tangent: Tangent, signatures: list[Array], residual: Array) -> float:
+    seen = np.array([tangent.visible(s) for s in signatures if energy(s) > 0])
+    if not len(seen):
+        return 0.0
+    coefficients, *_ = np.linalg.lstsq(seen @ seen.T + 1e-12 * np.eye(len(seen)), seen @ residual, rcond=1e-9)
+    return float(coefficients @ (seen @ residual))
+
+
+def _effects(run: int, oddity: _Oddity, base: Fit) -> list[Effect]:
+    case = base.problem.case
+    columns = {"reading_N": "force_N", "output_V": "output_V", "pad_mm": "stage_mm"}
+    return [
+        _effect(run, hook, signal, is_gain, 1.0 if is_gain else _span(case, columns[signal]))
+        for hook, signal, is_gain in oddity.hooks
+    ]
+
+
+def _span(case: Case, column: str) -> float:
+    """Return the range of a column over the runs that are pressed; 1 where it was not recorded."""
+    parts = [values for run in case.presses if (values := getattr(run, column)) is not None]
+    return float(np.ptp(np.concatenate(parts))) if parts else 1.0
+
+
+def _effect(run: int, hook: Hook, signal: str, is_gain: bool, span: float) -> Effect:
+    size = Parameter("size", "", -0.9 * span, 3.0 * span, 0.05 * span, neutral=0.0)
+    return Effect(f"{signal} of run {run}", "", hook, "", "", (size,), _step(run, signal, is_gain))
+
+
+def _step(run: int, signal: str, is_gain: bool) -> Callable[[Flow, Sequence[float], Memory], None]:
+    def step(flow: Flow, values: Sequence[float], _: Memory) -> None:
+        if flow.run == run:
+            now = getattr(flow, signal)
+            setattr(flow, signal, now * (1.0 + values[0]) if is_gain else now + values[0])
+
+    return step
+
+
+def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> Finding | None:
+    case = fitted.problem.case
+    number = (numbers(case)[run],)
+    of_run = {e.id: values[0] for e, values in zip(fitted.hypothesis.effects, fitted.effect_values, strict=True)}
+    sizes = [of_run[effect.id] for effect in _effects(run, oddity, fitted)]
+    if oddity.what == "other_unit":
+        stiffness, sensitivity, resistance, _ = sizes
+        evidence = reason(
+            "data.run.other_unit",
+            stiffness=stiffness,
+            resistance=resistance,
+            sensitivity=sensitivity,
+            share=min(share, 1.0),
+        )
+        return Finding("other_unit", "", number, None, evidence, reason("data.repair.other_unit"))
+    column = {"force": "force_N", "output": "output_V", "stage": "stage_mm"}[oddity.channel]
+    span, size = _span(case, column), sizes[0]
+    if oddity.what == "gain":
+        # The stage's number is what the pad's path must be multiplied by, the others' what the reading was.
+        ratio = 1.0 + size if oddity.channel != "stage" else 1.0 / (1.0 + size)
+        if abs(ratio - 1.0) < LEAST["gain"]:
+            return None
+        evidence = reason("data.run.gain", channel=oddity.channel, ratio=ratio, share=min(share, 1.0))
+        repair = reason("data.repair.gain", channel=oddity.channel, factor=1.0 / ratio)
+        return Finding("gain", oddity.channel, number, 1.0 / ratio, evidence, repair)
+    offset, unit = size if oddity.channel != "stage" else -size, column.split("_")[1]
+    if abs(offset) < LEAST["zero"] * span:
+        return None
+    evidence = reason("data.run.zero", channel=oddity.channel, offset=offset, unit=unit, share=min(share, 1.0))
+    repair = reason("data.repair.zero", channel=oddity.channel, offset=offset, unit=unit)
+    return Finding("zero", oddity.channel, number, offset, evidence, repair)

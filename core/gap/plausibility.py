@@ -1,0 +1,523 @@
+"""Mistakes in the recordings that stand in the way of any diagnosis: units, signs, columns, rates, mixed-up runs.
+
+What the channels show is held against what such a rig can show, and every run against the others. No effect of the
+catalogue is fitted before this has found nothing.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from softcal.core.gap.case import Case, Mask, Run
+from softcal.core.reason import Reason, reason
+from softcal.core.recording import Array
+
+Kind = Literal[
+    "unit_factor",
+    "gain",
+    "zero",
+    "sign",
+    "swapped_columns",
+    "swapped_divider",
+    "other_unit",
+    "swapped_runs",
+    "rate",
+    "out_of_range",
+]
+COLUMNS = {"stage": "stage_mm", "force": "force_N", "output": "output_V"}
+SHOWN = {"stage_mm": "stage", "force_N": "force", "output_V": "output"}
+
+RATE_TOLERANCE = 0.02
+"""Relative difference up to which the stated rate and the time stamps agree."""
+
+TIME_UNITS = {"ms": 1e-3, "us": 1e-6, "min": 60.0}
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "stage": {"inch": 25.4, "cm": 10.0, "m": 1e3, "um": 1e-3},
+    "force": {"kgf": 9.80665, "gf": 9.80665e-3, "mN": 1e-3},
+}
+"""What units that people write by mistake are in the unit of the column."""
+
+UNITS_OF_RUN: Mapping[str, Mapping[str, float]] = {
+    "stage": {**UNITS["stage"], "2.54 mm": 2.54, "degree as rad": np.pi / 180, "rad as degree": 180 / np.pi},
+    "force": {**UNITS["force"], "lbf": 4.44822, "kN": 1e3},
+    "output": {"mV": 1e-3},
+}
+"""The same for one run, where the others tell how large its values must be."""
+
+STIFFNESS_N_mm = (0.4, 25.0)
+"""Peak force over peak depth of a soft pad; beyond it a unit is wrong, if one unit brings everything back to ..."""
+
+USUAL = {"stiffness_N_mm": 2.0, "depth_mm": 3.0, "force_N": 6.0}
+NEAR_USUAL = 5.0
+"""... within this factor of the usual. A lot that states its stiffness is judged by that alone."""
+
+DEPTH_mm = (0.3, 30.0)
+FORCE_N = (0.05, 300.0)
+"""The same where the other channel is missing."""
+
+FEW = 0.02
+"""Share of samples up to which values out of range are a broken transmission, not a wrong unit."""
+
+FAR = 3.0
+"""A sample is off by a broken transmission when it lies this many spans beyond what nearly all others show."""
+
+ON_GRID, OFF_GRID = 0.9, 0.5
+"""Share of samples on the steps of the ADC from which a column is an output, and below which it is none."""
+
+SMOOTH = 0.1
+"""A commanded position is this much smoother, against its span, than anything measured."""
+
+OPPOSED = -0.5
+"""Correlation below which two channels move against each other."""
+
+PAIRED, UNPAIRED = 0.75, 0.6
+"""Correlation above which two columns belong to one run, and below which they do not."""
+
+APART = 2.0
+"""Ratio of one run to the others above which no effect but only a wrong unit or gain explains it."""
+
+NEAR_FACTOR = 1.45
+"""A ratio this near to a unit's factor is that unit."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One mistake: what it is, where it shows, and what would repair it.
+
+    Args:
+        channel: `stage`, `force`, `output`, `temperature` or `time`; two with a plus where columns are swapped.
+        runs: numbers of the runs; empty for all.
+        factor: repaired values over recorded ones, or what was multiplied in or added; None where there is no such
+            number.
+    """
+
+    what: Kind
+    channel: str
+    runs: tuple[int, ...]
+    factor: float | None
+    evidence: Reason
+    repair: Reason
+
+    def record(self) -> dict[str, object]:
+        """Return it as a report has it."""
+        return {
+            "what": self.what,
+            "channel": self.channel,
+            "runs": list(self.runs) or "all",
+            "factor": self.factor,
+            "evidence": str(self.evidence),
+            "repair": str(self.repair),
+            "reasons": [self.evidence.to_json(), self.repair.to_json()],
+        }
+
+
+def numbers(case: Case) -> list[int]:
+    """Return the numbers of the runs of a case: those of their folders, or their places from 1."""
+    names = [run.name for run in case.runs]
+    return [int(n) for n in names] if all(n.isdigit() for n in names) else list(range(1, len(names) + 1))
+
+
+def mistakes(case: Case) -> tuple[Finding, ...]:
+    """Return the mistakes that the channels show by themselves, none where they look sound.
+
+    The first kind that is found hides what comes after it: a wrong column has no unit.
+    """
+    for look in (_rates, _columns, _ranges, _strays, _runs_exchanged, _directions, _units, _runs_apart):
+        found = tuple(look(case))
+        if found:
+            return found
+    return ()
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What one run shows, before runs of the same mistake are joined."""
+
+    run: int
+    what: Kind
+    channel: str
+    factor: float | None
+    evidence: Reason
+    repair: Reason
+
+
+def _joined(case: Case, seen: Iterable[_Seen]) -> list[Finding]:
+    """Return one finding for the same mistake in several runs; in all that are pressed, of the whole case."""
+    groups: dict[tuple[str, str, float | None], list[_Seen]] = {}
+    for one in seen:
+        factor = None if one.factor is None else float(f"{one.factor:.2g}")
+        groups.setdefault((one.what, one.channel, factor), []).append(one)
+    number = numbers(case)
+    pressed = {k for k, run in enumerate(case.runs) if run.kind == "press"}
+    found = []
+    for members in groups.values():
+        at, first = {m.run for m in members}, members[0]
+        runs = () if at >= pressed else tuple(number[k] for k in sorted(at))
+        found.append(Finding(first.what, first.channel, runs, first.factor, first.evidence, first.repair))
+    return found
+
+
+def _presses(case: Case) -> list[tuple[int, Run]]:
+    return [(k, run) for k, run in enumerate(case.runs) if run.kind == "press"]
+
+
+def _channels(run: Run) -> dict[str, Array]:
+    """Return the recorded channels of a run by their short name."""
+    every = {short: getattr(run, name) for short, name in COLUMNS.items()}
+    return {short: values for short, values in every.items() if values is not None}
+
+
+def _rates(case: Case) -> list[Finding]:
+    seen = []
+    for k, run in enumerate(case.runs):
+        stated_Hz, ratio = run.readout.sample_rate_Hz, run.seen_Hz / run.readout.sample_rate_Hz
+        if abs(ratio - 1.0) <= RATE_TOLERANCE:
+            continue
+        evidence = reason("data.rate", seen=run.seen_Hz, stated=stated_Hz)
+        unit = next((u for u, s in TIME_UNITS.items() if abs(ratio / s - 1.0) <= RATE_TOLERANCE), None)
+        if unit is not None:
+            factor = TIME_UNITS[unit]
+            repair = reason("data.repair.unit", channel="time", factor=factor, unit=unit)
+            seen.append(_Seen(k, "unit_factor", "time", factor, evidence, repair))
+        else:
+            repair = reason("data.repair.rate", seen=run.seen_Hz)
+            seen.append(_Seen(k, "rate", "time", ratio, evidence, repair))
+    return _joined(case, seen)
+
+
+def _columns(case: Case) -> list[Finding]:
+    """Which column is the output shows by the steps of the ADC, which is the stage by its smoothness."""
+    seen = []
+    for k, run in _presses(case):
+        channels = _channels(run)
+        if len(channels) < 2:
+            continue
+        output, stage = _output_by_steps(run, channels), None
+        rest = [name for name in channels if name != output]
+        if output is not None and len(rest) == 2:
+            stage = _stage_by_smoothness({name: channels[name] for name in rest})
+        moved = []
+        if output not in (None, "output"):
+            moved = ["output", str(output)]
+        elif stage == "force":
+            moved = ["stage", "force"]
+        if moved:
+            pair = "+".join(name for name in COLUMNS if name in moved)
+            one, other = pair.split("+")
+            evidence = reason("data.swapped_columns.steps" if "output" in moved else "data.swapped_columns.smooth")
+            repair = reason("data.repair.swap", one=COLUMNS[one], other=COLUMNS[other])
+            seen.append(_Seen(k, "swapped_columns", pair, None, evidence, repair))
+    return _joined(case, seen)
+
+
+def _output_by_steps(run: Run, channels: Mapping[str, Array]) -> str | None:
+    """Return the column that stands on the steps of the ADC, None where the steps do not tell."""
+    step_V, vref_V = run.readout.step_V, run.readout.vref_V
+    if step_V < 2e-5:
+        # Finer than the digits of a file.
+        return None
+    tolerance = 0.02 * step_V + 0.6e-6
+    shares = {}
+    for name, values in channels.items():
+        is_on = np.abs(values - np.round(values / step_V) * step_V) < tolerance
+        # A column that stands still on zero is on the steps of any ADC.
+        is_telling = np.abs(values) > step_V
+        is_within = (values > 0) & (values <= vref_V + step_V)
+        shares[name] = float(np.mean((is_on & is_within)[is_telling])) if is_telling.mean() > 0.2 else 0.0
+    first, *others = sorted(shares, key=lambda name: -shares[name])
+    return first if shares[first] > ON_GRID and all(shares[name] < OFF_GRID for name in others) else None
+
+
+def _stage_by_smoothness(channels: Mapping[str, Array]) -> str | None:
+    first, second = sorted(channels, key=lambda name: _roughness(channels[name]))
+    return first if _roughness(channels[first]) < SMOOTH * _roughness(channels[second]) else None
+
+
+def _roughness(values: Array) -> float:
+    """Return the size of the second differences against the span, corners left out."""
+    low, high = np.quantile(values, (0.02, 0.98))
+    bends = np.sort(np.abs(np.diff(values, 2)))
+    return float(np.sqrt(np.mean(bends[: max(1, int(0.8 * len(bends)))] ** 2)) / max(high - low, 1e-12))
+
+
+def _ranges(case: Case) -> list[Finding]:
+    """An output cannot leave what its ADC can read."""
+    seen = []
+    for k, run in enumerate(case.runs):
+        if run.output_V is None:
+            continue
+        margin_V = max(2 * run.readout.step_V, 1e-3 * run.readout.vref_V)
+        beyond = _beyond(run.output_V, -margin_V, run.readout.vref_V + margin_V)
+        if not beyond.any():
+            continue
+        worst_V = float(run.output_V[np.argmax(np.abs(run.output_V))])
+        evidence = reason("data.out_of_range.output", worst=worst_V, vref=run.readout.vref_V, count=int(beyond.sum()))
+        if beyond.mean() > FEW:
+            repaired = _output_repaired(run, k, evidence)
+            if repaired is not None:
+                seen.append(repaired)
+                continue
+        repair = reason("data.repair.samples", count=int(beyond.sum()))
+        seen.append(_Seen(k, "out_of_range", "output", None, evidence, repair))
+    return _joined(case, seen)
+
+
+def _beyond(values: Array, low: float, high: float) -> Mask:
+    return np.asarray((values < low) | (values > high))
+
+
+def _output_repaired(run: Run, k: int, evidence: Reason) -> _Seen | None:
+    """Return the unit or sign that brings the output of a run back, None where none does."""
+    values, readout = np.asarray(run.output_V), run.readout
+    factors = {"mV": 1e-3, "uV": 1e-6}
+    if np.all(values == np.round(values)):
+        factors = {"codes": readout.step_V, **factors}
+    for unit, factor in factors.items():
+        share = np.quantile(values, (0.02, 0.98)) * factor / readout.vref_V
+        if 0.01 < share[0] and share[1] < 1.0 and share[1] > 0.02:
+            repair = reason("data.repair.unit", channel="output", factor=factor, unit=unit)
+            return _Seen(k, "unit_factor", "output", factor, evidence, repair)
+    if np.quantile(values, 0.98) < 0 and -np.quantile(values, 0.02) <= readout.vref_V:
+        return _Seen(k, "sign", "output", -1.0, evidence, reason("data.repair.sign", channel="output"))
+    return None
+
+
+def _strays(case: Case) -> list[Finding]:
+    """Single samples of a position or force far beyond all others."""
+    seen = []
+    for k, run in _presses(case):
+        for name, values in _channels(run).items():
+            low, high = np.quantile(values, (0.01, 0.99))
+            reach = FAR * (high - low)
+            beyond = _beyond(values, low - reach, high + reach)
+            if 0 < beyond.mean() <= FEW:
+                worst = float(values[np.argmax(np.abs(values - 0.5 * (low + high)))])
+                unit = COLUMNS[name].split("_")[1]
+                evidence = reason(
+                    "data.out_of_range.strays",
+                    count=int(beyond.sum()),
+                    channel=name,
+                    worst=worst,
+                    low=float(low),
+                    high=float(high),
+                    unit=unit,
+                )
+                repair = reason("data.repair.samples", count=int(beyond.sum()))
+                seen.append(_Seen(k, "out_of_range", name, None, evidence, repair))
+    return _joined(case, seen)
+
+
+def _agreement(one: Array, other: Array) -> float:
+    return float(np.corrcoef(one, other)[0, 1])
+
+
+def _runs_exchanged(case: Case) -> list[Finding]:
+    """A column that fits its own run badly and that of another run well."""
+    presses, number = _presses(case), numbers(case)
+    for name in ("output", "force", "stage"):
+        for a, (i, one) in enumerate(presses):
+            for j, other in presses[a + 1 :]:
+                mine, theirs = _channels(one), _channels(other)
+                if len(one) != len(other) or name not in mine or len(mine) < 2:
+                    continue
+                rest = [r for r in mine if r != name]
+                if len(rest) == 2 and min(_agreement(*(run[r] for r in rest)) for run in (mine, theirs)) < PAIRED:
+                    continue
+                now = max(abs(_agreement(run[name], run[r])) for run in (mine, theirs) for r in rest)
+                pairs = ((mine, theirs), (theirs, mine))
+                exchanged = min(_agreement(to[r], of[name]) for to, of in pairs for r in rest)
+                if now < UNPAIRED and exchanged > PAIRED:
+                    evidence = reason("data.swapped_runs", channel=name, now=now, exchanged=exchanged)
+                    repair = reason("data.repair.exchange", channel=name, one=number[i], other=number[j])
+                    return [Finding("swapped_runs", name, (number[i], number[j]), None, evidence, repair)]
+    return []
+
+
+def _directions(case: Case) -> list[Finding]:
+    seen = []
+    for k, run in _presses(case):
+        channels = _channels(run)
+        stage, force, output = (channels.get(name) for name in COLUMNS)
+        turned = set()
+        if force is not None:
+            low, high = np.quantile(force, (0.02, 0.98))
+            if low < 0 and -low > 3.0 * abs(high):
+                turned.add("force")
+                force = -force
+        if stage is not None:
+            pressed = force if force is not None else output
+            is_against = pressed is not None and _agreement(stage, pressed) < OPPOSED
+            if is_against and (force is not None or float(np.median(stage)) < 0):
+                turned.add("stage")
+                stage = -stage
+        for name in sorted(turned):
+            evidence = reason("data.sign", channel=name)
+            seen.append(_Seen(k, "sign", name, -1.0, evidence, reason("data.repair.sign", channel=name)))
+        pressing = force if force is not None else stage
+        if output is None or pressing is None or run.readout.sensor_type == "strain":
+            continue
+        correlation = _agreement(output, pressing)
+        if correlation < OPPOSED:
+            evidence = reason("data.swapped_divider", correlation=correlation)
+            seen.append(_Seen(k, "swapped_divider", "output", None, evidence, reason("data.repair.divider")))
+    return _joined(case, seen)
+
+
+@dataclass(frozen=True)
+class _Size:
+    """How far the pad was pressed; None where the channel is missing."""
+
+    depth_mm: float | None
+    force_N: float | None
+    speed_mm_s: float | None
+
+    @property
+    def stiffness_N_mm(self) -> float | None:
+        return None if self.depth_mm is None or self.force_N is None else self.force_N / self.depth_mm
+
+    def with_unit(self, channel: str, factor: float) -> "_Size":
+        depth, force, speed = self.depth_mm, self.force_N, self.speed_mm_s
+        if channel == "stage":
+            return _Size(None if depth is None else depth * factor, force, None if speed is None else speed * factor)
+        return _Size(depth, None if force is None else force * factor, speed)
+
+    @property
+    def oddness(self) -> float:
+        """Largest distance from the usual, as a logarithm."""
+        return max((abs(np.log(v / USUAL[name])) for name, v in self._known()), default=0.0)
+
+    @property
+    def is_odd(self) -> bool:
+        stiffness = self.stiffness_N_mm
+        if stiffness is not None:
+            return not STIFFNESS_N_mm[0] <= stiffness <= STIFFNESS_N_mm[1]
+        if self.depth_mm is not None:
+            return not DEPTH_mm[0] <= self.depth_mm <= DEPTH_mm[1]
+        return self.force_N is not None and not FORCE_N[0] <= self.force_N <= FORCE_N[1]
+
+    def _known(self) -> list[tuple[str, float]]:
+        values = {name: getattr(self, name) for name in USUAL}
+        return [(name, value) for name, value in values.items() if value is not None]
+
+
+def _size(case: Case) -> _Size:
+    depths, forces, speeds = [], [], []
+    for _, run in _presses(case):
+        channels = _channels(run)
+        load = channels.get("force", channels.get("output"))
+        if "force" in channels:
+            low, high = np.quantile(channels["force"], (0.02, 0.995))
+            forces.append(float(high - min(low, 0.5 * high)) if low < 0 else float(high))
+        if "stage" in channels and load is not None:
+            contact = _contact_mm(channels["stage"], load)
+            depths.append(float(np.quantile(channels["stage"], 0.995)) - contact)
+            speeds.append(float(np.quantile(np.abs(np.gradient(channels["stage"], run.t_s)), 0.98)))
+    return _Size(
+        max(float(np.median(depths)), 1e-9) if depths else None,
+        max(float(np.median(forces)), 1e-9) if forces else None,
+        max(speeds) if speeds else None,
+    )
+
+
+def _contact_mm(stage_mm: Array, load: Array) -> float:
+    """Return where the load begins: the line through a twentieth and three twentieths of it, carried on to none."""
+    low, high = np.quantile(load, (0.02, 0.995))
+    part = (load - low) / max(float(high - low), 1e-12)
+    twentieth, three = (stage_mm[np.abs(part - level) < 0.02] for level in (0.05, 0.15))
+    if len(twentieth) and len(three):
+        return float(1.5 * np.median(twentieth) - 0.5 * np.median(three))
+    touching = stage_mm[part > 0.03]
+    return float(np.quantile(touching, 0.02)) if len(touching) else 0.0
+
+
+def _units(case: Case) -> list[Finding]:
+    """Units of a whole case: the pad's stiffness, depth and force against what such pads are."""
+    size, stated = _size(case), case.stiffness_N_mm
+    stiffness = size.stiffness_N_mm
+    if stated is not None and stiffness is not None:
+        return _against_stated(size, stated, stiffness)
+    if not size.is_odd:
+        return []
+    choices = [(channel, unit, f) for channel, units in UNITS.items() for unit, f in units.items()]
+    fitting = []
+    for channel, unit, factor in choices:
+        repaired = size.with_unit(channel, factor)
+        if not repaired.is_odd and repaired.oddness < np.log(NEAR_USUAL):
+            fitting.append((repaired.oddness - _roundness(repaired.speed_mm_s, channel), channel, unit, factor))
+    if not fitting:
+        return []
+    _, channel, unit, factor = min(fitting)
+    return [_of_unit(size, channel, unit, factor, *STIFFNESS_N_mm)]
+
+
+def _roundness(speed_mm_s: float | None, channel: str) -> float:
+    """Return what speaks for a unit of the stage: stages are told to go at round speeds."""
+    if speed_mm_s is None or channel != "stage":
+        return 0.0
+    return 0.5 if abs(float(f"{speed_mm_s:.1e}") / speed_mm_s - 1.0) < 2e-3 else 0.0
+
+
+def _of_unit(size: _Size, channel: str, unit: str, factor: float, low: float, high: float) -> Finding:
+    if size.stiffness_N_mm is not None:
+        evidence = reason("data.unit.stiffness", seen=size.stiffness_N_mm, low=low, high=high)
+    elif size.depth_mm is not None:
+        evidence = reason("data.unit.size", channel=channel, seen=size.depth_mm, unit="mm")
+    else:
+        evidence = reason("data.unit.size", channel=channel, seen=size.force_N or 0.0, unit="N")
+    repair = reason("data.repair.unit", channel=channel, factor=factor, unit=unit)
+    return Finding("unit_factor", channel, (), factor, evidence, repair)
+
+
+def _against_stated(size: _Size, stated: tuple[float, float], stiffness: float) -> list[Finding]:
+    if stated[0] <= stiffness <= stated[1]:
+        return []
+    middle = float(np.sqrt(stated[0] * stated[1]))
+    every = [(channel, unit, f) for channel, units in UNITS.items() for unit, f in units.items()]
+    turned = [(abs(np.log(size.with_unit(c, f).stiffness_N_mm or 1e-9) - np.log(middle)), c, u, f) for c, u, f in every]
+    distance, channel, unit, factor = min(turned)
+    if distance < abs(np.log(stated[1] / middle)) + np.log(NEAR_FACTOR):
+        return [_of_unit(size, channel, unit, factor, *stated)]
+    evidence = reason("data.unit.stiffness", seen=stiffness, low=stated[0], high=stated[1])
+    repair = reason("data.repair.gain", channel="force", factor=middle / stiffness)
+    return [Finding("gain", "force", (), middle / stiffness, evidence, repair)]
+
+
+def _runs_apart(case: Case) -> list[Finding]:
+    """One run whose values are larger or smaller than those of all others by a factor that no effect has."""
+    presses, number = _presses(case), numbers(case)
+    found: list[Finding] = []
+    if len(presses) < 3:
+        return found
+    for name, reference in (("force", "output"), ("stage", "output"), ("force", "stage"), ("stage", "force")):
+        if not (case.has(COLUMNS[name]) and case.has(COLUMNS[reference])) or found:
+            continue
+        if reference != "output" and case.has("output_V"):
+            continue
+        spans = np.log([_spread_at(_channels(run)[reference], _channels(run)[name]) for _, run in presses])
+        for at, (k, _) in enumerate(presses):
+            ratio = float(np.exp(np.median(np.delete(spans, at)) - spans[at]))
+            others = np.ptp(np.delete(spans, at))
+            if abs(np.log(ratio)) > np.log(APART) + others:
+                found.append(_apart(name, number[k], ratio))
+    return found[:1]
+
+
+def _spread_at(reference: Array, values: Array) -> float:
+    """Return the slope of a channel against another one, robustly: over the middle of what both show."""
+    low, high = np.quantile(reference, (0.05, 0.95))
+    top = values[reference >= low + 0.6 * (high - low)]
+    bottom = values[reference <= low + 0.1 * (high - low)]
+    return max(abs(float(np.median(top) - np.median(bottom))) / max(float(high - low), 1e-12), 1e-12)
+
+
+def _apart(name: str, run: int, ratio: float) -> Finding:
+    units = UNITS_OF_RUN[name]
+    unit = min(units, key=lambda u: abs(np.log(units[u] / ratio)))
+    evidence = reason("data.run.apart", channel=name, ratio=1.0 / ratio)
+    if abs(np.log(units[unit] / ratio)) < np.log(NEAR_FACTOR):
+        repair = reason("data.repair.unit", channel=name, factor=units[unit], unit=unit)
+        return Finding("unit_factor", name, (run,), units[unit], evidence, repair)
+    repair = reason("data.repair.gain", channel=name, factor=ratio)
+    return Finding("gain", name, (run,), ratio, evidence, repair)
