@@ -119,7 +119,7 @@ def write_json(target: str, value: object) -> None:
         write_text(Path(target), text)
 
 
-class Progress:
+class ProgressLine:
     """Lines like `3/40 units, 12 s, 4.1 units/s, about 9 s left` on standard error: rewritten on a terminal.
 
     Args:

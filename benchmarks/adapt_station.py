@@ -26,7 +26,7 @@ from softcal.core.unit.estimate import estimate
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.use.adapter import Adapter
 
-HOURS = 0.7
+HOURS = 0.6
 PIECES = 200
 """After each of so many the alarm is looked at."""
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from softcal.station.simulated.faults import FAULTS
-from softcal.station.simulated.trial import Outcome, run_with_dead_host, run_with_fault, run_with_full_disk
+from softcal.station.simulated.trial import FaultOutcome, run_with_dead_host, run_with_fault, run_with_full_disk
 
 HEADER = (
     "| fault | error | seen after, s | stage stands after, s | largest force, N | recorded | what the operator reads |"
@@ -44,13 +44,13 @@ def main() -> None:
         options.write.write_text("\n".join(lines) + "\n")
 
 
-def _run(run: Callable[[Path], Outcome]) -> Outcome:
+def _run(run: Callable[[Path], FaultOutcome]) -> FaultOutcome:
     with tempfile.TemporaryDirectory() as folder:
         outcome = run(Path(folder))
         return replace(outcome, message=outcome.message.replace(f"{folder}/", ""))
 
 
-def _row(o: Outcome) -> str:
+def _row(o: FaultOutcome) -> str:
     message = o.message.replace("|", "/")
     record = "yes" if o.record == "good" else f"no, spool says {o.spool.split(':')[0]}"
     times = (f"{value:.3f}" if math.isfinite(value) else "before the run" for value in (o.detected_s, o.stopped_s))

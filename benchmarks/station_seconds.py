@@ -9,7 +9,7 @@ import argparse
 
 import numpy as np
 
-from softcal.app.line.rig import PressedLot, PressTimes, press_simulated_lot
+from softcal.app.line.rig import PressTimes, RecordedLot, press_simulated_lot
 from softcal.core.errors import UnitRefused
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
@@ -62,7 +62,7 @@ def main() -> None:
         )
 
 
-def _own_error(lot: PressedLot, network: Network, model: SourceModel, serial: str, config: NetworkConfig) -> float:
+def _own_error(lot: RecordedLot, network: Network, model: SourceModel, serial: str, config: NetworkConfig) -> float:
     """Error of a calibration of the unit's own, on the rows that score its maps."""
     calibration = calibrate(UnitProblem(model, lot.units[serial]))
     return float(score_map(network, calibration.unit_map, lot.audits[serial], config).own or np.nan)

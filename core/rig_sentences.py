@@ -156,7 +156,7 @@ SENTENCES: Mapping[str, str] = {
     # A port that cannot be opened.
     "port.unreached": "cannot be reached: {error}; check address, power and network cable",
     "port.visa": "cannot be opened: {error}; `pyvisa-shell` lists the resources there are",
-    "port.none": "no such port; check the cable, then run `softcal station check` to see the ports there are",
+    "port.none": "no such port; check the cable, then find and test the rig to see the ports there are",
     "port.taken": "in use by {owner}; end that program, one process owns a port",
     "port.closed": "cannot be opened: {error}",
     "port.owner": "{name} (process {process})",
@@ -299,7 +299,7 @@ SENTENCES: Mapping[str, str] = {
     "station_file.same_port": (
         "[{name}] and [{other}] have the same port {port}; kinds {kind} and {kind2} cannot share it"
     ),
-    "station_file.unreadable": "{path}: {error}; write one with `softcal station check --write {path}`",
+    "station_file.unreadable": "{path}: {error}; find and test the rig to write a new one",
     "station_file.no_toml": "{path}: is no TOML file: {error}",
     "station_file.at": "{path}: {why}",
     "station_file.unknown_top": "unknown key {key}; known are name, {known}",
@@ -314,7 +314,7 @@ SENTENCES: Mapping[str, str] = {
     "station_file.no_key": "[{section}] {key} is missing",
     "station_file.wrong_type": "{name} is {value}; {expected} was expected",
     "station_file.outside": "{name} is {value:g}; a value in [{low:g}, {high:g}] was expected",
-    "station_file.no_scale": "force.counts_per_N is 0; run `softcal station calibrate-cell`",
+    "station_file.no_scale": "force.counts_per_N is 0; calibrate the cell with weights first (calibrate-cell)",
     "station_file.dmm_rate": (
         "readout.rate_Hz is {rate_Hz:g}; with cycles = {cycles:g} at most {most_Hz:g} readings a second are possible"
     ),
@@ -369,9 +369,7 @@ SENTENCES: Mapping[str, str] = {
     "cure.zero": "at most {allowed_N:g} N; unload the cell, then zero it",
     "cure.return": "it does not come back; check screws, belt and steps per mm",
     # What the gate looks at, and what it says.
-    "gate.no_certificate": (
-        "the load cell has no certificate on file; import it or type it in (`softcal station certificate`)"
-    ),
+    "gate.no_certificate": ("the load cell has no certificate on file; import it or type it in"),
     "gate.ended": "the load cell's certificate {number} ended on {day}; have it calibrated",
     "gate.valid": "{number}, valid until {day}",
     "gate.reaches": "the profile reaches {force_N:g} N, the certificate ends at {most_N:g} N",

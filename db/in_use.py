@@ -270,7 +270,7 @@ def conflict_line(connection: Connection, lot_id: str, serial: str) -> str:
     )
 
 
-def check_named(row: Mapping[str, Any]) -> None:
+def check_named(row: RowMapping) -> None:
     """Raise `RegistryError` where a statement (`of_lot`, `of_unit`) names a calibration that was not found."""
     if row["revision"] is None:
         raise damaged(f"unit {row['of_unit']} of lot {row['of_lot']}: the calibration in use was not found")

@@ -17,6 +17,9 @@ from softcal.db.entries import Anchor
 from softcal.db.tables import AUDITED, blobs, canonical_json, metadata
 
 BLOB_KINDS = (ARRAYS, ARRAY, "document", "job")
+KINDS_OF = {"certificates": ("document",)}
+"""Kind of the blobs that a table's rows name; all others name arrays."""
+
 MIGRATIONS = Path(__file__).with_name("migrations")
 
 IN_USE_IS_STATED = "0007"
@@ -140,9 +143,9 @@ def _forms(table: Table, row: dict[str, object]) -> set[str]:
 
 
 def _blob_faults(connection: Connection) -> Iterator[str]:
-    stored, parts = set(), dict[str, str]()
+    stored, parts = dict[str, str](), dict[str, str]()
     for row in connection.execute(select(blobs), execution_options={"yield_per": 50}):
-        stored.add(row.sha256)
+        stored[row.sha256] = row.kind
         if row.size != len(row.data) or row.kind not in BLOB_KINDS:
             yield f"blob {row.sha256[:12]}: its size or kind was changed"
         if hashlib.sha256(row.data).hexdigest() != row.sha256:
@@ -155,10 +158,14 @@ def _blob_faults(connection: Connection) -> Iterator[str]:
     for part, sha256 in parts.items():
         if part not in stored:
             yield f"blob {part[:12]} of blob {sha256[:12]}: is missing"
+        elif stored[part] != ARRAY:
+            yield f"blob {part[:12]}: its size or kind was changed"
     for table in _tables_with_blobs():
         for sha256 in connection.execute(select(table.c.blob_sha256)).scalars():
             if sha256 is not None and sha256 not in stored:
                 yield f"blob {sha256[:12]} of {table.name}: is missing"
+            elif sha256 is not None and stored[sha256] not in KINDS_OF.get(table.name, (ARRAYS,)):
+                yield f"blob {sha256[:12]}: its size or kind was changed"
 
 
 def _tables_with_blobs() -> list[Table]:

@@ -18,7 +18,7 @@ KNOWN_LOT = select(lots).where(lots.c.id == bindparam("lot"))
 KNOWN_UNIT = select(units.c.role).where(units.c.lot_id == bindparam("lot"), units.c.serial == bindparam("unit"))
 
 
-class Clock(Protocol):
+class UtcClock(Protocol):
     """Gives the time in UTC."""
 
     def __call__(self) -> datetime: ...
@@ -39,7 +39,7 @@ class RegistrySettings:
     """
 
     actor: str = "softcal"
-    clock: Clock = field(default=utc_now)
+    clock: UtcClock = field(default=utc_now)
 
 
 def damaged(what: str) -> RegistryError:

@@ -11,7 +11,7 @@ from softcal.core.reason import Reason, reason
 from softcal.core.recording import Array
 from softcal.station.bench import Bench
 from softcal.station.config import UNKNOWN_S
-from softcal.station.contact import Search, stiffest_N_mm
+from softcal.station.contact import ContactSearch, stiffest_N_mm
 from softcal.station.interfaces import Move, Step
 from softcal.station.motion import RETRACT_MM_S
 from softcal.station.proof import check_lag, lag_s
@@ -207,7 +207,7 @@ class _Run:
         """Lower slowly until force (or output, without a load cell) changes; return the position of the contact."""
         self._enter("searching for contact")
         bench, fixture = self._bench, self._bench.config.fixture
-        search = Search(fixture, bench.force is not None, self._readings.force, self._readings.output)
+        search = ContactSearch(fixture, bench.force is not None, self._readings.force, self._readings.output)
         deepest_mm, began_s = bench.config.safety.deepest_mm, self._clock.now_s()
         speed_mm_s = min(fixture.search_mm_s, self.watched.fastest_free_mm_s)
         move = self._motion.go(deepest_mm, speed_mm_s, search.is_over)

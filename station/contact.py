@@ -28,7 +28,7 @@ CURVED = 9.0
 STRETCH_MM = 0.1
 
 
-class Search:
+class ContactSearch:
     """A search for contact over samples that keep coming.
 
     Args:

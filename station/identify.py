@@ -24,7 +24,7 @@ CONVERTER_COUNTS, CELL_RATES_HZ = 4095, (10.0, 80.0)
 
 
 @dataclass(frozen=True)
-class Identity:
+class DeviceIdentity:
     """What answers at a port.
 
     Args:
@@ -44,7 +44,7 @@ class Identity:
     channels: int = 0
 
 
-def identify(port: str, clock: Clock) -> Identity:
+def identify(port: str, clock: Clock) -> DeviceIdentity:
     """Return what answers at a port.
 
     Raises:
@@ -52,17 +52,17 @@ def identify(port: str, clock: Clock) -> Identity:
     """
     link = Link(port, clock)
     try:
-        unknown = Identity(port, "", "", "answers in no dialect that softcal knows")
+        unknown = DeviceIdentity(port, "", "", "answers in no dialect that softcal knows")
         return _stream(link) or _esm(link) or _grbl(link) or _zaber(link) or _mark10(link) or _loadstar(link) or unknown
     finally:
         link.close()
 
 
-def _stream(link: Link) -> Identity | None:
+def _stream(link: Link) -> DeviceIdentity | None:
     banner, lines = "", []
     heard, rate_Hz = _heard(link)
     if any(_is_indicator(line.text) for line in heard[1:3]):
-        return Identity(link.port, "force", "indicator", heard[1].text.decode(), rate_Hz, 1)
+        return DeviceIdentity(link.port, "force", "indicator", heard[1].text.decode(), rate_Hz, 1)
     for line in heard:
         if line.text.startswith(b"softcal "):
             banner = line.text.decode("ascii", "replace")
@@ -75,7 +75,7 @@ def _stream(link: Link) -> Identity | None:
     rate_Hz = seen_rate_Hz(np.array([line.device_ms for line in lines]) / 1000.0)
     counts = [count for line in lines for count in line.counts]
     role, kind, why = _told_apart(banner, max(map(abs, counts)), min(counts), rate_Hz)
-    return Identity(link.port, role, kind, why, rate_Hz, len(lines[0].counts))
+    return DeviceIdentity(link.port, role, kind, why, rate_Hz, len(lines[0].counts))
 
 
 def _heard(link: Link) -> tuple[list[Line], float]:
@@ -108,7 +108,7 @@ def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tup
     return "", "", f"counts up to {largest} at {rate_Hz:.0f} Hz: a load cell or readout; say which in the station file"
 
 
-def _esm(link: Link) -> Identity | None:
+def _esm(link: Link) -> DeviceIdentity | None:
     # Asked before all others: the slash of a Zaber command would open the stand's channel to its gauge.
     link.discard()
     link.write(esm.STATUS)
@@ -120,11 +120,11 @@ def _esm(link: Link) -> Identity | None:
     try:
         settings = gcl2.parse_settings(link.next_line(QUICK_S).text)
     except (BadReply, NoReply):
-        return Identity(link.port, "stage", "esm", "Mark-10 stand without a gauge that answers")
-    return Identity(link.port, "stage", "esm", f"Mark-10 stand, its gauge in {settings.unit}", 50.0, 1)
+        return DeviceIdentity(link.port, "stage", "esm", "Mark-10 stand without a gauge that answers")
+    return DeviceIdentity(link.port, "stage", "esm", f"Mark-10 stand, its gauge in {settings.unit}", 50.0, 1)
 
 
-def _grbl(link: Link) -> Identity | None:
+def _grbl(link: Link) -> DeviceIdentity | None:
     link.discard()
     link.write(b"\r\n" + grbl.STATUS)
     end_s = link.clock.now_s() + ANSWER_S
@@ -136,9 +136,9 @@ def _grbl(link: Link) -> Identity | None:
         except NoReply:
             return None
         if isinstance(reply, grbl.Greeting):
-            return Identity(link.port, "stage", "grbl", reply.text)
-        if isinstance(reply, grbl.Status):
-            return Identity(link.port, "stage", "grbl", f"GRBL controller, {reply.state}")
+            return DeviceIdentity(link.port, "stage", "grbl", reply.text)
+        if isinstance(reply, grbl.GrblStatus):
+            return DeviceIdentity(link.port, "stage", "grbl", f"GRBL controller, {reply.state}")
     return None
 
 
@@ -150,17 +150,17 @@ def _is_indicator(line: bytes) -> bool:
     return True
 
 
-def _zaber(link: Link) -> Identity | None:
+def _zaber(link: Link) -> DeviceIdentity | None:
     link.discard()
     link.write(b"\n" + zaber.format_command(zaber.Command(1, 0, 1, "get deviceid")))  # the line of before is ended
     try:
         reply = zaber.parse_reply(link.next_line(QUICK_S).text)
     except (BadReply, NoReply):
         return None
-    return Identity(link.port, "stage", "zaber", f"Zaber device {reply.data}") if reply else None
+    return DeviceIdentity(link.port, "stage", "zaber", f"Zaber device {reply.data}") if reply else None
 
 
-def _mark10(link: Link) -> Identity | None:
+def _mark10(link: Link) -> DeviceIdentity | None:
     link.discard()
     link.write(gcl2.END + gcl2.LIST)
     end_s = link.clock.now_s() + QUICK_S
@@ -172,11 +172,11 @@ def _mark10(link: Link) -> Identity | None:
             continue  # The bytes of the other dialects have earned an error code first.
         except NoReply:
             return None
-        return Identity(link.port, "force", "mark10", f"Mark-10 gauge in {settings.unit}", 50.0, 1)
+        return DeviceIdentity(link.port, "force", "mark10", f"Mark-10 gauge in {settings.unit}", 50.0, 1)
     return None
 
 
-def _loadstar(link: Link) -> Identity | None:
+def _loadstar(link: Link) -> DeviceIdentity | None:
     link.discard()
     link.write(loadstar.PING + loadstar.MODEL)
     end_s = link.clock.now_s() + QUICK_S
@@ -186,5 +186,7 @@ def _loadstar(link: Link) -> Identity | None:
         except NoReply:
             return None
         if any(known in line for known in loadstar.KNOWN_MODELS):
-            return Identity(link.port, "force", "loadstar", f"Loadstar {line.decode('ascii', 'replace')}", 80.0, 1)
+            return DeviceIdentity(
+                link.port, "force", "loadstar", f"Loadstar {line.decode('ascii', 'replace')}", 80.0, 1
+            )
     return None

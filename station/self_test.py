@@ -29,7 +29,7 @@ RATE_SHARE = 0.05
 
 
 @dataclass(frozen=True)
-class Finding:
+class SelfTestItem:
     """One thing the self-test looked at.
 
     Args:
@@ -49,7 +49,7 @@ class Finding:
         return self.cure is None
 
 
-def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] = lambda: None) -> list[Finding]:
+def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] = lambda: None) -> list[SelfTestItem]:
     """Home the stage and move it a little, watched as any other move, then read every channel for some seconds.
 
     A device that fails is a finding, so that all faults are seen at once.
@@ -77,7 +77,9 @@ def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] =
     except Cancelled:
         raise
     except DeviceError as error:
-        findings.append(Finding(Reason("device.readers"), Reason("check.stream"), Reason("found.failed"), error.reason))
+        findings.append(
+            SelfTestItem(Reason("device.readers"), Reason("check.stream"), Reason("found.failed"), error.reason)
+        )
     for reader in readers:
         findings += _stream_findings(reader, samples[reader.name])
     if bench.force is not None:
@@ -85,10 +87,10 @@ def self_test(bench: Bench, may_move: bool = True, on_wait: Callable[[], None] =
     return findings
 
 
-def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -> list[Finding]:
+def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -> list[SelfTestItem]:
     if len(samples) < 10:
         return [
-            Finding(
+            SelfTestItem(
                 named(reader.name),
                 Reason("check.stream"),
                 reason("found.samples", count=len(samples)),
@@ -98,12 +100,12 @@ def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -
     values = np.array([sample.values for sample in samples])
     noise = float(np.max(np.std(np.diff(values, axis=0), axis=0))) / np.sqrt(2)
     findings = [
-        Finding(
+        SelfTestItem(
             named(reader.name),
             Reason("check.reading"),
             reason("found.reading", values=", ".join(f"{v:.4g}" for v in values.mean(axis=0)), unit=reader.unit),
         ),
-        Finding(named(reader.name), Reason("check.noise"), reason("found.noise", noise=noise, unit=reader.unit)),
+        SelfTestItem(named(reader.name), Reason("check.noise"), reason("found.noise", noise=noise, unit=reader.unit)),
     ]
     if samples[0].device_s is None:
         return findings
@@ -115,16 +117,16 @@ def _stream_findings(reader: ForceReader | Readout, samples: Sequence[Sample]) -
     drift = Reason("cure.clock") if abs(fit.rate - 1) > LARGEST_DRIFT else None
     return [
         *findings,
-        Finding(
+        SelfTestItem(
             named(reader.name), Reason("check.rate"), reason("found.rate", rate_Hz=rate_Hz), None if is_right else slow
         ),
-        Finding(
+        SelfTestItem(
             named(reader.name),
             Reason("check.drift"),
             reason("found.drift", drift_ppm=_ppm(1 - fit.rate), doubt_ppm=_ppm(LOOK_S / LISTEN_S)),
             drift,
         ),
-        Finding(
+        SelfTestItem(
             named(reader.name),
             Reason("check.latency"),
             reason("found.latency", middle_ms=1000.0 * fit.late_s, most_ms=1000.0 * fit.latest_s),
@@ -136,15 +138,15 @@ def _ppm(share: float) -> str:
     return f"{1e6 * share:.0f}"
 
 
-def _zero_findings(bench: Bench, samples: Sequence[Sample]) -> list[Finding]:
+def _zero_findings(bench: Bench, samples: Sequence[Sample]) -> list[SelfTestItem]:
     if not samples:
         return []
     zero_N, allowed_N = float(np.mean([sample.values[0] for sample in samples])), bench.config.safety.zero_N
     cure = None if abs(zero_N) <= allowed_N else reason("cure.zero", allowed_N=allowed_N)
-    return [Finding(named("load cell"), Reason("check.zero"), reason("found.zero", zero_N=zero_N), cure)]
+    return [SelfTestItem(named("load cell"), Reason("check.zero"), reason("found.zero", zero_N=zero_N), cure)]
 
 
-def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[Finding]:
+def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[SelfTestItem]:
     stage = bench.stage
     watched = WatchedBench(bench, None, on_wait)
     try:
@@ -152,16 +154,16 @@ def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[Finding]:
     except Cancelled:
         raise
     except DeviceError as error:
-        return [Finding(STAGE, Reason("check.homing_moving"), Reason("found.failed"), error.reason)]
+        return [SelfTestItem(STAGE, Reason("check.homing_moving"), Reason("found.failed"), error.reason)]
     cure = None if abs(error_mm) < POSITION_MM else Reason("cure.return")
     return [
-        Finding(STAGE, Reason("check.homing"), Reason("found.switch")),
-        Finding(
+        SelfTestItem(STAGE, Reason("check.homing"), Reason("found.switch")),
+        SelfTestItem(
             STAGE,
             Reason("check.travel"),
             reason("found.travel", travel_mm=stage.travel_mm, speed_mm_s=stage.max_speed_mm_s),
         ),
-        Finding(
+        SelfTestItem(
             STAGE,
             Reason("check.return"),
             reason("found.return", way_mm=2 * down_mm, took_s=took_s, error_mm=error_mm),
@@ -191,20 +193,20 @@ def _go_out_and_back(watched: WatchedBench) -> tuple[float, float, float]:
     return took_s, down_mm, watched.readings.polls[-1].position_mm - began_mm
 
 
-def _safety_findings(bench: Bench, watched: WatchedBench) -> list[Finding]:
+def _safety_findings(bench: Bench, watched: WatchedBench) -> list[SelfTestItem]:
     """What a stop holds on this rig, in figures."""
     if bench.force is None:
         return []
     bounds, stage = watched.bounds, bench.stage
     settings = stage.unsafe_settings() if isinstance(stage, Advises) else ()
-    unsafe = [Finding(STAGE, Reason("check.setting"), plain(value), cure) for value, cure in settings]
+    unsafe = [SelfTestItem(STAGE, Reason("check.setting"), plain(value), cure) for value, cure in settings]
     safe = reason(
         "found.safe_speed", free_mm_s=bounds.free_mm_s, unknown_mm_s=bounds.unknown_mm_s, ceiling_N=bounds.ceiling_N
     )
-    findings = [*unsafe, Finding(STAGE, Reason("check.safe_speed"), safe)]
+    findings = [*unsafe, SelfTestItem(STAGE, Reason("check.safe_speed"), safe)]
     if isinstance(stage, RunsOn):
         speed_mm_s = bench.config.safety.speed_mm_s
         on_s = stage.runs_on_s(speed_mm_s)
         value = reason("found.runs_on", speed_mm_s=speed_mm_s, on_s=on_s, way_mm=on_s * speed_mm_s)
-        findings.append(Finding(STAGE, Reason("check.runs_on"), value))
+        findings.append(SelfTestItem(STAGE, Reason("check.runs_on"), value))
     return findings

@@ -28,7 +28,7 @@ from softcal.station.interfaces import Reader, Stage
 from softcal.station.motion import Cancelled
 from softcal.station.named import named
 from softcal.station.recording import StationRecording
-from softcal.station.self_test import Finding, self_test
+from softcal.station.self_test import SelfTestItem, self_test
 from softcal.station.spool import Spool
 
 CODES: Mapping[type[SoftcalError], str] = {
@@ -96,7 +96,7 @@ class StationService:
         self.state = StationState.STARTING
         self.reasons: tuple[Reason, ...] = ()
         self.gate = Gate()
-        self.findings: list[Finding] = []
+        self.findings: list[SelfTestItem] = []
 
     @property
     def rig(self) -> RigFacts:

@@ -92,7 +92,7 @@ class Recording:
         Raises:
             InputError: there is no column of that name; the message lists those there are.
         """
-        columns = {}
+        columns: dict[str, Any] = {}
         for argument, name in (("output", output), ("reference", reference), ("t_s", time)):
             if name is None:
                 continue

@@ -13,7 +13,7 @@ from softcal.app.cli.options import (
     registry_of,
     say_caution,
 )
-from softcal.app.output import Progress, say, write_json
+from softcal.app.output import ProgressLine, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def _follow(registry: "Registry", options: argparse.Namespace, adapt: "AdaptOpti
     from softcal.app.use.adapt import adapt_file
 
     source = Path(options.source)
-    progress = Progress("rows", count_rows(source))
+    progress = ProgressLine("rows", count_rows(source))
     return adapt_file(registry, options.serial, source, Path(options.out), adapt, progress.reach, names)
 
 

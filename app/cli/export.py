@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of, say_caution
 from softcal.app.export.names import formats
-from softcal.app.output import Progress, print_table, say, write_json
+from softcal.app.output import ProgressLine, print_table, say, write_json
 
 if TYPE_CHECKING:
     from softcal.app.export.calibrated_unit import ExportOptions
@@ -150,7 +150,7 @@ def _export(options: argparse.Namespace) -> tuple[list[dict[str, object]], int]:
     with registry_of(options, create=False) as registry:
         choices = _options(options)
         serials = options.serial or lot_serials(registry, options.lot, choices)
-        progress = Progress("units exported", len(serials))
+        progress = ProgressLine("units exported", len(serials))
         formats = options.format or ["json"]
         units = export_units(registry, serials, formats, options.out, choices, lambda unit: progress.step(unit.serial))
         for unit in units:

@@ -10,7 +10,7 @@ from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from softcal.core.gap.diagnosis import Cause, Diagnosis
+    from softcal.core.gap.diagnosis import Diagnosis, RankedCause
     from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis
     from softcal.core.twin.parameters import ReadoutMetadata
 
@@ -208,5 +208,5 @@ def _show_result(diagnosis: "Diagnosis | SimulatorDiagnosis") -> None:
     print(f"next        {diagnosis.next_experiment.profile}: {diagnosis.next_experiment.why}")
 
 
-def _values(cause: "Cause") -> str:
+def _values(cause: "RankedCause") -> str:
     return ", ".join(f"{name} = {p.value:.3g} {p.unit}".rstrip() for name, p in cause.parameters.items())

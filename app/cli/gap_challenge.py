@@ -89,11 +89,11 @@ def _add_score(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 def _challenge(options: argparse.Namespace) -> int:
     from softcal.app.gap.challenge import make_challenge
-    from softcal.app.output import Progress, say
+    from softcal.app.output import ProgressLine, say
 
     folder: Path = options.out
     seal_file = options.seal or folder.parent / f"{folder.name}.seal.json"
-    progress = Progress("cases", max(1, options.cases))
+    progress = ProgressLine("cases", max(1, options.cases))
     made = make_challenge(folder, seal_file, options.cases, options.seed, options.line, progress.step)
     print(f"commitment  {made.commitment}")
     say(f"{len(made.cases)} cases in {folder}; labels in {seal_file}: keep it away from whoever diagnoses")

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from softcal.app.output import Progress, say
+from softcal.app.output import ProgressLine, say
 
 if TYPE_CHECKING:
     from softcal.app.batch.lot_work import Watch
@@ -135,7 +135,7 @@ class _BatchProgress:
 
     def __init__(self, unit: str) -> None:
         self._unit, self._total, self._note = unit, 0, ""
-        self._progress: Progress | None = None
+        self._progress: ProgressLine | None = None
 
     def watch(self, kind: "type[Watch]") -> "Watch":
         return kind(
@@ -154,6 +154,6 @@ class _BatchProgress:
 
     def _reached(self, done: int) -> None:
         if self._progress is None:
-            self._progress = Progress("units", self._total, done)
+            self._progress = ProgressLine("units", self._total, done)
         else:
             self._progress.reach(done, self._note)

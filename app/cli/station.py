@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from softcal.core.twin.simulate import Twin
     from softcal.station.acquisition import OnProgress
     from softcal.station.catalogue import Offer
-    from softcal.station.self_test import Finding
+    from softcal.station.self_test import SelfTestItem
 
 EXAMPLES = """examples:
   softcal station check                                       look at every USB serial port
@@ -329,7 +329,7 @@ def _recovered_row(run: "Recovered") -> tuple[str, str, str, int, str]:
     return run.serial, run.profile, run.end[:60], run.samples, ", ".join(map(str, run.files))
 
 
-def _row(finding: "Finding") -> tuple[str, str, str, str]:
+def _row(finding: "SelfTestItem") -> tuple[str, str, str, str]:
     return str(finding.device), str(finding.what), str(finding.value), str(finding.cure or "good")
 
 

@@ -211,7 +211,7 @@ def _plugin_files(point: EntryPoint, write: Callable[[CalibratedUnit], Any], uni
     # What a plug-in writes may give numbers: a unit that is not released has none of it.
     unit.check_usable()
     try:
-        files: Any = write(unit)
+        files: dict[str, bytes] = write(unit)
     except UnitRefused:
         raise
     except Exception as error:
@@ -226,4 +226,4 @@ def _plugin_files(point: EntryPoint, write: Callable[[CalibratedUnit], Any], uni
         raise InputError(
             f"{who(point, KIND)}: gave no files; names with the serial {unit.serial} and bytes were expected"
         )
-    return dict(files)
+    return files

@@ -15,7 +15,7 @@ from softcal.app.files.lot_folder import write_lot_toml
 from softcal.app.files.recording_file import write_columns
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase
 from softcal.core.challenge.draw import LINES, SEED_BITS, draw_case, draw_challenge, drawn_seed
-from softcal.core.challenge.mistakes import Written
+from softcal.core.challenge.mistakes import RunOnFile
 from softcal.core.challenge.realised import realised_shrink
 from softcal.core.challenge.rig import Measured
 from softcal.core.challenge.score import ScoreSheet, score_reports
@@ -100,7 +100,7 @@ def write_case(folder: Path, case: SealedCase) -> str:
     return folder_sha256(folder)
 
 
-def write_run(folder: Path, case: SealedCase, found: Written) -> None:
+def write_run(folder: Path, case: SealedCase, found: RunOnFile) -> None:
     """Write one run as `recording.csv` and `recording.json`."""
     measured = found.measured
     metadata: dict[str, object] = {
@@ -146,7 +146,7 @@ def ask_rig(folder: Path, seal_file: Path, case_name: str, experiment: str) -> P
     runs = folder / case_name / "runs"
     number = 1 + sum(path.name.startswith("asked") for path in runs.iterdir())
     asked = case.measure(RunPlan(experiment, case.kept_back.seed + number))
-    write_run(runs / f"asked-{number}", case, Written(asked, case.rig.sample_rate_Hz))
+    write_run(runs / f"asked-{number}", case, RunOnFile(asked, case.rig.sample_rate_Hz))
     return runs / f"asked-{number}"
 
 

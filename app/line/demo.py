@@ -12,7 +12,7 @@ from softcal.app.batch.report import BatchReport, UnitResult
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_toml
 from softcal.app.files.recording_file import write_columns
-from softcal.app.line.rig import PressedLot, PressTimes, press_simulated_lot
+from softcal.app.line.rig import PressTimes, RecordedLot, press_simulated_lot
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -82,7 +82,7 @@ def table_row(unit: UnitResult) -> list[object]:
     return [unit.serial, unit.verdict, before, after, own, *ratios, made.predicted_rmse]
 
 
-def _write(folder: Path, pressed: PressedLot, lot: Lot) -> None:
+def _write(folder: Path, pressed: RecordedLot, lot: Lot) -> None:
     with whole_folder(folder) as part:
         write_lot_toml(part, lot, SIMULATED)
         _write_labelled(part / "source" / f"{lot.source}.csv", pressed.source)

@@ -25,7 +25,7 @@ SHOWN_RUNS = 14
 MOST_AT_ONCE = 16
 """So many units of one run are looked for."""
 
-Run = tuple[Order, Progress]
+LineRun = tuple[Order, Progress]
 
 
 @dataclass(frozen=True)
@@ -88,8 +88,8 @@ class LineFacts:
     is_alive: bool | None = None
     lots: tuple[str, ...] = ()
     lot: LotAtLine | None = None
-    active: Run | None = None
-    runs: tuple[Run, ...] = ()
+    active: LineRun | None = None
+    runs: tuple[LineRun, ...] = ()
     place: Place = Place()
     results: tuple[RunEntry, ...] = ()
     standings: Mapping[str, UnitStanding] = field(default_factory=dict)
@@ -119,7 +119,7 @@ class LineFacts:
         return run[0].order_id if run else ""
 
     @property
-    def newest(self) -> Run | None:
+    def newest(self) -> LineRun | None:
         """The newest run that is over."""
         return next((run for run in self.runs if not run[1].state.is_active), None)
 
@@ -219,7 +219,7 @@ def _standings(registry: Registry, facts: LineFacts, lot_id: str) -> dict[str, U
     return {**found, **registry.standings(lot_id, several)} if several else found
 
 
-def standing_of(facts: LineFacts, run: Run) -> tuple[UnitStanding, ...]:
+def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitStanding, ...]:
     """Return where the units of a run stand now, the worst first; none where the run decided nothing about them."""
     order, progress = run
     if order.kind is not OrderKind.UNIT or facts.lot is None or order.lot_id != facts.lot.id:

@@ -10,7 +10,7 @@ from softcal.core.errors import InputError
 from softcal.core.orders import OrderKind
 from softcal.core.quality.control_chart import control_chart
 from softcal.core.quality.gate import (
-    CellCertificate,
+    CellAtGate,
     Gate,
     GoldenCheck,
     Override,
@@ -137,7 +137,7 @@ def quarantine(registry: Registry, station: str, now: datetime) -> tuple[str, ..
     return quarantined(pressed, [_check(run) for run in registry.golden_runs(station)], now)
 
 
-def _certificate(registry: Registry, config: StationConfig) -> CellCertificate | None:
+def _certificate(registry: Registry, config: StationConfig) -> CellAtGate | None:
     if config.force is None:
         return None
     entries = registry.certificates(config.force.serial)
@@ -145,7 +145,7 @@ def _certificate(registry: Registry, config: StationConfig) -> CellCertificate |
         return None
     newest = entries[-1]
     last_day = newest.due_on - timedelta(days=1)
-    return CellCertificate(newest.number, last_day, newest.capacity_N, newest.uncertainty_N)
+    return CellAtGate(newest.number, last_day, newest.capacity_N, newest.uncertainty_N)
 
 
 def _check(run: GoldenRun) -> GoldenCheck:

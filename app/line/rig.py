@@ -24,10 +24,10 @@ from softcal.station.acquisition import OnProgress, record
 from softcal.station.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
 from softcal.station.clock import HostClock
 from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
-from softcal.station.identify import Identity, identify
+from softcal.station.identify import DeviceIdentity, identify
 from softcal.station.link import available_ports
 from softcal.station.recording import StationRecording
-from softcal.station.self_test import Finding, self_test
+from softcal.station.self_test import SelfTestItem, self_test
 from softcal.station.spool import Spool
 
 SERIALS_APART = ","
@@ -72,7 +72,7 @@ def _units_like(twin: Twin | None, seed: int, count: int) -> tuple[Twin, ...]:
     return (twin, *draw_lot(rng, count - 1, twin.parameters, twin.metadata, twin.effects))
 
 
-def find_devices(ports: Sequence[str]) -> list[Identity]:
+def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
     """Return what answers at these ports, or at all USB serial ports of this machine where none is given.
 
     Raises:
@@ -81,7 +81,7 @@ def find_devices(ports: Sequence[str]) -> list[Identity]:
     candidates = list(ports) or available_ports()
     if not candidates:
         raise NoReply(f"no USB serial port on this machine; looked for {LOOKED_FOR}; plug them in, or use --simulated")
-    found: list[Identity] = []
+    found: list[DeviceIdentity] = []
     faults: list[Reason] = []
     for port in candidates:
         try:
@@ -93,7 +93,7 @@ def find_devices(ports: Sequence[str]) -> list[Identity]:
     return found
 
 
-def station_of(devices: Sequence[Identity]) -> StationConfig:
+def station_of(devices: Sequence[DeviceIdentity]) -> StationConfig:
     """Return the station that these devices make up.
 
     Raises:
@@ -117,7 +117,7 @@ def station_of(devices: Sequence[Identity]) -> StationConfig:
     )
 
 
-def _only(devices: Sequence[Identity], role: str, name: str) -> Identity | None:
+def _only(devices: Sequence[DeviceIdentity], role: str, name: str) -> DeviceIdentity | None:
     """Return the one device of a role; between two nobody but a person can decide."""
     found = [device for device in devices if device.role == role]
     if len(found) > 1:
@@ -131,8 +131,8 @@ class StationCheck:
     """What `softcal station check` found."""
 
     config: StationConfig
-    devices: tuple[Identity, ...]
-    findings: tuple[Finding, ...]
+    devices: tuple[DeviceIdentity, ...]
+    findings: tuple[SelfTestItem, ...]
 
     def as_json(self) -> dict[str, object]:
         """Return the report as JSON values."""
@@ -145,7 +145,7 @@ class StationCheck:
         }
 
 
-def _finding_json(finding: Finding) -> dict[str, object]:
+def _finding_json(finding: SelfTestItem) -> dict[str, object]:
     texts = {name: str(getattr(finding, name) or "") for name in ("device", "what", "value", "cure")}
     return texts | {"is_good": finding.is_good}
 
@@ -158,7 +158,7 @@ def check_station(
     Raises:
         DeviceError: a port or a device is missing; all of them are named.
     """
-    devices: list[Identity] = []
+    devices: list[DeviceIdentity] = []
     if ports or (station_file is None and simulated_seed is None):
         devices = find_devices(ports)
     if station_file is None and simulated_seed is None:
@@ -278,7 +278,7 @@ def profile_for(kind: str, seed: int, seconds: float | None, depth_mm: float, fi
 
 
 @dataclass(frozen=True)
-class PressedLot:
+class RecordedLot:
     """A lot as the station records it: the source with its reference, units without, audits to score them."""
 
     source: LabelledRecording
@@ -301,7 +301,7 @@ def press_simulated_lot(
     seed: int = 0,
     times: PressTimes | None = None,
     on_run: Callable[[str], None] | None = None,
-) -> PressedLot:
+) -> RecordedLot:
     """Press every unit of a simulated lot on one simulated station, over its serial lines.
 
     Args:
@@ -328,4 +328,4 @@ def press_simulated_lot(
             tell(f"unit {serial}: audit with the load cell, to score")
             audit = record(bench, serial, unit_profile(rng, times.audit_s), with_reference=True)
             audits[serial] = audit.labelled_recording()
-    return PressedLot(source.labelled_recording(), units, audits)
+    return RecordedLot(source.labelled_recording(), units, audits)

@@ -10,7 +10,7 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.quality.control_chart import Capability, ControlChart, capability, control_chart
 from softcal.core.quality.gauge_study import GaugeStudy, study_by_anova, study_by_ranges
-from softcal.core.quality.yields import Run, Share, Yields, kind, yields
+from softcal.core.quality.yields import Share, UnitRun, Yields, kind, yields
 from softcal.core.recording import Array
 from softcal.core.unit.verdict import Release, Verdict
 from softcal.db.registry import Registry
@@ -69,9 +69,9 @@ def _predicted(registry: Registry, lot_id: str) -> Array:
 
 def lot_yields(registry: Registry, lot_id: str, *, conditional_is_good: bool = False) -> Yields:
     """Count the yields of a lot; golden units are left out."""
-    runs: dict[str, list[Run]] = {}
+    runs: dict[str, list[UnitRun]] = {}
     for run in registry.runs(lot_id):
-        runs.setdefault(run.serial, []).append(Run(run.verdict, run.reasons))
+        runs.setdefault(run.serial, []).append(UnitRun(run.verdict, run.reasons))
     golden = {run.serial for run in registry.golden_runs()}
     asked = Release.CONDITIONAL if conditional_is_good else Release.PASS
     good = [verdict for verdict in Verdict if asked.releases(verdict)]

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from softcal.app.line.facts import SHOWN_RUNS, LineFacts, Run, standing_of
+from softcal.app.line.facts import SHOWN_RUNS, LineFacts, LineRun, standing_of
 from softcal.app.texts.reasons import plainly, said
 from softcal.app.views.common import number, phase_said
 from softcal.core.orders import Condition, OrderKind, Progress, RunState, Signal
@@ -193,7 +193,7 @@ def away_view(kept: int, operator: str, words: Words) -> LineView:
     return LineView("away", words("line.away"), "", words("line.away.do"), details, cells=cells)
 
 
-def _state(facts: LineFacts) -> tuple[str, Run | None]:
+def _state(facts: LineFacts) -> tuple[str, LineRun | None]:
     """Return the state and the run it is about."""
     if facts.heartbeat is None:
         return "no_station", None
@@ -228,7 +228,7 @@ def _idle(facts: LineFacts) -> str:
     return "hand" if facts.is_in_doubt or facts.newest is not None else "ready"
 
 
-def _after_run(facts: LineFacts, run: Run) -> tuple[str, Run | None]:
+def _after_run(facts: LineFacts, run: LineRun) -> tuple[str, LineRun | None]:
     order, progress = run
     if progress.state is not RunState.DONE:
         return "broken", run
@@ -242,7 +242,7 @@ def _after_run(facts: LineFacts, run: Run) -> tuple[str, Run | None]:
     return verdict or "recorded", run
 
 
-def verdict_of(facts: LineFacts, run: Run) -> str:
+def verdict_of(facts: LineFacts, run: LineRun) -> str:
     """Return the verdict of a run's unit as every page says it now, of several units the worst; "" without one.
 
     The run keeps what was decided when it was pressed; an audit, a new limit or a batch may have decided since.
@@ -257,7 +257,7 @@ def _actions(facts: LineFacts, state: str) -> tuple[str, ...]:
     return ACTIONS.get(state, ())
 
 
-def _instruction(facts: LineFacts, state: str, serial: str, run: Run | None, words: Words) -> str:
+def _instruction(facts: LineFacts, state: str, serial: str, run: LineRun | None, words: Words) -> str:
     values = {"serial": serial, "lot": facts.lot.id if facts.lot else "", "station": facts.station}
     if state == "ask":
         last = facts.standings.get(serial) or facts.results[-1]
@@ -268,7 +268,7 @@ def _instruction(facts: LineFacts, state: str, serial: str, run: Run | None, wor
     return words(f"line.{state}.do", **values)
 
 
-def _details(facts: LineFacts, state: str, run: Run | None, words: Words) -> tuple[str, ...]:
+def _details(facts: LineFacts, state: str, run: LineRun | None, words: Words) -> tuple[str, ...]:
     beat = facts.heartbeat
     if state == "closed" and beat is not None:
         return () if beat.gate else tuple(said(why, words) for why in beat.reasons)
@@ -283,7 +283,7 @@ def _details(facts: LineFacts, state: str, run: Run | None, words: Words) -> tup
     return (*_plain(_reasons(facts, state, run), words), *_changed(facts, run, words), *code)
 
 
-def _reasons(facts: LineFacts, state: str, run: Run | None) -> tuple[Reason, ...]:
+def _reasons(facts: LineFacts, state: str, run: LineRun | None) -> tuple[Reason, ...]:
     """Return why the unit of a card stands as it does."""
     if state in ("ask", "used_up"):
         return (facts.standings.get(facts.serial) or facts.results[-1]).reasons
@@ -297,14 +297,14 @@ def _plain(reasons: tuple[Reason, ...], words: Words) -> tuple[str, ...]:
     return tuple(dict.fromkeys(plainly(reason, words) for reason in reasons))[:MOST_SENTENCES]
 
 
-def _why(facts: LineFacts, state: str, run: Run | None, words: Words) -> tuple[str, ...]:
+def _why(facts: LineFacts, state: str, run: LineRun | None, words: Words) -> tuple[str, ...]:
     """Return the reasons with their numbers, where the card says them without."""
     reasons = _reasons(facts, state, run) if state not in ("closed", "stopped", "broken") else ()
     numbered = tuple(said(reason, words) for reason in reasons)
     return numbered if state == "pass" or numbered != _plain(reasons, words) else ()
 
 
-def _changed(facts: LineFacts, run: Run | None, words: Words) -> tuple[str, ...]:
+def _changed(facts: LineFacts, run: LineRun | None, words: Words) -> tuple[str, ...]:
     """Return the sentence that somebody or something decided anew since the unit was pressed."""
     now = standing_of(facts, run) if run else ()
     if run is None or not now or run[1].verdict in ("", now[0].verdict):
@@ -313,7 +313,7 @@ def _changed(facts: LineFacts, run: Run | None, words: Words) -> tuple[str, ...]
     return (words("line.changed", verdict=words(f"verdict.{run[1].verdict}"), at=at),)
 
 
-def _result(facts: LineFacts, run: Run, words: Words) -> tuple[str, ...]:
+def _result(facts: LineFacts, run: LineRun, words: Words) -> tuple[str, ...]:
     """Return what a good unit got: its own error beside the lot's limit, and nothing of how either was found."""
     now = standing_of(facts, run)
     made = now[0].made if now else None
@@ -347,7 +347,7 @@ def _conditions(facts: LineFacts, words: Words) -> tuple[Condition, ...]:
     return tuple(Condition(plain(said(c.name, words)), c.is_good, plain(said(c.says, words))) for c in gate)
 
 
-def _is_why_stopped(facts: LineFacts, run: Run) -> bool:
+def _is_why_stopped(facts: LineFacts, run: LineRun) -> bool:
     """Whether the station stands still because of this run, and not because of a device between runs."""
     return facts.heartbeat is not None and bool(run[1].code) and set(run[1].message) <= set(facts.heartbeat.reasons)
 
@@ -384,7 +384,7 @@ def _chips(facts: LineFacts, words: Words) -> tuple[Chip, ...]:
     return tuple(_chip(facts, run, words) for run in over[:SHOWN_RUNS])
 
 
-def _chip(facts: LineFacts, run: Run, words: Words) -> Chip:
+def _chip(facts: LineFacts, run: LineRun, words: Words) -> Chip:
     order, progress = run
     state = "broken" if progress.state is not RunState.DONE else verdict_of(facts, run) or "recorded"
     return Chip(order.serial, TONES[state], state_word(state, words))

@@ -9,7 +9,7 @@ from softcal.db.registry import Registry
 
 
 @dataclass(frozen=True)
-class UnitInUse:
+class UnitInUseView:
     """One unit in use.
 
     Args:
@@ -47,15 +47,15 @@ class Course:
         return [step[name] for step in self.steps]
 
 
-def units_in_use(registry: Registry) -> list[UnitInUse]:
+def units_in_use(registry: Registry) -> list[UnitInUseView]:
     """Return the units in use: those with an alarm first, then by predicted error."""
     found = [_unit(entry) for entry in registry.adapted_units()]
     return sorted(found, key=lambda unit: (not unit.alarm, -unit.predicted_rmse))
 
 
-def _unit(entry: AdaptedUnit) -> UnitInUse:
+def _unit(entry: AdaptedUnit) -> UnitInUseView:
     step = entry.entry
-    return UnitInUse(
+    return UnitInUseView(
         entry.serial,
         f"{entry.made_at:%Y-%m-%d %H:%M:%S} UTC",
         entry.steps,

@@ -11,7 +11,7 @@ from scipy.stats import fisher_exact
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.control_chart import Capability, ControlChart, capability, control_chart
-from softcal.core.quality.yields import Run, Yields, yields
+from softcal.core.quality.yields import UnitRun, Yields, yields
 from softcal.core.reason import Reason
 from softcal.core.recording import Array
 from softcal.db.entries import RunEntry, UnitEntry
@@ -203,10 +203,10 @@ def reason_kind(reason: str) -> str:
     return re.sub(r"\s*-?\d[\d.,]*(e[+-]?\d+)?(\s*(N|V|%|mm|s|Hz)\b)?", "", head).strip()
 
 
-def _by_unit(runs: Sequence[RunEntry]) -> dict[str, list[Run]]:
-    by_unit: dict[str, list[Run]] = {}
+def _by_unit(runs: Sequence[RunEntry]) -> dict[str, list[UnitRun]]:
+    by_unit: dict[str, list[UnitRun]] = {}
     for run in runs:
-        by_unit.setdefault(run.serial, []).append(Run(run.verdict, run.reasons))
+        by_unit.setdefault(run.serial, []).append(UnitRun(run.verdict, run.reasons))
     return by_unit
 
 

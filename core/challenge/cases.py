@@ -8,7 +8,7 @@ import numpy as np
 
 from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
 from softcal.core.challenge.chain import BLOCK_COMPLIANCE_MM_PER_N, Equation, Rack, record
-from softcal.core.challenge.mistakes import Mistake, Written, other_unit, written
+from softcal.core.challenge.mistakes import Mistake, RunOnFile, other_unit, written
 from softcal.core.challenge.other_forms import OTHER_FORMS
 from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
 from softcal.core.challenge.protocols import PROTOCOLS, weights
@@ -100,7 +100,7 @@ class SealedCase:
         measured = record(self.rig, Rack(self.causes, EQUATIONS), path, temperature, rng, kind, dummy_ohm, known_force)
         return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
 
-    def written(self, plans: Sequence[RunPlan]) -> list[Written]:
+    def written(self, plans: Sequence[RunPlan]) -> list[RunOnFile]:
         """Return runs as their files have them, with the mistake of the case; its runs stand first in `plans`."""
         runs, others = [self.measure(plan) for plan in plans], []
         if self.mistake and Mistake.of(self.mistake).what == "other_unit":

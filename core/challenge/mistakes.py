@@ -63,7 +63,7 @@ class Mistake:
 
 
 @dataclass(frozen=True)
-class Written:
+class RunOnFile:
     """A run as its files have it.
 
     Args:
@@ -102,7 +102,7 @@ def other_unit(rig: Rig, mistake: Mistake) -> Rig:
     )
 
 
-def written(rig: Rig, runs: Sequence[Measured], of_other_unit: Sequence[Measured], text: str) -> list[Written]:
+def written(rig: Rig, runs: Sequence[Measured], of_other_unit: Sequence[Measured], text: str) -> list[RunOnFile]:
     """Return the runs of a case as its files have them.
 
     Args:
@@ -112,7 +112,7 @@ def written(rig: Rig, runs: Sequence[Measured], of_other_unit: Sequence[Measured
         text: the mistake, empty for none.
     """
     if not text:
-        return [Written(measured, rig.sample_rate_Hz) for measured in runs]
+        return [RunOnFile(measured, rig.sample_rate_Hz) for measured in runs]
     mistake = Mistake.of(text)
     spoil = _SPOILERS[mistake.what]
     sheet = _Sheet(rig, runs, of_other_unit, [rig.sample_rate_Hz] * len(runs))
@@ -120,7 +120,7 @@ def written(rig: Rig, runs: Sequence[Measured], of_other_unit: Sequence[Measured
         spoil(sheet, k, mistake) if mistake.concerns(k + 1) and measured.kind == PRESS else measured
         for k, measured in enumerate(runs)
     ]
-    return [Written(measured, rate_Hz) for measured, rate_Hz in zip(spoilt, sheet.rates_Hz, strict=True)]
+    return [RunOnFile(measured, rate_Hz) for measured, rate_Hz in zip(spoilt, sheet.rates_Hz, strict=True)]
 
 
 def _with(measured: Measured, **columns: Array) -> Measured:

@@ -93,7 +93,7 @@ class Bin:
 
 
 @dataclass(frozen=True)
-class Shrink:
+class ShrinkScore:
     """Forecast against realised shrink on a protocol that was in no fit; explained catalogue cases."""
 
     count: int
@@ -109,7 +109,7 @@ class ScoreSheet:
     rows: tuple[Row, ...]
     detection: tuple[Detection, ...]
     probabilities: Probabilities
-    shrink: Shrink
+    shrink: ShrinkScore
 
     def to_record(self) -> dict[str, Any]:
         """Return plain JSON values; what could not be computed is null."""
@@ -245,7 +245,7 @@ def calibration_error(stated: NDArray[np.float64], happened: NDArray[np.float64]
     return sum(gaps) / len(stated)
 
 
-def _shrink(judged: Sequence[Judged]) -> Shrink:
+def _shrink(judged: Sequence[Judged]) -> ShrinkScore:
     known = [j for j in judged if j.answer and j.outcome == "right" and np.isfinite(j.realised_shrink)]
 
     def is_near(j: Judged) -> bool:
@@ -254,7 +254,7 @@ def _shrink(judged: Sequence[Judged]) -> Shrink:
     def is_inside(j: Judged) -> bool:
         return bool(j.answer and j.answer.low <= j.realised_shrink <= j.answer.high)
 
-    return Shrink(
+    return ShrinkScore(
         count=len(known),
         median_realised=float(np.median([j.realised_shrink for j in known])) if known else float("nan"),
         rows=(

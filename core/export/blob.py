@@ -47,7 +47,7 @@ class Kind(IntEnum):
     UNIT = 2
 
 
-class Cause(IntEnum):
+class RefusalCause(IntEnum):
     """Why a file is refused; the same numbers as `ss_status` in softsensor.h."""
 
     ALIGNMENT = 1
@@ -69,7 +69,7 @@ class FileRefused(InputError):
         cause: which check failed.
     """
 
-    def __init__(self, cause: Cause, text: str) -> None:
+    def __init__(self, cause: RefusalCause, text: str) -> None:
         super().__init__(text)
         self.cause = cause
 

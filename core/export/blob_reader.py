@@ -35,10 +35,10 @@ from softcal.core.export.blob import (
     WIDE_ROW,
     AdaptLimits,
     Band,
-    Cause,
     FileRefused,
     Kind,
     NetworkFile,
+    RefusalCause,
     SelfTest,
     UnitFile,
 )
@@ -71,18 +71,20 @@ class _Opened:
 def _open(data: bytes, kind: Kind) -> _Opened:
     name = f"{kind.name.lower()} file"
     if len(data) < HEADER.size + 4:
-        raise FileRefused(Cause.LENGTH, f"{name} of {len(data)} bytes is shorter than its header; copy it again")
+        raise FileRefused(RefusalCause.LENGTH, f"{name} of {len(data)} bytes is shorter than its header; copy it again")
     magic, found, major, minor, flags, length, network_id, revision, time_s, serial = HEADER.unpack_from(data)
     if magic != MAGIC:
-        raise FileRefused(Cause.MAGIC, f"this is no calibration file: it starts with 0x{magic:08x}")
+        raise FileRefused(RefusalCause.MAGIC, f"this is no calibration file: it starts with 0x{magic:08x}")
     if major != MAJOR:
-        raise FileRefused(Cause.VERSION, f"{name} has format {major}.{minor}, this version of softcal reads {MAJOR}.x")
+        raise FileRefused(
+            RefusalCause.VERSION, f"{name} has format {major}.{minor}, this version of softcal reads {MAJOR}.x"
+        )
     if length != len(data) or length % 4:
-        raise FileRefused(Cause.LENGTH, f"{name} says {length} bytes and has {len(data)}; copy it again")
+        raise FileRefused(RefusalCause.LENGTH, f"{name} says {length} bytes and has {len(data)}; copy it again")
     if zlib.crc32(data[:-4]) != struct.unpack_from("<I", data, length - 4)[0]:
-        raise FileRefused(Cause.CRC, f"{name} is damaged: its CRC-32 does not match; copy or export it again")
+        raise FileRefused(RefusalCause.CRC, f"{name} is damaged: its CRC-32 does not match; copy or export it again")
     if found != kind:
-        raise FileRefused(Cause.KIND, f"a {name} was expected, this one is of kind {found}")
+        raise FileRefused(RefusalCause.KIND, f"a {name} was expected, this one is of kind {found}")
     return _Opened(flags, minor, network_id, revision, time_s, _text(serial), data[HEADER.size : -4])
 
 
@@ -91,7 +93,7 @@ def _text(field: bytes) -> str:
 
 
 def _layout(name: str, problem: object) -> FileRefused:
-    return FileRefused(Cause.LAYOUT, f"{name} file contradicts itself: {problem}; export it again")
+    return FileRefused(RefusalCause.LAYOUT, f"{name} file contradicts itself: {problem}; export it again")
 
 
 def read_network(data: bytes) -> NetworkFile:
@@ -107,7 +109,7 @@ def read_network(data: bytes) -> NetworkFile:
         raise _layout("network", error) from error
     _check_end("network", opened, end)
     if hashlib.sha256(opened.body).digest()[:8] != opened.network_id:
-        raise FileRefused(Cause.NETWORK, "network file: its id is not the hash of its body; export it again")
+        raise FileRefused(RefusalCause.NETWORK, "network file: its id is not the hash of its body; export it again")
     return file
 
 

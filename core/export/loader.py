@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.export.blob import (
-    Cause,
     FileRefused,
     NetworkFile,
+    RefusalCause,
     SelfTest,
     UnitFile,
     serial_field,
@@ -116,17 +116,17 @@ def join(network_file: NetworkFile, unit_file: UnitFile, serial: str | None = No
     """
     if unit_file.network_id != network_file.id:
         raise FileRefused(
-            Cause.NETWORK,
+            RefusalCause.NETWORK,
             f"unit {unit_file.serial} belongs to network {unit_file.network_id.hex()}, this one is "
             f"{network_file.id.hex()}; use the network file exported with it",
         )
     if serial is not None and serial_field(serial) != serial_field(unit_file.serial):
-        raise FileRefused(Cause.SERIAL, f"the file is for unit {unit_file.serial}, this is unit {serial}")
+        raise FileRefused(RefusalCause.SERIAL, f"the file is for unit {unit_file.serial}, this is unit {serial}")
     for number, test in enumerate(unit_file.self_tests, 1):
         found = run_self_test(network_file.network, unit_file.device_map, test)
         if found != test.expected:
             raise FileRefused(
-                Cause.SELF_TEST,
+                RefusalCause.SELF_TEST,
                 f"self-test {number} of unit {unit_file.serial} gives {found}, {test.expected} was expected",
             )
     return DeviceSensor(network_file, unit_file)

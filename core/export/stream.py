@@ -91,7 +91,7 @@ class DeviceStream:
         return int(found.value[0]), int(found.lower[0]), int(found.upper[0]), flags
 
 
-class Trimmed(IntEnum):
+class TrimResult(IntEnum):
     """How a trim ended; the same numbers as `ss_trim_result` in softsensor.h."""
 
     TRIMMED = 0
@@ -103,7 +103,7 @@ class Trimmed(IntEnum):
 
 def find_trim(
     sensor: DeviceSensor, codes: tuple[np.ndarray, np.ndarray], loads: tuple[int, int]
-) -> tuple[Trimmed, Shift]:
+) -> tuple[TrimResult, Shift]:
     """Find the shift that brings a unit back to two known loads.
 
     Args:
@@ -115,23 +115,23 @@ def find_trim(
         how it ended, and the shift; no shift unless TRIMMED.
     """
     if min(map(len, codes)) < TAPS:
-        return Trimmed.MORE, Shift()
+        return TrimResult.MORE, Shift()
     mapped = [sensor.unit_file.device_map.on_samples(c[:MOST_TRIM_SAMPLES]) for c in codes]
     seen = [_towards_zero(int(y.sum()), len(y)) for y in mapped]
     apart = seen[1] - seen[0]
     if apart == 0 or any(4 * int(np.ptp(y)) > abs(apart) for y in mapped):
-        return Trimmed.MOVING, Shift()
+        return TrimResult.MOVING, Shift()
     wanted = [_rest_of(sensor, load) for load in loads]
     if wanted[0] is None or wanted[1] is None:
-        return Trimmed.OUT_OF_REACH, Shift()
+        return TrimResult.OUT_OF_REACH, Shift()
     missing = wanted[1] - wanted[0] - apart
     if abs(missing) > abs(apart) // 2:
-        return Trimmed.TOO_FAR, Shift()
+        return TrimResult.TOO_FAR, Shift()
     gain = _towards_zero(missing * 2**15, apart)
     offset = wanted[0] - seen[0] - (gain * (seen[0] - sensor.unit_file.adapt.low) >> 15)
     if abs(offset) > ACTIVATION_MAX:
-        return Trimmed.TOO_FAR, Shift()
-    return Trimmed.TRIMMED, Shift(gain, offset)
+        return TrimResult.TOO_FAR, Shift()
+    return TrimResult.TRIMMED, Shift(gain, offset)
 
 
 def _towards_zero(a: int, b: int) -> int:

@@ -16,10 +16,10 @@ from softcal.core.gap.fit import BASE, Fit, from_fit
 from softcal.core.gap.next_experiment import NextExperiment, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.place import likely_stages, loose_noise
-from softcal.core.gap.plausibility import Finding, mistakes
+from softcal.core.gap.plausibility import DataMistake, mistakes
 from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities
 from softcal.core.gap.residual import Map, Regime, regimes, structure, three_maps
-from softcal.core.gap.search import Search, SearchConfig
+from softcal.core.gap.search import EffectSearch, SearchConfig
 from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
 from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import name_of
@@ -30,7 +30,7 @@ from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.record import twin_record
 from softcal.core.twin.simulate import Twin
 
-Verdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
+DiagnosisVerdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
 SCHEMA = "softcal.gap/1"
 
 UNKNOWN_TRUST = 0.3
@@ -48,7 +48,7 @@ class ParameterEstimate:
 
 
 @dataclass(frozen=True)
-class Cause:
+class RankedCause:
     """One effect of the catalogue and how it stands.
 
     Args:
@@ -65,7 +65,7 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class Place:
+class GapPlace:
     """One line of where the gap lies."""
 
     stage: str
@@ -99,13 +99,13 @@ class Diagnosis:
     """
 
     case: Case
-    verdict: Verdict
+    verdict: DiagnosisVerdict
     base: Fit
     best: Fit
     named: Fit
     rivals: tuple[Fit, ...]
-    causes: tuple[Cause, ...]
-    places: tuple[Place, ...]
+    causes: tuple[RankedCause, ...]
+    places: tuple[GapPlace, ...]
     maps: tuple[Map, ...]
     regimes: tuple[Regime, ...]
     gap: dict[str, ChannelGap]
@@ -115,7 +115,7 @@ class Diagnosis:
     hidden_fraction: dict[str, float]
     next_experiment: NextExperiment
     explained_share: float
-    mistakes: tuple[Finding, ...] = ()
+    mistakes: tuple[DataMistake, ...] = ()
     partial: Partial | None = None
 
     def residual(self, run: int, channel: str, after: bool) -> Array:
@@ -206,7 +206,7 @@ def diagnose(
     say("looking for mistakes in the recordings")
     if spoilt := mistakes(case):
         return _stopped(unfitted(case), spoilt)
-    search = Search(case, config, say)
+    search = EffectSearch(case, config, say)
     if (odd := odd_run(search.base)) is not None:
         return _stopped(search.base, (odd,))
     search.run()
@@ -252,7 +252,7 @@ def diagnose(
     )
 
 
-def _nearest(search: Search) -> Partial | None:
+def _nearest(search: EffectSearch) -> Partial | None:
     """Return the hypothesis that takes most of the gap away; of those within a hundredth of it, the simplest."""
     shares = {ids: float(np.clip(search.share(found), 0.0, 1.0)) for ids, found in search.fits.items() if ids}
     if not shares:
@@ -262,7 +262,7 @@ def _nearest(search: Search) -> Partial | None:
     return Partial(ids, shares[ids]) if most > 0.0 else None
 
 
-def _stopped(base: Fit, found: tuple[Finding, ...]) -> Diagnosis:
+def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
     """Return the diagnosis of recordings that hold a mistake: nothing is named and nothing forecast."""
     problem = base.problem
     gap = {}
@@ -277,7 +277,7 @@ def _stopped(base: Fit, found: tuple[Finding, ...]) -> Diagnosis:
         best=base,
         named=base,
         rivals=(base,),
-        causes=tuple(Cause(effect.id, effect.stage, 0.0, 0.0, {}) for effect in EFFECTS.values()),
+        causes=tuple(RankedCause(effect.id, effect.stage, 0.0, 0.0, {}) for effect in EFFECTS.values()),
         places=(),
         maps=(),
         regimes=(),
@@ -296,7 +296,7 @@ def _is_on_bound(parameter: Parameter, value: float) -> bool:
     return any(math.isclose(value, end, rel_tol=1e-9, abs_tol=1e-9) for end in (parameter.low, parameter.high))
 
 
-def _verdict(search: Search, group: tuple[Fit, ...]) -> Verdict:
+def _verdict(search: EffectSearch, group: tuple[Fit, ...]) -> DiagnosisVerdict:
     best = search.best
     if search.stranger is not None:
         return "unknown"
@@ -322,7 +322,9 @@ def chances_of(
     return {i: 0.5 * (p + exact[i]) if i in added else p for i, p in chances.items()}
 
 
-def _causes(search: Search, named: tuple[Fit, ...], chances: dict[str, float], held_out: float) -> tuple[Cause, ...]:
+def _causes(
+    search: EffectSearch, named: tuple[Fit, ...], chances: dict[str, float], held_out: float
+) -> tuple[RankedCause, ...]:
     shares = shares_of(search, search.best)
     causes = []
     for effect in EFFECTS.values():
@@ -330,11 +332,11 @@ def _causes(search: Search, named: tuple[Fit, ...], chances: dict[str, float], h
         found = with_it[0] if with_it else search.fits.get((effect.id,))
         parameters = estimates_of(found, effect.id) if found is not None else {}
         share = shares.get(effect.id, 0.0) * held_out
-        causes.append(Cause(effect.id, effect.stage, chances[effect.id], share, parameters))
+        causes.append(RankedCause(effect.id, effect.stage, chances[effect.id], share, parameters))
     return tuple(sorted(causes, key=lambda c: (-c.probability, -c.shrink)))
 
 
-def shares_of(search: Search, best: Fit) -> dict[str, float]:
+def shares_of(search: EffectSearch, best: Fit) -> dict[str, float]:
     """Split the explained χ² among the causes: the mean of adding each one first and adding it last."""
     ids = best.hypothesis.ids
     if len(ids) < 2:
@@ -370,8 +372,12 @@ def _named(effect: Effect, coordinates: Array, margin: Array) -> dict[str, Param
 
 
 def _places(
-    search: Search, causes: tuple[Cause, ...], maps: tuple[Map, ...], found: tuple[Regime, ...], verdict: Verdict
-) -> tuple[Place, ...]:
+    search: EffectSearch,
+    causes: tuple[RankedCause, ...],
+    maps: tuple[Map, ...],
+    found: tuple[Regime, ...],
+    verdict: DiagnosisVerdict,
+) -> tuple[GapPlace, ...]:
     if verdict == "no_gap":
         return ()
     dirty = ", ".join(m.name for m in maps if m.structure.is_significant) or "none"
@@ -385,13 +391,13 @@ def _places(
         total = sum(c.shrink for c in named) or 1.0
         places = []
         for c in named:
-            place = Place(c.stage, channel, regime, c.shrink / total, f"{c.effect}; {detail}")
+            place = GapPlace(c.stage, channel, regime, c.shrink / total, f"{c.effect}; {detail}")
             alias = _open_aliases(search.best).get(c.effect)
             places += [place] if alias is None else _held_open(place, alias)
     at = max(places, key=lambda p: p.share).stage
     for r in found[:4]:
         where = f"{r.share:.0%} of the gap's energy in this regime, {r.lift:.1f} times its share of time"
-        places.append(Place(at, r.channel.split("_")[0], r.name, r.share, where))
+        places.append(GapPlace(at, r.channel.split("_")[0], r.name, r.share, where))
     return tuple(places)
 
 
@@ -401,13 +407,15 @@ def _open_aliases(best: Fit) -> dict[str, Alias]:
     return {i: alias for i, alias in aliases.items() if alias is not None and not is_told(best.problem.case, alias)}
 
 
-def _held_open(place: Place, alias: Alias) -> list[Place]:
+def _held_open(place: GapPlace, alias: Alias) -> list[GapPlace]:
     """Split the place of a cause that has an alias between the stages of both."""
     own, other = (1.0 - alias.share) * place.share, alias.share * place.share
     return [replace(place, share=own), replace(place, stage=alias.stage, share=other, detail=f"or {alias.detail}")]
 
 
-def _unknown_places(search: Search, maps: tuple[Map, ...], found: tuple[Regime, ...], detail: str) -> list[Place]:
+def _unknown_places(
+    search: EffectSearch, maps: tuple[Map, ...], found: tuple[Regime, ...], detail: str
+) -> list[GapPlace]:
     """Where a gap lies that nothing in the catalogue explains: the likeliest stage first, with those it may also be.
 
     The share of each is that of the gap's energy in the regime where it stands out most.
@@ -428,11 +436,11 @@ def _unknown_places(search: Search, maps: tuple[Map, ...], found: tuple[Regime, 
     text = f"{detail}; the catalogue explains {share:.0%} of the structured gap, {rest}"
     # Nothing measures how a gap splits between stages that may each hold all of it: the order tells which is likelier.
     seen = found[0].share if found else 1.0
-    others = [Place(s, channel, regime, seen, "possible by the same maps") for s in stages[1:]]
-    return [Place(stages[0], channel, regime, seen, text), *others]
+    others = [GapPlace(s, channel, regime, seen, "possible by the same maps") for s in stages[1:]]
+    return [GapPlace(stages[0], channel, regime, seen, text), *others]
 
 
-def _next(case: Case, search: Search, group: tuple[Fit, ...], verdict: Verdict) -> NextExperiment:
+def _next(case: Case, search: EffectSearch, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
     proposed = propose(case, group, search.depth_mm, search.force_N) if verdict != "unknown" else None
     if proposed is not None:
         return proposed

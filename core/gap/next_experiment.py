@@ -26,7 +26,7 @@ LEVELS = 6
 
 
 @dataclass(frozen=True)
-class Experiment:
+class MenuEntry:
     """One entry of the menu.
 
     Args:
@@ -60,7 +60,7 @@ class NextExperiment:
     stage_profile: Profile | None = None
 
 
-def menu(case: Case, depth_mm: float, force_N: float) -> tuple[Experiment, ...]:
+def menu(case: Case, depth_mm: float, force_N: float) -> tuple[MenuEntry, ...]:
     """Return what can be recorded on this rig: stage profiles to the depth already pressed, and special runs."""
     d = depth_mm
     rate_Hz = case.readout.sample_rate_Hz
@@ -76,7 +76,7 @@ def menu(case: Case, depth_mm: float, force_N: float) -> tuple[Experiment, ...]:
             "fast_ramps": profiles.ramps([d] * 10, 3.0, name="fast ramps"),
         }
     entries = [
-        Experiment(name, _press(case, p, rate_Hz), SET_UP_min["press"] + p.duration_s / 60, p)
+        MenuEntry(name, _press(case, p, rate_Hz), SET_UP_min["press"] + p.duration_s / 60, p)
         for name, p in pressed.items()
     ]
     return (*entries, *_special(case, force_N, rate_Hz))
@@ -93,10 +93,10 @@ def propose(case: Case, rivals: Sequence[Fit], depth_mm: float, force_N: float) 
     return most_telling(menu(case, depth_mm, force_N), rivals)
 
 
-def most_telling(entries: Sequence[Experiment], rivals: Sequence[Fit]) -> NextExperiment:
+def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExperiment:
     """Return the entry that tells most rivals from the first, and does so best per minute."""
     first, others = rivals[0], rivals[1:]
-    found: list[tuple[int, float, float, Experiment]] = []
+    found: list[tuple[int, float, float, MenuEntry]] = []
     for experiment in entries:
         parted = [d for d in (_apart(first, other, experiment.run) for other in others) if d >= ENOUGH_SIGMA]
         least = min(parted, default=0.0)
@@ -155,7 +155,7 @@ def _press(case: Case, profile: Profile, rate_Hz: float) -> Run:
     )
 
 
-def _special(case: Case, force_N: float, rate_Hz: float) -> tuple[Experiment, ...]:
+def _special(case: Case, force_N: float, rate_Hz: float) -> tuple[MenuEntry, ...]:
     t_s = np.arange(int(60 * rate_Hz)) / rate_Hz
     zeros, readout = np.zeros(len(t_s)), case.readout
     stairs = np.floor(t_s / t_s[-1] * (LEVELS - 1e-9)) / (LEVELS - 1)
@@ -163,19 +163,19 @@ def _special(case: Case, force_N: float, rate_Hz: float) -> tuple[Experiment, ..
     still_s, still = np.arange(int(REST_s * rate_Hz)) / rate_Hz, np.zeros(int(REST_s * rate_Hz))
     force, output = (still if case.has(name) else None for name in ("force_N", "output_V"))
     rest = Run("rest", still_s, readout, force_N=force, output_V=output, kind="rest", is_planned=True)
-    out = [Experiment("rest", rest, SET_UP_min["rest"] + REST_s / 60)]
+    out = [MenuEntry("rest", rest, SET_UP_min["rest"] + REST_s / 60)]
     if case.has("output_V"):
         for ohm in (0.5 * readout.r_series_ohm, 2.0 * readout.r_series_ohm):
             run = Run("dummy", t_s, readout, output_V=zeros, dummy_ohm=ohm, kind="dummy_resistor", is_planned=True)
-            out.append(Experiment("dummy_resistor", run, SET_UP_min["dummy_resistor"] + 1.0))
+            out.append(MenuEntry("dummy_resistor", run, SET_UP_min["dummy_resistor"] + 1.0))
     if case.has("force_N"):
         weights = Run(
             "weights", t_s, readout, force_N=zeros, known_force_N=force_N * stairs, kind="dead_weights", is_planned=True
         )
-        out.append(Experiment("dead_weights", weights, SET_UP_min["dead_weights"] + 1.0))
+        out.append(MenuEntry("dead_weights", weights, SET_UP_min["dead_weights"] + 1.0))
         if case.has("stage_mm"):
             block = Run(
                 "block", t_s, readout, stage_mm=up_down, force_N=force_N * up_down, kind="rigid_block", is_planned=True
             )
-            out.append(Experiment("rigid_block", block, SET_UP_min["rigid_block"] + 1.0))
+            out.append(MenuEntry("rigid_block", block, SET_UP_min["rigid_block"] + 1.0))
     return tuple(out)

@@ -12,10 +12,10 @@ import numpy as np
 from softcal.core.gap.case import Case
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import energy
-from softcal.core.gap.plausibility import Finding, numbers
+from softcal.core.gap.plausibility import DataMistake, numbers
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import Tangent
-from softcal.core.gap.search import Search
+from softcal.core.gap.search import EffectSearch
 from softcal.core.reason import reason
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
@@ -76,7 +76,7 @@ _Fitted = tuple[Fit, int, _Oddity, float]
 """A fit with a mistake, its run, what it is, and the share it explains."""
 
 
-def odd_run(base: Fit, least_share: float = SHARE) -> Finding | None:
+def odd_run(base: Fit, least_share: float = SHARE) -> DataMistake | None:
     """Return the mistake of one run that explains what a fit leaves, None where none does.
 
     Args:
@@ -88,7 +88,7 @@ def odd_run(base: Fit, least_share: float = SHARE) -> Finding | None:
     return None
 
 
-def odd_run_beside(search: Search) -> Finding | None:
+def odd_run_beside(search: EffectSearch) -> DataMistake | None:
     """Return the mistake of one run that, with one cause or none, explains more than all causes that were found."""
     best, base = search.best, search.base
     if len(best.hypothesis.ids) < 2 and search.is_clean(best):
@@ -217,7 +217,7 @@ def _step(run: int, signal: str, is_gain: bool) -> Callable[[Flow, Sequence[floa
     return step
 
 
-def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> Finding | None:
+def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> DataMistake | None:
     case = fitted.problem.case
     number = (numbers(case)[run],)
     of_run = {e.id: values[0] for e, values in zip(fitted.hypothesis.effects, fitted.effect_values, strict=True)}
@@ -231,7 +231,7 @@ def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> Finding | 
             sensitivity=sensitivity,
             share=min(share, 1.0),
         )
-        return Finding("other_unit", "", number, None, evidence, reason("data.repair.other_unit"))
+        return DataMistake("other_unit", "", number, None, evidence, reason("data.repair.other_unit"))
     column = {"force": "force_N", "output": "output_V", "stage": "stage_mm"}[oddity.channel]
     span, size = _span(case, column), sizes[0]
     if oddity.what == "gain":
@@ -241,10 +241,10 @@ def _finding(fitted: Fit, run: int, oddity: _Oddity, share: float) -> Finding | 
             return None
         evidence = reason("data.run.gain", channel=oddity.channel, ratio=ratio, share=min(share, 1.0))
         repair = reason("data.repair.gain", channel=oddity.channel, factor=1.0 / ratio)
-        return Finding("gain", oddity.channel, number, 1.0 / ratio, evidence, repair)
+        return DataMistake("gain", oddity.channel, number, 1.0 / ratio, evidence, repair)
     offset, unit = size if oddity.channel != "stage" else -size, column.split("_")[1]
     if abs(offset) < LEAST["zero"] * span:
         return None
     evidence = reason("data.run.zero", channel=oddity.channel, offset=offset, unit=unit, share=min(share, 1.0))
     repair = reason("data.repair.zero", channel=oddity.channel, offset=offset, unit=unit)
-    return Finding("zero", oddity.channel, number, offset, evidence, repair)
+    return DataMistake("zero", oddity.channel, number, offset, evidence, repair)

@@ -83,7 +83,7 @@ NEAR_FACTOR = 1.45
 
 
 @dataclass(frozen=True)
-class Finding:
+class DataMistake:
     """One mistake: what it is, where it shows, and what would repair it.
 
     Args:
@@ -119,7 +119,7 @@ def numbers(case: Case) -> list[int]:
     return [int(n) for n in names] if all(n.isdigit() for n in names) else list(range(1, len(names) + 1))
 
 
-def mistakes(case: Case) -> tuple[Finding, ...]:
+def mistakes(case: Case) -> tuple[DataMistake, ...]:
     """Return the mistakes that the channels show by themselves, none where they look sound.
 
     The first kind that is found hides what comes after it: a wrong column has no unit.
@@ -143,7 +143,7 @@ class _Seen:
     repair: Reason
 
 
-def _joined(case: Case, seen: Iterable[_Seen]) -> list[Finding]:
+def _joined(case: Case, seen: Iterable[_Seen]) -> list[DataMistake]:
     """Return one finding for the same mistake in several runs; in all that are pressed, of the whole case."""
     groups: dict[tuple[str, str, float | None], list[_Seen]] = {}
     for one in seen:
@@ -155,7 +155,7 @@ def _joined(case: Case, seen: Iterable[_Seen]) -> list[Finding]:
     for members in groups.values():
         at, first = {m.run for m in members}, members[0]
         runs = () if at >= pressed else tuple(number[k] for k in sorted(at))
-        found.append(Finding(first.what, first.channel, runs, first.factor, first.evidence, first.repair))
+        found.append(DataMistake(first.what, first.channel, runs, first.factor, first.evidence, first.repair))
     return found
 
 
@@ -169,7 +169,7 @@ def _channels(run: Run) -> dict[str, Array]:
     return {short: values for short, values in every.items() if values is not None}
 
 
-def _rates(case: Case) -> list[Finding]:
+def _rates(case: Case) -> list[DataMistake]:
     seen = []
     for k, run in enumerate(case.runs):
         stated_Hz, ratio = run.readout.sample_rate_Hz, run.seen_Hz / run.readout.sample_rate_Hz
@@ -187,7 +187,7 @@ def _rates(case: Case) -> list[Finding]:
     return _joined(case, seen)
 
 
-def _columns(case: Case) -> list[Finding]:
+def _columns(case: Case) -> list[DataMistake]:
     """Which column is the output shows by the steps of the ADC, which is the stage by its smoothness."""
     seen = []
     for k, run in _presses(case):
@@ -242,7 +242,7 @@ def _roughness(values: Array) -> float:
     return float(np.sqrt(np.mean(bends[: max(1, int(0.8 * len(bends)))] ** 2)) / max(high - low, 1e-12))
 
 
-def _ranges(case: Case) -> list[Finding]:
+def _ranges(case: Case) -> list[DataMistake]:
     """An output cannot leave what its ADC can read."""
     seen = []
     for k, run in enumerate(case.runs):
@@ -284,7 +284,7 @@ def _output_repaired(run: Run, k: int, evidence: Reason) -> _Seen | None:
     return None
 
 
-def _strays(case: Case) -> list[Finding]:
+def _strays(case: Case) -> list[DataMistake]:
     """Single samples of a position or force far beyond all others."""
     seen = []
     for k, run in _presses(case):
@@ -313,7 +313,7 @@ def _agreement(one: Array, other: Array) -> float:
     return float(np.corrcoef(one, other)[0, 1])
 
 
-def _runs_exchanged(case: Case) -> list[Finding]:
+def _runs_exchanged(case: Case) -> list[DataMistake]:
     """A column that fits its own run badly and that of another run well."""
     presses, number = _presses(case), numbers(case)
     for name in ("output", "force", "stage"):
@@ -331,11 +331,11 @@ def _runs_exchanged(case: Case) -> list[Finding]:
                 if now < UNPAIRED and exchanged > PAIRED:
                     evidence = reason("data.swapped_runs", channel=name, now=now, exchanged=exchanged)
                     repair = reason("data.repair.exchange", channel=name, one=number[i], other=number[j])
-                    return [Finding("swapped_runs", name, (number[i], number[j]), None, evidence, repair)]
+                    return [DataMistake("swapped_runs", name, (number[i], number[j]), None, evidence, repair)]
     return []
 
 
-def _directions(case: Case) -> list[Finding]:
+def _directions(case: Case) -> list[DataMistake]:
     seen = []
     for k, run in _presses(case):
         channels = _channels(run)
@@ -432,7 +432,7 @@ def _contact_mm(stage_mm: Array, load: Array) -> float:
     return float(np.quantile(touching, 0.02)) if len(touching) else 0.0
 
 
-def _units(case: Case) -> list[Finding]:
+def _units(case: Case) -> list[DataMistake]:
     """Units of a whole case: the pad's stiffness, depth and force against what such pads are."""
     size, stated = _size(case), case.stiffness_N_mm
     stiffness = size.stiffness_N_mm
@@ -459,7 +459,7 @@ def _roundness(speed_mm_s: float | None, channel: str) -> float:
     return 0.5 if abs(float(f"{speed_mm_s:.1e}") / speed_mm_s - 1.0) < 2e-3 else 0.0
 
 
-def _of_unit(size: _Size, channel: str, unit: str, factor: float, low: float, high: float) -> Finding:
+def _of_unit(size: _Size, channel: str, unit: str, factor: float, low: float, high: float) -> DataMistake:
     if size.stiffness_N_mm is not None:
         evidence = reason("data.unit.stiffness", seen=size.stiffness_N_mm, low=low, high=high)
     elif size.depth_mm is not None:
@@ -467,10 +467,10 @@ def _of_unit(size: _Size, channel: str, unit: str, factor: float, low: float, hi
     else:
         evidence = reason("data.unit.size", channel=channel, seen=size.force_N or 0.0, unit="N")
     repair = reason("data.repair.unit", channel=channel, factor=factor, unit=unit)
-    return Finding("unit_factor", channel, (), factor, evidence, repair)
+    return DataMistake("unit_factor", channel, (), factor, evidence, repair)
 
 
-def _against_stated(size: _Size, stated: tuple[float, float], stiffness: float) -> list[Finding]:
+def _against_stated(size: _Size, stated: tuple[float, float], stiffness: float) -> list[DataMistake]:
     if stated[0] <= stiffness <= stated[1]:
         return []
     middle = float(np.sqrt(stated[0] * stated[1]))
@@ -481,13 +481,13 @@ def _against_stated(size: _Size, stated: tuple[float, float], stiffness: float) 
         return [_of_unit(size, channel, unit, factor, *stated)]
     evidence = reason("data.unit.stiffness", seen=stiffness, low=stated[0], high=stated[1])
     repair = reason("data.repair.gain", channel="force", factor=middle / stiffness)
-    return [Finding("gain", "force", (), middle / stiffness, evidence, repair)]
+    return [DataMistake("gain", "force", (), middle / stiffness, evidence, repair)]
 
 
-def _runs_apart(case: Case) -> list[Finding]:
+def _runs_apart(case: Case) -> list[DataMistake]:
     """One run whose values are larger or smaller than those of all others by a factor that no effect has."""
     presses, number = _presses(case), numbers(case)
-    found: list[Finding] = []
+    found: list[DataMistake] = []
     if len(presses) < 3:
         return found
     for name, reference in (("force", "output"), ("stage", "output"), ("force", "stage"), ("stage", "force")):
@@ -512,12 +512,12 @@ def _spread_at(reference: Array, values: Array) -> float:
     return max(abs(float(np.median(top) - np.median(bottom))) / max(float(high - low), 1e-12), 1e-12)
 
 
-def _apart(name: str, run: int, ratio: float) -> Finding:
+def _apart(name: str, run: int, ratio: float) -> DataMistake:
     units = UNITS_OF_RUN[name]
     unit = min(units, key=lambda u: abs(np.log(units[u] / ratio)))
     evidence = reason("data.run.apart", channel=name, ratio=1.0 / ratio)
     if abs(np.log(units[unit] / ratio)) < np.log(NEAR_FACTOR):
         repair = reason("data.repair.unit", channel=name, factor=units[unit], unit=unit)
-        return Finding("unit_factor", name, (run,), units[unit], evidence, repair)
+        return DataMistake("unit_factor", name, (run,), units[unit], evidence, repair)
     repair = reason("data.repair.gain", channel=name, factor=ratio)
-    return Finding("gain", name, (run,), ratio, evidence, repair)
+    return DataMistake("gain", name, (run,), ratio, evidence, repair)

@@ -57,7 +57,7 @@ class SearchConfig:
     hiding: float = 0.99
 
 
-class Search:
+class EffectSearch:
     """All hypotheses fitted to one case, under one noise level."""
 
     def __init__(self, case: Case, config: SearchConfig | None = None, progress: Progress | None = None) -> None:

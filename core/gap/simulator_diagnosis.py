@@ -14,12 +14,21 @@ from softcal.core.gap import next_experiment
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
-from softcal.core.gap.diagnosis import SCHEMA, UNKNOWN_TRUST, Cause, Place, Verdict, chances_of, estimates_of, shares_of
+from softcal.core.gap.diagnosis import (
+    SCHEMA,
+    UNKNOWN_TRUST,
+    DiagnosisVerdict,
+    GapPlace,
+    RankedCause,
+    chances_of,
+    estimates_of,
+    shares_of,
+)
 from softcal.core.gap.fit import Block, Fit, fit, fit_scale, to_fit
 from softcal.core.gap.next_experiment import NextExperiment
 from softcal.core.gap.posterior import log_evidences
 from softcal.core.gap.residual import Regime, structure
-from softcal.core.gap.search import Progress, Search, SearchConfig
+from softcal.core.gap.search import EffectSearch, Progress, SearchConfig
 from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
 from softcal.core.gap.simulator import (
     Simulator,
@@ -49,11 +58,11 @@ class SimulatorDiagnosis:
 
     simulator: Simulator
     serial: str
-    verdict: Verdict
+    verdict: DiagnosisVerdict
     base: Fit
     best: Fit
-    causes: tuple[Cause, ...]
-    places: tuple[Place, ...]
+    causes: tuple[RankedCause, ...]
+    places: tuple[GapPlace, ...]
     gap: dict[str, ChannelGap]
     shrink: Shrink
     protocol: str
@@ -138,7 +147,7 @@ def diagnose_simulator(
     )
 
 
-class SimulatorSearch(Search):
+class SimulatorSearch(EffectSearch):
     """The search over the candidates of a simulator; nothing is placed first, and a cause has one realisation."""
 
     def __init__(self, simulator: Simulator, case: Case, say: Progress) -> None:
@@ -190,7 +199,7 @@ def _starts(base: tuple[Parameter, ...]) -> list[Array]:
     return [np.clip(start, bounds[:, 0], bounds[:, 1]) for start in (usual, *drawn)]
 
 
-def _verdict(search: Search, group: tuple[Fit, ...]) -> Verdict:
+def _verdict(search: EffectSearch, group: tuple[Fit, ...]) -> DiagnosisVerdict:
     best = search.best
     if not best.hypothesis.ids:
         return "unknown" if structure(best).is_significant else "no_gap"
@@ -200,19 +209,21 @@ def _verdict(search: Search, group: tuple[Fit, ...]) -> Verdict:
 
 
 def _causes(
-    search: Search, simulator: Simulator, group: tuple[Fit, ...], chances: dict[str, float], held_out: float
-) -> tuple[Cause, ...]:
+    search: EffectSearch, simulator: Simulator, group: tuple[Fit, ...], chances: dict[str, float], held_out: float
+) -> tuple[RankedCause, ...]:
     shares = shares_of(search, search.best)
 
-    def cause(effect: Effect) -> Cause:
+    def cause(effect: Effect) -> RankedCause:
         found = next((f for f in group if effect.id in f.hypothesis.ids), search.fits.get((effect.id,)))
         parameters = estimates_of(found, effect.id) if found is not None else {}
-        return Cause(effect.id, effect.stage, chances[effect.id], shares.get(effect.id, 0.0) * held_out, parameters)
+        return RankedCause(
+            effect.id, effect.stage, chances[effect.id], shares.get(effect.id, 0.0) * held_out, parameters
+        )
 
     return tuple(sorted(map(cause, simulator.candidates), key=lambda c: (-c.probability, -c.shrink)))
 
 
-def _places(search: Search, causes: tuple[Cause, ...], verdict: Verdict) -> tuple[Place, ...]:
+def _places(search: EffectSearch, causes: tuple[RankedCause, ...], verdict: DiagnosisVerdict) -> tuple[GapPlace, ...]:
     """Where the gap lies: parts of the mechanism where causes are named, then the conditions in which it stands out."""
     if verdict == "no_gap":
         return ()
@@ -221,14 +232,14 @@ def _places(search: Search, causes: tuple[Cause, ...], verdict: Verdict) -> tupl
     if verdict == "unknown":
         part, ids = float(np.clip(search.share(search.best), 0.0, 1.0)), " and ".join(search.best.hypothesis.ids)
         nearest = f"{ids} explains {part:.0%} of it" if ids else "no candidate explains any of it"
-        places = [Place("unknown", channel, regime, 1.0, nearest)]
+        places = [GapPlace("unknown", channel, regime, 1.0, nearest)]
     else:
         named = [c for c in causes if c.effect in search.best.hypothesis.ids]
         total = sum(c.shrink for c in named) or 1.0
-        places = [Place(c.stage, channel, regime, c.shrink / total, c.effect) for c in named]
+        places = [GapPlace(c.stage, channel, regime, c.shrink / total, c.effect) for c in named]
     at = places[0].stage
     lines = [
-        Place(
+        GapPlace(
             at, r.channel, r.name, r.share, f"{r.share:.0%} of the gap's energy, {r.lift:.1f} times its share of time"
         )
         for r in seen[:4]
@@ -280,7 +291,7 @@ def _conditions(found: Fit, blocks: list[Block]) -> dict[str, Array]:
     return out | {f"run {run.name}": of_run == k for k, run in enumerate(runs)}
 
 
-def _next(simulator: Simulator, group: tuple[Fit, ...], verdict: Verdict) -> NextExperiment:
+def _next(simulator: Simulator, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
     if verdict == "unknown":
         return NextExperiment(
             "none", "no candidate explains the gap; add one that acts where `where` says it stands out"
@@ -289,7 +300,7 @@ def _next(simulator: Simulator, group: tuple[Fit, ...], verdict: Verdict) -> Nex
         what = "no gap is visible on these runs" if verdict == "no_gap" else "the causes are separated on these runs"
         return NextExperiment("none", what)
     entries = [
-        next_experiment.Experiment(name, planned(simulator, name), entry.minutes)
+        next_experiment.MenuEntry(name, planned(simulator, name), entry.minutes)
         for name, entry in simulator.experiments.items()
     ]
     if not entries:

@@ -39,7 +39,7 @@ class Affine:
 
 
 @dataclass(frozen=True)
-class Identity:
+class IdentityFamily:
     """Do nothing: the candidate every other map has to beat."""
 
     name: str = "identity"

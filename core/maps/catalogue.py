@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from softcal.core.errors import InputError
 from softcal.core.identity import Settings
-from softcal.core.maps.affine import Affine, Identity
+from softcal.core.maps.affine import Affine, IdentityFamily
 from softcal.core.maps.anchors import AnchoredMap
 from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.exact import Exact
@@ -21,7 +21,7 @@ from softcal.core.maps.synchronous import Synchronous
 from softcal.core.plugins import installed
 
 _LISTED: tuple[MapFamily, ...] = (
-    Identity(),
+    IdentityFamily(),
     Affine(),
     LabelShift(),
     Monotone(),

@@ -28,7 +28,7 @@ Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Signal:
+class ChartSignal:
     """A point that does not look like chance.
 
     Args:
@@ -75,12 +75,12 @@ class ControlChart:
         return D4 * D2 * self.sigma
 
     @cached_property
-    def signals(self) -> tuple[Signal, ...]:
+    def signals(self) -> tuple[ChartSignal, ...]:
         """Every point that breaks one of Nelson's eight rules, in time order."""
         return tuple(sorted(_signals(self.values, self.centre, self.sigma), key=lambda s: (s.index, s.rule)))
 
     @property
-    def instabilities(self) -> tuple[Signal, ...]:
+    def instabilities(self) -> tuple[ChartSignal, ...]:
         """The signals that forbid to state a capability: beyond 3 sigma, long runs on one side, long trends."""
         return tuple(signal for signal in self.signals if signal.rule in FORBIDDING)
 
@@ -169,14 +169,14 @@ def _nearest(mean: float, sigma: float, minimum: float | None, maximum: float | 
     return min(distances) / (3 * sigma)
 
 
-def _signals(values: Array, centre: float, sigma: float) -> Iterator[Signal]:
+def _signals(values: Array, centre: float, sigma: float) -> Iterator[ChartSignal]:
     if sigma == 0:
         return
     z = (values - centre) / sigma
     for number, (text, length, find) in enumerate(RULES, 1):
         if len(z) >= length:
             found = find(np.lib.stride_tricks.sliding_window_view(z, length))
-            yield from (Signal(int(k) + length - 1, number, str(text)) for k in np.flatnonzero(found))
+            yield from (ChartSignal(int(k) + length - 1, number, str(text)) for k in np.flatnonzero(found))
 
 
 def _same_side(windows: Array, beyond: float, count: int) -> Flags:

@@ -9,7 +9,7 @@ from softcal.core.reason import Reason, reason
 
 
 @dataclass(frozen=True)
-class CellCertificate:
+class CellAtGate:
     """The load cell's calibration, from its certificate (a DCC or typed in).
 
     Args:
@@ -87,7 +87,7 @@ class StationFacts:
     """
 
     now: datetime
-    certificate: CellCertificate | None
+    certificate: CellAtGate | None
     largest_force_N: float
     shift_began: datetime
     golden: GoldenCheck | None

@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal.core.quality.acceptance import Promise
 from softcal.core.quality.qualification import Qualification
-from softcal.core.quality.release import LEAST_PART, AuditedUnit, Release, release
+from softcal.core.quality.release import LEAST_PART, AuditedUnit, PromisedRelease, release
 from softcal.core.reason import Reason, Value, plain, reason
 from softcal.core.unit.line_spread import SeenGains
 from softcal.core.unit.verdict import Judgement, Limit, Verdict
@@ -33,7 +33,7 @@ class LotRelease:
     limit: Limit
     promise: Promise
     forecasts: Mapping[str, float]
-    found: Release | None
+    found: PromisedRelease | None
     interval_scale: float
     statement: str
     seen: SeenGains | None = None
@@ -70,7 +70,7 @@ class LotRelease:
             )
         return Judgement(Verdict.CONDITIONAL, (reason("sampled.open", factor=factor, **facts),))
 
-    def _audits(self, found: Release) -> Reason:
+    def _audits(self, found: PromisedRelease) -> Reason:
         ratios = found.ratios
         if ratios.lots > 1:
             return reason("part.of_lots", audits=ratios.audits, lots=ratios.lots)
@@ -144,7 +144,7 @@ def _told_days(days: Mapping[str, float], unit: str) -> str:
 def _statement(
     forecasts: Mapping[str, float],
     audits: Sequence[AuditedUnit],
-    found: Release | None,
+    found: PromisedRelease | None,
     qualification: Qualification,
     limit: Limit,
     promise: Promise,
@@ -167,7 +167,7 @@ def _statement(
     )
 
 
-def any_form(found: Release) -> str:
+def any_form(found: PromisedRelease) -> str:
     """Return what holds for the released units whatever form the ratios have."""
     share = f"{found.share_any_form:.1%} at that confidence and " if found.share_any_form < 1 else ""
     return f"whatever form the ratios have, at most {share}{found.risk_any_form:.1%} on average"

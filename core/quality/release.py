@@ -99,7 +99,7 @@ class Ratios:
 
 
 @dataclass(frozen=True)
-class Release:
+class PromisedRelease:
     """Which of the unmeasured units of a lot are released, and what is promised about them.
 
     Args:
@@ -167,7 +167,7 @@ def release(
     promise: Promise = Promise(),  # noqa: B008 - frozen
     least: float = 0.0,
     days: Mapping[str, float] | None = None,
-) -> Release:
+) -> PromisedRelease:
     """Choose which unmeasured units to release so that the promise holds for the released ones.
 
     A unit in a share r of all units exceeds its bound at most; were m of n released on it, a share r n / m of these
@@ -197,12 +197,12 @@ def release(
     while (passing := int(np.count_nonzero(needed[:count] * factor <= 1))) < count:
         count = passing
         if count < least:
-            return Release((), factor, ratios, considered, promise, 1.0, 1.0)
+            return PromisedRelease((), factor, ratios, considered, promise, 1.0, 1.0)
         factor = ratios.bound(replace(promise, risk=promise.risk * count / considered))
     if count < least:
-        return Release((), factor, ratios, considered, promise, 1.0, 1.0)
+        return PromisedRelease((), factor, ratios, considered, promise, 1.0, 1.0)
     said = _any_form(ratios, count / considered, promise) if count else (1.0, 1.0)
-    return Release(tuple(ordered[:count]), factor, ratios, considered, promise, *said)
+    return PromisedRelease(tuple(ordered[:count]), factor, ratios, considered, promise, *said)
 
 
 def _left(limit: float, day: float) -> float:

@@ -53,14 +53,14 @@ class Yields:
 
 
 @dataclass(frozen=True)
-class Run:
+class UnitRun:
     """One verdict of one unit."""
 
     verdict: str
     reasons: tuple[Reason, ...] = ()
 
 
-def yields(runs: Mapping[str, Sequence[Run]], golden: Collection[str] = (), good: Collection[str] = GOOD) -> Yields:
+def yields(runs: Mapping[str, Sequence[UnitRun]], golden: Collection[str] = (), good: Collection[str] = GOOD) -> Yields:
     """Count the yields of a lot.
 
     Args:

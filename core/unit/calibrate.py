@@ -11,7 +11,7 @@ import numpy as np
 
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.identity import content_sha256
-from softcal.core.maps.affine import Identity
+from softcal.core.maps.affine import IdentityFamily
 from softcal.core.maps.choose import ChosenMap, choose_map
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.maps.paired import fit_pairs
@@ -226,7 +226,7 @@ def _evidence(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap, limits: 
         problem.source,
         problem.recording,
         chosen.unit_map,
-        alternatives=[other for name, other in chosen.alternatives.items() if name != Identity.name],
+        alternatives=[other for name, other in chosen.alternatives.items() if name != IdentityFamily.name],
         resampled=[] if is_measured else _refitted(fit, chosen, problem.source.method),
         limits=limits,
         trials=trials,

@@ -56,7 +56,7 @@ class PairedConfig(KnowledgeConfig):
 
 
 @dataclass(frozen=True)
-class StageConfig(KnowledgeConfig):
+class StageKnowledge(KnowledgeConfig):
     """Source and unit carry the stage position: the load over position says more than all the rest."""
 
     base_term: str = setting("model")
@@ -123,7 +123,7 @@ class KnowledgeTable:
     """The kinds, best first. A new kind is one class above, one field here and one condition in `known_by`."""
 
     paired: KnowledgeConfig = field(default_factory=PairedConfig)
-    stage: KnowledgeConfig = field(default_factory=StageConfig)
+    stage: KnowledgeConfig = field(default_factory=StageKnowledge)
     blind: KnowledgeConfig = field(default_factory=BlindConfig)
 
 

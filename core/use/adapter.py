@@ -189,6 +189,7 @@ class Adapter:
         value, lower, upper, flag = judge(self._network, self._calibration, mapped, taken.windows[:, -1], taken.run)
         # Independent errors add in squares: those of the calibration's interval and of the drift.
         half = np.sqrt((0.5 * (upper - lower)) ** 2 + (NORMAL_90 * self._doubt) ** 2)[rows]
+        # Rows without a full window went through the network with the others; their numbers mean nothing.
         value = np.where(taken.is_full, value, np.nan)[rows]
         flag = np.where(taken.flag != "", taken.flag, flag)[rows]
         self._gather(t_s, output, taken.is_valid[rows], taken.is_restart[rows], flag)
@@ -200,6 +201,7 @@ class Adapter:
         """Keep what this piece says about the use; None marks a break in it."""
         is_usable = is_valid & ~np.isin(flag, NOT_EVIDENCE)
         for k in range(len(output)):
+            # A gap or a fault inside a cycle would give it a wrong shape and duration: it is dropped whole.
             if is_restart[k] or (is_valid[k] and not is_usable[k]):
                 self._evidence.append(None)
             if is_usable[k]:
@@ -212,6 +214,7 @@ class Adapter:
         last = observations[-1] if observations else None
         if self._intake.last_s is not None:
             self._tracker.expire(self._intake.last_s)
+        # After the trial may have ended: its shift is part of the doubt.
         self._doubt, growth = self._drift_errors(self._intake.last_s)
         proposed = self._proposed(last, growth)
         if self._is_news(proposed):
@@ -278,6 +281,7 @@ class Adapter:
             return "the sensor gives no usable samples; check sensor and cable"
         if self._tracker.alarm:
             return self._tracker.alarm
+        # An open jump makes the predicted error large for two cycles; that alone is no reason to calibrate.
         if self._tracker.is_unsettled:
             return self._current.alarm
         if predicted_rmse > self._method.doubt.alarm_ratio * self._calibrated_rmse:

@@ -112,6 +112,7 @@ class CycleCutter:
 
         By samples and not by number: joined cycles of one length have nearly equal durations.
         """
+        # Never back to fewer: activities learnt of long cycles would all be strange to short ones.
         if samples > self._now.least:
             self._now.least = self._now.usual = samples
             self.restart()
@@ -150,6 +151,7 @@ class CycleCutter:
         now, (lower, upper) = self._now, self._config.band
         turns, position = [], 0
         swing = now.high - now.low
+        # Two thresholds (hysteresis): noise at a single one would cut one cycle into many.
         below = output < now.low + lower * swing
         above = output > now.low + upper * swing
         while position < len(output):
@@ -209,6 +211,7 @@ class CycleCutter:
             end_s=now.end_s,
             is_complete=is_complete,
         )
+        # The swing follows the use slowly: a single deep press must not make the next ones too small to be seen.
         now.low += config.memory * (low - now.low)
         now.high += config.memory * (high - now.high)
         if is_complete:

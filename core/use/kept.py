@@ -55,6 +55,7 @@ def restored(kind: type[Value], state: Mapping[str, Any], **given: Any) -> Value
         InputError: a field is missing or unknown, or an array has another shape than declared.
     """
     declared = _declared(kind)
+    # Unknown fields are refused as well: a newer version may have meant something by them.
     wrong = {one.name for one in declared} ^ set(state)
     if wrong:
         raise InputError(f"its state does not fit this version: {kind.__name__}.{min(wrong)} is missing or unknown")
@@ -74,6 +75,7 @@ def _written(one: "Field[Any]", value: Any) -> object:
         return state_of(value)
     if "kinds" in one.metadata:
         return [state_of(each) for each in value]
+    # A copy: the stream goes on while the state is written by another thread.
     return list(value) if isinstance(value, list) else value
 
 

@@ -27,6 +27,7 @@ def rest_step(cycle: Cycle, activity: Activity, drift: Array, rest_is_low: bool,
     step = cycle.rest(rest_is_low) - activity.rest - movement(drift, activity.rest)
     floor = config.floor[0]
     least = max(floor, config.rest_sigmas * activity.rest_scatter)
+    # The rest of a use that has none, or that moves as far as ever, shows nothing.
     if not activity.has_rest or not least < abs(step) <= config.largest[0]:
         return 0.0
     end = slice(0, config.end_quantiles) if rest_is_low else slice(-config.end_quantiles, None)

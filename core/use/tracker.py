@@ -161,6 +161,7 @@ class DriftTracker:
         now.first_s = cycle.end_s if now.first_s is None else now.first_s
         now.filter = now.filter.moved(self._walked(cycle.end_s))
         now.last_s, now.trial = cycle.end_s, 0.0
+        # Free motion without return is no cycle; what it shows of the level says nothing about the sensor.
         if not cycle.is_complete:
             now.strangers.clear()
             now.was_known = False
@@ -216,6 +217,7 @@ class DriftTracker:
         drift, applied = now.filter.drift, self._applied()
         chance = float(np.trace(now.filter.doubt()))
         left = float(np.sum((drift - applied) ** 2))
+        # What was not applied cannot be wrong by chance: the variance counts as far as the correction goes.
         share = float(np.linalg.norm(applied)) / max(float(np.linalg.norm(drift)), 1e-12)
         known = share**2 * chance + config.correction**2 * float(applied @ applied)
         known += (config.way * now.trust.moved) ** 2 + now.trust.use_doubt(drift, applied)
@@ -250,6 +252,7 @@ class DriftTracker:
         """Return the activity a cycle belongs to, -1 for none; of several the latest, unless only another fits."""
         now = self._now
         candidates = [k for k, activity in enumerate(now.activities) if activity.strangeness(cycle) <= 1]
+        # Use goes on as it was more often than it changes: of two activities that fit, the latest.
         candidates.sort(key=lambda k: k != now.latest)
         fitting = [k for k in candidates if not self._is_jump(cycle, k)]
         return (fitting or candidates or [-1])[0]
@@ -296,11 +299,13 @@ class DriftTracker:
         # Process noise R / n^2 makes the steady filter average over about n cycles.
         moving = now.filter.moved(self._pace(surprise, expected) * activity.noise / self._memory**2)
         measured = moving.measured(index, activity.drift_of(cycle, self._use.rest_is_low), activity.noise)
+        # Beyond this the map was never tested; an estimate there would be extrapolated twice.
         if np.any(np.abs(measured.drift) > self._method.drift.largest):
             now.alarm = "the drift has left the range that is followed"
             return self._held(cycle, now.alarm, index)
         if self._is_improved:
             now.activities[index] = activity.refreshed(cycle, self._method.learning.refresh)
+        # A person who has just put the sensor on presses otherwise for a while.
         now.to_settle = max(0, now.to_settle - 1)
         self._accept(measured, index)
         is_open = now.trust.is_use_as_likely(now.filter.drift, self._seen())
@@ -339,6 +344,7 @@ class DriftTracker:
         if np.any(np.abs(step) > config.largest) or np.any(np.abs(after) > self._method.drift.largest):
             now.alarm = "a sudden change larger than is ever followed; check the sensor and its mounting"
             return self._held(cycle, now.alarm, index)
+        # Without a rest a jump of the sensor and one of the use are the same numbers.
         if not activity.has_rest:
             now.alarm = "a sudden change of sensor or use, which no known rest can tell apart"
             return self._held(cycle, now.alarm, index)
@@ -357,6 +363,7 @@ class DriftTracker:
         before = [activity.drift_of(c, self._use.rest_is_low) for c in now.jumps[-config.most + 1 :]]
         # The difference of two cycles has twice the variance of one.
         apart = config.sigmas * np.sqrt(2 * np.diag(activity.noise))
+        # A cycle unlike the others starts the count anew: the change was not over yet.
         if before and np.any(np.abs(measured - np.mean(before, axis=0)) > apart):
             before = []
         now.jumps = [*now.jumps[len(now.jumps) - len(before) :], cycle]
@@ -379,6 +386,7 @@ class DriftTracker:
         levels = [level for level in (activity.rest, now.trust.zero) if level is not None]
         drift = now.filter.drift
         moved = [movement(drift + step, level) - movement(drift, level) for level in levels]
+        # Use moves one of the two levels at most, so the smaller movement is surely the sensor's.
         return min(moved, key=abs) if min(moved) * max(moved) > 0 else 0.0
 
     def _follow_jump(self, cycle: Cycle, index: int, level: Array, moved: float) -> Observation:
@@ -439,10 +447,12 @@ class DriftTracker:
         """Learn an activity from cycles with the drift known now taken out."""
         now = self._now
         shift, gain = float(now.filter.drift[0]), float(np.exp(now.filter.drift[1]))
+        # The drift known now is taken out first, or it would become part of what the activity is compared with.
         calibrated = [c.standardised(shift, gain) for c in cycles]
         activity = learn_activity(calibrated, self._use.rest_is_low, self._method.activity).activity
         if activity is None:
             return False
+        # The calibrated activity is never forgotten: it alone knows the zero of the drift.
         if len(now.activities) == self._method.learning.activities:
             oldest = 1 if self._has_calibrated else 0
             del now.activities[oldest]

@@ -57,6 +57,7 @@ def trim(
             f"the loads ask for {found.gain:.2g} x the gain of unit {problem.target.serial}; that is another unit, or "
             f"other units of load or output; {NOTHING}"
         )
+    # The fit shrinks towards no change; loads that contradict one another can leave it worse than nothing.
     after = _error(network, found, loads)
     if after > before:
         raise InputError(

@@ -84,10 +84,12 @@ class Trust:
         """
         rest = activity.rest if activity.has_rest else self.rest
         known = replace(self, rest=rest, is_imposed=activity.is_imposed)
+        # The gain of a re-seating is what the filter has found when the last of its cycles is in.
         if self.fresh == 1:
             known = known._seated(float(known.applied(drift, covariance)[1]))
         elif self.fresh:
             known = replace(known, fresh=self.fresh - 1)
+        # A machine's gain is surely the sensor's, so it shows how much this sensor drifts as well as a rest does.
         if activity.is_imposed:
             gone = float(known.applied(drift, covariance)[1]) - known.seated
             return replace(known, moved=max(self.moved, abs(gone) / self.gain_per_shift(activity.rest)))

@@ -228,7 +228,7 @@ class EsmStage:
         for command in commands:
             self.port.link.write(command)
 
-    def _status(self) -> esm.Status:
+    def _status(self) -> esm.StandStatus:
         return esm.parse_status(self.port.answer(esm.STATUS))
 
     def _travel_position(self, line: bytes) -> float:

@@ -244,7 +244,7 @@ class GrblStage:
         self._link.discard()
         self._link.write(grbl.SETTINGS)
         settings: dict[int, float] = {}
-        reply: grbl.Reply = grbl.Note("")
+        reply: grbl.Reply = grbl.GrblNote("")
         while not isinstance(reply, grbl.Ok):
             reply = grbl.parse(self._link.next_line(ANSWER_S).text)
             if isinstance(reply, grbl.Setting):
@@ -289,7 +289,7 @@ class GrblStage:
             self._in_flight.popleft()
             if not self.is_moving:
                 self.position_mm = self._target_mm  # Newer than the last status poll.
-        elif isinstance(reply, grbl.Refusal):
+        elif isinstance(reply, grbl.GrblRefusal):
             raise CommandRefused(reason("grbl.refused", reply=reply.reason))
         elif isinstance(reply, grbl.Alarm):
             self.is_position_known = self.is_position_known and not reply.loses_position
@@ -297,11 +297,11 @@ class GrblStage:
         elif isinstance(reply, grbl.Greeting):
             self.is_position_known = False
             raise DeviceError(Reason("grbl.restarted"))
-        elif isinstance(reply, grbl.Status):
+        elif isinstance(reply, grbl.GrblStatus):
             return self._position(reply, line.host_s)
         return None
 
-    def _position(self, status: grbl.Status, host_s: float) -> StagePosition:
+    def _position(self, status: grbl.GrblStatus, host_s: float) -> StagePosition:
         asked_s = host_s if self._asked_s is None else self._asked_s
         self._asked_s = None
         self._is_button_held = "H" in status.pins
@@ -316,7 +316,7 @@ class GrblStage:
         self.position_mm = self._sign * self._machine_mm(status)
         return StagePosition((asked_s + host_s) / 2, self.position_mm)
 
-    def _machine_mm(self, status: grbl.Status) -> float:
+    def _machine_mm(self, status: grbl.GrblStatus) -> float:
         if status.machine_mm is not None:
             return status.machine_mm[self._index]
         if status.work_mm is None or self._offset_mm is None:
@@ -357,7 +357,7 @@ class GrblStage:
             if isinstance(reply, (grbl.Alarm, grbl.Greeting)) or _is_locked(reply):
                 self._is_alarmed = True
                 return False
-            if isinstance(reply, grbl.Status):
+            if isinstance(reply, grbl.GrblStatus):
                 heard_s, self._is_button_held = line.host_s, "H" in reply.pins
                 self.position_mm = self._sign * self._machine_mm(reply)
                 stands = (reply.state, reply.substate) in (("Hold", 0), ("Idle", 0))
@@ -401,7 +401,7 @@ class GrblStage:
         raise NoReply(reason("rig.not_home", seconds=HOMING_S))
 
     def _check_homing(self, reply: grbl.Reply) -> None:
-        if isinstance(reply, grbl.Refusal):
+        if isinstance(reply, grbl.GrblRefusal):
             self._is_homing = False
             raise CommandRefused(reason("grbl.homing_refused", reply=reply.reason))
         if isinstance(reply, (grbl.Alarm, grbl.Greeting)):
@@ -412,7 +412,7 @@ class GrblStage:
 
 def _is_locked(reply: grbl.Reply) -> bool:
     """Whether a reply says that something other than a hold ended the motion: then nothing moves by itself."""
-    return isinstance(reply, grbl.Status) and reply.state in ("Alarm", "Door", "Sleep", "Home")
+    return isinstance(reply, grbl.GrblStatus) and reply.state in ("Alarm", "Door", "Sleep", "Home")
 
 
 def _open(config: GrblConfig, opening: Opening) -> GrblStage:

@@ -26,7 +26,7 @@ _TRAVEL = re.compile(r"([+-]?\d+(?:\.\d+)?) ?(mm|in)?")
 
 
 @dataclass(frozen=True)
-class Status:
+class StandStatus:
     """What the stand answers to `p`.
 
     Args:
@@ -60,7 +60,7 @@ def to_gauge(command: str) -> bytes:
     return b"/" + command.encode() + b"\\"
 
 
-def parse_status(line: bytes) -> Status:
+def parse_status(line: bytes) -> StandStatus:
     """Return the answer to `p`.
 
     Raises:
@@ -69,7 +69,7 @@ def parse_status(line: bytes) -> Status:
     found = _STATUS.fullmatch(line.decode("ascii", "replace").strip())
     if not found:
         raise BadReply(reason("esm.status", line=repr(line[:40])))
-    return Status(found[1], found[2], found[3] or "")
+    return StandStatus(found[1], found[2], found[3] or "")
 
 
 def parse_travel_mm(line: bytes) -> float:

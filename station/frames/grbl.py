@@ -49,7 +49,7 @@ class Ok:
 
 
 @dataclass(frozen=True)
-class Refusal:
+class GrblRefusal:
     """The line before was not taken."""
 
     code: int
@@ -78,7 +78,7 @@ class Alarm:
 
 
 @dataclass(frozen=True)
-class Status:
+class GrblStatus:
     """One status report.
 
     Args:
@@ -106,7 +106,7 @@ class Greeting:
 
 
 @dataclass(frozen=True)
-class Probe:
+class GrblProbe:
     """Where the probe touched, machine coordinates."""
 
     machine_mm: tuple[float, ...]
@@ -122,13 +122,13 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Note:
+class GrblNote:
     """A message that asks for nothing."""
 
     text: str
 
 
-Reply: TypeAlias = Ok | Refusal | Alarm | Status | Greeting | Probe | Setting | Note
+Reply: TypeAlias = Ok | GrblRefusal | Alarm | GrblStatus | Greeting | GrblProbe | Setting | GrblNote
 
 _STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool")
 _SETTING = re.compile(r"\$(\d+)=(-?[\d.]+)")
@@ -155,31 +155,31 @@ def _parse(text: str) -> Reply:
     if text == "ok":
         return Ok()
     if text.startswith("error:"):
-        return Refusal(int(text[6:]))
+        return GrblRefusal(int(text[6:]))
     if text.startswith("ALARM:"):
         return Alarm(int(text[6:]))
     if text.startswith("<") and text.endswith(">"):
         return _status(text[1:-1])
     if text.startswith("[PRB:") and text.endswith("]"):
         position, touched = text[5:-1].rsplit(":", 1)
-        return Probe(_numbers(position), touched == "1")
+        return GrblProbe(_numbers(position), touched == "1")
     if _GREETING.match(text):
         return Greeting(text)
     setting = _SETTING.match(text)
     if setting:
         return Setting(int(setting[1]), float(setting[2]))
     if text == "" or text.startswith(("[", ">", "$N")):
-        return Note(text)
+        return GrblNote(text)
     raise ValueError(text)
 
 
-def _status(text: str) -> Status:
+def _status(text: str) -> GrblStatus:
     head, *fields = text.split("|")
     state, _, substate = head.partition(":")
     if state not in _STATES:
         raise ValueError(text)
     named = dict(field.split(":", 1) for field in fields if ":" in field)
-    return Status(
+    return GrblStatus(
         state,
         int(substate or 0),
         _numbers(named["MPos"]) if "MPos" in named else None,

@@ -3,7 +3,7 @@
 import re
 
 from softcal.station.simulated.force_gauge import SimulatedMark10
-from softcal.station.simulated.motion import Axis, Block
+from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.wire import Wire
 
 _COMMAND = re.compile(
@@ -98,7 +98,7 @@ class SimulatedEsm:
         is_onward = to_mm < self.axis.position_mm if motion == "U" else to_mm > self.axis.position_mm
         if is_onward:
             self.axis.flush()
-            self.axis.add(Block(to_mm, self._speed_mm_s))
+            self.axis.add(QueuedMove(to_mm, self._speed_mm_s))
             self._motion = motion
 
     def _limit(self) -> str:

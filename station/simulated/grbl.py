@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 
 from softcal.station.frames import grbl
-from softcal.station.simulated.motion import Axis, Block
+from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.wire import Wire
 
 PLANNER_BLOCKS = 15
@@ -261,7 +261,7 @@ class SimulatedGrbl:
         self.axis.flush()
         reach = 0.0 if self.switch != "missing" else self.axis.position_mm - 1.5 * self.travel_mm
         for target, speed in ((reach, SEEK_MM_S), (pull_off, SEEK_MM_S), (0.0, FEED_MM_S), (pull_off, FEED_MM_S)):
-            self.axis.add(Block(target, speed))
+            self.axis.add(QueuedMove(target, speed))
         if self.switch == "missing":
             while len(self.axis.queue) > 1:
                 self.axis.queue.pop()
@@ -311,7 +311,7 @@ class SimulatedGrbl:
             self._alarm(2)
             return ""
         fastest = self.settings[112] / 60
-        block = Block(target_mm, fastest if is_rapid else min(self._feed_mm_s, fastest))
+        block = QueuedMove(target_mm, fastest if is_rapid else min(self._feed_mm_s, fastest))
 
         def put() -> bool:
             if len(self.axis.queue) >= PLANNER_BLOCKS or self.axis.is_held or self.state == "Hold":

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass
-class Block:
+class QueuedMove:
     """One queued move to `target_mm` at `speed_mm_s`."""
 
     target_mm: float
@@ -34,7 +34,7 @@ class Axis:
         self.deepest_mm = 0.0
         self.velocity_mm_s = 0.0
         self.time_s = 0.0
-        self.queue: deque[Block] = deque()
+        self.queue: deque[QueuedMove] = deque()
         self.is_held = False
         self.standstills_s: deque[float] = deque(maxlen=100)
         self._phases: deque[_Phase] = deque()
@@ -43,7 +43,7 @@ class Axis:
     def is_moving(self) -> bool:
         return bool(self._phases)
 
-    def add(self, block: Block) -> None:
+    def add(self, block: QueuedMove) -> None:
         """Queue a move behind the others."""
         self.queue.append(block)
         if not self.is_held:
@@ -64,7 +64,7 @@ class Axis:
         self.queue.clear()
         self._phases.clear()
         if speed:
-            self.add(Block(stop_mm, abs(speed)))
+            self.add(QueuedMove(stop_mm, abs(speed)))
 
     def resume(self) -> None:
         """Go on with the queue after a hold."""

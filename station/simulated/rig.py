@@ -17,7 +17,7 @@ class Physics(Protocol):
         ...
 
 
-class Rig:
+class SimulatedRig:
     """Stage, unit and load cell in one frame.
 
     `keeps_truth` keeps the true position at every sample, for tests that compare. Faults are switches: `force_fault`

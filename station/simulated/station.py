@@ -13,7 +13,7 @@ from softcal.station.driver import AnyDriver, Simulated, Surroundings
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.medium import SocketEnd
 from softcal.station.simulated.motion import Axis
-from softcal.station.simulated.rig import Rig
+from softcal.station.simulated.rig import SimulatedRig
 from softcal.station.simulated.text_stream import CELL_COUNTS_PER_N, CELL_ZERO_COUNTS, SimulatedTextStream
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import FarEnd, World
@@ -54,7 +54,7 @@ class SimulatedStation:
         self.free_mm = FREE_MM
         self.axis = Axis(ACCELERATION_MM_S2)
         self.axis.position_mm = 2.3  # Where somebody left it: nothing is known before homing.
-        self.rig = Rig(self.axis)
+        self.rig = SimulatedRig(self.axis)
         self.mount(unit)
         self.stage_kind, self.force_kind, self.readout_kind = stage_kind, force_kind, readout_kind
         drivers = driver_of("stage", stage_kind), driver_of("cell", force_kind), driver_of("readout", readout_kind)

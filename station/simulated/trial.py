@@ -21,7 +21,7 @@ COAST_S = 1.0
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FaultOutcome:
     """What one fault did.
 
     Args:
@@ -47,7 +47,7 @@ class Outcome:
     reason: Reason | None = None
 
 
-def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> Outcome:
+def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> FaultOutcome:
     """Press with one fault injected at the wire.
 
     Args:
@@ -57,7 +57,7 @@ def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> Outcome:
     return _tried(fault, folder, seed, lambda path: Spool(path, {"serial": "F1"}))
 
 
-def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], Spool]) -> Outcome:
+def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], Spool]) -> FaultOutcome:
     with open_simulated_bench(seed=seed) as (bench, station):
         watch = _Watch(station, fault)
         if not fault.phase:
@@ -73,7 +73,7 @@ def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], S
             error = caught
         ended_s = station.world.now_s()
         station.world.sleep_s(COAST_S)
-        return Outcome(
+        return FaultOutcome(
             fault.name,
             type(error).__name__ if error else "",
             str(error or ""),
@@ -86,7 +86,7 @@ def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], S
         )
 
 
-def run_with_full_disk(folder: Path, seed: int = 0) -> Outcome:
+def run_with_full_disk(folder: Path, seed: int = 0) -> FaultOutcome:
     """Press while the disk fills up: the spool's next line cannot be written."""
     spool: list[_FillingSpool] = []
 
@@ -98,7 +98,7 @@ def run_with_full_disk(folder: Path, seed: int = 0) -> Outcome:
     return _tried(fault, folder, seed, make_spool)
 
 
-def run_with_dead_host(folder: Path, seed: int = 0) -> Outcome:
+def run_with_dead_host(folder: Path, seed: int = 0) -> FaultOutcome:
     """Press until the host process is gone from one instant to the next: nothing is read or sent any more."""
     path = folder / "run.spool"
     with open_simulated_bench(seed=seed) as (bench, station):
@@ -122,7 +122,7 @@ def run_with_dead_host(folder: Path, seed: int = 0) -> Outcome:
         stands_s = max(0.0, station.axis.standstills_s[-1] - died_s)
         message = "the station's service was started again; press the unit again"
         force_N = station.rig.largest_force_N
-        return Outcome(
+        return FaultOutcome(
             "host process killed while pressing", "none", message, 0.0, stands_s, force_N, "none", spool_says
         )
 

@@ -3,7 +3,7 @@
 from softcal.core.errors import BadReply
 from softcal.station.drivers.zaber import ACCELERATION_UNIT, SPEED_UNIT
 from softcal.station.frames import zaber
-from softcal.station.simulated.motion import Axis, Block
+from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.simulated.wire import Wire
 
 HOMING_MM_S = 10.0
@@ -107,7 +107,7 @@ class SimulatedZaber:
             case ["home"]:
                 self.warning, self._is_homing = "", True
                 self.axis.flush()
-                self.axis.add(Block(0.0, HOMING_MM_S))
+                self.axis.add(QueuedMove(0.0, HOMING_MM_S))
                 self._is_homed = not self.axis.is_moving
                 return True, "0"
             case ["stop"]:
@@ -125,5 +125,5 @@ class SimulatedZaber:
         if not -1e-9 <= to_mm <= self.settings["limit.max"] * self.microstep_mm + 1e-9:
             return False, "BADDATA"
         self.axis.flush()
-        self.axis.add(Block(to_mm, self.settings["maxspeed"] / SPEED_UNIT * self.microstep_mm))
+        self.axis.add(QueuedMove(to_mm, self.settings["maxspeed"] / SPEED_UNIT * self.microstep_mm))
         return True, "0"

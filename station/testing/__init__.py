@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from softcal.station.driver import AnyDriver
 from softcal.station.testing.common import COMMON
 from softcal.station.testing.reader import READER
-from softcal.station.testing.rig import Nonconformity, Rig
+from softcal.station.testing.rig import DriverRig, Nonconformity
 from softcal.station.testing.stage import STAGE
 
-__all__ = ["Check", "Nonconformity", "Rig", "checks"]
+__all__ = ["Check", "Nonconformity", "DriverRig", "checks"]
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ class Check:
 
     driver: AnyDriver
     sentence: str
-    examine: Callable[[Rig], None]
+    examine: Callable[[DriverRig], None]
 
     def __call__(self) -> None:
         """Raise `Nonconformity` when the driver does something else."""
-        with Rig(self.driver) as rig:
+        with DriverRig(self.driver) as rig:
             self.examine(rig)
 
     def __str__(self) -> str:

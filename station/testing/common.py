@@ -8,13 +8,13 @@ from dataclasses import fields
 from softcal.core.errors import DeviceError, InputError
 from softcal.station.catalogue import SECTIONS
 from softcal.station.config import filled, meanings
-from softcal.station.testing.rig import Rig, require
+from softcal.station.testing.rig import DriverRig, require
 
 OPENING_S = 60.0
 """Opening may reset a controller and wait for it, but not for ever."""
 
 
-def _declares_its_keys(rig: Rig) -> None:
+def _declares_its_keys(rig: DriverRig) -> None:
     config = rig.driver.config
     require(config.kind == rig.driver.kind, f"{config.__name__}.kind must default to {rig.driver.kind!r}")
     explained = " ".join(meanings(config)).replace(",", " ").replace(":", " ").split()
@@ -29,7 +29,7 @@ def _declares_its_keys(rig: Rig) -> None:
     require(False, "an unknown key in the station file was taken")
 
 
-def _opens_again(rig: Rig) -> None:
+def _opens_again(rig: DriverRig) -> None:
     before = set(threading.enumerate())
     for _ in range(2):
         device = rig.open()
@@ -39,7 +39,7 @@ def _opens_again(rig: Rig) -> None:
     require(not left, f"closed, it leaves threads running: {', '.join(left)}")
 
 
-def _names_a_missing_port(rig: Rig) -> None:
+def _names_a_missing_port(rig: DriverRig) -> None:
     wires = rig.driver.wires
     if "serial" not in wires and "tcp" not in wires:
         return  # What a vendor's library calls a port is its own affair.
@@ -54,7 +54,7 @@ def _names_a_missing_port(rig: Rig) -> None:
     require(False, f"it opened {port}, which is not there")
 
 
-def _opens_or_refuses(rig: Rig, what: str) -> None:
+def _opens_or_refuses(rig: DriverRig, what: str) -> None:
     began_s = rig.clock.now_s()
     try:
         device = rig.open()
@@ -74,24 +74,24 @@ def _opens_or_refuses(rig: Rig, what: str) -> None:
     require(not samples, f"{what}: it delivered {len(samples)} samples, the first {samples[:1]}")
 
 
-def _says_nothing_of_a_silent_device(rig: Rig) -> None:
+def _says_nothing_of_a_silent_device(rig: DriverRig) -> None:
     rig.wire.is_silent = True
     _opens_or_refuses(rig, "a device that says nothing")
 
 
-def _says_nothing_of_noise(rig: Rig) -> None:
+def _says_nothing_of_noise(rig: DriverRig) -> None:
     rig.wire.garbage = 1.0
     _opens_or_refuses(rig, "a device that sends noise")
 
 
-def _survives_a_dead_port(rig: Rig) -> None:
+def _survives_a_dead_port(rig: DriverRig) -> None:
     device = rig.open()
     rig.wire.unplug()
     device.close()
     device.close()
 
 
-COMMON: dict[str, Callable[[Rig], None]] = {
+COMMON: dict[str, Callable[[DriverRig], None]] = {
     "its keys have one kind, an explanation each, and an unknown one lists them": _declares_its_keys,
     "it opens, closes twice, opens again, and leaves no thread": _opens_again,
     "a port that is not there is named": _names_a_missing_port,

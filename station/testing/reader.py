@@ -6,7 +6,7 @@ import numpy as np
 
 from softcal.core.errors import DeviceError
 from softcal.station.interfaces import Reader, Sample
-from softcal.station.testing.rig import Rig, require
+from softcal.station.testing.rig import DriverRig, require
 
 RATE_SHARE = 0.05
 LATEST_S, EARLIEST_S = 0.25, 0.02
@@ -16,30 +16,30 @@ GONE_S = 1.0
 SPAN_V = 5.0
 
 
-def _unit_per_level(rig: Rig) -> float:
+def _unit_per_level(rig: DriverRig) -> float:
     return rig.simulated.reading_per_V if rig.driver.role == "readout" else 1.0
 
 
-def _tolerance(rig: Rig) -> float:
+def _tolerance(rig: DriverRig) -> float:
     span = SPAN_V * abs(_unit_per_level(rig)) if rig.driver.role == "readout" else float(rig.config.capacity_N)
     return 0.005 * span
 
 
-def _levels(rig: Rig) -> tuple[float, ...]:
+def _levels(rig: DriverRig) -> tuple[float, ...]:
     if rig.driver.role == "readout":
         return (0.5, 1.0, 2.5, 4.5, 0.5)
     capacity_N = float(rig.config.capacity_N)
     return (0.0, 0.02 * capacity_N, 0.25 * capacity_N, 0.6 * capacity_N, -0.05 * capacity_N, 0.0)
 
 
-def _check_true(rig: Rig, samples: Sequence[Sample], level: float, when: str) -> None:
+def _check_true(rig: DriverRig, samples: Sequence[Sample], level: float, when: str) -> None:
     expected, allowed = level * _unit_per_level(rig), _tolerance(rig)
     for sample in samples:
         off = max(abs(value - expected) for value in sample.values)
         require(off <= allowed, f"{when} it reads {sample.values}, {expected:g} give or take {allowed:g} is true")
 
 
-def _declares_what_it_is(rig: Rig) -> None:
+def _declares_what_it_is(rig: DriverRig) -> None:
     with rig.reader() as reader:
         require(reader.name and reader.unit and reader.rate_Hz > 0, "name, unit and rate_Hz must say what it is")
         if rig.driver.role == "cell":
@@ -51,7 +51,7 @@ def _declares_what_it_is(rig: Rig) -> None:
         require(getattr(reader, "channels", 0) == rig.config.channels, "channels must be those of the file")
 
 
-def _reads_every_level(rig: Rig) -> None:
+def _reads_every_level(rig: DriverRig) -> None:
     with rig.reader() as reader:
         for level in _levels(rig):
             rig.level = level
@@ -62,7 +62,7 @@ def _reads_every_level(rig: Rig) -> None:
             _check_true(rig, samples, level, f"at {level:g}")
 
 
-def _reads_in_time(rig: Rig) -> None:
+def _reads_in_time(rig: DriverRig) -> None:
     with rig.reader() as reader:
         rig.level = 0.0
         rig.collect(reader, 0.5)
@@ -80,7 +80,7 @@ def _reads_in_time(rig: Rig) -> None:
             )
 
 
-def _keeps_its_rate(rig: Rig) -> None:
+def _keeps_its_rate(rig: DriverRig) -> None:
     with rig.reader() as reader:
         seconds = 4.0
         samples = rig.collect(reader, seconds)
@@ -101,7 +101,7 @@ def _check_times(samples: Sequence[Sample]) -> None:
     require(all(np.diff(device_s) > 0), "device times must increase: a repeated line is no sample")
 
 
-def _starts_anew(rig: Rig) -> None:
+def _starts_anew(rig: DriverRig) -> None:
     first, _, last, *_ = _levels(rig)
     with rig.reader() as reader:
         rig.level = first
@@ -115,7 +115,7 @@ def _starts_anew(rig: Rig) -> None:
         _check_true(rig, samples, last, "after start()")
 
 
-def _under_fault(rig: Rig, reader: Reader, seconds: float) -> tuple[list[Sample], DeviceError | None]:
+def _under_fault(rig: DriverRig, reader: Reader, seconds: float) -> tuple[list[Sample], DeviceError | None]:
     samples: list[Sample] = []
 
     def read() -> list[Sample]:
@@ -125,7 +125,7 @@ def _under_fault(rig: Rig, reader: Reader, seconds: float) -> tuple[list[Sample]
     return samples, rig.fault_within(seconds, read)
 
 
-def _is_silent_with_its_device(rig: Rig) -> None:
+def _is_silent_with_its_device(rig: DriverRig) -> None:
     with rig.reader() as reader:
         rig.wire.is_silent = True
         silent_s = rig.clock.now_s()
@@ -134,8 +134,8 @@ def _is_silent_with_its_device(rig: Rig) -> None:
         require(not late, f"its device is silent, and it delivers {len(late)} samples, the first {late[:1]}")
 
 
-def _invents_nothing(fault: str, share: float) -> Callable[[Rig], None]:
-    def examine(rig: Rig) -> None:
+def _invents_nothing(fault: str, share: float) -> Callable[[DriverRig], None]:
+    def examine(rig: DriverRig) -> None:
         _, _, level, *_ = _levels(rig)
         with rig.reader() as reader:
             rig.level = level
@@ -148,7 +148,7 @@ def _invents_nothing(fault: str, share: float) -> Callable[[Rig], None]:
     return examine
 
 
-def _is_deaf_to_noise(rig: Rig) -> None:
+def _is_deaf_to_noise(rig: DriverRig) -> None:
     with rig.reader() as reader:
         rig.wire.garbage = 1.0
         rig.clock.sleep_s(LATEST_S)
@@ -158,14 +158,14 @@ def _is_deaf_to_noise(rig: Rig) -> None:
             require(not samples, f"of nothing but noise it made {len(samples)} samples, the first {samples[:1]}")
 
 
-def _notices_that_it_is_gone(rig: Rig) -> None:
+def _notices_that_it_is_gone(rig: DriverRig) -> None:
     with rig.reader() as reader:
         rig.wire.unplug()
         _, error = _under_fault(rig, reader, GONE_S)
         require(error is not None, f"its device is gone, and for {GONE_S:g} s nothing is said")
 
 
-READER: dict[str, Callable[[Rig], None]] = {
+READER: dict[str, Callable[[DriverRig], None]] = {
     "it declares name, unit, rate and range": _declares_what_it_is,
     "every level is read, in its unit": _reads_every_level,
     "a ramp is read in time": _reads_in_time,

@@ -33,7 +33,7 @@ def require(condition: object, message: str) -> None:
         raise Nonconformity(message)
 
 
-class Rig:
+class DriverRig:
     """The device of one driver; a context manager that closes everything.
 
     `level` is the truth of a reader: N on a load cell, V at the input of a readout. A function of the simulated time
@@ -64,7 +64,7 @@ class Rig:
         self.simulated = self._live(driver, self.wire)
         self.clock: Clock = HostClock() if driver.is_threaded else self.world
 
-    def __enter__(self) -> "Rig":
+    def __enter__(self) -> "DriverRig":
         if self.driver.is_threaded:
             self._stack.enter_context(self.world.in_background())
         return self

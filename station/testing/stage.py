@@ -6,7 +6,7 @@ import numpy as np
 
 from softcal.core.errors import CommandRefused, DeviceError
 from softcal.station.interfaces import Move, Stage
-from softcal.station.testing.rig import Rig, require
+from softcal.station.testing.rig import DriverRig, require
 
 POSITION_MM = 0.02
 POLL_S = 0.03
@@ -29,13 +29,13 @@ def _braking_s(stage: Stage) -> float:
     return _speed_mm_s(stage) / stage.acceleration_mm_s2
 
 
-def _go(rig: Rig, stage: Stage, to_mm: float) -> None:
+def _go(rig: DriverRig, stage: Stage, to_mm: float) -> None:
     stage.begin(Move(to_mm, _speed_mm_s(stage)))
     rig.watch(stage, abs(to_mm - rig.position_mm()) / _speed_mm_s(stage) + 4.0, lambda: not stage.is_moving)
     require(not stage.is_moving, f"a move to {to_mm:g} mm does not end")
 
 
-def _moves_only_when_homed(rig: Rig) -> None:
+def _moves_only_when_homed(rig: DriverRig) -> None:
     stage: Stage = rig.open()
     before_mm = rig.position_mm()
     require(not stage.is_position_known, "is_position_known before it was homed")
@@ -54,7 +54,7 @@ def _expect_refusal(stage: Stage, move: Move, when: str) -> None:
     )
 
 
-def _homes(rig: Rig) -> None:
+def _homes(rig: DriverRig) -> None:
     stage: Stage = rig.open()
     waits: list[None] = []
     stage.home(lambda: waits.append(None))
@@ -66,7 +66,7 @@ def _homes(rig: Rig) -> None:
     require(waits, "home() never called on_wait: nobody could break it off")
 
 
-def _goes_where_it_is_told(rig: Rig) -> None:
+def _goes_where_it_is_told(rig: DriverRig) -> None:
     with rig.homed() as stage:
         for to_mm in TARGETS_MM:
             _go(rig, stage, to_mm)
@@ -75,7 +75,7 @@ def _goes_where_it_is_told(rig: Rig) -> None:
             require(stage.is_position_known, f"after a move to {to_mm:g} mm its position is unknown")
 
 
-def _says_where_it_is(rig: Rig) -> None:
+def _says_where_it_is(rig: DriverRig) -> None:
     with rig.homed() as stage:
         stage.begin(Move(20.0, _speed_mm_s(stage)))
         rig.truth.clear()
@@ -88,7 +88,7 @@ def _says_where_it_is(rig: Rig) -> None:
             require(off_mm <= allowed_mm, f"it says {poll.position_mm:.3f} mm, off by {off_mm:.3f} mm")
 
 
-def _refuses(rig: Rig) -> None:
+def _refuses(rig: DriverRig) -> None:
     with rig.homed() as stage:
         fine, before_mm = _speed_mm_s(stage), rig.position_mm()
         for move, when in (
@@ -104,7 +104,7 @@ def _refuses(rig: Rig) -> None:
         _expect_refusal(stage, Move(1.0, fine), "while it moves")
 
 
-def _stops(rig: Rig) -> None:
+def _stops(rig: DriverRig) -> None:
     for moving_s in (0.0, 0.5):
         with rig.homed() as stage:
             _go(rig, stage, 2.0)
@@ -123,7 +123,7 @@ def _stops(rig: Rig) -> None:
             stage.close()
 
 
-def _can_be_broken_off_while_homing(rig: Rig) -> None:
+def _can_be_broken_off_while_homing(rig: DriverRig) -> None:
     stage: Stage = rig.open()
     rig.axis.position_mm = 15.0
 
@@ -141,8 +141,8 @@ def _can_be_broken_off_while_homing(rig: Rig) -> None:
     require(not stage.is_position_known, "its position is called known although homing was broken off")
 
 
-def _under_fault(break_it: Callable[[Rig], None], must_stand: bool) -> Callable[[Rig], None]:
-    def examine(rig: Rig) -> None:
+def _under_fault(break_it: Callable[[DriverRig], None], must_stand: bool) -> Callable[[DriverRig], None]:
+    def examine(rig: DriverRig) -> None:
         with rig.homed() as stage:
             stage.begin(Move(stage.travel_mm, min(4.0, _speed_mm_s(stage))))
             rig.watch(stage, 0.5)
@@ -159,19 +159,19 @@ def _under_fault(break_it: Callable[[Rig], None], must_stand: bool) -> Callable[
     return examine
 
 
-def _go_silent(rig: Rig) -> None:
+def _go_silent(rig: DriverRig) -> None:
     rig.wire.is_silent = True
 
 
-def _make_noise(rig: Rig) -> None:
+def _make_noise(rig: DriverRig) -> None:
     rig.wire.garbage = 1.0
 
 
-def _unplug(rig: Rig) -> None:
+def _unplug(rig: DriverRig) -> None:
     rig.wire.unplug()
 
 
-STAGE: dict[str, Callable[[Rig], None]] = {
+STAGE: dict[str, Callable[[DriverRig], None]] = {
     "it moves only when it is homed": _moves_only_when_homed,
     "it homes, and lets itself be watched": _homes,
     "it goes where it is told": _goes_where_it_is_told,

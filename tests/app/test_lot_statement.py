@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from softcal.app.export.certificates.lot_statement import AuditRow, LotStatementFacts, lot_statement_pdf
+from softcal.app.export.certificates.lot_statement import LotStatementFacts, StatementRow, lot_statement_pdf
 
 FACTS = LotStatementFacts(
     lot="lot-1",
@@ -27,7 +27,7 @@ FACTS = LotStatementFacts(
     confidence=0.9,
     factor=1.73,
     any_form="at most 20.6 % beyond the limit, 90 % confidence",
-    audits=tuple(AuditRow(f"A{k}", "lot-1", 0.2, 0.2 + 0.01 * k, "pass") for k in range(10)),
+    audits=tuple(StatementRow(f"A{k}", "lot-1", 0.2, 0.2 + 0.01 * k, "pass") for k in range(10)),
     drawn="at random, seed 7",
     released=tuple(f"U{k:03d}" for k in range(30)),
     counts={"pass": 40, "conditional": 2, "fail": 0},
@@ -62,7 +62,7 @@ def test_one_page_says_what_is_promised_on_what_evidence_at_what_risk(tmp_path: 
 
 
 def test_a_large_lot_still_fits_one_page_and_says_what_is_left_out(tmp_path: Path) -> None:
-    audits = tuple(AuditRow(f"LONG-SERIAL-{k:04d}", f"lot-{k % 7}", 0.2, 0.3, "pass") for k in range(80))
+    audits = tuple(StatementRow(f"LONG-SERIAL-{k:04d}", f"lot-{k % 7}", 0.2, 0.3, "pass") for k in range(80))
     facts = replace(FACTS, audits=audits, released=tuple(f"LONG-SERIAL-{k:05d}" for k in range(2000)))
     text, pages = _text(lot_statement_pdf(facts), tmp_path)
     assert pages == 1 and "and 66 more" in text and "and 1970 more" in text

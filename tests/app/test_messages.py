@@ -17,7 +17,7 @@ from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
 from softcal.app.texts.reasons import PREFIX, said
 from softcal.core.errors import NoReply, SoftcalError
 from softcal.core.orders import Condition, Heartbeat, OrderKind, Progress, RunState, StationState
-from softcal.core.quality.gate import CellCertificate, GoldenCheck, RigFacts, StationFacts, may_run
+from softcal.core.quality.gate import CellAtGate, GoldenCheck, RigFacts, StationFacts, may_run
 from softcal.core.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, root_of
 from softcal.core.rig_sentences import SENTENCES
 from softcal.db.connection import open_registry
@@ -133,12 +133,12 @@ def test_every_code_of_a_device_is_explained_in_korean(codes: dict, english_in: 
 
 NOW = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
 GOOD = StationFacts(
-    NOW, CellCertificate("K-17", date(2027, 1, 1), 20.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", True),
+    NOW, CellAtGate("K-17", date(2027, 1, 1), 20.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", True),
     RigFacts(timedelta(hours=2), is_homed=True),
 )  # fmt: skip
 HOMING = reason("grbl.homing_failed", why=grbl.Alarm(9).reason)
 BAD = StationFacts(
-    NOW, CellCertificate("K-17", date(2026, 1, 1), 9.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", False),
+    NOW, CellAtGate("K-17", date(2026, 1, 1), 9.0, 0.02), 12.0, NOW, GoldenCheck(NOW, "G1", False),
     RigFacts(homing_fault=HOMING, zero_return_N=1.0),
 )  # fmt: skip
 FAULT = reason("rig.not_zero", zero_N=3.0, allowed_N=0.5)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import UnitRefused
-from softcal.core.export.blob import MINOR, Cause, FileRefused, NetworkFile, UnitFile, serial_field
+from softcal.core.export.blob import MINOR, FileRefused, NetworkFile, RefusalCause, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.compile_map import Curve, InputScale, MapForm
 from softcal.core.export.device import DeviceOptions, UnitFacts, build_network_file, build_unit_file
@@ -138,7 +138,7 @@ def test_a_forged_file_is_refused_in_words_or_read_never_a_crash(
                 read(_resealed(bytes(sealed)))
             except FileRefused as refusal:
                 causes.add(refusal.cause)
-    assert Cause.LAYOUT in causes
+    assert RefusalCause.LAYOUT in causes
 
 
 def _flipped(data: bytes, bit: int) -> bytes:
@@ -149,10 +149,17 @@ def _flipped(data: bytes, bit: int) -> bytes:
 
 @pytest.mark.parametrize(
     ("at", "value", "cause"),
-    [(0, 0x58, Cause.MAGIC), (5, 2, Cause.VERSION), (8, 0, Cause.LENGTH), (4, 1, Cause.KIND), (48, 9, Cause.LAYOUT),
-     (50, 0, Cause.LAYOUT), (51, 7, Cause.LAYOUT)],
-)  # fmt: skip
-def test_each_wrong_field_has_its_own_cause(unit_file: UnitFile, at: int, value: int, cause: Cause) -> None:
+    [
+        (0, 0x58, RefusalCause.MAGIC),
+        (5, 2, RefusalCause.VERSION),
+        (8, 0, RefusalCause.LENGTH),
+        (4, 1, RefusalCause.KIND),
+        (48, 9, RefusalCause.LAYOUT),
+        (50, 0, RefusalCause.LAYOUT),
+        (51, 7, RefusalCause.LAYOUT),
+    ],
+)
+def test_each_wrong_field_has_its_own_cause(unit_file: UnitFile, at: int, value: int, cause: RefusalCause) -> None:
     data = bytearray(unit_file.to_bytes())
     data[at] = value
     with pytest.raises(FileRefused) as refusal:
@@ -165,7 +172,7 @@ def test_a_network_whose_row_could_overflow_is_refused_though_its_crc_is_right(n
     data[132:136] = struct.pack("<i", 2**31 - 1)  # the bias of the first row
     with pytest.raises(FileRefused, match="accumulator") as refusal:
         read_network(_resealed(bytes(data)))
-    assert refusal.value.cause is Cause.LAYOUT
+    assert refusal.value.cause is RefusalCause.LAYOUT
 
 
 def test_a_network_changed_behind_its_id_is_refused(network_file: NetworkFile) -> None:
@@ -173,7 +180,7 @@ def test_a_network_changed_behind_its_id_is_refused(network_file: NetworkFile) -
     data[84] ^= 1  # a letter of the output unit
     with pytest.raises(FileRefused) as refusal:
         read_network(_resealed(bytes(data)))
-    assert refusal.value.cause is Cause.NETWORK
+    assert refusal.value.cause is RefusalCause.NETWORK
 
 
 def test_a_later_minor_version_may_append_what_this_one_skips(unit_file: UnitFile) -> None:
@@ -188,9 +195,9 @@ def test_a_foreign_network_serial_or_self_test_gives_no_sensor(network_file: Net
     network, unit = network_file.to_bytes(), unit_file.to_bytes()
     wrong_test = replace(unit_file.self_tests[0], expected=unit_file.self_tests[0].expected + 1)
     cases = {
-        Cause.NETWORK: (replace(unit_file, network_id=b"12345678").to_bytes(), "A1"),
-        Cause.SERIAL: (unit, "A2"),
-        Cause.SELF_TEST: (replace(unit_file, self_tests=(wrong_test,)).to_bytes(), "A1"),
+        RefusalCause.NETWORK: (replace(unit_file, network_id=b"12345678").to_bytes(), "A1"),
+        RefusalCause.SERIAL: (unit, "A2"),
+        RefusalCause.SELF_TEST: (replace(unit_file, self_tests=(wrong_test,)).to_bytes(), "A1"),
     }
     assert open_sensor(network, unit, "A1").unit_file.serial == "A1"
     for cause, (data, serial) in cases.items():

@@ -7,7 +7,7 @@ from scipy import stats
 from softcal.core.errors import InputError
 from softcal.core.quality.control_chart import RULES, capability, control_chart
 from softcal.core.quality.gauge_study import study_by_anova, study_by_ranges
-from softcal.core.quality.yields import Run, Share, yields
+from softcal.core.quality.yields import Share, UnitRun, yields
 from softcal.core.reason import Reason, reason
 
 # AIAG, Measurement Systems Analysis, 4th edition, chapter III section B: 3 appraisers, 3 trials, 10 parts.
@@ -155,7 +155,7 @@ def test_a_chart_of_too_few_or_broken_values_is_refused():
 
 def test_yields_count_each_unit_once_and_leave_golden_units_out():
     short = reason("too_little_data", windows=3, presses=1, enough_windows=500, enough_presses=3)
-    good, bad, again = Run("pass"), Run("fail", (Reason("reversed"),)), Run("retest", (short,))
+    good, bad, again = UnitRun("pass"), UnitRun("fail", (Reason("reversed"),)), UnitRun("retest", (short,))
     found = yields({"A": [good], "B": [bad, good], "C": [again, bad], "D": [], "G": [bad]}, golden={"G"})
     assert (found.first_pass.count, found.second_pass.count, found.last_pass.count) == (1, 2, 2)
     assert found.first_pass.of == 3 and (found.runs.count, found.runs.of) == (2, 5)
@@ -163,7 +163,7 @@ def test_yields_count_each_unit_once_and_leave_golden_units_out():
 
 
 def test_reasons_are_counted_by_their_kind_whatever_their_numbers():
-    runs = {f"U{k}": [Run("conditional", (reason("drift", moved=0.1 * k, unit="N"),))] for k in range(3)}
+    runs = {f"U{k}": [UnitRun("conditional", (reason("drift", moved=0.1 * k, unit="N"),))] for k in range(3)}
     ((newest, count),) = yields(runs).reasons
     assert (newest.code, count) == ("drift", 3)
 

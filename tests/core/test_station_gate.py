@@ -7,7 +7,7 @@ import pytest
 
 from softcal.core.orders import OrderKind
 from softcal.core.quality.gate import (
-    CellCertificate,
+    CellAtGate,
     GoldenCheck,
     Override,
     RigFacts,
@@ -19,7 +19,7 @@ from softcal.core.quality.gate import (
 NOW = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
 GOOD = StationFacts(
     now=NOW,
-    certificate=CellCertificate("K-17", date(2027, 1, 1), 20.0, 0.02),
+    certificate=CellAtGate("K-17", date(2027, 1, 1), 20.0, 0.02),
     largest_force_N=12.0,
     shift_began=NOW - timedelta(hours=1),
     golden=GoldenCheck(NOW - timedelta(minutes=30), "G1", True),
@@ -30,7 +30,7 @@ WARM = RigFacts(timedelta(hours=2))
 
 REASONS = {
     "no certificate": ({"certificate": None}, "no certificate"),
-    "out of date": ({"certificate": CellCertificate("K-17", date(2026, 3, 1), 20.0, 0.02)}, "ended on 2026-03-01"),
+    "out of date": ({"certificate": CellAtGate("K-17", date(2026, 3, 1), 20.0, 0.02)}, "ended on 2026-03-01"),
     "range": ({"largest_force_N": 25.0}, "certificate ends at 20 N"),
     "warm-up": ({"rig": RigFacts(timedelta(minutes=5))}, "10 more min"),
     "zero": ({"rig": replace(WARM, zero_return_N=-0.31)}, "zero moved by -0.31 N"),
@@ -76,7 +76,7 @@ def test_all_reasons_are_said_at_once():
 
 
 def test_the_last_day_of_a_certificate_still_counts():
-    assert may_run(replace(GOOD, certificate=CellCertificate("K", NOW.date(), 20.0, 0.02))).is_open
+    assert may_run(replace(GOOD, certificate=CellAtGate("K", NOW.date(), 20.0, 0.02))).is_open
 
 
 def test_a_golden_unit_may_qualify_a_station_again():

@@ -12,6 +12,7 @@ from sqlalchemy.pool import NullPool
 from softcal.app.cli.main import main
 from softcal.core.errors import SoftcalError
 from softcal.core.reason import plain
+from softcal.core.recording import OutputRecording
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
 from softcal.db.entries import Anchor
@@ -93,6 +94,17 @@ def test_a_function_that_forbids_nothing_any_more_is_found(people):
         assert any("is not the one that was made" in line for line in people.verify())
     finally:
         behind(people, made)
+
+
+@pytest.mark.parametrize(("kind", "other"), [("arrays", "array"), ("arrays", "document"), ("array", "arrays")])
+def test_a_blob_of_another_kind_is_found(people, kind, other):
+    long = np.linspace(0.0, 1.0, 2000)
+    people.add_recording("L1", OutputRecording("A1", np.arange(2000) / 50.0, long, 50.0), "unit")
+    if people.database.is_sqlite:
+        behind(people, "DROP TRIGGER blobs_no_update")
+    behind(people, f"UPDATE blobs SET kind = '{other}' WHERE sha256 = "
+                   f"(SELECT min(sha256) FROM blobs WHERE kind = '{kind}')")  # fmt: skip
+    assert any("its size or kind was changed" in line for line in people.verify())
 
 
 def test_a_trail_that_was_cut_is_found_by_what_is_kept_elsewhere(people):

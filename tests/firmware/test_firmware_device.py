@@ -17,7 +17,7 @@ from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.cost import device_cost
 from softcal.core.export.integer_network import IntegerMix
 from softcal.core.export.loader import open_sensor, run_self_test
-from softcal.core.export.stream import DeviceStream, Shift, Trimmed, find_trim
+from softcal.core.export.stream import DeviceStream, Shift, TrimResult, find_trim
 
 SAMPLES = 250
 TOOLS = {
@@ -168,7 +168,7 @@ def test_two_known_loads_trim_a_unit_on_the_board_as_in_numpy(run_on_board: Call
     defines = f"-Os -DTRIM={loads[0]},{loads[1]} -DTRIM_CODES={drifted[0]},{drifted[1]}"
     run = run_on_board(network, unit, codes, board, defines)
     result, trim = find_trim(sensor, (np.full(20, drifted[0]), np.full(20, drifted[1])), (loads[0], loads[1]))
-    assert (run.numbers["trim"], result) == (0, Trimmed.TRIMMED)
+    assert (run.numbers["trim"], result) == (0, TrimResult.TRIMMED)
     assert (run.numbers["trim_gain"], run.numbers["trim_offset"]) == (trim.gain, trim.offset) != (0, 0)
     assert np.array_equal(run.estimates, _reference(network, unit, codes, trim))
 

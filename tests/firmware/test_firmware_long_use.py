@@ -11,7 +11,7 @@ import pytest
 
 from softcal.core.export.blob import UnitFile
 from softcal.core.export.loader import open_sensor
-from softcal.core.export.stream import Shift, Trimmed, find_trim
+from softcal.core.export.stream import Shift, TrimResult, find_trim
 
 WATCHING, ADAPTED, AT_BOUND, NOT_ADAPTABLE = range(4)
 SLOT_BYTES = 256
@@ -192,12 +192,12 @@ def _rests(
     return np.clip(np.rint(moved + rng.normal(0, noise, count)), 0, 65_535).astype(np.int64)
 
 
-def _trimmed(device: Device, codes: tuple[np.ndarray, ...], loads: tuple[int, int]) -> tuple[Trimmed, Shift]:
+def _trimmed(device: Device, codes: tuple[np.ndarray, ...], loads: tuple[int, int]) -> tuple[TrimResult, Shift]:
     device.bridge.bridge_trim_start()
     for load, samples in enumerate(codes):
         for code in samples:
             device.bridge.bridge_trim_sample(load, int(code))
-    result = Trimmed(device.bridge.bridge_trim_finish(*loads))
+    result = TrimResult(device.bridge.bridge_trim_finish(*loads))
     return result, Shift(device.bridge.bridge_trim_gain(), device.bridge.bridge_trim_offset())
 
 
@@ -217,7 +217,7 @@ def test_a_trim_on_the_device_is_that_of_numpy_bit_for_bit(
         found = _trimmed(Device(bridge, network, unit), codes, loads)
         assert found == find_trim(sensor, codes, loads)
         seen.add(found[0])
-    assert seen == set(Trimmed)
+    assert seen == set(TrimResult)
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.12), (1.15, 0.0), (0.85, 0.1), (1.2, -0.1)])
@@ -237,11 +237,11 @@ def test_two_known_loads_bring_a_drifted_unit_back(
     before = [abs(settled(share, gain, offset) - settled(share, 1.0, 0.0)) for share in (0.1, 0.5, 0.9)]
     fresh = [settled(share, 1.0, 0.0) for share in (0.1, 0.5, 0.9)]
     result, _ = _trimmed(device, drifted, loads)
-    assert result is Trimmed.TRIMMED
+    assert result is TrimResult.TRIMMED
     assert device.read(10_300)[3] == 1  # the window fills anew
     after = [abs(settled(share, gain, offset) - was) for share, was in zip((0.1, 0.5, 0.9), fresh, strict=True)]
     assert max(after) < 0.25 * max(before)
-    assert find_trim(sensor, drifted, loads)[0] is Trimmed.TRIMMED
+    assert find_trim(sensor, drifted, loads)[0] is TrimResult.TRIMMED
 
 
 def test_following_goes_on_from_the_trim(bridge: ctypes.CDLL, real_case: Any, rng: np.random.Generator) -> None:
@@ -257,6 +257,6 @@ def test_following_goes_on_from_the_trim(bridge: ctypes.CDLL, real_case: Any, rn
             bridge.bridge_push(int(code), 10_000 + 20 * k)
         loads.append(device.read(10_300)[0])
     moved = tuple(np.full(20, round(code + 0.15 * (top - rest))) for code in (rest, top))
-    assert _trimmed(device, moved, (loads[0], loads[1]))[0] is Trimmed.TRIMMED
+    assert _trimmed(device, moved, (loads[0], loads[1]))[0] is TrimResult.TRIMMED
     device.push(codes, 3 * len(real_case.codes))
     assert abs(bridge.bridge_offset()) < 0.05 * span

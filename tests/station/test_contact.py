@@ -10,7 +10,7 @@ from softcal.core.twin.simulate import Twin
 from softcal.station.acquisition import record
 from softcal.station.bench import open_simulated_bench
 from softcal.station.config import FixtureConfig
-from softcal.station.contact import Search, bend
+from softcal.station.contact import ContactSearch, bend
 from softcal.station.interfaces import Sample
 
 TOUCH = ramps([0.5], 4.0, rest_s=0.1)
@@ -51,7 +51,7 @@ def test_units_of_other_stiffness_are_aligned_within_micrometres():
 def test_a_cell_that_shows_nothing_while_the_output_changes_is_dead():
     cell = [Sample(0.01 * k, None, (0.0,)) for k in range(40)]
     output = [Sample(0.01 * k, None, (1.0,)) for k in range(40)]
-    search = Search(FixtureConfig(), True, cell, output)
+    search = ContactSearch(FixtureConfig(), True, cell, output)
     assert not search.is_over()
     output.append(Sample(0.5, None, (1.2,)))
     with pytest.raises(BadReply, match="shows no contact although the output has changed by 0.2"):
@@ -61,7 +61,7 @@ def test_a_cell_that_shows_nothing_while_the_output_changes_is_dead():
 def test_an_output_far_ahead_of_a_force_that_is_felt_is_no_fault():
     cell = [Sample(0.01 * k, None, (0.0,)) for k in range(40)]
     output = [Sample(0.01 * k, None, (1.0,)) for k in range(40)]
-    search = Search(FixtureConfig(), True, cell, output)
+    search = ContactSearch(FixtureConfig(), True, cell, output)
     cell.append(Sample(0.5, None, (0.1,)))
     output.append(Sample(0.5, None, (1.2,)))
     assert not search.is_over()

@@ -25,8 +25,8 @@ def test_commands_of_the_manual():
 
 
 def test_answers_of_the_manual():
-    assert esm.parse_status(b"SMUL") == esm.Status("S", "M", "UL")
-    assert esm.parse_status(b"D L") == esm.Status("D", "L", "")
+    assert esm.parse_status(b"SMUL") == esm.StandStatus("S", "M", "UL")
+    assert esm.parse_status(b"D L") == esm.StandStatus("D", "L", "")
     assert esm.parse_travel_mm(b"-7.52 mm") == -7.52
     assert esm.parse_travel_mm(b"-0.550 in") == pytest.approx(-13.97)
 

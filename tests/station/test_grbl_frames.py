@@ -8,7 +8,7 @@ from softcal.station.frames import grbl
 
 def test_status_report_of_the_manual():
     status = grbl.parse(b"<Idle|MPos:0.000,0.000,-3.250|FS:0,0|Pn:PXYZRHS|Bf:15,128|Ln:99>")
-    assert status == grbl.Status("Idle", 0, (0.0, 0.0, -3.25), pins="PXYZRHS")
+    assert status == grbl.GrblStatus("Idle", 0, (0.0, 0.0, -3.25), pins="PXYZRHS")
 
 
 def test_work_position_and_offset_are_kept_apart():
@@ -19,7 +19,9 @@ def test_work_position_and_offset_are_kept_apart():
 
 
 def test_unknown_fields_of_grblhal_are_ignored():
-    assert grbl.parse(b"<Run|MPos:1.0,2.0,3.0|Bf:100,1023|H:1,7|FS:500,0>") == grbl.Status("Run", 0, (1.0, 2.0, 3.0))
+    assert grbl.parse(b"<Run|MPos:1.0,2.0,3.0|Bf:100,1023|H:1,7|FS:500,0>") == grbl.GrblStatus(
+        "Run", 0, (1.0, 2.0, 3.0)
+    )
 
 
 @pytest.mark.parametrize("line", [b"Grbl 1.1h ['$' for help]", b"GrblHAL 1.1f ['$' or '$HELP' for help]"])
@@ -29,16 +31,16 @@ def test_greetings(line):
 
 def test_answers():
     assert grbl.parse(b"ok") == grbl.Ok()
-    assert grbl.parse(b"error:9") == grbl.Refusal(9)
-    assert "locked" in str(grbl.Refusal(9).reason)
+    assert grbl.parse(b"error:9") == grbl.GrblRefusal(9)
+    assert "locked" in str(grbl.GrblRefusal(9).reason)
     assert grbl.parse(b"ALARM:3") == grbl.Alarm(3)
-    assert grbl.parse(b"[PRB:0.000,0.000,-4.221:1]") == grbl.Probe((0.0, 0.0, -4.221), True)
+    assert grbl.parse(b"[PRB:0.000,0.000,-4.221:1]") == grbl.GrblProbe((0.0, 0.0, -4.221), True)
     assert grbl.parse(b"$122=250.000") == grbl.Setting(122, 250.0)
 
 
 @pytest.mark.parametrize("line", [b"", b"[MSG:Reset to continue]", b">G54G20:ok", b">:error:7"])
 def test_push_messages_ask_for_nothing(line):
-    assert grbl.parse(line) == grbl.Note(line.decode())
+    assert grbl.parse(line) == grbl.GrblNote(line.decode())
 
 
 @pytest.mark.parametrize("line", [b"o", b"okok", b"\xff\xfe", b"<Idle|MPos:0.0", b"<Lost|MPos:0,0,0>", b"error:x"])

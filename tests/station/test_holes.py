@@ -12,7 +12,7 @@ from softcal.core.profiles import ramps
 from softcal.station.acquisition import FEELING, PRESSING, record
 from softcal.station.config import station_from_table
 from softcal.station.drivers.grbl import GrblStage
-from softcal.station.identify import Identity
+from softcal.station.identify import DeviceIdentity
 from softcal.station.interfaces import Held, Move
 from softcal.station.link import Link
 from softcal.station.motion import StoppedByHand
@@ -226,18 +226,18 @@ def test_a_limit_that_leaves_no_room_to_stop_is_refused():
         station_from_table(TABLE | {"force": force, "safety": {"force_N": 19.0}})
 
 
-STAGE = Identity("/dev/s", "stage", "grbl", "Grbl 1.1h")
+STAGE = DeviceIdentity("/dev/s", "stage", "grbl", "Grbl 1.1h")
 
 
 def test_two_streams_that_could_be_either_are_not_guessed_between():
-    first = Identity("/dev/1", "readout", "arduino", "text stream", 80.0, 1)
-    second = Identity("/dev/2", "readout", "arduino", "text stream", 50.0, 1)
+    first = DeviceIdentity("/dev/1", "readout", "arduino", "text stream", 80.0, 1)
+    second = DeviceIdentity("/dev/2", "readout", "arduino", "text stream", 50.0, 1)
     with pytest.raises(NoReply, match=r"/dev/1.*/dev/2.*could each be the sensor readout"):
         station_of([STAGE, first, second])
 
 
 def test_a_station_file_is_never_made_without_a_load_cell():
-    readout = Identity("/dev/1", "readout", "arduino", "softcal readout 1", 50.0, 1)
+    readout = DeviceIdentity("/dev/1", "readout", "arduino", "softcal readout 1", 50.0, 1)
     with pytest.raises(NoReply, match="not found: a load cell"):
         station_of([STAGE, readout])
 

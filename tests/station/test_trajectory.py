@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softcal.station.interfaces import StagePosition
-from softcal.station.simulated.motion import Axis, Block
+from softcal.station.simulated.motion import Axis, QueuedMove
 from softcal.station.trajectory import DrivenMove, Trapezoid, reconstruct
 
 
@@ -13,7 +13,7 @@ def test_trapezoid_agrees_with_the_simulated_drive(start, end, speed):
     """Two implementations: closed form here, event by event in the simulated axis."""
     path, axis = Trapezoid(start, end, speed, 200.0), Axis(200.0)
     axis.position_mm = start
-    axis.add(Block(end, speed))
+    axis.add(QueuedMove(end, speed))
     for t_s in np.linspace(0.0, path.duration_s * 1.1, 57):
         axis.advance(t_s)
         assert path.position_mm(np.array([t_s]))[0] == pytest.approx(axis.position_mm, abs=1e-9)
@@ -22,9 +22,9 @@ def test_trapezoid_agrees_with_the_simulated_drive(start, end, speed):
 
 def test_collinear_pieces_move_like_one_stroke():
     whole, pieces = Axis(200.0), Axis(200.0)
-    whole.add(Block(4.0, 5.0))
+    whole.add(QueuedMove(4.0, 5.0))
     for k in range(1, 9):
-        pieces.add(Block(0.5 * k, 5.0))
+        pieces.add(QueuedMove(0.5 * k, 5.0))
     for t_s in np.linspace(0.0, 0.9, 91):
         whole.advance(t_s)
         pieces.advance(t_s)
@@ -33,7 +33,7 @@ def test_collinear_pieces_move_like_one_stroke():
 
 def test_feed_hold_brakes_at_the_drives_acceleration():
     axis = Axis(200.0)
-    axis.add(Block(10.0, 10.0))
+    axis.add(QueuedMove(10.0, 10.0))
     axis.advance(0.5)
     at_mm = axis.position_mm
     axis.hold()

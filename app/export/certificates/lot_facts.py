@@ -6,7 +6,7 @@ from importlib.metadata import version
 import numpy as np
 
 from softcal.app.batch.audit import lot_audit
-from softcal.app.export.certificates.lot_statement import AuditRow, LotStatementFacts
+from softcal.app.export.certificates.lot_statement import LotStatementFacts, StatementRow
 from softcal.core.quality.lot_release import LotRelease, any_form
 from softcal.db.registry import Registry
 
@@ -50,10 +50,10 @@ def _calibrated(registry: Registry, lot_id: str) -> str:
     return next(unit.serial for unit in registry.units(lot_id) if unit.role == "target" and unit.revision is not None)
 
 
-def _rows(decided: LotRelease, lot_id: str) -> tuple[AuditRow, ...]:
+def _rows(decided: LotRelease, lot_id: str) -> tuple[StatementRow, ...]:
     audits = sorted(decided.qualification.audits, key=lambda audit: -audit.ratio)
     return tuple(
-        AuditRow(
+        StatementRow(
             a.serial,
             a.lot_id or lot_id,
             a.forecast_rmse,

@@ -40,7 +40,7 @@ ASSUMES = (
 
 
 @dataclass(frozen=True)
-class AuditRow:
+class StatementRow:
     """One audited unit: forecast and measured RMSE in the reference unit, and its word."""
 
     serial: str
@@ -87,7 +87,7 @@ class LotStatementFacts:
     confidence: float
     factor: float | None
     any_form: str
-    audits: tuple[AuditRow, ...]
+    audits: tuple[StatementRow, ...]
     drawn: str
     released: tuple[str, ...]
     counts: Mapping[str, int]

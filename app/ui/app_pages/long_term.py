@@ -8,7 +8,7 @@ from softcal.app.ui.desk import choose, colours, empty, errors_in_words, registr
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
 from softcal.app.views.common import number
-from softcal.app.views.long_term import UnitInUse, course, units_in_use
+from softcal.app.views.long_term import UnitInUseView, course, units_in_use
 
 
 def render() -> None:
@@ -38,7 +38,7 @@ def render() -> None:
             show_figure(course_figure(found, colours(), say), f"course-{serial}")
 
 
-def _row(unit: UnitInUse) -> dict[str, object]:
+def _row(unit: UnitInUseView) -> dict[str, object]:
     say = words()
     return {
         say("column.serial"): unit.serial,
