@@ -7,7 +7,7 @@ Source and targets of egain_pair and insole_lot: f trained on the source's first
 target's first three quarters without labels, errors on the last quarter by time, in mN or mbar. `device` is the unit
 file's integers, compared with the float model on rows the device does not flag; `ONNX` is the largest difference of
 onnxruntime from the float model on the same windows. `--sizes` prints instead what a unit file of 256, 512 or 1024
-bytes changes on every unit, and on those of a `softcal demo`.
+bytes changes on every taxel, and on the units of a `softcal demo`.
 """
 
 import argparse
@@ -69,12 +69,12 @@ class UnitRow:
     unit_bytes: int
 
 
-def lots(quick: bool) -> Iterator[LotData]:
+def lots(quick: bool, every: int = 4) -> Iterator[LotData]:
     """The pair in one direction, and one insole with every n-th taxel as a target."""
     pair = [egain(name) for name in ("S1", "S2")]
     yield LotData("egain_pair", "mN", pair[0], [pair[1]])
     table = insole("calibration")
-    names = taxels(table)[:: 20 if quick else 4]
+    names = taxels(table)[:: 20 if quick else every]
     # Every fourth sample keeps a run short; 12.2 Hz, as if recorded at that rate.
     table = table.iloc[::4]
     recordings = [_taxel(table, name) for name in names]
@@ -193,7 +193,7 @@ def demo_sizes(path: Path) -> Iterator[list[str]]:
 def sizes(options: argparse.Namespace) -> list[str]:
     """The table by size."""
     lines = ["| " + " | ".join(SIZES_HEADER) + " |", "|" + "---|" * len(SIZES_HEADER)]
-    rows = [row for lot in lots(options.quick) for row in lot_sizes(lot, 15 if options.quick else 200)]
+    rows = [row for lot in lots(options.quick, 1) for row in lot_sizes(lot, 15 if options.quick else 200)]
     rows += list(demo_sizes(options.demo)) if options.demo else []
     return lines + ["| " + " | ".join(row) + " |" for row in rows]
 

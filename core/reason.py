@@ -32,6 +32,19 @@ ENGLISH: Mapping[str, str] = {
     "part.above_close": "above, but closer than its uncertainty to",
     "part.stated": "stated for the lot",
     "part.automatic": "no limit was stated: {factor:g} x the source's own held-out RMSE of {rmse:.3g} {unit}",
+    "reference_missing": (
+        "reference {cell} has no certificate that states its uncertainty: nothing is traced to it and no unit passes; "
+        "state the certificate and run again"
+    ),
+    "reference_expired": (
+        "certificate {number} of reference {cell} holds from {issued_on} until {due_on}; the source was recorded on "
+        "{used_on}: nothing is traced to it and no unit passes"
+    ),
+    "reference_range": (
+        "certificate {number} covers the reference up to {capacity:.4g}, the source was pressed to {highest:.4g}: no "
+        "unit passes"
+    ),
+    "reference_uncertain": "the reference's own uncertainty U = {expanded:.3g} {unit} (k = 2) leaves no room to pass",
     "harmful": "worse than doing nothing: RMSE {after:.3g} {unit} with the map, {before:.3g} {unit} without it",
     "forecast_only": "a forecast promises nothing before units of the lot were audited",
     "not_qualified": "not released by sample: {why}",

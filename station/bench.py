@@ -26,6 +26,9 @@ from softcal.station.driver import Opening
 from softcal.station.interfaces import Clock, ForceReader, Readout, Stage
 from softcal.station.simulated.station import SimulatedStation
 
+SIMULATED_NAME = "simulated"
+"""Name of every simulated station: nothing it measures is traceable."""
+
 
 @dataclass(frozen=True)
 class Bench:
@@ -121,7 +124,7 @@ def simulated_config(station: SimulatedStation) -> StationConfig:
         replace(
             fixture, approach_mm=station.free_mm, contact_output=fixture.contact_output * abs(station.reading_per_V)
         ),
-        name="simulated",
+        name=SIMULATED_NAME,
     )
 
 

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
+from softcal.app.registry.reference import reference_expanded
 from softcal.core.errors import InputError
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
 from softcal.core.reason import plain
@@ -154,11 +155,12 @@ def lot_limit(registry: Registry, lot_id: str) -> Limit:
     Raises:
         InputError: none was stated, and no unit was calibrated yet.
     """
-    lot = registry.lot(lot_id)
+    lot, expanded = registry.lot(lot_id), reference_expanded(registry, lot_id)
     if lot.limit_rmse is not None:
-        return Limit(lot.reference_unit, lot.limit_rmse)
+        return Limit(lot.reference_unit, lot.limit_rmse, reference_expanded=expanded)
     serial = next((unit.serial for unit in _targets(registry, lot_id) if unit.revision is not None), None)
     if serial is None:
         raise InputError(f"lot {lot_id!r} states no limit and has no calibrated unit yet; run `softcal batch` first")
     evidence = registry.calibration(serial, lot_id=lot_id).record.evidence
-    return Limit(lot.reference_unit, float(str(evidence["limit_rmse"])), plain(str(evidence["limit_origin"])))
+    origin = plain(str(evidence["limit_origin"]))
+    return Limit(lot.reference_unit, float(str(evidence["limit_rmse"])), origin, expanded)

@@ -13,6 +13,7 @@ from softcal.app.batch.unit_work import SharedWork
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.recording_file import read_labelled
 from softcal.app.files.regular import read_regular
+from softcal.app.registry.reference import state_reference
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.unit.source_model import make_source_model
@@ -39,7 +40,8 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     model = make_source_model(source, trained.network, method=config.method)
     lot = registry.lot(folder.lot.id)
     line = state_line(registry, lot.id, folder.line, config.actor)
-    shared = SharedWork(folder.lot, model, own, stated_limit(lot.reference_unit, lot.limit_rmse), line)
+    reference = state_reference(registry, lot.id, folder.reference, source, config.actor)
+    shared = SharedWork(folder.lot, model, own, stated_limit(lot.reference_unit, lot.limit_rmse), line, reference)
     watch.on_start(len(folder.unit_paths))
     results = LotWork(folder, registry, shared, config, watch).results()
     ordered = tuple(results[serial] for serial in folder.unit_paths)

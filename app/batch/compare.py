@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from softcal.app.registry.reference import lot_reference
 from softcal.app.registry.source import source_model, unlabelled
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.config import MapConfig
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel
@@ -38,13 +40,13 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
     """
     lot = registry.lot(request["lot"])
     units = _units(registry, lot.id, int(request["units"]))
-    limit = stated_limit(lot.reference_unit, lot.limit_rmse)
+    limit, reference = stated_limit(lot.reference_unit, lot.limit_rmse), lot_reference(registry, lot.id)
     pairs = [(network, family) for network in request["networks"] for family in request["families"]]
     rows = []
     for k, (network_id, family) in enumerate(pairs):
         tell(k / len(pairs), f"{network_id[:12]}, {family}")
         model = source_model(registry, network_id, Method(map=MapConfig(family)))
-        rows.append({"network": network_id, "family": family, **_row(model, units, limit)})
+        rows.append({"network": network_id, "family": family, **_row(model, units, limit, reference)})
     return rows
 
 
@@ -64,14 +66,16 @@ def _labelled(registry: Registry, sha256: str | None) -> LabelledRecording | Non
     return found if isinstance(found, LabelledRecording) else None
 
 
-def _row(model: SourceModel, units: Sequence[_Unit], limit: Limit | None) -> dict[str, object]:
+def _row(
+    model: SourceModel, units: Sequence[_Unit], limit: Limit | None, reference: Reference | None
+) -> dict[str, object]:
     predicted: list[float] = []
     before: list[float] = []
     after: list[float] = []
     passed = refused = 0
     for unit in units:
         try:
-            found = calibrate(UnitProblem(model, unit.recording, limit, audit=unit.audit))
+            found = calibrate(UnitProblem(model, unit.recording, limit, audit=unit.audit, reference=reference))
         except UnitRefused:
             refused += 1
             continue

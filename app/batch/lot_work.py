@@ -321,6 +321,7 @@ def _settings_sha256(shared: SharedWork, is_refit: bool) -> str:
         "own": None if shared.own is None else asdict(shared.own),
         "limit": None if shared.limit is None else shared.limit.to_json(),
         "line": None if shared.line is None else shared.line.to_json(),
+        **({} if shared.reference is None else {"reference": shared.reference.to_json()}),
         # A newer version may read what an older one refused.
         "version": version("softcal"),
         "refit": uuid.uuid4().hex if is_refit else None,

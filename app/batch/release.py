@@ -13,7 +13,6 @@ from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.release import least_passing
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Decision
 from softcal.db.entries import MadeCalibration, StoredCalibration, UnitStanding
 from softcal.db.registry import Registry
 
@@ -186,7 +185,7 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
         decided: on its lot; the unit must be among `forecasts`.
     """
     judgement = decided.judgement(base.serial)
-    decision = Decision(base.decision.predicted, None, judgement)
+    decision = replace(base.decision, measured=None, sampled=judgement)
     scale, width = decided.forecast_scale, decided.interval_scale
     forecast = None
     if base.settings.get("forecast") is not None and base.predicted_rmse is not None:

@@ -13,6 +13,7 @@ from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import NetworkConfig
 from softcal.core.reason import reason
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.line_spread import LineSpread
@@ -60,6 +61,7 @@ class SharedWork:
         own: how own calibrations are trained on audits, for comparison; None trains none.
         limit: the lot's limit; None derives one from the source's own error.
         line: how differently the line presses units, where it was stated.
+        reference: what the source was compared with; None where nobody said.
     """
 
     lot: Lot
@@ -67,6 +69,7 @@ class SharedWork:
     own: NetworkConfig | None
     limit: Limit | None
     line: LineSpread | None = None
+    reference: Reference | None = None
 
 
 @dataclass(frozen=True)
@@ -133,7 +136,8 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
         except InputError as error:
             refusal = Refusal(Verdict.RETEST, reason("wrong_loads", error=str(error)))
             return UnitOutcome(task.item_id, task.serial, refusal, recording, audit)
-    problem = UnitProblem(shared.source, recording, shared.limit, task.anchors, audit, shared.own, shared.line)
+    shown = recording, shared.limit, task.anchors, audit, shared.own, shared.line, shared.reference
+    problem = UnitProblem(shared.source, *shown)
     if problem.input_sha256 in task.known:
         return UnitOutcome(task.item_id, task.serial, Known(problem.input_sha256))
     return UnitOutcome(task.item_id, task.serial, calibrated(problem), recording, audit)

@@ -1,7 +1,10 @@
 """`softcal export`: calibration files for devices, PCs and auditors."""
 
 import argparse
+import sys
 from collections.abc import Mapping, Sequence
+from datetime import date
+from getpass import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +14,7 @@ from softcal.app.output import ProgressLine, print_table, say, write_json
 
 if TYPE_CHECKING:
     from softcal.app.export.calibrated_unit import ExportOptions
+    from softcal.app.export.signature import SigningKey
 
 EXAMPLES = """examples:
   softcal export --serial A1 --format blob --adc-bits 10 --adc-full-scale 5 --out files --check
@@ -29,9 +33,10 @@ A unit that did not pass gets pdf and dcc, which say so, but no device file: a c
 Every folder has a manifest.json with the SHA-256 of every file. --check answers three questions: is the folder complete
 (nothing more, nothing less), is every file unchanged and opened by its self-tests, and whose is the signature; without
 --public-key the last is not checked, and the answer says so. The passphrase of an encrypted --sign key is read from
-SOFTCAL_SIGNING_PASSPHRASE. A unit file takes the least of 256, 512 and 1024 bytes that keeps the device within 0.1 % of
-the unit's span; --unit-bytes holds all units to one size. The table shows what the device form changes: `map` by
-its small curve, `error` in all, both as changes of the estimate on the unit's own recording.
+--passphrase-file or SOFTCAL_SIGNING_PASSPHRASE, else asked for. Certificates get a signature of their own (.sig).
+A unit file takes the least of 256, 512 and 1024 bytes that keeps the device within 0.1 % of the unit's span;
+--unit-bytes holds all units to one size. The table shows what the device form changes: `map` by its small curve,
+`error` in all, both as changes of the estimate on the unit's own recording.
 """
 
 
@@ -89,8 +94,21 @@ def _add_device_options(parser: argparse.ArgumentParser) -> None:
 def _add_certificate_options(parser: argparse.ArgumentParser) -> None:
     paper = parser.add_argument_group("certificates and signatures")
     paper.add_argument("--laboratory", type=Path, metavar="TOML", help="laboratory, person, customer and load cell")
-    paper.add_argument("--sign", type=Path, metavar="PEM", help="Ed25519 key, encrypted or not, for manifest.sig")
-    paper.add_argument("--public-key", type=Path, metavar="PEM", help="with --check: verify manifest.sig")
+    paper.add_argument(
+        "--issued-on", type=_day, metavar="DATE", help="date of issue of certificates; default: the file's, else today"
+    )
+    paper.add_argument(
+        "--sign", type=Path, metavar="PEM", help="Ed25519 key, encrypted or not: signs the manifest and certificates"
+    )
+    paper.add_argument("--passphrase-file", type=Path, metavar="FILE", help="its first line opens the key of --sign")
+    paper.add_argument(
+        "--public-key",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="with --check: a key (PEM) or a ring of keys with their validity (TOML); may be repeated",
+    )
 
 
 def _address(text: str) -> int:
@@ -98,6 +116,13 @@ def _address(text: str) -> int:
         return int(text, 0)
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r} is no address such as 0x3ff00") from error
+
+
+def _day(text: str) -> date:
+    try:
+        return date.fromisoformat(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no date such as 2026-01-31") from error
 
 
 def run(options: argparse.Namespace) -> int:
@@ -179,15 +204,25 @@ def _options(options: argparse.Namespace) -> "ExportOptions":
         failed_too=options.failed_too,
         revision=options.revision,
         lot_id=options.lot,
-        signing_key=options.sign,
+        signing_key=_signing_key(options),
         laboratory=options.laboratory,
+        issued_on=options.issued_on,
     )
+
+
+def _signing_key(options: argparse.Namespace) -> "SigningKey | None":
+    from softcal.app.export.signature import open_signing_key
+
+    if options.sign is None:
+        return None
+    return open_signing_key(options.sign, options.passphrase_file, getpass if sys.stdin.isatty() else None)
 
 
 def _check(options: argparse.Namespace) -> tuple[dict[str, object], tuple[str, ...]]:
     from softcal.app.export.check import check_folder
+    from softcal.app.export.signature import trusted_keys
 
-    found = check_folder(options.out, options.public_key)
+    found = check_folder(options.out, trusted_keys(options.public_key))
     for problem in found.problems:
         say(f"problem: {problem}")
     print_table(("question", "answer"), found.answers)

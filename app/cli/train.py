@@ -34,6 +34,7 @@ def run(options: argparse.Namespace) -> int:
     """Train or find f, and print what it is."""
     from softcal.app.batch.train import train_or_find
     from softcal.app.files.lot_folder import open_lot_folder
+    from softcal.app.registry.reference import state_reference
 
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:
@@ -47,6 +48,7 @@ def run(options: argparse.Namespace) -> int:
             network_config(options),
             on_epoch=lambda report: say_epoch(report, lot.reference_unit),
         )
+        state_reference(registry, lot.id, folder.reference, source)
     network = trained.network
     print_table(
         ["lot", "source", "network", "layers", "status", f"validation RMSE [{lot.reference_unit}]", "train_s"],

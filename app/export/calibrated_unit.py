@@ -1,9 +1,11 @@
 """One calibrated unit as the registry knows it, and what exports derive from it."""
 
 from dataclasses import dataclass, field, replace
+from datetime import date
 from functools import cached_property
 from pathlib import Path
 
+from softcal.app.export.signature import SigningKey
 from softcal.app.registry.source import source_recording, source_sha256, unlabelled
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import NetworkFile
@@ -32,8 +34,9 @@ class ExportOptions:
         failed_too: write device files of every unit, for the laboratory; each file says its verdict.
         revision: an older calibration; None is the one in use.
         lot_id: lot of the units; needed where a serial stands in several.
-        signing_key: Ed25519 private key (PEM) that signs the manifest.
+        signing_key: opened key that signs the manifest and every certificate.
         laboratory: TOML with laboratory, customer, responsible person and load cell, for certificates.
+        issued_on: date of issue of certificates; None leaves it to the laboratory file, else it is today.
     """
 
     adc_bits: int | None = None
@@ -45,8 +48,9 @@ class ExportOptions:
     failed_too: bool = False
     revision: int | None = None
     lot_id: str | None = None
-    signing_key: Path | None = None
+    signing_key: SigningKey | None = None
     laboratory: Path | None = None
+    issued_on: date | None = None
 
     def releases(self, verdict: str) -> bool:
         """Whether device files of a unit with this verdict are written."""
@@ -90,6 +94,7 @@ class CalibratedUnit:
     lot: Lot
     shared: SharedNetwork
     recording: OutputRecording
+    recorded_on: date
     options: ExportOptions
 
     @property
@@ -154,7 +159,12 @@ class UnitLoader:
         stored = self.registry.calibration(serial, self.options.revision, lot_id=self.options.lot_id)
         recording = unlabelled(self.registry.recording(stored.record.recording_sha256))
         lot = self.registry.lot(stored.lot_id)
-        return CalibratedUnit(stored, lot, self._shared(stored), recording, self.options)
+        return CalibratedUnit(stored, lot, self._shared(stored), recording, self._recorded_on(stored), self.options)
+
+    def _recorded_on(self, stored: StoredCalibration) -> date:
+        sha256 = stored.record.recording_sha256
+        entries = self.registry.recordings(stored.lot_id, stored.serial)
+        return next((entry.added_at for entry in entries if entry.sha256 == sha256), stored.made_at).date()
 
     def _shared(self, stored: StoredCalibration) -> SharedNetwork:
         network_id = stored.record.network_id

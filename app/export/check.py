@@ -1,13 +1,14 @@
 """Read an export folder back before anything is shipped: is it complete, is it unchanged, and who signed it?"""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 
 from softcal.app.export.manifest import NAME, SIGNATURE, FileEntry, Manifest, read_manifest
-from softcal.app.export.names import AUDIT
-from softcal.app.export.signature import check_signature
+from softcal.app.export.names import APART, AUDIT
+from softcal.app.export.signature import TrustedKey, check_signature
 from softcal.core.errors import InputError
 from softcal.core.export.blob import NetworkFile, UnitFile, serial_field
 from softcal.core.export.blob_reader import read_network, read_unit
@@ -26,8 +27,9 @@ class FolderCheck:
         opened: units whose device files were opened with all self-tests.
         incomplete: one line for each file that is missing, or that nobody exported; empty: nothing more, nothing less.
         changed: one line for each file that is not what was exported, or that a device would refuse.
-        signed_by: fingerprint of the key, or NOT_SIGNED, NOT_CHECKED (no key was given) or WRONG.
+        signed_by: name and fingerprint of the key, or NOT_SIGNED, NOT_CHECKED (no key was given) or WRONG.
         signature_problem: why a signature does not hold.
+        signed_on: what the signed manifest says of the day.
     """
 
     files: int
@@ -36,6 +38,7 @@ class FolderCheck:
     changed: tuple[str, ...]
     signed_by: str
     signature_problem: str | None = None
+    signed_on: date | None = None
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -53,7 +56,7 @@ class FolderCheck:
         return (
             ("complete", _yes(self.incomplete, f"{self.files} files, nothing more, nothing less")),
             ("unchanged", _yes(self.changed, f"hashes hold, {self.opened} units opened with all self-tests")),
-            ("signed", signed.get(self.signed_by, f"yes, by key {self.signed_by}")),
+            ("signed", signed.get(self.signed_by, f"yes, by {self.signed_by}, {self.signed_on or 'day not stated'}")),
         )
 
 
@@ -61,16 +64,16 @@ def _yes(problems: tuple[str, ...], how: str) -> str:
     return f"NO: {len(problems)} problems" if problems else f"yes: {how}"
 
 
-def check_folder(folder: Path, public_key: Path | None = None) -> FolderCheck:
-    """Check a folder against its manifest, every device file by opening it, and the signature where a key is given.
+def check_folder(folder: Path, trusted: Sequence[TrustedKey] = ()) -> FolderCheck:
+    """Check a folder against its manifest, every device file by opening it, and the signatures where keys are given.
 
     Raises:
-        InputError: there is no manifest, it lists a file twice or outside the folder, or the key is none.
+        InputError: there is no manifest, or it lists a file twice or outside the folder.
     """
     manifest = read_manifest(folder)
     if not manifest.files:
         raise InputError(f"{folder}: no manifest.json; export into it first")
-    signed_by, problem = _signer(folder, public_key)
+    signed_by, problem = _signer(folder, manifest, trusted)
     incomplete = tuple(_incomplete(folder, manifest))
     present = [entry for entry in manifest.files.values() if (folder / entry.name).exists()]
     changed = [text for entry in present for text in _file_problems(folder, entry)]
@@ -79,20 +82,26 @@ def check_folder(folder: Path, public_key: Path | None = None) -> FolderCheck:
         found, opened = _device_problems(folder, [entry.name for entry in present])
         changed += found
     changed += _duplicates(manifest)
-    return FolderCheck(len(manifest.files), opened, incomplete, tuple(changed), signed_by, problem)
+    return FolderCheck(len(manifest.files), opened, incomplete, tuple(changed), signed_by, problem, manifest.signed_on)
 
 
-def _signer(folder: Path, public_key: Path | None) -> tuple[str, str | None]:
+def _signer(folder: Path, manifest: Manifest, trusted: Sequence[TrustedKey]) -> tuple[str, str | None]:
     path = folder / SIGNATURE
     if not path.exists():
-        missing = f"{SIGNATURE}: is missing; the folder is not signed" if public_key else None
+        missing = f"{SIGNATURE}: is missing; the folder is not signed" if trusted else None
         return NOT_SIGNED, missing
-    if public_key is None:
+    if not trusted:
         return NOT_CHECKED, None
-    try:
-        return check_signature((folder / NAME).read_bytes(), path.read_bytes(), public_key), None
-    except InputError as error:
-        return WRONG, f"{SIGNATURE}: {error}"
+    apart = [name for name in manifest.files if name.endswith(APART) and (folder / name).is_file()]
+    pairs = [(NAME, SIGNATURE), *((name.removesuffix(APART), name) for name in sorted(apart))]
+    signers = []
+    for signed, name in pairs:
+        try:
+            content, signature = (folder / signed).read_bytes(), (folder / name).read_bytes()
+            signers.append(check_signature(content, signature, trusted, manifest.signed_on))
+        except (InputError, OSError) as error:
+            return WRONG, f"{name}: {error}"
+    return signers[0], None
 
 
 def _incomplete(folder: Path, manifest: Manifest) -> Iterator[str]:

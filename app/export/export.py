@@ -8,9 +8,9 @@ from pathlib import Path
 from softcal.app.export.calibrated_unit import CalibratedUnit, ExportOptions, UnitLoader
 from softcal.app.export.formats import Writer, device_summary, writer_of
 from softcal.app.export.manifest import FileEntry, Manifest, read_manifest, write_manifest
-from softcal.app.export.names import AUDIT, DEVICE_FORMATS
+from softcal.app.export.names import APART, AUDIT, DEVICE_FORMATS, SIGNED_APART
 from softcal.app.export.names import formats as known_formats
-from softcal.app.export.signature import open_signing_key
+from softcal.app.export.signature import SigningKey
 from softcal.app.files.atomic import write_bytes, write_text
 from softcal.app.registry.anchors import anchor_json, remember
 from softcal.core.errors import InputError, UnitRefused
@@ -70,12 +70,13 @@ def export_units(
     """
     writers = _writers(formats)
     _check_serials(registry, serials, options.lot_id)
-    key = open_signing_key(options.signing_key) if options.signing_key else None
+    key = options.signing_key
     manifest, loader = read_manifest(out), UnitLoader(registry, options)
     exported = []
     for serial in serials:
         unit = loader.load(serial)
         contents, refusal = _contents(unit, writers)
+        contents |= _signatures(contents, key)
         manifest = _write(out, manifest, serial, contents, refusal)
         done = _summary(unit, writers, tuple(contents), refusal)
         manifest = manifest.with_unit(serial, _manifest_facts(unit, done))
@@ -132,17 +133,29 @@ def _contents(unit: CalibratedUnit, writers: Mapping[str, Writer]) -> tuple[dict
     return contents, refusal
 
 
+def _signatures(contents: Mapping[str, bytes], key: SigningKey | None) -> dict[str, bytes]:
+    if key is None:
+        return {}
+    return {f"{name}{APART}": key.sign(each) for name, each in contents.items() if name.startswith(SIGNED_APART)}
+
+
 def _write(out: Path, manifest: Manifest, serial: str, contents: Mapping[str, bytes], refusal: str | None) -> Manifest:
     for name, content in contents.items():
         write_bytes(out / name, content)
         is_shared = name.startswith("network-") or name == "softsensor.h"
         manifest = manifest.with_file(FileEntry.of(name, content, None if is_shared else serial))
+    unsigned = [f"{name}{APART}" for name in contents if f"{name}{APART}" in manifest.files]
+    manifest = _without(out, manifest, [name for name in unsigned if name not in contents])
     if refusal is None:
         return manifest
     stale = [name for name, entry in manifest.files.items() if entry.serial == serial and name not in contents]
-    for name in stale:
+    return _without(out, manifest, stale)
+
+
+def _without(out: Path, manifest: Manifest, names: Sequence[str]) -> Manifest:
+    for name in names:
         (out / name).unlink(missing_ok=True)
-    return manifest.without_files(stale)
+    return manifest.without_files(names)
 
 
 def _summary(

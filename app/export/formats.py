@@ -41,7 +41,8 @@ def runtime_header() -> bytes:
 
 
 def _json_files(unit: CalibratedUnit) -> dict[str, bytes]:
-    """Always written; where the device form is refused, `device` says why."""
+    """Where only the device form is refused, `device` says why: the map itself is for PCs too."""
+    unit.check_usable()
     values: dict[str, object] = {"schema": "softcal.calibration/1", "calibration": calibration_values(unit)}
     files = {}
     try:

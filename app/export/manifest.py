@@ -5,6 +5,7 @@ import json
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -37,10 +38,16 @@ class FileEntry:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What an export folder holds."""
+    """What an export folder holds.
+
+    Args:
+        files, units: by name and by serial.
+        signed_on: day of the signature, which it covers; None where nobody signed.
+    """
 
     files: Mapping[str, FileEntry]
     units: Mapping[str, Mapping[str, object]]
+    signed_on: date | None = None
 
     def with_file(self, entry: FileEntry) -> "Manifest":
         """Return the manifest with one more file, or a newer one of that name."""
@@ -56,9 +63,11 @@ class Manifest:
 
     def text(self) -> str:
         """Return the manifest's JSON, files and units by name: the same folder always gives the same text."""
+        signed = {} if self.signed_on is None else {"signed_on": self.signed_on.isoformat()}
         return json_text(
             {
                 "schema": SCHEMA,
+                **signed,
                 "softcal": version("softcal"),
                 "units": {serial: self.units[serial] for serial in sorted(self.units)},
                 "files": [vars(self.files[name]) for name in sorted(self.files)],
@@ -81,13 +90,14 @@ def read_manifest(folder: Path) -> Manifest:
             raise InputError(f"{path}: schema {values['schema']!r}, {SCHEMA!r} was expected; export to another folder")
         entries = [_entry(row) for row in values["files"]]
         units = dict(values["units"])
+        signed_on = date.fromisoformat(values["signed_on"]) if "signed_on" in values else None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: no manifest of softcal ({error}); export to another folder") from error
     names = [entry.name for entry in entries]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"{path}: lists {', '.join(twice[:5])} twice; nothing was read or written; export it again")
-    return Manifest({entry.name: entry for entry in entries}, units)
+    return Manifest({entry.name: entry for entry in entries}, units, signed_on)
 
 
 def _entry(row: Mapping[str, Any]) -> FileEntry:
@@ -100,7 +110,7 @@ def _entry(row: Mapping[str, Any]) -> FileEntry:
 
 def write_manifest(folder: Path, manifest: Manifest, key: SigningKey | None) -> None:
     """Write the manifest, and its Ed25519 signature where a key is given; an old signature never stays beside it."""
-    content = manifest.text().encode()
+    content = replace(manifest, signed_on=datetime.now(UTC).date() if key else None).text().encode()
     signature = key.sign(content) if key else None
     (folder / SIGNATURE).unlink(missing_ok=True)
     write_bytes(folder / NAME, content)

@@ -1,8 +1,11 @@
-"""The Ed25519 signature beside a manifest: made with a key that may be encrypted, checked with its public half."""
+"""Ed25519 signatures beside a manifest and beside certificates: made with one key, checked with the keys one trusts."""
 
 import hashlib
 import os
+import tomllib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
@@ -18,6 +21,7 @@ from softcal.core.errors import InputError
 
 PASSPHRASE_VARIABLE = "SOFTCAL_SIGNING_PASSPHRASE"
 MAKE_ONE = "make one: openssl genpkey -algorithm ed25519"
+RING_KEYS = {"name", "file", "valid_from", "valid_until"}
 
 
 @dataclass(frozen=True)
@@ -26,52 +30,147 @@ class SigningKey:
 
     key: Ed25519PrivateKey
 
+    @property
+    def fingerprint(self) -> str:
+        """Of its public half."""
+        return fingerprint(self.key.public_key())
+
     def sign(self, content: bytes) -> bytes:
         """Return the 64 bytes of the signature."""
         return self.key.sign(content)
 
 
-def open_signing_key(key_file: Path) -> SigningKey:
-    """Open a private key (PEM); the passphrase of an encrypted one is in SOFTCAL_SIGNING_PASSPHRASE.
+@dataclass(frozen=True)
+class TrustedKey:
+    """A public key somebody trusts.
+
+    Args:
+        key: the key.
+        name: whose it is.
+        valid_from, valid_until: first day it signs, first day it no longer does; None for no such day.
+    """
+
+    key: Ed25519PublicKey
+    name: str
+    valid_from: date | None = None
+    valid_until: date | None = None
+
+    @property
+    def label(self) -> str:
+        """Name and fingerprint."""
+        return f"{self.name} ({fingerprint(self.key)})"
+
+    @property
+    def has_period(self) -> bool:
+        return self.valid_from is not None or self.valid_until is not None
+
+    def signs_on(self, day: date) -> bool:
+        """Whether it may sign on this day."""
+        is_early = self.valid_from is not None and day < self.valid_from
+        return not is_early and (self.valid_until is None or day < self.valid_until)
+
+
+def open_signing_key(
+    key_file: Path, passphrase_file: Path | None = None, ask: Callable[[str], str] | None = None
+) -> SigningKey:
+    """Open a private key (PEM).
+
+    Args:
+        key_file: the key, encrypted or not.
+        passphrase_file: its first line opens an encrypted key; without one SOFTCAL_SIGNING_PASSPHRASE does.
+        ask: asks a person for the passphrase where there is neither; None: there is nobody to ask.
 
     Raises:
         InputError: no key, another kind of key, or a passphrase that is missing or wrong.
     """
-    passphrase = os.environ.get(PASSPHRASE_VARIABLE)
     try:
         content = key_file.read_bytes()
-        is_encrypted = b"ENCRYPTED" in content
-        key = load_pem_private_key(content, passphrase.encode() if passphrase and is_encrypted else None)
+        passphrase = _passphrase(key_file, passphrase_file, ask) if b"ENCRYPTED" in content else None
+        key = load_pem_private_key(content, passphrase)
     except TypeError as error:
         raise InputError(
-            f"{key_file}: is encrypted; put its passphrase into {PASSPHRASE_VARIABLE}; nothing was written"
+            f"{key_file}: is encrypted; put its passphrase into {PASSPHRASE_VARIABLE} or give --passphrase-file; "
+            "nothing was written"
         ) from error
     except (OSError, ValueError, UnsupportedAlgorithm) as error:
-        what = "the passphrase does not open it" if passphrase else "no private key in PEM"
-        raise InputError(f"{key_file}: {what} ({error}); nothing was written") from error
+        raise InputError(
+            f"{key_file}: cannot be opened as a private key in PEM ({error}); nothing was written"
+        ) from error
     if not isinstance(key, Ed25519PrivateKey):
         raise InputError(f"{key_file}: an Ed25519 key was expected; {MAKE_ONE}; nothing was written")
     return SigningKey(key)
 
 
-def check_signature(content: bytes, signature: bytes, public_key: Path) -> str:
-    """Verify a signature with an Ed25519 public key (PEM) and return the key's fingerprint.
+def _passphrase(key_file: Path, file: Path | None, ask: Callable[[str], str] | None) -> bytes | None:
+    if file is not None:
+        lines = file.read_bytes().splitlines()
+        return lines[0] if lines else None
+    given = os.environ.get(PASSPHRASE_VARIABLE) or (ask(f"passphrase of {key_file}: ") if ask else "")
+    return given.encode() or None
+
+
+def trusted_keys(files: Sequence[Path]) -> list[TrustedKey]:
+    """Read public keys (PEM), and key rings (TOML) that name several with the time each is valid.
 
     Raises:
-        InputError: no such key, or the signature is not this key's under this content.
+        InputError: a file that is neither, or another kind of key.
     """
+    return [key for file in files for key in (_ring(file) if file.suffix == ".toml" else [_trusted(file, file.stem)])]
+
+
+def _ring(file: Path) -> list[TrustedKey]:
     try:
-        key = load_pem_public_key(public_key.read_bytes())
+        rows = tomllib.loads(file.read_text(encoding="utf-8"))["key"]
+        keys = []
+        for row in rows:
+            if set(row) - RING_KEYS:
+                raise ValueError(f"{', '.join(sorted(set(row) - RING_KEYS))} unknown")
+            days = {name: row.get(name) for name in ("valid_from", "valid_until")}
+            if any(day is not None and type(day) is not date for day in days.values()):
+                raise ValueError("valid_from and valid_until are dates such as 2026-01-31")
+            keys.append(_trusted(file.parent / row["file"], str(row["name"]), **days))
+        return keys
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{file}: no key ring ({error}); [[key]] with name, file, valid_from and valid_until was expected; nothing "
+            "was checked"
+        ) from error
+
+
+def _trusted(file: Path, name: str, valid_from: date | None = None, valid_until: date | None = None) -> TrustedKey:
+    try:
+        key = load_pem_public_key(file.read_bytes())
     except (OSError, ValueError, UnsupportedAlgorithm) as error:
-        raise InputError(f"{public_key}: no public key in PEM ({error}); nothing was checked") from error
+        raise InputError(f"{file}: no public key in PEM ({error}); nothing was checked") from error
     if not isinstance(key, Ed25519PublicKey):
-        raise InputError(f"{public_key}: an Ed25519 public key was expected; nothing was checked")
-    name = fingerprint(key)
-    try:
-        key.verify(signature, content)
-    except InvalidSignature as error:
-        raise InputError(f"is not that of key {name} under this manifest; do not use the folder") from error
-    return name
+        raise InputError(f"{file}: an Ed25519 public key was expected; nothing was checked")
+    return TrustedKey(key, name, valid_from, valid_until)
+
+
+def check_signature(content: bytes, signature: bytes, trusted: Sequence[TrustedKey], signed_on: date | None) -> str:
+    """Return whose signature it is, by name and fingerprint.
+
+    Args:
+        signed_on: what the signed content says of the day; None where it says nothing.
+
+    Raises:
+        InputError: it is of none of the keys, or its key was not valid on that day.
+    """
+    for one in trusted:
+        try:
+            one.key.verify(signature, content)
+        except InvalidSignature:
+            continue
+        if signed_on is None and one.has_period:
+            raise InputError(f"is by {one.label}, but does not say when; its key is not valid at all times")
+        if signed_on is not None and not one.signs_on(signed_on):
+            period = f"{one.valid_from or 'ever'} until {one.valid_until or 'ever'}"
+            raise InputError(
+                f"is by {one.label} of {signed_on}, whose key is valid from {period}; do not use the folder"
+            )
+        return one.label
+    names = ", ".join(one.label for one in trusted)
+    raise InputError(f"is not that of {names} under this content; do not use the folder")
 
 
 def fingerprint(key: Ed25519PublicKey) -> str:

@@ -5,7 +5,9 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import date, datetime
 from pathlib import Path
+from typing import Any
 
 import tomlkit
 
@@ -15,12 +17,13 @@ from softcal.app.files.regular import read_regular
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.budget import DAYS, NUMBERS, SIMULATED, Reference
 from softcal.core.unit.line_spread import LineSpread
 
 KNOWN_KEYS = {
     "": {"sample_rate_Hz", "source"},
-    "lot": {"id", "sensor_model", "sample_rate_Hz", "source"},
-    "reference": {"quantity", "unit"},
+    "lot": {"id", "sensor_model", "sample_rate_Hz", "source", "simulated"},
+    "reference": {"quantity", "unit", "cell", "certificate", "laboratory", *DAYS, *NUMBERS},
     "output": {"unit", "sample_rate_Hz", "source"},
     "limit": {"rmse"},
     "line": {"load_spread", "day_spread"},
@@ -40,6 +43,7 @@ class LotFolder:
         audit_paths: labelled recordings that only score, by serial.
         remarks: what in the folder was not understood, in words.
         line: how differently the line presses units, where `lot.toml` states it.
+        reference: what the source was compared with; None where `lot.toml` does not say.
     """
 
     root: Path
@@ -49,6 +53,7 @@ class LotFolder:
     audit_paths: Mapping[str, Path]
     remarks: tuple[str, ...] = ()
     line: LineSpread | None = None
+    reference: Reference | None = None
 
     def read_source(self) -> LabelledRecording:
         """Read the source unit's labelled recording."""
@@ -76,7 +81,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such lot folder; make one with `softcal import`")
-    lot, line, remarks = _read_lot_toml(folder / "lot.toml")
+    lot, line, reference, remarks = _read_lot_toml(folder / "lot.toml")
     sources = _recordings(folder / "source")
     if lot.source not in sources:
         seen = ", ".join(sources) or "nothing"
@@ -85,7 +90,8 @@ def open_lot_folder(folder: Path) -> LotFolder:
     strangers = sorted(set(audits) - set(units) - {lot.source})
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
-    return LotFolder(folder, lot, sources[lot.source], units, audits, (*remarks, *_same_files(units, folder)), line)
+    remarks = (*remarks, *_same_files(units, folder))
+    return LotFolder(folder, lot, sources[lot.source], units, audits, remarks, line, reference)
 
 
 def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
@@ -134,7 +140,7 @@ def _recordings(folder: Path) -> dict[str, Path]:
     return found
 
 
-def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, tuple[str, ...]]:
+def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...]]:
     if not path.is_file():
         raise InputError(f"{path}: there is no lot.toml; `softcal import` writes one")
     try:
@@ -146,7 +152,32 @@ def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, tuple[str, ...]]
         for name, table in tables.items():
             if not isinstance(table, dict):
                 raise InputError(f"[{name}] must be a table")
-        return _lot(content, tables), _line(tables["line"]), tuple(_unknown_keys(path, content))
+        line, reference = _line(tables["line"]), _reference(tables)
+        return _lot(content, tables), line, reference, tuple(_unknown_keys(path, content))
+
+
+def _reference(tables: Mapping[str, Mapping[str, object]]) -> Reference | None:
+    is_simulated = tables["lot"].get("simulated", False)
+    if not isinstance(is_simulated, bool):
+        raise InputError(f"[lot] simulated is {is_simulated!r}; true or false was expected")
+    if is_simulated:
+        return SIMULATED
+    stated = {key: value for key, value in tables["reference"].items() if key not in ("quantity", "unit")}
+    facts: dict[str, Any] = {}
+    for key, value in stated.items():
+        if key in DAYS:
+            facts[key] = _day(value, f"[reference] {key}")
+        elif key in NUMBERS:
+            facts[key] = _number(value, f"[reference] {key}")
+        elif key in KNOWN_KEYS["reference"]:
+            facts[key] = _text(tables["reference"], key, f"[reference] {key}")
+    return Reference(**facts) if facts else None
+
+
+def _day(value: object, shown: str) -> date:
+    if not isinstance(value, date) or isinstance(value, datetime):
+        raise InputError(f"{shown} is {value!r}; a date such as 2026-01-31 was expected")
+    return value
 
 
 def _line(table: Mapping[str, object]) -> LineSpread | None:
@@ -203,14 +234,22 @@ def _unknown_keys(path: Path, content: Mapping[str, object]) -> Iterator[str]:
             yield f"{path}: {key} not used; known: {', '.join(sorted(set(KNOWN_KEYS) - {''}))}, sample_rate_Hz, source"
 
 
-def write_lot_toml(folder: Path, lot: Lot) -> None:
-    """Write `lot.toml` for a lot folder."""
+def write_lot_toml(folder: Path, lot: Lot, reference: Reference | None = None) -> None:
+    """Write `lot.toml` for a lot folder, with what its source was compared with."""
     document = tomlkit.document()
     document["sample_rate_Hz"] = lot.sample_rate_Hz
     document["source"] = lot.source
-    document["lot"] = {"id": lot.id, "sensor_model": lot.sensor_model}
-    document["reference"] = {"quantity": lot.reference_quantity, "unit": lot.reference_unit}
+    simulated = {"simulated": True} if reference is not None and reference.is_simulated else {}
+    document["lot"] = {"id": lot.id, "sensor_model": lot.sensor_model, **simulated}
+    document["reference"] = {"quantity": lot.reference_quantity, "unit": lot.reference_unit, **_stated(reference)}
     document["output"] = {"unit": lot.output_unit}
     if lot.limit_rmse is not None:
         document["limit"] = {"rmse": lot.limit_rmse}
     write_text(folder / "lot.toml", tomlkit.dumps(document))
+
+
+def _stated(reference: Reference | None) -> dict[str, object]:
+    if reference is None or reference.is_simulated:
+        return {}
+    default = vars(Reference())
+    return {name: value for name, value in vars(reference).items() if value != default[name]}

@@ -18,6 +18,7 @@ from softcal.core.lot import Lot
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.twin.simulate import Twin
+from softcal.core.unit.budget import SIMULATED
 from softcal.db.registry import Registry
 
 TABLE_HEADER = ("unit", "verdict", "before [N]", "after [N]", "own [N]", "after/own", "before/own", "predicted [N]")
@@ -83,7 +84,7 @@ def table_row(unit: UnitResult) -> list[object]:
 
 def _write(folder: Path, pressed: RecordedLot, lot: Lot) -> None:
     with whole_folder(folder) as part:
-        write_lot_toml(part, lot)
+        write_lot_toml(part, lot, SIMULATED)
         _write_labelled(part / "source" / f"{lot.source}.csv", pressed.source)
         for serial, unit in pressed.units.items():
             write_columns(part / "units" / f"{serial}.csv", _columns(unit))

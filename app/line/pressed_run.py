@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import UTC, datetime
 
 from softcal.app.batch.calibrating import Refusal, calibrated
 from softcal.app.batch.line_statement import stated_line
@@ -9,6 +10,7 @@ from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import check_golden, quarantine
 from softcal.app.line.serials import numbered
+from softcal.app.registry.reference import lot_reference, state_reference
 from softcal.app.registry.source import source_model
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
@@ -16,6 +18,7 @@ from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.reason import Reason, joined, reason
 from softcal.core.recording import OutputRecording
+from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel
@@ -40,6 +43,7 @@ class RunKeeper:
         station: name of the station.
         network: how f is trained from a source's recording.
         method: every number of the calibration.
+        reference: what the station compares sources with; None where nobody said.
     """
 
     def __init__(
@@ -48,8 +52,9 @@ class RunKeeper:
         station: str,
         network: NetworkConfig = NetworkConfig(),  # noqa: B008 - frozen
         method: Method = Method(),  # noqa: B008 - frozen
+        reference: Reference | None = None,
     ) -> None:
-        self._registry, self._station = registry, station
+        self._registry, self._station, self._reference = registry, station, reference
         self._network, self._method = network, method
         self._source: tuple[str, SourceModel] | None = None
         self._release = LineRelease(registry)
@@ -125,7 +130,9 @@ class RunKeeper:
         lot = self._known_lot(order.lot_id) or Lot(
             order.lot_id, order.serial, recording.sample_rate_Hz, output_unit=recording.output_unit
         )
+        used = None if self._reference is None else replace(self._reference, used_on=datetime.now(UTC).date())
         trained = train_or_find(lot, source, self._registry, self._network, order.actor or None, on_epoch)
+        state_reference(self._registry, lot.id, used, source, order.actor or None)
         rmse = trained.metrics["validation_rmse"]
         message = (reason("run.trained", rmse=rmse, unit=lot.reference_unit),)
         return replace(done, message=message, recording_sha256=source.sha256)
@@ -138,7 +145,8 @@ class RunKeeper:
             return sha256, None
         lot = registry.lot(order.lot_id)
         limit = stated_limit(lot.reference_unit, lot.limit_rmse)
-        problem = UnitProblem(self._source_model(entry), unit, limit, line=stated_line(registry, lot.id))
+        line, reference = stated_line(registry, lot.id), lot_reference(registry, lot.id)
+        problem = UnitProblem(self._source_model(entry), unit, limit, line=line, reference=reference)
         known = registry.find_calibration(unit.serial, problem.input_sha256, lot_id=lot.id)
         if known is not None:
             registry.put_in_use(lot.id, unit.serial, problem.input_sha256, "line", actor=order.actor or None)

@@ -19,8 +19,9 @@ from softcal.core.reason import Reason, several
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.twin.simulate import Twin
 from softcal.core.twin.spread import draw_lot
+from softcal.core.unit.budget import SIMULATED, Reference
 from softcal.station.acquisition import OnProgress, record
-from softcal.station.bench import Bench, open_bench, open_simulated_bench
+from softcal.station.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
 from softcal.station.clock import HostClock
 from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
 from softcal.station.identify import DeviceIdentity, identify
@@ -209,17 +210,25 @@ def record_to_files(
     for channel, path in enumerate(paths):
         write_columns(path, columns(recording, channel))
     if with_reference:
-        _begin_lot(paths[0], recording)
+        is_simulated = bench.config.name == SIMULATED_NAME
+        _begin_lot(paths[0], recording, SIMULATED if is_simulated else station_reference(bench.config))
     spool_path.unlink()
     return WrittenRun(recording, tuple(paths), bench.clock.now_s() - began_s)
 
 
-def _begin_lot(source: Path, recording: StationRecording) -> None:
+def station_reference(config: StationConfig) -> Reference | None:
+    """Return what a station compares sources with today, by the serial of its load cell; None without one."""
+    if config.force is None:
+        return None
+    return Reference(cell=config.force.serial or "not named", used_on=datetime.now(UTC).date())
+
+
+def _begin_lot(source: Path, recording: StationRecording, reference: Reference | None) -> None:
     """Write the lot.toml of a source that lies in LOT/source/, so that `softcal batch LOT` takes the folder."""
     folder = source.parent.parent
     if source.parent.name == "source" and not (folder / "lot.toml").exists():
         lot = Lot(folder.resolve().name, source.stem, recording.sample_rate_Hz, output_unit=recording.output_unit)
-        write_lot_toml(folder, lot)
+        write_lot_toml(folder, lot, reference)
 
 
 def spool_folder(option: Path | None) -> Path:

@@ -10,20 +10,23 @@ from softcal.app.bootstrap import current_user
 from softcal.app.line.gate_facts import GateRules, StationGate
 from softcal.app.line.host import Fixture, HandFixture, StationHost
 from softcal.app.line.pressed_run import RunKeeper
-from softcal.app.line.rig import profile_for
+from softcal.app.line.rig import profile_for, station_reference
 from softcal.app.logs import start_logging
 from softcal.core.errors import InputError
 from softcal.core.network.config import NetworkConfig
 from softcal.core.orders import OrderKind, Progress
 from softcal.core.profiles import Profile
 from softcal.core.simulated_lot import twin_of
+from softcal.core.unit.budget import SIMULATED
 from softcal.db.registry import Registry
-from softcal.station.bench import Bench, open_bench
+from softcal.station.bench import SIMULATED_NAME, Bench, open_bench
 from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
 from softcal.station.service import Hooks, StationService
 from softcal.station.simulated.line import SimulatedLine
 
-SIMULATED = StationConfig(StageConfig(""), ReadoutConfig(""), ForceConfig("", serial="SIM-CELL"), name="simulated")
+SIMULATED_RIG = StationConfig(
+    StageConfig(""), ReadoutConfig(""), ForceConfig("", serial="SIM-CELL"), name=SIMULATED_NAME
+)
 """What the gate of the simulated station looks at: its load cell and its safety bounds."""
 
 
@@ -84,7 +87,8 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
     def write_log(event: str, facts: dict[str, object]) -> None:
         log.info(event, **facts)
 
-    keeper = RunKeeper(registry, serving.station, serving.network)
+    reference = SIMULATED if serving.simulated_seed is not None else station_reference(config)
+    keeper = RunKeeper(registry, serving.station, serving.network, reference=reference)
     StationHost(registry.order_queue, serving.station, keeper, gate.override, make_service, fixture, write_log).run(
         goes_on
     )
@@ -93,7 +97,7 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
 def _rig(serving: Serving) -> tuple[StationConfig, Fixture, Callable[[], AbstractContextManager[Bench]]]:
     if serving.simulated_seed is not None:
         line = SimulatedLine(partial(twin_of, serving.simulated_seed), serving.simulated_seed, serving.speed)
-        return SIMULATED, line, line.open
+        return SIMULATED_RIG, line, line.open
     if serving.station_file is None:
         raise InputError("which station? give --station FILE or --simulated")
     config = read_station_file(serving.station_file)

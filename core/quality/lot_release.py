@@ -62,10 +62,10 @@ class LotRelease:
             return Judgement(Verdict.PASS, (reason("sampled.released", factor=factor, **facts, **risks),))
         if rmse * centre > limit:
             return Judgement(Verdict.FAIL, (reason("sampled.beyond", centre=centre, **facts),))
-        day = self.days.get(serial, 0.0)
-        if rmse * factor <= limit < float(np.hypot(rmse * factor, day)):
+        day, accepted = self.days.get(serial, 0.0), self.limit.acceptance_rmse
+        if rmse * factor <= accepted < float(np.hypot(rmse * factor, day)):
             return Judgement(Verdict.CONDITIONAL, (reason("sampled.day", factor=factor, day=day, **facts),))
-        if rmse * factor <= limit:
+        if rmse * factor <= accepted:
             return Judgement(
                 Verdict.CONDITIONAL, (reason("sampled.part", centre=centre, audits=self._audits(self.found)),)
             )

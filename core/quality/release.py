@@ -176,7 +176,7 @@ def release(
     ratios, considered = audited_ratios(audits, rules), len(forecasts)
     days = days or {}
     # What is left of the limit once another day has taken its part; without golden runs the limit itself.
-    limits = {serial: _left(limit.maximum_rmse, days.get(serial, 0.0)) for serial in forecasts}
+    limits = {serial: _left(limit.acceptance_rmse, days.get(serial, 0.0)) for serial in forecasts}
     need = {serial: forecasts[serial] / limits[serial] if limits[serial] else np.inf for serial in forecasts}
     ordered = sorted(forecasts, key=lambda serial: (need[serial], serial))
     needed = np.array([need[serial] for serial in ordered])

@@ -20,12 +20,23 @@ from softcal.core.maps.synchronous import Synchronous
 from softcal.core.maps.synchrony import paired_rows
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.reason import Reason
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.audit_reading import gain_of, read_audit
+from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.findings import map_findings, opening_findings
-from softcal.core.unit.forecast import MapEvidence, Trial, forecast_error, gather_evidence, rms_load, variance_table
+from softcal.core.unit.forecast import (
+    MapEvidence,
+    Trial,
+    forecast_error,
+    gather_evidence,
+    load_levels,
+    rms,
+    rms_load,
+    variance_table,
+)
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
 from softcal.core.unit.line_spread import LineSpread, line_reason
 from softcal.core.unit.method import Method
@@ -49,6 +60,7 @@ class UnitProblem:
         audit: labelled recording of the unit, which only measures; None where there is none.
         own: how the unit's own calibration is trained on its audit, for comparison; None trains none.
         line: how differently the line presses units, where somebody stated it.
+        reference: what the source was compared with; None where nobody said, and nothing is traced to it.
     """
 
     source: SourceModel
@@ -58,6 +70,7 @@ class UnitProblem:
     audit: LabelledRecording | None = None
     own: NetworkConfig | None = None
     line: LineSpread | None = None
+    reference: Reference | None = None
 
     @property
     def input_sha256(self) -> str:
@@ -73,7 +86,7 @@ def input_sha256(facts: UnitProblem, method: Method) -> str:
         method: every number of the calibration.
     """
     anchors, audit = facts.anchors, facts.audit
-    settings = {
+    settings: dict[str, object] = {
         "recording": facts.recording.sha256,
         "network": facts.source.network.id,
         "method": method.id,
@@ -84,6 +97,8 @@ def input_sha256(facts: UnitProblem, method: Method) -> str:
         "own": None if audit is None or facts.own is None else asdict(facts.own),
         **({} if facts.line is None else {"line": facts.line.to_json()}),
     }
+    if facts.reference is not None:
+        settings["reference"] = facts.reference.to_json()
     return content_sha256({}, settings)
 
 
@@ -117,14 +132,19 @@ def calibrate(problem: UnitProblem) -> Calibration:
         serial=target.serial,
         network_id=model.network.id,
         unit_map=chosen.unit_map,
-        interval=model.interval.widened(variance_table(model, evidence)),
+        interval=model.interval.widened(variance_table(model, evidence) + _reference_variance(problem)),
         output_limits=limits,
         forecast=forecast,
-        decision=Decision(_predicted(problem, evidence, forecast, limit, findings), _measured(problem, scores, limit)),
+        decision=Decision(
+            _predicted(problem, evidence, forecast, limit, findings),
+            _measured(problem, scores, limit),
+            bars=_bars(problem),
+        ),
         knowledge=evidence.knowledge,
         evidence=_numbers(model, target, chosen, evidence, limit, findings),
         method=method,
         scores=scores,
+        reference=problem.reference,
     )
     return calibration if problem.audit is None else with_audit(model.network, calibration, problem.audit, target)
 
@@ -145,6 +165,15 @@ def with_audit(
     return replace(calibration, audit=read_audit(found.estimate, half, audit, recording, rest))
 
 
+def _bars(problem: UnitProblem) -> tuple[Reason, ...]:
+    return () if problem.reference is None else problem.reference.bars(float(problem.source.source.reference.max()))
+
+
+def _reference_variance(problem: UnitProblem) -> Array:
+    reference, loads = problem.reference, load_levels(problem.source)
+    return np.zeros_like(loads) if reference is None else reference.variance(loads)
+
+
 def read_gain(network: Network, calibration: Calibration, recording: LabelledRecording) -> float:
     """Return the slope of a unit's estimates over the reference: 1 where it reads its loads in full."""
     return gain_of(estimate(network, calibration, recording.unlabelled).estimate, recording.reference)
@@ -156,7 +185,10 @@ def _limit(problem: UnitProblem) -> Limit:
     limit = problem.limit or default_limit(unit, model.held_out_rmse, model.method.decision)
     if limit.unit != unit:
         raise InputError(f"limit is in {limit.unit}, the reference in {unit}; state it in that")
-    return limit
+    if problem.reference is None:
+        return limit
+    factor = model.method.decision.coverage_factor
+    return replace(limit, reference_expanded=problem.reference.expanded(rms(model.source.reference), factor))
 
 
 def _scores(problem: UnitProblem, unit_map: UnitMap, audit: LabelledRecording) -> Scores:
@@ -261,6 +293,7 @@ def _numbers(
         "load_rms": rms_load(evidence.estimate, model.method.forecast),
         "limit_rmse": limit.maximum_rmse,
         "limit_origin": str(limit.origin),
+        "reference_expanded": limit.reference_expanded,
         "findings": ", ".join(finding.kind for finding in findings),
         **{f"own_{name}": value for name, value in own.items()},
         "own_rmse_forecast": forecast_own(own, evidence.knowledge),

@@ -12,6 +12,7 @@ from softcal.core.maps.interface import UnitMap, map_sha256
 from softcal.core.metrics import finite_or_none
 from softcal.core.reason import Reason
 from softcal.core.unit.audit_reading import AuditReading
+from softcal.core.unit.budget import Reference
 from softcal.core.unit.health import OutputLimits
 from softcal.core.unit.knowledge import LoadKnowledge, known_by
 from softcal.core.unit.method import Method
@@ -31,7 +32,7 @@ class CalibrationRecord:
         map_sha256: content hash of the map alone.
         arrays: parameters of the map (names `map.*`), of the interval and support model (names `interval.*`).
         settings: JSON values beside the arrays, grouped: `map`, `interval`, `forecast`, `decision` (what was predicted
-            and what was measured), `method` (every number of the method), `audit`
+            and what was measured), `method` (every number of the method), `reference` (what it is traced to), `audit`
             (what its audit says beside the error).
         predicted_rmse: forecast of the error against the reference, in the reference unit; None where none can be made.
         before_rmse, after_rmse, own_rmse: scores on an audit recording, in the reference unit; None without an audit.
@@ -86,6 +87,12 @@ class CalibrationRecord:
         return known_by(budget, kinds, "map_anchor_gain" in self.evidence)
 
     @property
+    def reference(self) -> Reference | None:
+        """What the source was compared with; None where nobody said."""
+        kept = self.settings.get("reference")
+        return None if kept is None else Reference.of(kept)  # type: ignore[arg-type]
+
+    @property
     def decision(self) -> Decision:
         """What was predicted and what was measured. Records of older versions kept the word alone."""
         kept = self.settings.get("decision")
@@ -126,6 +133,7 @@ class Calibration:
         evidence: numbers and words behind it.
         method: every number it was made with; None in records of versions that kept none.
         scores: errors on the unit's audit; None without one.
+        reference: what the source was compared with; None where nobody said.
         audit: what the audit says beside them; None without one, and in records of older versions.
     """
 
@@ -140,6 +148,7 @@ class Calibration:
     evidence: Mapping[str, float | str | None]
     method: Method | None = None
     scores: Scores | None = None
+    reference: Reference | None = None
     audit: AuditReading | None = None
 
     @property
@@ -159,6 +168,7 @@ class Calibration:
             "decision": self.decision.to_json(),
             "method": None if self.method is None else dict(self.method.to_json()),
             "method_id": "" if self.method is None else self.method.id,
+            "reference": None if self.reference is None else self.reference.to_json(),
             "audit": None if self.audit is None else self.audit.to_json(),
         }
         return CalibrationRecord(
@@ -209,6 +219,7 @@ class Calibration:
             evidence=record.evidence,
             method=record.method,
             scores=_scores(record),
+            reference=record.reference,
             audit=record.audit,
         )
 

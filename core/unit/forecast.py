@@ -61,7 +61,7 @@ class MapEvidence:
     @property
     def correction_rms(self) -> float:
         """RMS difference between doing something and doing nothing, in the reference unit."""
-        return _rms(self.estimate - self.unmapped)
+        return rms(self.estimate - self.unmapped)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +121,11 @@ def gather_evidence(
     # A map is only as good as the agreement of those that could have been chosen instead (disagreement), and of the
     # same family on other parts of the recording (stability, a delete-a-group jackknife).
     budget = {
-        "model": _rms(model.residuals.rmse_table[cells]),
-        "disagreement": _rms(disagreement),
-        "stability": _rms(stability),
-        "support": interval.sensitivity * _rms(distance),
-        "shift": _rms(np.quantile(estimate, quantiles) - np.quantile(model.estimate, quantiles)),
+        "model": rms(model.residuals.rmse_table[cells]),
+        "disagreement": rms(disagreement),
+        "stability": rms(stability),
+        "support": interval.sensitivity * rms(distance),
+        "shift": rms(np.quantile(estimate, quantiles) - np.quantile(model.estimate, quantiles)),
         "rest": _rest_spread(model, estimate, shape),
         "resolution": _resolution(model, target, mapped, raw),
         "clipping": _clipping(model, target, limits),
@@ -139,7 +139,7 @@ def gather_evidence(
     if line is not None:
         budget[LINE] = line.share * rms_load(estimate, config)
     if trials:
-        budget["paired"] = _rms(np.concatenate([_misread(model, target, trial) for trial in trials]))
+        budget["paired"] = rms(np.concatenate([_misread(model, target, trial) for trial in trials]))
     unmapped_overlap = use_overlap(model, interval.support.shape(raw))
     return MapEvidence(
         rows,
@@ -199,13 +199,14 @@ def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
     if not knowledge.is_placed and budget["gain"]:
         pattern = 0.5 * pattern + 0.5 * _load_pattern(model, evidence)
     reach = model.method.forecast.reach
-    beyond = unseen * _beyond(_levels(model), evidence.estimate, reach)
+    beyond = unseen * _beyond(load_levels(model), evidence.estimate, reach)
     spread_out = map_variance(budget, knowledge) - (unseen * budget["extrapolation"]) ** 2
     line = budget.get(LINE, 0.0) ** 2 * _load_pattern(model, evidence)
     return knowledge.config.interval_share * spread_out * pattern + beyond**2 + line
 
 
-def _levels(model: SourceModel) -> Array:
+def load_levels(model: SourceModel) -> Array:
+    """Return the middle of each load level of the interval, (LEVELS,) in the reference unit."""
     low, high = model.interval.low, model.interval.high
     return low + (np.arange(LEVELS) + 0.5) * (high - low) / LEVELS
 
@@ -227,7 +228,7 @@ def _disagreement_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
 
 def _load_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     """Return the squared load over its mean square in the unit's recording: (LEVELS,)."""
-    load = np.maximum(_levels(model) - _rest_level(evidence.estimate, model.method.forecast), 0.0)
+    load = np.maximum(load_levels(model) - _rest_level(evidence.estimate, model.method.forecast), 0.0)
     return np.asarray((load / max(rms_load(evidence.estimate, model.method.forecast), 1e-12)) ** 2)
 
 
@@ -236,7 +237,8 @@ def _smooth(table: Array, levels: int) -> Array:
     return np.stack([np.convolve(row, kernel, mode="same") for row in table])
 
 
-def _rms(values: Array) -> float:
+def rms(values: Array) -> float:
+    """Return the root mean square; 0 of nothing."""
     return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else 0.0
 
 
@@ -282,7 +284,7 @@ def _clipping(model: SourceModel, target: OutputRecording, limits: OutputLimits)
 
 def rms_load(estimate: Array, config: ForecastConfig) -> float:
     """Return the RMS load above rest: the sensitivity to a gain error."""
-    return _rms(estimate - _rest_level(estimate, config))
+    return rms(estimate - _rest_level(estimate, config))
 
 
 def _rest_level(estimate: Array, config: ForecastConfig) -> float:
@@ -318,7 +320,7 @@ def _misread(model: SourceModel, target: OutputRecording, trial: Trial) -> Array
 
 def _extrapolation(model: SourceModel, estimate: Array) -> float:
     """Return the RMS distance of the source's loads from the range of loads this unit has shown."""
-    return _rms(_beyond(model.estimate, estimate, model.method.forecast.reach))
+    return rms(_beyond(model.estimate, estimate, model.method.forecast.reach))
 
 
 def _beyond(load: Array, estimate: Array, shares: tuple[float, float]) -> Array:

@@ -75,6 +75,7 @@ class Limit:
         unit: physical unit of the reference.
         maximum_rmse: tolerance limit for the RMSE against the reference, in `unit`.
         origin: where the number comes from, said with every verdict.
+        reference_expanded: U (k = 2) of the reference itself, in `unit`; 0 where nobody stated it.
 
     Raises:
         InputError: the limit is not a positive number.
@@ -83,19 +84,31 @@ class Limit:
     unit: str
     maximum_rmse: float
     origin: Reason = Reason("part.stated")
+    reference_expanded: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0 < self.maximum_rmse < float("inf"):
             raise InputError(f"limit maximum_rmse = {self.maximum_rmse} {self.unit}; a positive number was expected")
 
+    @property
+    def acceptance_rmse(self) -> float:
+        """The largest error, with its guard band, that passes: AL of ILAC-G8:09/2019.
+
+        An error r against a reference that is itself wrong by b is an error sqrt(r^2 + b^2) against the truth, so
+        AL^2 = TL^2 - U^2. With |b| < U in 95 % of cases, fewer than 5 % of units at AL are beyond TL; 0: none passes.
+        """
+        return float(np.sqrt(max(self.maximum_rmse**2 - self.reference_expanded**2, 0.0)))
+
     def to_json(self) -> dict[str, object]:
         """Return it as JSON values."""
-        return {"unit": self.unit, "maximum_rmse": self.maximum_rmse, "origin": self.origin.to_json()}
+        told = {"unit": self.unit, "maximum_rmse": self.maximum_rmse, "origin": self.origin.to_json()}
+        return told | ({"reference_expanded": self.reference_expanded} if self.reference_expanded else {})
 
     @classmethod
     def of(cls, kept: Mapping[str, object]) -> "Limit":
         """Read what `to_json` wrote; older versions kept the origin as a sentence."""
-        return cls(str(kept["unit"]), float(str(kept["maximum_rmse"])), Reason.of(kept["origin"]))
+        expanded = float(str(kept.get("reference_expanded", 0.0)))
+        return cls(str(kept["unit"]), float(str(kept["maximum_rmse"])), Reason.of(kept["origin"]), expanded)
 
 
 def stated_limit(unit: str, rmse: float | None) -> Limit | None:
@@ -158,17 +171,20 @@ class Decision:
         predicted: from the forecast and the findings; alone it is conditional at best.
         measured: from an audit; it counts wherever there is one.
         sampled: from audits of other units of the lot; it counts where the unit itself was not measured.
+        bars: what keeps the unit from passing whatever was found: the reference itself cannot be relied on.
     """
 
     predicted: Judgement
     measured: Judgement | None = None
     sampled: Judgement | None = None
+    bars: tuple[Reason, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
         """The word that counts."""
         known = self.measured or self.sampled
-        return worst_of([self.predicted.verdict, Verdict.CONDITIONAL]) if known is None else known.verdict
+        best = Verdict.CONDITIONAL if known is None or self.bars else Verdict.PASS
+        return worst_of([(known or self.predicted).verdict, best])
 
     @property
     def is_audited(self) -> bool:
@@ -177,6 +193,12 @@ class Decision:
     @property
     def reasons(self) -> tuple[Reason, ...]:
         """Why, most important first; where an audit changed the word, what was predicted stands behind it."""
+        if self.verdict.severity > Verdict.CONDITIONAL.severity:
+            return (*self._found, *self.bars)
+        return (*self.bars, *self._found)
+
+    @property
+    def _found(self) -> tuple[Reason, ...]:
         if self.measured is None and self.sampled is not None:
             return (*self.sampled.reasons, *self.predicted.reasons)
         if self.measured is None and self.predicted.verdict is Verdict.PASS:
@@ -193,14 +215,16 @@ class Decision:
         """Return it as JSON values."""
         others = {"measured": self.measured, "sampled": self.sampled}
         kept = {name: None if other is None else other.to_json() for name, other in others.items()}
-        return {"predicted": self.predicted.to_json(), **kept}
+        barred = {"bars": [one.to_json() for one in self.bars]} if self.bars else {}
+        return {"predicted": self.predicted.to_json(), **kept, **barred}
 
     @classmethod
     def of(cls, kept: Mapping[str, object]) -> "Decision":
         """Read what `to_json` wrote."""
         judged = {name: kept.get(name) for name in ("predicted", "measured", "sampled")}
         found = {name: Judgement.of(one) for name, one in judged.items() if one is not None}  # type: ignore[arg-type]
-        return cls(**found)
+        bars: Iterable[object] = kept.get("bars", ())  # type: ignore[assignment]
+        return cls(**found, bars=tuple(map(Reason.of, bars)))
 
 
 _RELATION = {
@@ -221,10 +245,11 @@ _WORD = {
 def statement(error: ErrorForecast, limit: Limit) -> str:
     """Place an error against the limit with guard band w = U (95 %, k = 2), ILAC-G8:09/2019 section 4.2.3.
 
-    Pass: upper <= TL, so the probability of a false accept is below 2.5 %. Conditional pass: the error itself is within
-    TL. Conditional fail: lower <= TL. Fail: even the lower end is above TL.
+    Pass: upper <= AL, so the probability of a false accept is below 2.5 % (5 % where the reference's own uncertainty
+    counts). Conditional pass: the error itself is within TL. Conditional fail: lower <= TL. Fail: even the lower end is
+    above TL.
     """
-    if error.upper <= limit.maximum_rmse:
+    if error.upper <= limit.acceptance_rmse:
         return "pass"
     if error.rmse <= limit.maximum_rmse:
         return "conditional pass"
@@ -258,6 +283,8 @@ def decide(
     word = worst_of([_WORD[stated], *(finding.best for finding in findings)])
     # An error beyond the limit is the first thing to say; else what was found is.
     seen = [finding.reason for finding in ordered]
+    if limit.acceptance_rmse < error.upper <= limit.maximum_rmse:
+        seen.append(reason("reference_uncertain", expanded=limit.reference_expanded, unit=limit.unit))
     return Judgement(word, (said, *seen) if _WORD[stated] is Verdict.FAIL and word is Verdict.FAIL else (*seen, said))
 
 

@@ -1,5 +1,6 @@
 """Certificates: one set of facts, a DCC that is valid against its schema, a PDF that says the same."""
 
+import io
 import os
 import shutil
 import subprocess
@@ -10,18 +11,32 @@ from datetime import date
 from pathlib import Path
 
 import numpy as np
+import pikepdf
 import pytest
 import xmlschema
+from PIL import ImageCms
 
-from softcal.app.export.certificates.content import Certificate, Uncertainty
+from softcal.app.export.certificates.content import METHODS, Certificate, Uncertainty
 from softcal.app.export.certificates.dcc import SI_UNITS, certificate_xml
 from softcal.app.export.certificates.fonts import CANDIDATES
-from softcal.app.export.certificates.laboratory import Conditions, Laboratory, LoadCell, Party, Person, read_laboratory
+from softcal.app.export.certificates.laboratory import (
+    Conditions,
+    Laboratory,
+    LoadCell,
+    Party,
+    Performance,
+    Person,
+    read_laboratory,
+)
 from softcal.app.export.certificates.pdf import certificate_pdf
 from softcal.core.errors import InputError
+from softcal.core.maps.catalogue import FAMILIES
+from softcal.core.unit.budget import SIMULATED, Reference, measured_budget
 from softcal.core.unit.estimate import Estimate
 
-PROFILE = Path(__file__).parent / "dcc_profile"
+CELL = Reference(
+    "LC-7", "D-K-1", "DAkkS", date(2026, 1, 1), date(2028, 1, 1), date(2026, 2, 1), uncertainty=0.012, drift=0.01
+)
 NAMESPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 
 
@@ -33,12 +48,15 @@ def facts() -> Certificate:
     return Certificate(
         identifier="softcal-A1-r2-01234567",
         made_on=date(2026, 3, 4),
+        recorded_on=date(2026, 3, 2),
+        issued_on=date(2026, 3, 9),
         laboratory=Laboratory(
-            Party("Press shop & Söhne", "lab@example.com", "KR", "Seoul"),
+            Party("Press shop & Söhne", "lab@example.com", "KR", "Seoul", "Teheran-ro 1", "06234"),
             Party("Glove maker", "quality@example.com", "DE", "Munich"),
             Person("K. Jeon", "head"),
-            LoadCell("Futek", "LSB200", "LC-7", "D-K-1", "ab" * 32, "DAkkS", date(2026, 1, 1), date(2028, 1, 1), 0.012),
+            LoadCell("Futek", "LSB200", certificate="D-K-1", certificate_sha256="ab" * 32),
             Conditions(23.0, 41.0),
+            Performance("customer", "Hall 3", "new, no visible damage", date(2026, 3, 1)),
         ),
         serial="A1",
         revision=2,
@@ -56,11 +74,15 @@ def facts() -> Certificate:
         expected_interval=(0.15, 0.3),
         limit=0.4,
         limit_origin="stated for the lot",
+        acceptance=0.399,
         conformity="pass",
         verdict="pass",
         reasons=("predicted error is within the limit",),
         before=0.8,
         measured=0.22,
+        reference=CELL,
+        bars=(),
+        budget=measured_budget(0.22, CELL, 2.0),
         map_family="affine",
         hashes=(("network", "12" * 32), ("map", "34" * 32), ("unit's recording", "56" * 32)),
         bands=(Uncertainty(0.0, 1.5, 0.3), Uncertainty(1.5, 3.0, 0.4)),
@@ -72,15 +94,19 @@ def facts() -> Certificate:
 
 
 @pytest.fixture(scope="module")
-def schema() -> xmlschema.XMLSchema:
-    """The PTB's own schema where SOFTCAL_DCC_SCHEMA names its folder, else the stricter profile kept here."""
-    folder = Path(os.environ.get("SOFTCAL_DCC_SCHEMA", PROFILE))
-    return xmlschema.XMLSchema(folder / "dcc.xsd")
+def schema(measured_data: Path) -> xmlschema.XMLSchema:
+    """The PTB's own schema, which lies beside the measured data; the profile's import points at the file beside it."""
+    folder = measured_data / "dcc_schema"
+    if not folder.is_dir() and not os.environ.get("CI"):
+        pytest.skip(f"no DCC schema in {folder}")
+    return xmlschema.XMLSchema(folder / "dcc.xsd", locations={"https://ptb.de/si": str(folder / "SI_Format.xsd")})
 
 
 def _variants(facts: Certificate) -> list[Certificate]:
-    bare = replace(facts, laboratory=Laboratory(), sensor_model="", measured=None, before=None)
-    unknown = replace(bare, expected=None, expected_interval=None, limit=None, conformity="", verdict="retest")
+    bare = replace(facts, laboratory=Laboratory(), sensor_model="", measured=None, before=None, **NOBODY)
+    unknown = replace(
+        bare, expected=None, expected_interval=None, limit=None, acceptance=None, verdict="retest", budget=None
+    )
     loose = replace(
         facts, sensor_model=" eGaIn\n3 mm ", laboratory=Laboratory(Party(" Works ", "a@b.c ", "KR", "\tSeoul"))
     )
@@ -88,8 +114,20 @@ def _variants(facts: Certificate) -> list[Certificate]:
         replace(facts, reference_unit="strain counts"),
         replace(facts, bands=()),
         replace(facts, sensor_model=" "),
+        replace(facts, reference=SIMULATED),
+        expired(facts),
     ]
     return [facts, bare, unknown, loose, *others]
+
+
+NOBODY = {"reference": None, "conformity": ""}
+
+
+def expired(facts: Certificate) -> Certificate:
+    """The same unit, compared with a load cell whose certificate had ended."""
+    cell = replace(CELL, used_on=date(2029, 1, 1))
+    bars = tuple(map(str, cell.bars(facts.high)))
+    return replace(facts, reference=cell, bars=bars, conformity="", verdict="conditional", reasons=bars)
 
 
 def test_every_certificate_is_valid_against_the_schema(facts: Certificate, schema: xmlschema.XMLSchema) -> None:
@@ -123,12 +161,119 @@ def test_units_of_the_measured_sensors_are_known_to_d_si() -> None:
     assert {"N", "bar", "1"} <= set(SI_UNITS)
 
 
-def test_without_a_load_cell_it_says_that_nothing_is_traceable(facts: Certificate) -> None:
-    bare = replace(facts, laboratory=Laboratory())
-    text = certificate_xml(bare).decode()
-    assert "<dcc:traceable>false" in text
-    assert "not metrologically traceable" in text
-    assert "<dcc:traceable>true" in certificate_xml(facts).decode()
+def test_only_a_certificate_that_held_makes_a_result_traceable_and_conformity_stated(facts: Certificate) -> None:
+    text = certificate_xml(facts).decode()
+    assert "<dcc:traceable>true" in text and "<dcc:conformity>pass" in text
+    for other, said in (
+        (replace(facts, **NOBODY), "nobody stated with the lot"),
+        (expired(facts), "D-K-1"),
+        (replace(facts, **NOBODY, verdict="fail"), "not metrologically traceable"),
+    ):
+        text = certificate_xml(other).decode()
+        assert "<dcc:traceable>false" in text and "<dcc:conformity>" not in text
+        assert said in text and "etrologically traceable" in text
+    simulated = certificate_xml(replace(facts, reference=SIMULATED)).decode()
+    assert "<dcc:traceable>false" in simulated and simulated.count("SIMULATED: ") >= 3
+
+
+def test_a_pass_is_read_on_no_page_where_nothing_vouches_for_the_reference(facts: Certificate, tmp_path: Path) -> None:
+    path = tmp_path / "nobody.pdf"
+    path.write_bytes(certificate_pdf(replace(facts, **NOBODY)))
+    words = _text_of(path)
+    assert "NO STATEMENT OF CONFORMITY" in words and "PASS" not in words.split()
+    assert "not metrologically traceable" in " ".join(words.split())
+
+
+def test_every_page_of_a_simulated_lot_says_so(facts: Certificate, tmp_path: Path) -> None:
+    for name, reference, is_marked in (("simulated", SIMULATED, True), ("measured", CELL, False)):
+        path = tmp_path / f"{name}.pdf"
+        path.write_bytes(certificate_pdf(replace(facts, reference=reference)))
+        with pikepdf.open(path) as pdf:
+            assert len(pdf.pages) > 1
+            pages = range(1, len(pdf.pages) + 1)
+        for page in pages:
+            said = subprocess.run(
+                ["pdftotext", "-f", str(page), "-l", str(page), str(path), "-"], capture_output=True, text=True
+            ).stdout
+            assert ("SIMULATED" in said) == is_marked
+
+
+@pytest.mark.parametrize(
+    ("family", "said"),
+    [
+        ("synchronous", "pairs of their windows"),
+        ("phase", "equal stage positions"),
+        ("label_shift", "label shift"),
+        ("exact", "optimal transport"),
+    ],
+)
+def test_the_method_is_named_as_it_was(facts: Certificate, family: str, said: str) -> None:
+    named = replace(facts, map_family=family)
+    assert said in named.method and said in certificate_xml(named).decode()
+    assert ("optimal transport" in named.method) == (family in ("exact", "joint", "monotone"))
+
+
+def test_every_family_of_maps_has_a_name_on_paper() -> None:
+    assert set(METHODS) == set(FAMILIES)
+
+
+def test_the_pdf_is_archival_and_carries_the_dcc(facts: Certificate, tmp_path: Path) -> None:
+    for number, variant in enumerate([facts, replace(facts, **NOBODY), replace(facts, reference=SIMULATED)]):
+        path = tmp_path / f"{number}.pdf"
+        path.write_bytes(certificate_pdf(variant))
+        with pikepdf.open(path) as pdf:
+            with pdf.open_metadata() as metadata:
+                assert (metadata["pdfaid:part"], metadata["pdfaid:conformance"]) == ("3", "B")
+                assert metadata["dc:title"] == str(pdf.docinfo["/Title"])
+            (intent,) = pdf.Root.OutputIntents
+            assert intent.S == "/GTS_PDFA1" and int(intent.DestOutputProfile.N) == 3
+            ImageCms.ImageCmsProfile(io.BytesIO(intent.DestOutputProfile.read_bytes()))
+            (file,) = pdf.Root.AF
+            assert file.AFRelationship == "/Alternative" and str(file.UF) == "certificate-A1.xml"
+            assert file.EF.F.read_bytes() == certificate_xml(variant)
+            assert not pdf.is_encrypted and pdf.trailer["/ID"]
+            assert all("/ca" not in str(page.obj.get("/Resources")) for page in pdf.pages)
+        assert all(_is_embedded(line) for line in _fonts(path))
+
+
+def _fonts(path: Path) -> list[str]:
+    return subprocess.run(["pdffonts", str(path)], capture_output=True, text=True, check=True).stdout.splitlines()[2:]
+
+
+def _is_embedded(line: str) -> bool:
+    return line.split()[-5] == "yes"
+
+
+def test_everything_that_iso_17025_asks_for_stands_on_it(facts: Certificate, tmp_path: Path) -> None:
+    """ISO/IEC 17025:2017, 7.8.2.1 a to p and 7.8.4.1."""
+    path = tmp_path / "full.pdf"
+    path.write_bytes(certificate_pdf(facts))
+    text = " ".join(_text_of(path).split())
+    for wanted in (
+        "Calibration certificate",  # a
+        "Press shop & Söhne, Teheran-ro 1, 06234, Seoul, KR",  # b
+        "Hall 3",  # c
+        "softcal-A1-r2-01234567",  # d
+        "Page 1 of",
+        "End of the certificate",
+        "Glove maker, Munich, DE, quality@example.com",  # e
+        "time-delay network",  # f
+        "condition: new, no visible damage",  # g
+        "Received 2026-03-01",  # h
+        "unit recorded on 2026-03-02",  # i
+        "issued on 2026-03-09",  # j
+        "relate only to the item",  # l
+        "Deviations from the method: none",  # n
+        "K. Jeon, head",  # o
+        "U (k = 2), N",  # 7.8.4.1 a
+        "23 °C, 41 % relative humidity",  # b
+        "certificate D-K-1 of DAkkS",  # c
+        "Without calibration 0.8 N",  # d
+        "ILAC-G8:09/2019",  # e
+        "U = 0.44",
+    ):
+        assert wanted in text, wanted
+    assert "90 %" not in text
 
 
 def test_the_same_facts_give_the_same_pdf(facts: Certificate) -> None:
@@ -175,8 +320,7 @@ def test_names_in_other_letters_and_long_serials_are_written_in_full(
     assert "한국소프트센서교정실" in text and "전상훈,교정책임자" in text
     assert serial in text
     fonts = subprocess.run(["pdffonts", str(path)], capture_output=True, text=True, check=True).stdout.splitlines()[2:]
-    used = [line.split() for line in fonts if "Helvetica" not in line]  # ReportLab lists it, no text is set in it
-    assert len(used) == 3 and all(words[-5] == "yes" for words in used)  # embedded
+    assert len(fonts) == 3 and all(map(_is_embedded, fonts))
 
 
 def test_a_name_no_font_can_write_is_refused_with_what_to_do(
@@ -211,6 +355,8 @@ country = "KR"
 certificate = "D-K-1"
 due_on = 2028-02-02
 uncertainty_N = 0.012
+[performance]
+at = "other"
 """
 
 
@@ -220,7 +366,7 @@ def test_a_laboratory_file_is_read(tmp_path: Path) -> None:
     found = read_laboratory(path)
     assert found.laboratory.name == "Works"
     assert found.load_cell.due_on == date(2028, 2, 2)
-    assert found.load_cell.is_stated and not Laboratory().load_cell.is_stated
+    assert found.load_cell.certificate == "D-K-1" and found.performance.at == "other"
 
 
 @pytest.mark.parametrize(
@@ -232,6 +378,7 @@ def test_a_laboratory_file_is_read(tmp_path: Path) -> None:
         (("[load_cell]", "[loadcell]"), "known: laboratory"),
         (('name = "Works"', 'nane = "Works"'), "takes name"),
         (("[laboratory]", "[laboratory"), "TOML"),
+        (('at = "other"', 'at = "the moon"'), "laboratoryBranch"),
     ],
 )
 def test_a_wrong_laboratory_file_is_refused(tmp_path: Path, changed: tuple[str, str], said: str) -> None:

@@ -20,6 +20,7 @@ from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.export import export_units
 from softcal.app.export.names import AUDIT
+from softcal.app.export.signature import open_signing_key
 from softcal.core.errors import InputError
 from softcal.core.export.json_text import network_from_values, unit_from_values
 from softcal.core.export.loader import CLAMPED, OUT_OF_RANGE, open_sensor
@@ -277,6 +278,88 @@ def test_check_answers_three_questions_apart(run: Run, tmp_path: Path, capsys: p
     assert check("--public-key", public)[0] == 2
 
 
+def test_a_certificate_carries_a_signature_that_other_programs_verify(
+    run: Run, tmp_path: Path, require: Callable[[object, str], None]
+) -> None:
+    require(shutil.which("openssl"), "openssl is missing")
+    out, (private, public) = tmp_path / "out", _keys(tmp_path)
+    formats = ["--format", "dcc", "--format", "pdf"]
+    assert run("--serial", "A1", *formats, "--sign", private, "--check", "--public-key", public) == 0
+
+    def verifies(name: str) -> bool:
+        files = ["-in", str(out / name), "-sigfile", str(out / f"{name}.sig")]
+        command = ["openssl", "pkeyutl", "-verify", "-pubin", "-inkey", public, "-rawin", *files]
+        return subprocess.run(command, capture_output=True).returncode == 0
+
+    assert verifies("certificate-A1.xml") and verifies("certificate-A1.pdf")
+    content = (out / "certificate-A1.xml").read_bytes()
+    (out / "certificate-A1.xml").write_bytes(content.replace(b"false", b"true "))
+    assert not verifies("certificate-A1.xml")
+    assert run("--check", "--public-key", public) == 2
+    assert run("--serial", "A1", *formats) == 0
+    assert not list(out.glob("*.sig"))
+    assert run("--check") == 0
+
+
+def test_keys_change_and_the_check_says_whose_the_signature_is(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = [tmp_path / name for name in ("old", "new", "other")]
+    for folder in folders:
+        folder.mkdir()
+    keys = [_keys(folder) for folder in folders]
+    ring = tmp_path / "ring.toml"
+
+    def check(old_until: str, new_from: str) -> tuple[int, str]:
+        ring.write_text(
+            f'[[key]]\nname = "Works 2025"\nfile = "old/key.pub"\nvalid_until = {old_until}\n'
+            f'[[key]]\nname = "Works 2026"\nfile = "new/key.pub"\nvalid_from = {new_from}\n'
+        )
+        capsys.readouterr()
+        code = run("--check", "--public-key", str(ring))
+        return code, _answers(capsys.readouterr().out)["signed"]
+
+    run("--serial", "A1", "--format", "blob", "--sign", keys[1][0])
+    code, answer = check("2020-01-01", "2020-01-01")
+    assert code == 0 and answer.startswith("yes, by Works 2026 (")
+    assert check("2020-01-01", "2099-01-01")[0] == 2  # not valid yet
+    run("--serial", "A1", "--format", "blob", "--sign", keys[0][0])
+    code, answer = check("2099-01-01", "2020-01-01")
+    assert code == 0 and answer.startswith("yes, by Works 2025 (")
+    assert check("2020-01-01", "2020-01-01")[0] == 2  # no longer valid
+    run("--serial", "A1", "--format", "blob", "--sign", keys[2][0])
+    assert check("2099-01-01", "2020-01-01")[0] == 2  # of nobody in the ring
+    assert run("--check", "--public-key", str(ring), "--public-key", keys[2][1]) == 0
+
+
+@pytest.mark.parametrize(
+    "ring",
+    ["", "[[key]]\n", '[[key]]\nname = "x"\nfile = "gone.pub"\n', '[[key]]\nname = "x"\nfille = "y"\n', "key = 3"],
+)
+def test_a_key_ring_that_is_none_is_refused(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], ring: str
+) -> None:
+    run("--serial", "A1", "--format", "blob")
+    (tmp_path / "ring.toml").write_text(ring)
+    assert run("--check", "--public-key", str(tmp_path / "ring.toml")) == 2
+    assert "nothing was checked" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_passphrase_comes_from_a_file_or_from_a_person(tmp_path: Path) -> None:
+    private, _ = _keys(tmp_path, b"open sesame")
+    (tmp_path / "passphrase").write_text("open sesame\n")
+    key = open_signing_key(Path(private), tmp_path / "passphrase")
+    asked: list[str] = []
+    assert open_signing_key(Path(private), None, lambda text: asked.append(text) or "open sesame").sign(
+        b"x"
+    ) == key.sign(b"x")
+    assert asked == [f"passphrase of {private}: "]
+    for wrong in ("", "open says me"):
+        (tmp_path / "passphrase").write_text(wrong)
+        with pytest.raises(InputError, match="nothing was written"):
+            open_signing_key(Path(private), tmp_path / "passphrase")
+
+
 OUTSIDE = ["../victim.txt", "/etc/hostname", "..", "deep/er.ssc", "..\\victim.txt", "manifest.json", ""]
 
 
@@ -354,10 +437,22 @@ def test_a_unit_that_failed_gets_no_file_that_gives_numbers(
     assert main([*arguments, *_all_formats()]) == 2
     assert "verdict fail (bent in the press)" in capsys.readouterr().err
     names = {path.name for path in out.iterdir() if "A1" in path.name}
-    assert names == {"unit-A1.json", "certificate-A1.pdf", "certificate-A1.xml"}  # the older blob is gone as well
-    assert json.loads((out / "unit-A1.json").read_text())["device"] is None
+    assert names == {"certificate-A1.pdf", "certificate-A1.xml"}  # the older blob is gone as well
     assert main([*arguments, "--format", "blob", "--failed-too", "--check"]) == 0
     assert (out / "unit-A1.ssc").read_bytes()[7] == 2
+
+
+@pytest.mark.parametrize("name", sorted({*FORMATS} - {"pdf", "dcc"}))
+@pytest.mark.parametrize("verdict", ["conditional", "fail", "retest"])
+def test_the_verdict_alone_releases_a_file_of_any_format(
+    calibrated: str, tmp_path: Path, name: str, verdict: str
+) -> None:
+    url, out = _with_verdict(calibrated, tmp_path, verdict), tmp_path / "out"
+    arguments = ["export", "--registry", url, "--out", str(out), "--serial", "A1", "--format", name]
+    assert main(arguments) == 2
+    assert not list(out.glob("*A1*"))
+    assert main([*arguments, "--release", "conditional"]) == (0 if verdict == "conditional" else 2)
+    assert bool(list(out.glob("unit-A1.*"))) == (verdict == "conditional")
 
 
 @pytest.mark.parametrize(

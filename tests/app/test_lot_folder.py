@@ -9,6 +9,7 @@ import pytest
 from softcal.app.files.lot_folder import open_lot_folder, write_lot_toml
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.unit.budget import SIMULATED, Standing
 
 GOOD = 'sample_rate_Hz = 50.0\nsource = "A0"\n[lot]\nid = "x"\n[output]\nunit = "V"\n'
 
@@ -65,3 +66,47 @@ def test_a_serial_in_two_formats_is_refused(tmp_path: Path) -> None:
 def test_keys_that_are_not_known_are_remarked(tmp_path: Path) -> None:
     (remark,) = open_lot_folder(_lot(tmp_path, GOOD + 'colour = "red"\n')).remarks
     assert "colour" in remark
+
+
+REFERENCE = """sample_rate_Hz = 50.0
+source = "A0"
+[lot]
+id = "small"
+[reference]
+unit = "N"
+cell = "LC-7"
+certificate = "D-K-1"
+issued_on = 2026-01-01
+due_on = 2028-01-01
+used_on = 2026-06-01
+uncertainty = 0.012
+temperature_K = 3
+"""
+
+
+def test_what_the_source_was_compared_with_is_read_and_written(lot_folder: Path) -> None:
+    assert open_lot_folder(lot_folder).reference == SIMULATED
+    (lot_folder / "lot.toml").write_text(REFERENCE)
+    found = open_lot_folder(lot_folder)
+    assert not found.remarks and found.reference is not None
+    assert (found.reference.cell, found.reference.uncertainty, found.reference.temperature_K) == ("LC-7", 0.012, 3.0)
+    assert found.reference.standing is Standing.VALID
+    for reference in (found.reference, SIMULATED, None):
+        write_lot_toml(lot_folder, found.lot, reference)
+        assert open_lot_folder(lot_folder).reference == reference
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (("used_on = 2026-06-01", 'used_on = "June"'), "a date"),
+        (("uncertainty = 0.012", "uncertainty = 0"), "above 0"),
+        (("uncertainty = 0.012", 'uncertainty = "small"'), "a number"),
+        (("due_on = 2028-01-01", "due_on = 2025-01-01"), "not after"),
+        (('id = "small"', 'id = "small"\nsimulated = "yes"'), "true or false"),
+    ],
+)
+def test_a_reference_that_cannot_be_is_refused(lot_folder: Path, changed: tuple[str, str], said: str) -> None:
+    (lot_folder / "lot.toml").write_text(REFERENCE.replace(*changed))
+    with pytest.raises(InputError, match=said):
+        open_lot_folder(lot_folder)

@@ -28,6 +28,7 @@ TOOLS = {
     "mega": ("avr-gcc", "simavr"),
 }
 PACKAGES = "gcc-arm-none-eabi qemu-system-arm gcc-riscv64-unknown-elf qemu-system-misc gcc-avr avr-libc simavr"
+CONFORMANCE = Path(__file__).parents[2] / "firmware" / "conformance"
 RELEASED = Path(__file__).parent / "released"
 
 
@@ -135,6 +136,23 @@ def test_every_form_of_map_gives_the_same_integers_with_16_bit_ints(
     if board == "uno":  # files lie in flash, so RAM does not grow with them
         assert run.numbers["ram_bytes"] + run.numbers["stack_bytes"] <= 512
         assert run.instructions <= 80_000
+
+
+@pytest.mark.parametrize("name", ["unit-wide", "unit-wide-alone"])
+@pytest.mark.parametrize("board", ["m0", "m4", "rv32", "uno", "mega"])
+def test_a_wide_mix_gives_the_integers_of_numpy_on_every_core(
+    run_on_board: Callable[..., Run], rng: np.random.Generator, name: str, board: str
+) -> None:
+    """The files that a second reader is proved with: weights of 16 bits, sums close to the end of 32."""
+    network = read_network((CONFORMANCE / "network.ssc").read_bytes())
+    unit = read_unit((CONFORMANCE / f"{name}.ssc").read_bytes())
+    assert unit.device_map.mix is not None and unit.device_map.mix.is_wide
+    codes = np.concatenate([rng.integers(0, 65_536, 60), np.repeat([0, 65_535], 20)])
+    run = run_on_board(network, unit, codes, board, "-Os")
+    assert run.numbers["status"] == 0
+    assert np.array_equal(run.estimates, _reference(network, unit, codes))
+    assert len(set(run.estimates[:, 0])) > 20
+    assert run.numbers["stack_bytes"] <= 256
 
 
 @pytest.mark.parametrize("board", ["m0", "uno"])

@@ -19,6 +19,7 @@ NO_DECISION = {
     "core/unit/line_spread.py": {"MOST_SPREAD"},  # 1, the end of what a share can be
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
     "core/unit/explanation.py": {"DENSITY_BINS"},  # bars of a figure
+    "core/unit/budget.py": {"COVERAGE", "DIVISORS"},  # what a certificate states, and the GUM's distributions
     "core/maps/crossing.py": {"KEPT"},  # entries of a cache
     "core/maps/synchrony.py": {"NONE"},  # zeros
     "core/use/adapter.py": {"STATE_FORMAT", "MOST_UPDATES"},  # of the stored state; length of a queue for the caller

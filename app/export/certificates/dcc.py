@@ -3,8 +3,9 @@
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from softcal.app.export.certificates.content import DECISION_RULE, METHOD, Certificate
-from softcal.app.export.certificates.laboratory import Party
+from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, SIMULATED, Certificate
+from softcal.app.export.certificates.laboratory import NOT_STATED, Party
+from softcal.core.unit.budget import Reference
 
 SCHEMA_VERSION = "3.1.2"
 """Each schema accepts its own version alone: another one is another writer, never another number here."""
@@ -65,10 +66,12 @@ def _administrative(parent: ET.Element, facts: Certificate) -> None:
     _child(core, "usedLangCodeISO639_1", "en")
     _child(core, "mandatoryLangCodeISO639_1", "en")
     _child(core, "uniqueIdentifier", facts.identifier)
-    day = facts.made_on.isoformat()
-    _child(core, "beginPerformanceDate", day)
-    _child(core, "endPerformanceDate", day)
-    _child(core, "performanceLocation", "laboratory")
+    performance = facts.laboratory.performance
+    if performance.received_on is not None:
+        _child(core, "receiptDate", performance.received_on.isoformat())
+    _child(core, "beginPerformanceDate", min(facts.recorded_on, facts.made_on).isoformat())
+    _child(core, "endPerformanceDate", facts.made_on.isoformat())
+    _child(core, "performanceLocation", performance.at)
     _item(_child(_child(parent, "items"), "item"), facts)
     _contact(_child(_child(parent, "calibrationLaboratory"), "contact"), facts.laboratory.laboratory)
     _person(_child(_child(parent, "respPersons"), "respPerson"), facts)
@@ -84,7 +87,9 @@ def _software(parent: ET.Element, facts: Certificate) -> None:
 
 
 def _item(parent: ET.Element, facts: Certificate) -> None:
-    _text(parent, "name", f"Soft sensor {facts.serial}")
+    simulated = "SIMULATED: " if facts.is_simulated else ""
+    _text(parent, "name", f"{simulated}Soft sensor {facts.serial}")
+    _text(parent, "description", f"Condition: {facts.laboratory.performance.condition}")
     _text(_child(parent, "manufacturer"), "name", facts.laboratory.laboratory.name)
     if facts.sensor_model.strip():
         _child(parent, "model", facts.sensor_model)
@@ -107,6 +112,9 @@ def _contact(parent: ET.Element, party: Party) -> None:
     location = _child(parent, "location")
     _child(location, "city", party.city)
     _child(location, "countryCode", party.country)
+    for name, value in (("postCode", party.post_code), ("street", party.street)):
+        if value != NOT_STATED:
+            _child(location, name, value)
 
 
 def _person(parent: ET.Element, facts: Certificate) -> None:
@@ -116,52 +124,65 @@ def _person(parent: ET.Element, facts: Certificate) -> None:
 
 
 def _statements(parent: ET.Element, facts: Certificate) -> None:
+    if facts.is_simulated:
+        _text(_child(parent, "statement"), "declaration", SIMULATED)
     decision = _child(parent, "statement", refType="basic_conformity")
     _child(decision, "norm", "ILAC-G8:09/2019")
-    _text(decision, "declaration", f"{DECISION_RULE} Verdict: {facts.verdict}. {' '.join(facts.reasons)}")
+    withheld = "" if facts.conformity else "No statement of conformity is made. "
+    told = f"{DECISION_RULE} {withheld}Verdict: {facts.verdict}. {' '.join(facts.reasons)}"
+    _text(decision, "declaration", told)
     if facts.conformity:
         _child(decision, "conformity", CONFORMITY[facts.conformity])
     trace = _child(parent, "statement")
-    _child(trace, "traceable", "true" if facts.laboratory.load_cell.is_stated else "false")
+    _child(trace, "traceable", "true" if facts.is_traceable else "false")
     _text(trace, "declaration", f"{facts.traceability} {facts.basis}")
+    scope = _child(parent, "statement")
+    _child(scope, "norm", "ISO/IEC 17025:2017")
+    _text(scope, "declaration", f"{ONLY_THIS} Place: {facts.place}. Unit recorded on {facts.recorded_on}.")
+    issue = _child(parent, "statement")
+    _text(issue, "declaration", "Date of issue")
+    _child(issue, "date", facts.issued_on.isoformat())
 
 
 def _result(parent: ET.Element, facts: Certificate) -> None:
-    _text(parent, "name", f"Calibration of {facts.quantity} by transport from source unit {facts.source}")
+    simulated = "SIMULATED: " if facts.is_simulated else ""
+    _text(parent, "name", f"{simulated}Calibration of {facts.quantity}, transferred from source unit {facts.source}")
     method = _child(_child(parent, "usedMethods"), "usedMethod")
-    _text(method, "name", "Transfer calibration by optimal transport")
-    _text(method, "description", METHOD)
+    _text(method, "name", f"Transfer calibration: {facts.method_name}")
+    _text(method, "description", facts.method)
     _software(_child(_child(parent, "usedSoftware"), "software"), facts)
-    if facts.laboratory.load_cell.is_stated:
-        _load_cell(
-            _child(_child(parent, "measuringEquipments"), "measuringEquipment", refType="basic_normalUsed"), facts
-        )
+    if facts.reference is not None and facts.reference.certificate and not facts.is_simulated:
+        equipment = _child(_child(parent, "measuringEquipments"), "measuringEquipment", refType="basic_normalUsed")
+        _load_cell(equipment, facts, facts.reference)
     _conditions(parent, facts)
     results = _child(parent, "results")
     _errors(results, facts)
-    _intervals(results, facts)
+    _expanded(results, facts)
+    _budget(results, facts)
     _provenance(results, facts)
 
 
-def _load_cell(parent: ET.Element, facts: Certificate) -> None:
+def _load_cell(parent: ET.Element, facts: Certificate, reference: Reference) -> None:
     cell = facts.laboratory.load_cell
-    _text(parent, "name", "Load cell of the source's calibration")
+    issuer = reference.laboratory or cell.laboratory
+    _text(parent, "name", "Reference of the source's calibration")
     if cell.certificate_sha256:
         certificate = _child(parent, "certificate")
-        _text(certificate, "referral", f"Calibration certificate by {cell.laboratory}")
-        _child(certificate, "referralID", cell.certificate)
+        _text(certificate, "referral", f"Calibration certificate by {issuer}")
+        _child(certificate, "referralID", reference.certificate)
         _child(certificate, "procedure", "SHA-256")
         _child(certificate, "value", cell.certificate_sha256)
     _text(_child(parent, "manufacturer"), "name", cell.manufacturer)
     _child(parent, "model", cell.model)
     identifications = _child(parent, "identifications")
-    _identification(identifications, "manufacturer", cell.serial, "Serial number")
-    _identification(identifications, "calibrationLaboratory", cell.certificate, f"Certificate of {cell.laboratory}")
-    if cell.uncertainty_N is not None:
-        quantity = _child(_child(parent, "measuringEquipmentQuantities"), "measuringEquipmentQuantity")
-        quantity.set("refType", "basic_uncertainty")
-        _text(quantity, "name", f"Expanded uncertainty, k = {cell.coverage_factor:g}")
-        _real(quantity, cell.uncertainty_N, r"\newton")
+    _identification(identifications, "manufacturer", reference.cell or cell.serial, "Serial number")
+    _identification(identifications, "calibrationLaboratory", reference.certificate, f"Certificate of {issuer}")
+    if reference.uncertainty is not None:
+        quantities = _child(parent, "measuringEquipmentQuantities")
+        name = f"Expanded uncertainty, k = {reference.coverage_factor:g}"
+        _quantity(
+            quantities, facts, name, reference.uncertainty, None, "basic_uncertainty", "measuringEquipmentQuantity"
+        )
 
 
 def _conditions(parent: ET.Element, facts: Certificate) -> None:
@@ -190,8 +211,9 @@ def _errors(parent: ET.Element, facts: Certificate) -> None:
         _quantity(data, facts, "Predicted root mean square error", facts.expected, facts.expected_interval)
     if facts.measured is not None:
         _quantity(data, facts, "Root mean square error measured on an audit recording", facts.measured)
-    if facts.limit is not None:
+    if facts.limit is not None and facts.acceptance is not None:
         _quantity(data, facts, f"Limit ({facts.limit_origin})", facts.limit)
+        _quantity(data, facts, "Acceptance limit: the limit less the reference's uncertainty", facts.acceptance)
     _quantity(data, facts, "Lower end of the calibrated range", facts.low, reference="basic_validityRangeMin")
     _quantity(data, facts, "Upper end of the calibrated range", facts.high, reference="basic_validityRangeMax")
 
@@ -203,8 +225,9 @@ def _quantity(
     value: float,
     interval: tuple[float, float] | None = None,
     reference: str | None = None,
+    element: str = "quantity",
 ) -> None:
-    quantity = _child(parent, "quantity", **({"refType": reference} if reference else {}))
+    quantity = _child(parent, element, **({"refType": reference} if reference else {}))
     _text(quantity, "name", name)
     if facts.reference_unit not in SI_UNITS:
         _text(quantity, "noQuantity", f"{value:.6g} {facts.reference_unit}")
@@ -223,12 +246,25 @@ def _quantity(
             ET.SubElement(coverage, f"{{{SI}}}{tag}").text = text
 
 
-def _intervals(parent: ET.Element, facts: Certificate) -> None:
+def _budget(parent: ET.Element, facts: Certificate) -> None:
+    if facts.budget is None:
+        return
     result = _child(parent, "result")
-    _text(result, "name", "90 % interval of an estimate, by range of the estimate")
+    at = f"{facts.budget.load:.4g} {facts.reference_unit}"
+    _text(result, "name", f"Uncertainty budget of an estimate at {at} (GUM, JCGM 100:2008)")
+    data = _child(result, "data")
+    for each in facts.budget.contributions:
+        _quantity(data, facts, f"Standard uncertainty: {each.name} ({each.distribution})", each.standard)
+    _quantity(data, facts, "Combined standard uncertainty", facts.budget.standard)
+    _quantity(data, facts, "Expanded uncertainty U (k = 2)", facts.budget.expanded)
+
+
+def _expanded(parent: ET.Element, facts: Certificate) -> None:
+    result = _child(parent, "result")
+    _text(result, "name", "Expanded uncertainty U (k = 2) of an estimate, by range of the estimate")
     data = _child(result, "data")
     if facts.reference_unit not in SI_UNITS or not facts.bands:
-        told = "; ".join(f"{b.low:.4g} to {b.high:.4g}: ± {b.half_width:.3g}" for b in facts.bands)
+        told = "; ".join(f"{b.low:.4g} to {b.high:.4g}: U = {b.expanded:.3g}" for b in facts.bands)
         _text(data, "text", f"{told} {facts.reference_unit}" if told else "no estimate lies in the calibrated range")
         return
     factor, unit = SI_UNITS[facts.reference_unit]
@@ -236,7 +272,7 @@ def _intervals(parent: ET.Element, facts: Certificate) -> None:
     columns: list[tuple[str, Sequence[float]]] = [
         ("Lower end of the range", [band.low for band in facts.bands]),
         ("Upper end of the range", [band.high for band in facts.bands]),
-        ("Half-width of the 90 % interval", [band.half_width for band in facts.bands]),
+        ("Expanded uncertainty U (k = 2)", [band.expanded for band in facts.bands]),
     ]
     for name, values in columns:
         quantity = _child(rows, "quantity")

@@ -7,6 +7,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
+from reportlab.graphics.shapes import STATE_DEFAULTS
 from reportlab.pdfbase import pdfmetrics
 from reportlab.pdfbase.ttfonts import TTFError, TTFont
 
@@ -26,9 +27,10 @@ CANDIDATES = {
 
 @cache
 def register() -> None:
-    """Make the two built-in fonts known to ReportLab."""
+    """Make the two built-in fonts known to ReportLab, and what every drawing begins with: its own is never embedded."""
     for name in (PLAIN, BOLD):
         pdfmetrics.registerFont(TTFont(name, f"{name}.ttf"))
+    STATE_DEFAULTS["fontName"] = PLAIN
 
 
 def has_all(font: str, text: str) -> bool:

@@ -1,4 +1,4 @@
-"""Who calibrates, for whom, and with which load cell: a TOML file people keep beside their station."""
+"""Who calibrates, for whom, where and in which condition: a TOML file people keep beside their station."""
 
 import tomllib
 from collections.abc import Mapping
@@ -18,6 +18,9 @@ LABORATORY = "laboratory.toml"
 NO_COUNTRY = "ZZ"
 """ISO 3166-1: no country, by agreement of its users."""
 
+PLACES = ("laboratory", "customer", "laboratoryBranch", "customerBranch", "other")
+"""Where a calibration may be performed, in the words of the DCC."""
+
 
 @dataclass(frozen=True)
 class Party:
@@ -27,6 +30,8 @@ class Party:
     email: str = NOT_STATED
     country: str = NO_COUNTRY
     city: str = NOT_STATED
+    street: str = NOT_STATED
+    post_code: str = NOT_STATED
 
     def __post_init__(self) -> None:
         if len(self.country) != 2 or not self.country.isascii() or not self.country.isupper():
@@ -43,12 +48,11 @@ class Person:
 
 @dataclass(frozen=True)
 class LoadCell:
-    """The reference instrument of the source's calibration and its own certificate.
+    """What people want to read of the reference beside what the lot states of it.
 
     Args:
-        issued_on, due_on: of its certificate.
-        uncertainty_N: expanded uncertainty U in N.
-        coverage_factor: k of U.
+        certificate: must be the one the lot states, where it states one.
+        certificate_sha256: of the certificate's own file, hex.
     """
 
     manufacturer: str = NOT_STATED
@@ -62,11 +66,6 @@ class LoadCell:
     uncertainty_N: float | None = None
     coverage_factor: float = 2.0
 
-    @property
-    def is_stated(self) -> bool:
-        """Whether there is a certificate to trace to."""
-        return self.certificate != NOT_STATED
-
 
 @dataclass(frozen=True)
 class Conditions:
@@ -74,6 +73,31 @@ class Conditions:
 
     temperature_C: float | None = None
     humidity_pct: float | None = None
+
+
+@dataclass(frozen=True)
+class Performance:
+    """How the calibration was performed, as far as no recording knows it (ISO/IEC 17025:2017, 7.8.2.1).
+
+    Args:
+        at: one of `PLACES`.
+        place: address or room; the laboratory's own address where it is left out.
+        condition: of the item when it was received.
+        received_on: day the item was received.
+        issued_on: day of issue; the day of the export where it is left out.
+        deviations: from the method.
+    """
+
+    at: str = "laboratory"
+    place: str = NOT_STATED
+    condition: str = NOT_STATED
+    received_on: date | None = None
+    issued_on: date | None = None
+    deviations: str = "none"
+
+    def __post_init__(self) -> None:
+        if self.at not in PLACES:
+            raise InputError(f"performance at {self.at!r}; one of {', '.join(PLACES)} was expected")
 
 
 @dataclass(frozen=True)
@@ -85,9 +109,10 @@ class Laboratory:
     person: Person = Person()
     load_cell: LoadCell = LoadCell()
     conditions: Conditions = Conditions()
+    performance: Performance = Performance()
 
 
-Section = TypeVar("Section", Party, Person, LoadCell, Conditions)
+Section = TypeVar("Section", Party, Person, LoadCell, Conditions, Performance)
 
 
 def read_laboratory(path: Path | None) -> Laboratory:
@@ -112,6 +137,7 @@ def read_laboratory(path: Path | None) -> Laboratory:
         person=_section(path, values, "person", Person()),
         load_cell=_section(path, values, "load_cell", LoadCell()),
         conditions=_section(path, values, "conditions", Conditions()),
+        performance=_section(path, values, "performance", Performance()),
     )
 
 

@@ -42,6 +42,7 @@ def lot_statement_facts(registry: Registry, lot_id: str, decided: LotRelease) ->
         released=decided.released,
         counts=registry.verdict_counts(lot_id),
         identifier=f"{lot_id} {now:%Y-%m-%d %H:%M} UTC",
+        is_simulated=record.reference is not None and record.reference.is_simulated,
     )
 
 

@@ -4,12 +4,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
 
-from reportlab.lib import colors
 from reportlab.lib.units import mm
-from reportlab.platypus import Flowable, Paragraph, Spacer, Table, TableStyle
+from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 
+from softcal.app.export.certificates.archival import archival
 from softcal.app.export.certificates.fonts import BOLD, marked_up
-from softcal.app.export.certificates.parts import WIDTH, document_pdf, facts_table, grid, paragraph, section, style
+from softcal.app.export.certificates.parts import (
+    WIDTH,
+    Document,
+    document_pdf,
+    facts_table,
+    grid,
+    marked,
+    paragraph,
+    section,
+    style,
+)
 
 GIVEN, NOT_GIVEN = "#1b7f3b", "#b3261e"
 MOST_AUDITS, MOST_SERIALS = 14, 30
@@ -58,6 +68,7 @@ class LotStatementFacts:
         released: serials released on the audits of others.
         counts: units of the lot by verdict.
         identifier: of the statement.
+        is_simulated: whether the lot's recordings come from a simulation.
     """
 
     lot: str
@@ -81,6 +92,7 @@ class LotStatementFacts:
     released: tuple[str, ...]
     counts: Mapping[str, int]
     identifier: str
+    is_simulated: bool = False
 
     @property
     def is_given(self) -> bool:
@@ -90,8 +102,15 @@ class LotStatementFacts:
 
 def lot_statement_pdf(facts: LotStatementFacts) -> bytes:
     """Return the page: the same bytes for the same facts."""
-    footer = f"{facts.identifier}   {facts.software}"
-    return document_pdf(_story(facts), f"Statement on lot {facts.lot}", "", facts.software, footer)
+    page = Document(
+        title=f"Statement on lot {facts.lot}",
+        author="",
+        software=facts.software,
+        footer=f"{facts.identifier}   {facts.software}",
+        made_on=facts.made_on,
+        across="SIMULATED" if facts.is_simulated else "",
+    )
+    return archival(document_pdf(_story(facts), page), page)
 
 
 def _story(facts: LotStatementFacts) -> list[Flowable]:
@@ -111,8 +130,7 @@ def _story(facts: LotStatementFacts) -> list[Flowable]:
 def _promise(facts: LotStatementFacts) -> Flowable:
     colour, word = (GIVEN, "RELEASED BY SAMPLE") if facts.is_given else (NOT_GIVEN, "NO RELEASE BY SAMPLE")
     lines = [Paragraph(f'<font color="{colour}">{word}</font>', style(13, BOLD)), paragraph(facts.statement, 10)]
-    box = [("LINEBEFORE", (0, 0), (0, -1), 3, colors.HexColor(colour)), ("LEFTPADDING", (0, 0), (-1, -1), 8)]
-    return Table([[lines]], colWidths=[WIDTH], style=TableStyle(box))
+    return Table([[lines]], colWidths=[WIDTH], style=marked(colour))
 
 
 def _lot_rows(facts: LotStatementFacts) -> list[tuple[str, str]]:

@@ -2,6 +2,8 @@
 
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date
 
 from reportlab.lib import colors
 from reportlab.lib.pagesizes import A4
@@ -16,10 +18,31 @@ MARGIN = 18 * mm
 WIDTH = A4[0] - 2 * MARGIN
 FRAME_PADDING = 6  # ReportLab's own, inside the margins
 INK, QUIET, RULE = colors.HexColor("#1a1f26"), colors.HexColor("#5a6472"), colors.HexColor("#c9d0d8")
+ACROSS = colors.HexColor("#f3d9d7")
 
 
-def document_pdf(story: Sequence[Flowable], title: str, author: str, software: str, footer: str) -> bytes:
+@dataclass(frozen=True)
+class Document:
+    """What holds for every page of a document.
+
+    Args:
+        title, author, software: of the document.
+        footer: at the foot of every page.
+        made_on: day it was made.
+        across: word written across every page; empty for none.
+    """
+
+    title: str
+    author: str
+    software: str
+    footer: str
+    made_on: date
+    across: str = ""
+
+
+def document_pdf(story: Sequence[Flowable], page: Document) -> bytes:
     """Return a story as a PDF: vector text with embedded fonts, the same bytes for the same story."""
+    register()
     buffer = io.BytesIO()
     document = SimpleDocTemplate(
         buffer,
@@ -28,14 +51,16 @@ def document_pdf(story: Sequence[Flowable], title: str, author: str, software: s
         rightMargin=MARGIN - FRAME_PADDING,
         topMargin=14 * mm,
         bottomMargin=18 * mm,
-        title=title,
-        author=author,
-        creator=software,
+        title=page.title,
+        author=page.author,
+        creator=page.software,
         invariant=1,
+        # ReportLab's own first font is one that no file embeds.
+        initialFontName=PLAIN,
     )
 
     def canvas(*arguments: object, **options: object) -> Canvas:
-        return _NumberedCanvas(*arguments, footer=footer, **options)
+        return _NumberedCanvas(*arguments, page=page, **options)
 
     document.build(list(story), canvasmaker=canvas)
     return buffer.getvalue()
@@ -44,13 +69,15 @@ def document_pdf(story: Sequence[Flowable], title: str, author: str, software: s
 class _NumberedCanvas(Canvas):  # type: ignore[misc]
     """Knows the number of pages when it writes `Page 1 of 2`: pages are held back until all are laid out."""
 
-    def __init__(self, *arguments: object, footer: str, **options: object) -> None:
+    def __init__(self, *arguments: object, page: Document, **options: object) -> None:
         super().__init__(*arguments, **options)
-        self._footer, self._pages = footer, list[dict[str, object]]()
+        self._page, self._pages = page, list[dict[str, object]]()
+        self._across()
 
     def showPage(self) -> None:  # noqa: N802  (a name of ReportLab's)
         self._pages.append(dict(self.__dict__))
         self._startPage()
+        self._across()
 
     def save(self) -> None:
         pages = self._pages
@@ -58,10 +85,22 @@ class _NumberedCanvas(Canvas):  # type: ignore[misc]
             self.__dict__.update(page)
             self.setFont(PLAIN, 7)
             self.setFillColor(QUIET)
-            self.drawString(MARGIN, 12 * mm, self._footer)
+            self.drawString(MARGIN, 12 * mm, self._page.footer)
             self.drawRightString(A4[0] - MARGIN, 12 * mm, f"Page {number} of {len(pages)}")
             super().showPage()
         super().save()
+
+    def _across(self) -> None:
+        """Write the word across the page, below all that follows."""
+        if not self._page.across:
+            return
+        self.saveState()
+        self.setFillColor(ACROSS)
+        self.setFont(BOLD, 84)
+        self.translate(A4[0] / 2, A4[1] / 2)
+        self.rotate(54)
+        self.drawCentredString(0, -30, self._page.across)
+        self.restoreState()
 
 
 def section(title: str, body: Flowable) -> list[Flowable]:
@@ -91,9 +130,19 @@ def grid(size: float) -> TableStyle:
     )
 
 
+EMBEDDED = ("FONT", (0, 0), (-1, -1), PLAIN, 8)
+"""A table names a font even where it writes nothing with it: never ReportLab's own, which no file embeds."""
+
+
 def flush() -> TableStyle:
     """Return a table without padding on the left."""
-    return TableStyle([("LEFTPADDING", (0, 0), (-1, -1), 0), ("VALIGN", (0, 0), (-1, -1), "TOP")])
+    return TableStyle([EMBEDDED, ("LEFTPADDING", (0, 0), (-1, -1), 0), ("VALIGN", (0, 0), (-1, -1), "TOP")])
+
+
+def marked(colour: str) -> TableStyle:
+    """Return a table with a bar of this colour on its left."""
+    bar = ("LINEBEFORE", (0, 0), (0, -1), 3, colors.HexColor(colour))
+    return TableStyle([EMBEDDED, bar, ("LEFTPADDING", (0, 0), (-1, -1), 8)])
 
 
 def paragraph(text: str, size: float = 8, colour: colors.Color = INK) -> Paragraph:

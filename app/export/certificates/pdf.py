@@ -2,19 +2,22 @@
 
 from reportlab.graphics.barcode.qr import QrCodeWidget
 from reportlab.graphics.shapes import Drawing
-from reportlab.lib import colors
 from reportlab.lib.units import mm
-from reportlab.platypus import Flowable, Paragraph, Spacer, Table, TableStyle
+from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 
-from softcal.app.export.certificates.content import DECISION_RULE, METHOD, Certificate
+from softcal.app.export.certificates.archival import Attachment, archival
+from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, Certificate
+from softcal.app.export.certificates.dcc import certificate_xml
 from softcal.app.export.certificates.fonts import BOLD, marked_up
 from softcal.app.export.certificates.laboratory import NO_COUNTRY, NOT_STATED, Party
 from softcal.app.export.certificates.parts import (
     WIDTH,
+    Document,
     document_pdf,
     facts_table,
     flush,
     grid,
+    marked,
     paragraph,
     section,
     style,
@@ -25,14 +28,17 @@ VERDICT_COLOURS = {"pass": "#1b7f3b", "conditional": "#8a6100", "fail": "#b3261e
 
 
 def certificate_pdf(facts: Certificate) -> bytes:
-    """Return the document."""
-    return document_pdf(
-        _story(facts),
-        f"Calibration certificate {facts.identifier}",
-        facts.laboratory.laboratory.name,
-        facts.software,
+    """Return the document: PDF/A-3 with the DCC of the same facts inside."""
+    page = Document(
+        title=f"Calibration certificate {facts.identifier}",
+        author=facts.laboratory.laboratory.name,
+        software=facts.software,
         footer=f"{facts.identifier}   {facts.software}",
+        made_on=facts.issued_on,
+        across="SIMULATED" if facts.is_simulated else "",
     )
+    attached = Attachment(f"certificate-{facts.serial}.xml", certificate_xml(facts), "The same facts as a DCC")
+    return archival(document_pdf(_story(facts), page), page, attached)
 
 
 def _story(facts: Certificate) -> list[Flowable]:
@@ -42,13 +48,18 @@ def _story(facts: Certificate) -> list[Flowable]:
         _verdict(facts),
         *section("Unit and parties", facts_table(_unit_rows(facts))),
         *section("Result", facts_table(_result_rows(facts))),
-        *section("Uncertainty of an estimate (90 % interval)", _band_table(facts)),
-        *section(f"Estimates of the unit's own recording, first {SHOWN_S:g} s", estimate_plot(facts, WIDTH)),
+        *section("Expanded uncertainty of an estimate, U (k = 2)", _band_table(facts)),
+        *_budget(facts),
+        *section(
+            f"Estimates of the unit's own recording with U (k = 2), first {SHOWN_S:g} s", estimate_plot(facts, WIDTH)
+        ),
         *section("Map from the unit's output to the source's", map_plot(facts, WIDTH)),
         *section("Traceability", facts_table(_trace_rows(facts))),
-        *section("Method", paragraph(METHOD)),
+        *section("Method", paragraph(facts.method)),
         *section("Decision rule", paragraph(DECISION_RULE)),
         *section("Provenance (SHA-256)", facts_table(list(facts.hashes), size=7)),
+        *section("Scope", paragraph(ONLY_THIS)),
+        *section("End of the certificate", paragraph(f"Issued on {facts.issued_on.isoformat()}.")),
     ]
 
 
@@ -60,27 +71,32 @@ def _head(facts: Certificate) -> Flowable:
         Paragraph("Calibration certificate", style(18, BOLD)),
         Spacer(1, 5 * mm),
         paragraph(f"Laboratory: {_stated(facts.laboratory.laboratory.name, facts.laboratory.laboratory.city)}"),
-        paragraph(f"Certificate {facts.identifier}, calibrated on {facts.made_on.isoformat()}"),
+        paragraph(f"Certificate {facts.identifier}, issued on {facts.issued_on.isoformat()}"),
     ]
     return Table([[title, picture]], colWidths=[WIDTH - 26 * mm, 26 * mm], style=flush())
 
 
 def _verdict(facts: Certificate) -> Flowable:
-    colour = VERDICT_COLOURS[facts.verdict]
-    lines = [Paragraph(f'<font color="{colour}">{marked_up(facts.verdict.upper())}</font>', style(13, BOLD))]
+    # Nobody may read a pass where nothing vouches for the reference; the line's word stands in the results.
+    is_withheld = facts.verdict == "pass" and not facts.conformity
+    colour = VERDICT_COLOURS["retest" if is_withheld else facts.verdict]
+    word = "NO STATEMENT OF CONFORMITY" if is_withheld else facts.verdict.upper()
+    lines = [Paragraph(f'<font color="{colour}">{marked_up(word)}</font>', style(13, BOLD))]
+    lines += [paragraph(facts.traceability)] if facts.is_simulated or not facts.conformity else []
     lines += [paragraph(reason) for reason in facts.reasons]
-    box = TableStyle(
-        [("LINEBEFORE", (0, 0), (0, -1), 3, colors.HexColor(colour)), ("LEFTPADDING", (0, 0), (-1, -1), 8)]
-    )
-    return Table([[lines]], colWidths=[WIDTH], style=box)
+    return Table([[lines]], colWidths=[WIDTH], style=marked(colour))
 
 
 def _unit_rows(facts: Certificate) -> list[tuple[str, str]]:
     model = f" ({facts.sensor_model})" if facts.sensor_model else ""
+    performance = facts.laboratory.performance
+    received = performance.received_on
     return [
         ("Unit", f"{facts.serial}{model}, lot {facts.lot}, revision {facts.revision} of its calibration"),
         ("Quantity", f"{facts.quantity} in {facts.reference_unit} from output in {facts.output_unit}"),
         ("Recording", f"{facts.samples} samples at {facts.sample_rate_Hz:g} Hz"),
+        ("Performed", f"unit recorded on {facts.recorded_on}, calibrated on {facts.made_on}; {facts.place}"),
+        ("Received", f"{received.isoformat() if received else NOT_STATED}; condition: {performance.condition}"),
         ("Conditions", _conditions(facts)),
         ("Laboratory", _party(facts.laboratory.laboratory)),
         ("Customer", _party(facts.laboratory.customer)),
@@ -89,7 +105,14 @@ def _unit_rows(facts: Certificate) -> list[tuple[str, str]]:
 
 
 def _party(party: Party) -> str:
-    return _stated(party.name, party.city, party.country if party.country != NO_COUNTRY else NOT_STATED, party.email)
+    return _stated(
+        party.name,
+        party.street,
+        party.post_code,
+        party.city,
+        party.country if party.country != NO_COUNTRY else NOT_STATED,
+        party.email,
+    )
 
 
 def _stated(*parts: str) -> str:
@@ -113,6 +136,8 @@ def _result_rows(facts: Certificate) -> list[tuple[str, str]]:
         "the unit was not compared with a reference" if facts.measured is None else f"{facts.measured:.3g} {unit}"
     )
     limit = "none" if facts.limit is None else f"{facts.limit:.3g} {unit} ({facts.limit_origin})"
+    if facts.limit is not None and facts.acceptance is not None and facts.acceptance < facts.limit:
+        limit = f"{limit}; with the reference's own uncertainty, {facts.acceptance:.3g} {unit} is accepted"
     return [
         ("Calibrated range", f"{facts.low:.4g} to {facts.high:.4g} {unit}"),
         ("Predicted error (RMSE)", expected),
@@ -124,20 +149,51 @@ def _result_rows(facts: Certificate) -> list[tuple[str, str]]:
 
 
 def _trace_rows(facts: Certificate) -> list[tuple[str, str]]:
-    cell = facts.laboratory.load_cell
+    named, cell = facts.laboratory.load_cell, facts.reference
     rows = [("Chain", f"{facts.traceability} {facts.basis}")]
-    if not cell.is_stated:
-        return rows
-    uncertainty = "not stated"
-    if cell.uncertainty_N is not None:
-        uncertainty = f"U = {cell.uncertainty_N:g} N, k = {cell.coverage_factor:g}"
-    days = [day.isoformat() if day else "not stated" for day in (cell.issued_on, cell.due_on)]
+    if cell is None or cell.is_simulated or not cell.certificate:
+        said = f"{_stated(named.manufacturer, named.model, named.serial)}; certificate: {named.certificate}"
+        is_named = named.serial != NOT_STATED or named.certificate != NOT_STATED
+        return [*rows, ("Load cell named", f"{said}; no verdict was made with it")] if is_named else rows
+    uncertainty, unit = NOT_STATED, facts.reference_unit
+    if cell.uncertainty is not None:
+        uncertainty = f"U = {cell.uncertainty:g} {unit}, k = {cell.coverage_factor:g}"
+    days = [day.isoformat() if day else NOT_STATED for day in (cell.issued_on, cell.due_on)]
+    by = cell.laboratory or named.laboratory
     return [
         *rows,
-        ("Load cell", f"{_stated(cell.manufacturer, cell.model)}; serial: {cell.serial}"),
-        ("Its certificate", f"{cell.certificate}; by: {cell.laboratory}; issued: {days[0]}; due: {days[1]}"),
+        ("Reference", f"{_stated(named.manufacturer, named.model)}; serial: {cell.cell or named.serial}"),
+        ("Its certificate", f"{cell.certificate}; by: {by}; issued: {days[0]}; due: {days[1]}"),
         ("Its uncertainty", uncertainty),
     ]
+
+
+def _budget(facts: Certificate) -> list[Flowable]:
+    """The uncertainty budget as a table; nothing for calibrations that kept none."""
+    budget, unit = facts.budget, facts.reference_unit
+    if budget is None:
+        return []
+    head = ["contribution", f"value, {unit} or K", "distribution", "divisor", "sensitivity", f"u, {unit}"]
+    rows = [
+        [
+            each.name,
+            f"{each.value:.3g}",
+            each.distribution,
+            f"{each.divisor:.4g}",
+            f"{each.sensitivity:.3g}",
+            f"{each.standard:.3g}",
+        ]
+        for each in budget.contributions
+    ]
+    sums = [
+        ["combined", "", "", "", "", f"{budget.standard:.3g}"],
+        ["expanded, k = 2", "", "normal", "", "", f"U = {budget.expanded:.3g}"],
+    ]
+    first = 48 * mm
+    table = Table([head, *rows, *sums], colWidths=[first, *[(WIDTH - first) / 5] * 5], style=grid(7))
+    unsaid = "" if facts.reference is not None else " The reference's own uncertainty was not stated and is not in it."
+    said = paragraph(f"At {budget.load:.4g} {unit}, the RMS load of the source (GUM, JCGM 100:2008).{unsaid}", 7)
+    return [*section("Uncertainty budget of an estimate", table), said]
 
 
 def _band_table(facts: Certificate) -> Flowable:
@@ -146,7 +202,7 @@ def _band_table(facts: Certificate) -> Flowable:
     unit = facts.reference_unit
     rows = [
         [f"Estimate, {unit}", *(f"{band.low:.3g} to {band.high:.3g}" for band in facts.bands)],
-        [f"Half-width, {unit}", *(f"± {band.half_width:.3g}" for band in facts.bands)],
+        [f"U (k = 2), {unit}", *(f"{band.expanded:.3g}" for band in facts.bands)],
     ]
     first = 38 * mm
     widths = [first, *[(WIDTH - first) / len(facts.bands)] * len(facts.bands)]

@@ -10,7 +10,6 @@ from softcal.app.export.certificates.laboratory import (
     NO_COUNTRY,
     NOT_STATED,
     Conditions,
-    Laboratory,
     LoadCell,
     Party,
     Person,
@@ -47,7 +46,7 @@ def laboratory_form() -> None:
         try:
             parts: dict[str, Any] = {name: PARTS[name](**values) for name, values in given.items()}
             load_cell = _of_certificate(cells[cell]) if cell in cells else kept.load_cell
-            stated = Laboratory(**parts, conditions=conditions, load_cell=load_cell)
+            stated = replace(kept, **parts, conditions=conditions, load_cell=load_cell)
         except InputError as error:
             st.error(in_words(error), icon=":material/error:")
             return

@@ -1,0 +1,136 @@
+"""What a lot's source was compared with, from lot.toml, station and registry into the verdict of every unit."""
+
+import json
+from dataclasses import fields, replace
+from datetime import UTC, date, datetime
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.cli.main import main
+from softcal.app.files.lot_folder import open_lot_folder
+from softcal.app.line.pressed_run import RunKeeper
+from softcal.app.registry.reference import lot_reference, reference_expanded, state_reference
+from softcal.core.network.config import NetworkConfig
+from softcal.core.orders import Order, OrderKind
+from softcal.core.unit.budget import SIMULATED, Reference, Standing
+from softcal.db.connection import open_registry
+from softcal.db.entries import CellCertificate
+from softcal.station.recording import Alignment, StationRecording
+
+CELL = CellCertificate("LC-7", "D-K-1", "DAkkS", date(2026, 1, 1), date(2028, 1, 1), 10.0, 0.012)
+NAMED = '[reference]\nunit = "N"\ncell = "LC-7"\nused_on = {used_on}\n'
+
+
+def restated(folder: Path, reference: str) -> None:
+    """Write the small lot's facts with another reference."""
+    top = 'sample_rate_Hz = 50.0\nsource = "A0"\n[lot]\nid = "small"\n'
+    (folder / "lot.toml").write_text(f'{top}{reference}[output]\nunit = "V"\n')
+
+
+def words(folder: Path, url: str, into: Path) -> dict[str, tuple[str, str]]:
+    """Calibrate the lot; verdict and first reason of each unit."""
+    main(["batch", str(folder), "--registry", url, "--hidden", "16,8", "--no-own", "--json", str(into)])
+    return {unit["serial"]: (unit["verdict"], unit["reasons"][0]) for unit in json.loads(into.read_text())["units"]}
+
+
+def test_a_reference_without_a_certificate_that_held_lets_no_unit_pass(
+    lot_folder: Path, registry_url: str, tmp_path: Path
+) -> None:
+    into = tmp_path / "batch.json"
+    assert {word for word, _ in words(lot_folder, registry_url, into).values()} == {"pass"}
+    restated(lot_folder, NAMED.format(used_on="2026-06-01"))
+    found = words(lot_folder, registry_url, into)
+    assert {word for word, _ in found.values()} == {"conditional"} and "LC-7 has no certificate" in found["A1"][1]
+    with open_registry(registry_url) as registry:
+        registry.add_certificate(CELL)
+    assert {word for word, _ in words(lot_folder, registry_url, into).values()} == {"pass"}
+    restated(lot_folder, NAMED.format(used_on="2028-06-01"))
+    found = words(lot_folder, registry_url, into)
+    assert {word for word, _ in found.values()} == {"conditional"} and "D-K-1" in found["A1"][1]
+    restated(
+        lot_folder, NAMED.format(used_on="2026-06-01") + 'certificate = "D-K-2"\ndue_on = 2028-01-01\nuncertainty = 5\n'
+    )
+    found = words(lot_folder, registry_url, into)
+    assert {word for word, _ in found.values()} == {"conditional"} and "leaves no room to pass" in found["A1"][1]
+    with open_registry(registry_url) as registry:
+        record = registry.calibration("A1").record
+        assert record.reference == lot_reference(registry, "small")
+        assert len(registry.events("lot_reference", ("small",))) == 5
+
+
+def test_what_is_stated_is_kept_and_completed_from_the_registry(lot_folder: Path, registry_url: str) -> None:
+    recording = open_lot_folder(lot_folder).read_source()
+    with open_registry(registry_url) as registry:
+        assert lot_reference(registry, "small") == SIMULATED == state_reference(registry, "small", None, recording)
+        assert reference_expanded(registry, "small") == 0.0
+        named = state_reference(registry, "small", Reference(cell="LC-7"), recording)
+        (source,) = registry.recordings("small", kind="source")
+        assert named is not None and named.standing is Standing.MISSING
+        assert named.used_on == source.added_at.date()
+        registry.add_certificate(replace(CELL, issued_on=date(2020, 1, 1), due_on=date(2021, 1, 1)))
+        late = state_reference(registry, "small", Reference(cell="LC-7"), recording)
+        assert late is not None and late.standing is Standing.EXPIRED
+        state_reference(registry, "small", Reference(cell="LC-7"), recording)
+        load = float(np.sqrt(np.mean(recording.reference**2)))
+        assert reference_expanded(registry, "small") == pytest.approx(late.expanded(load))
+        assert len(registry.events("lot_reference", ("small",))) == 3
+        assert lot_reference(registry, "small") == late
+
+
+def test_a_source_pressed_on_a_station_is_traced_to_its_load_cell(lot_folder: Path, tmp_path: Path) -> None:
+    table = pd.read_csv(lot_folder / "source" / "A0.csv")
+    t_s, output, force_N = (table[name].to_numpy() for name in ("t_s", "output", "reference"))
+    aligned = Alignment(*[0.0] * len(fields(Alignment)))
+    run = StationRecording(
+        "A0", "source", t_s, output[:, None], np.abs(np.sin(t_s)), force_N, 50.0, "V", 0.0, 0.0, 0.0, 0, aligned
+    )
+    with open_registry(f"sqlite:///{tmp_path / 'line.db'}") as registry:
+        registry.add_certificate(replace(CELL, due_on=date(2099, 1, 1)))
+        small = NetworkConfig(hidden=(4,), max_epochs=2)
+        keeper = RunKeeper(registry, "s1", small, reference=Reference(cell="LC-7"))
+        keeper.keep(Order("o1", "s1", OrderKind.SOURCE, "A0", "L1"), run, lambda progress: None)
+        found = lot_reference(registry, "L1")
+    assert found is not None and (found.standing, found.certificate, found.capacity) == (Standing.VALID, "D-K-1", 10.0)
+    assert found.used_on == datetime.now(UTC).date()
+
+
+@pytest.mark.parametrize("is_named", [True, False])
+def test_a_station_says_what_its_sources_are_compared_with(is_named: bool) -> None:
+    from softcal.app.line.rig import station_reference
+    from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig
+
+    config = StationConfig(StageConfig(""), ReadoutConfig(""), ForceConfig("", serial="LC-7" if is_named else ""))
+    found = station_reference(config)
+    assert found is not None and found.standing is Standing.MISSING
+    assert (found.cell == "LC-7") == is_named
+    assert station_reference(replace(config, force=None)) is None
+
+
+def test_paper_vouches_for_nothing_that_the_lot_does_not(
+    lot_folder: Path, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A lot without a reference passes against its own labels; no certificate of it says so, whoever names a cell."""
+    laboratory = tmp_path / "laboratory.toml"
+    laboratory.write_text('[load_cell]\ncertificate = "D-K-1"\nuncertainty_N = 5\n')
+    url = f"sqlite:///{tmp_path / 'other.db'}"
+
+    def certificates(reference: str) -> tuple[int, str]:
+        restated(lot_folder, reference)
+        found = words(lot_folder, url, tmp_path / "b.json")
+        assert found["A1"][0] == "pass"
+        out = ["--format", "dcc", "--laboratory", str(laboratory), "--out", str(tmp_path / "out")]
+        code = main(["export", "--registry", url, "--serial", "A1", *out])
+        return code, (tmp_path / "out" / "certificate-A1.xml").read_text()
+
+    code, text = certificates('[reference]\nunit = "N"\n')
+    assert code == 0 and "<dcc:traceable>false" in text and "<dcc:conformity>" not in text
+    assert "the verdict was made without it" in text and "Verdict: pass." in text
+    stated = NAMED.format(used_on="2026-06-01") + "due_on = 2028-01-01\nuncertainty = 0.012\n"
+    code, text = certificates(stated + 'certificate = "D-K-1"\n')
+    assert code == 0 and "<dcc:traceable>true" in text and "<dcc:conformity>pass" in text
+    capsys.readouterr()
+    assert certificates(stated + 'certificate = "D-K-2"\n')[0] == 2
+    assert "no certificate was written" in " ".join(capsys.readouterr().err.split())

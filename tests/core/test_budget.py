@@ -1,0 +1,211 @@
+"""The uncertainty budget against Monte Carlo (GUM Supplement 1) and by hand; what a reference lets a verdict say."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import date
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.maps.config import MapConfig
+from softcal.core.reason import plain
+from softcal.core.recording import LabelledRecording
+from softcal.core.unit.budget import (
+    SIMULATED,
+    Contribution,
+    Reference,
+    Standing,
+    forecast_budget,
+    measured_budget,
+)
+from softcal.core.unit.calibrate import UnitProblem, calibrate, input_sha256
+from softcal.core.unit.knowledge import KnowledgeTable, LoadKnowledge
+from softcal.core.unit.method import Method
+from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import Decision, Judgement, Limit, Verdict, decide, decide_audited
+
+DRAWS = 400_000
+CELL = Reference(
+    "LC-7",
+    "D-K-1",
+    "DAkkS",
+    date(2026, 1, 1),
+    date(2028, 1, 1),
+    date(2026, 6, 1),
+    uncertainty=0.012,
+    capacity=10.0,
+    drift=0.010,
+    temperature_per_K=0.0005,
+    temperature_K=3.0,
+    contact=0.006,
+    repeatability=0.004,
+)
+STAGE = LoadKnowledge("stage", KnowledgeTable().stage)
+TERMS = {"model": 0.06, "resolution": 0.02, "stage": 0.1, "slow": 0.02}
+
+
+def by_monte_carlo(reference: Reference, load: float, rmse: float, rng: np.random.Generator) -> np.ndarray:
+    """Errors of estimates at a load: the reading the source was trained on goes through the measurement equation.
+
+    reading = (load + calibration + drift) (1 + coefficient dT) + contact + repeatability; the estimate repeats it with
+    an error of its own. Nothing of `budget.py` is used.
+    """
+    assert reference.uncertainty is not None and reference.temperature_per_K is not None
+    drift = reference.uncertainty if reference.drift is None else reference.drift
+    calibration = rng.normal(0, reference.uncertainty / reference.coverage_factor, DRAWS)
+    kept = load + calibration + rng.uniform(-drift, drift, DRAWS)
+    kelvin = rng.uniform(-1, 1, DRAWS) * (reference.temperature_K or 0.0)
+    reading = kept * (1 + reference.temperature_per_K * kelvin)
+    reading += rng.normal(0, reference.contact or 0.0, DRAWS) + rng.normal(0, reference.repeatability or 0.0, DRAWS)
+    return np.asarray(reading + rng.normal(0, rmse, DRAWS) - load)
+
+
+@pytest.mark.parametrize(
+    ("changes", "load", "rmse"),
+    [
+        ({}, 2.0, 0.09),
+        ({}, 7.5, 0.0601),
+        ({"drift": None}, 3.0, 0.07),
+        ({"drift": 0.08}, 3.0, 0.061),  # one rectangular part dominates
+        ({"temperature_per_K": 0.01}, 7.5, 0.07),
+        ({"uncertainty": 5.0, "coverage_factor": 2.2}, 7.5, 0.09),
+    ],
+)
+def test_the_budget_is_what_monte_carlo_gives(
+    changes: dict[str, float], load: float, rmse: float, rng: np.random.Generator
+) -> None:
+    reference = replace(CELL, **changes)
+    budget = forecast_budget(TERMS, STAGE, rmse, reference, load)
+    errors = by_monte_carlo(reference, load, rmse, rng)
+    assert budget.standard == pytest.approx(errors.std(), rel=0.05)
+    low, high = np.quantile(errors, (0.0228, 0.9772))  # k = 2 of a normal distribution
+    is_rectangular = max(budget.contributions, key=lambda each: each.standard).distribution == "rectangular"
+    assert budget.expanded == pytest.approx((high - low) / 2, rel=0.12 if is_rectangular else 0.05)
+
+
+def test_the_example_of_the_documents_is_the_sum_by_hand() -> None:
+    """docs/certificates.md: U = 0.012 N (k = 2), drift 10 mN, 0.05 %/K over 3 K at 2 N, contact 6, repeated 4 mN."""
+    budget = forecast_budget(TERMS, STAGE, 0.09, CELL, 2.0)
+    by_hand_mN = {
+        "reference calibration": 12 / 2,
+        "reference drift": 10 / 3**0.5,
+        "reference temperature": 2000 * 0.0005 * 3 / 3**0.5,
+        "contact": 6.0,
+        "repeatability": 4.0,
+        "shared network f": 60.0,
+        "map": (90.0**2 - 60.0**2 - 30.0**2) ** 0.5,
+        "quantisation": 1.5 * 20.0,
+    }
+    assert {each.name: 1000 * each.standard for each in budget.contributions} == pytest.approx(by_hand_mN)
+    assert 1000 * budget.standard == pytest.approx(sum(u**2 for u in by_hand_mN.values()) ** 0.5)
+    assert budget.expanded == pytest.approx(0.1814, abs=1e-4)
+
+
+def test_f_map_and_quantisation_share_the_forecast_among_them() -> None:
+    for kind in vars(KnowledgeTable()):
+        knowledge = LoadKnowledge(kind, getattr(KnowledgeTable(), kind))
+        for rmse in (0.01, 0.06, 0.061, 0.3):
+            budget = forecast_budget(TERMS, knowledge, rmse, None, 1.0)
+            assert budget.standard == pytest.approx(rmse)
+    assert measured_budget(0.2, CELL, 2.0).standard == pytest.approx(np.hypot(0.2, CELL.expanded(2.0) / 2))
+    assert Contribution("x", 3.0, "rectangular", sensitivity=-2.0).standard == pytest.approx(6 / 3**0.5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "standing"),
+    [
+        ({}, Standing.VALID),
+        ({"used_on": date(2028, 1, 1)}, Standing.EXPIRED),
+        ({"used_on": date(2027, 12, 31)}, Standing.VALID),
+        ({"used_on": date(2025, 12, 31)}, Standing.EXPIRED),
+        ({"certificate": ""}, Standing.MISSING),
+        ({"uncertainty": None}, Standing.MISSING),
+        ({"due_on": None}, Standing.MISSING),
+        ({"is_simulated": True}, Standing.SIMULATED),
+    ],
+)
+def test_only_a_certificate_that_held_bars_nothing(changes: dict[str, object], standing: Standing) -> None:
+    reference = replace(CELL, **changes)  # type: ignore[arg-type]
+    assert reference.standing is standing
+    assert bool(reference.bars(5.0)) == (standing in (Standing.EXPIRED, Standing.MISSING))
+    assert Reference.of(reference.to_json()) == reference
+    assert [why.code for why in CELL.bars(10.1)] == ["reference_range"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"uncertainty": -1.0},
+        {"uncertainty": 0.0},
+        {"drift": float("nan")},
+        {"coverage_factor": 0.0},
+        {"due_on": date(2025, 1, 1)},
+    ],
+)
+def test_a_reference_that_cannot_be_is_refused(changes: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="reference"):
+        replace(CELL, **changes)  # type: ignore[arg-type]
+
+
+def test_a_unit_beyond_the_limit_is_let_through_in_fewer_than_one_case_in_twenty(rng: np.random.Generator) -> None:
+    """A unit right at the acceptance limit, the reference wrong by a normal amount: how often is the truth beyond?"""
+    for expanded in (0.05, 0.2, 0.39):
+        limit = Limit("N", 0.4, reference_expanded=expanded)
+        guard = 0.02
+        measured = limit.acceptance_rmse - guard
+        seen = np.maximum(measured + rng.normal(0, guard / 2, DRAWS), 0)
+        true = np.hypot(seen, rng.normal(0, expanded / 2, DRAWS))
+        assert decide(ErrorForecast(measured, 0.0, measured + guard * 0.999), limit).verdict is Verdict.PASS
+        assert np.mean(true > limit.maximum_rmse) < 0.05
+
+
+def test_five_newton_on_a_scale_of_seven_and_a_half_cannot_pass() -> None:
+    limit = Limit("N", 0.4, reference_expanded=replace(CELL, uncertainty=5.0).expanded(4.0))
+    best = decide_audited(1.0, 0.01, 5000, limit)
+    assert best.verdict is Verdict.CONDITIONAL
+    assert [why.code for why in best.reasons] == ["reference_uncertain", "statement"]
+    assert Limit.of(limit.to_json()) == limit
+
+
+def test_what_bars_a_pass_bars_it_however_the_unit_was_judged() -> None:
+    good, bars = Judgement(Verdict.PASS, (plain("good"),)), (plain("expired"),)
+    for decision in (Decision(good, bars=bars), Decision(good, good, bars=bars), Decision(good, None, good, bars)):
+        assert decision.verdict is Verdict.CONDITIONAL
+        assert decision.reasons[0] == bars[0]
+        assert Decision.of(decision.to_json()) == decision
+    bad = Judgement(Verdict.FAIL, (plain("bad"),))
+    assert Decision(good, bad, bars=bars).verdict is Verdict.FAIL
+    assert Decision(good, bad, bars=bars).reasons[0] == plain("bad")
+
+
+def test_the_reference_reaches_interval_verdict_and_identity(
+    source_model: SourceModel, press: Callable[..., LabelledRecording]
+) -> None:
+    source_model = replace(source_model, method=Method(map=MapConfig(family="affine")))
+    unit, audit = press(2, gain=1.3, offset_V=0.05, seconds=120.0).unlabelled, press(3, gain=1.3, offset_V=0.05)
+    plain_problem = UnitProblem(source_model, unit, Limit("N", 2.0), audit=audit)
+    made = {
+        name: calibrate(replace(plain_problem, reference=reference))
+        for name, reference in {
+            "nobody": None,
+            "simulated": SIMULATED,
+            "valid": CELL,
+            "poor": replace(CELL, uncertainty=5.0),
+            "expired": replace(CELL, used_on=date(2029, 1, 1)),
+        }.items()
+    }
+    words = {name: found.decision.verdict for name, found in made.items()}
+    assert words["nobody"] == words["simulated"] == words["valid"] == Verdict.PASS
+    assert words["poor"] == words["expired"] == Verdict.CONDITIONAL
+    assert np.array_equal(made["nobody"].interval.half_width, made["simulated"].interval.half_width)
+    width, loads = made["nobody"].interval.half_width, np.linspace(0, 1, 64)
+    wider = made["valid"].interval.half_width
+    low, high = made["valid"].interval.low, made["valid"].interval.high
+    levels = low + (loads * 63 + 0.5) / 64 * (high - low)
+    added = 1.645 * np.sqrt([CELL.expanded(level) ** 2 / 4 for level in levels])
+    assert wider == pytest.approx(np.hypot(width, added), rel=1e-6)
+    assert len({input_sha256(replace(plain_problem, reference=r), source_model.method) for r in (None, CELL)}) == 2
+    kept = type(made["valid"]).from_record(made["valid"].to_record("0" * 64, "1" * 64))
+    assert kept.reference == CELL and kept.decision == made["valid"].decision
