@@ -27,8 +27,8 @@ from sqlalchemy import Connection, select
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.orders import Order, OrderKind
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.reason import plain
 from softcal.core.recording import OutputRecording
+from softcal.core.words.reason import plain
 from softcal.db import checks
 from softcal.db.arrays import READ_BLOB
 from softcal.db.connection import open_registry

@@ -25,8 +25,8 @@ from softcal.core.lot import Lot
 from softcal.core.network.network import Network
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.reason import Reason, packed, reason
 from softcal.core.simulated_lot import LotDesign, simulate_lot
+from softcal.core.words.reason import Reason, packed, reason
 from softcal.db.registry import Registry
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking"]

@@ -11,7 +11,7 @@ from playwright.sync_api import Browser, Page
 from screens_common import GOOD, LOT, STATION, THEMES, PlayedLine, keep_picture, pressed_signal, served, stated
 
 from softcal.core.orders import Condition, Progress, RunState, StationState
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 
 SIZE = {"width": 1280, "height": 800}

@@ -15,7 +15,7 @@ Wrong arguments inside the program stay ValueError.
 
 import errno
 
-from softcal.core.reason import Reason, plain
+from softcal.core.words.reason import Reason, plain
 
 
 def printable(text: str) -> str:

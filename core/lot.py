@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from softcal.core.errors import InputError
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 
 SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 """Serials become file names and bar codes: letters, digits, dot, dash and underscore, 64 at most."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import Connection, RowMapping, bindparam, func, select
 
 from softcal.core.errors import InputError
-from softcal.core.reason import Reason, to_kept
+from softcal.core.words.reason import Reason, to_kept
 from softcal.db import history
 from softcal.db.arrays import get_arrays, put_arrays
 from softcal.db.entries import StoredCalibration

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from softcal.core.errors import InputError
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.reason import Reason
+from softcal.core.words.reason import Reason
 
 if TYPE_CHECKING:
     from softcal.core.unit.audit_reading import AuditReading

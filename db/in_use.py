@@ -11,8 +11,8 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, RowMapping, Select, Text, and_, func, or_, select, type_coerce
 
 from softcal.core.errors import InputError
-from softcal.core.reason import Reason, plain
 from softcal.core.unit.method import Method
+from softcal.core.words.reason import Reason, plain
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, MadeCalibration, UnitStanding
 from softcal.db.records import PLAIN_FIELDS, record_of

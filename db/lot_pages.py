@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import ColumnElement, Connection, RowMapping, Subquery, Table, and_, case, func, or_, select, tuple_
 
 from softcal.core.errors import InputError
-from softcal.core.reason import Reason, plain
+from softcal.core.words.reason import Reason, plain
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, UnitEntry
 from softcal.db.in_use import OF_STATEMENT, conflict_line, conflicts_of, of_this_method

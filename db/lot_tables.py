@@ -7,7 +7,7 @@ from sqlalchemy import Connection, RowMapping, Select, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.core.reason import Reason
+from softcal.core.words.reason import Reason
 from softcal.db.entries import UNDECIDED, LimitEntry, RunEntry, UnitEntry
 from softcal.db.in_use import (
     NEWEST_STATEMENT,

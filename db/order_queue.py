@@ -14,7 +14,7 @@ from sqlalchemy.exc import IntegrityError
 
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
-from softcal.core.reason import Reason, packed, reason, to_kept
+from softcal.core.words.reason import Reason, packed, reason, to_kept
 from softcal.db.database import Database, OncePerCut
 from softcal.db.tables import heartbeats, orders, run_signals
 

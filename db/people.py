@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from sqlalchemy import Connection, RowMapping, insert, select, update
 
 from softcal.core.errors import InputError
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 from softcal.db import history
 from softcal.db.entries import User
 from softcal.db.registry_base import RegistryBase

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import RowMapping
 
-from softcal.core.reason import Reason
+from softcal.core.words.reason import Reason
 
 if TYPE_CHECKING:
     from softcal.core.identity import Settings

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from sqlalchemy import Connection, RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import InputError, RegistryError
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 from softcal.db import history
 from softcal.db.database import Database, OncePerCut
 from softcal.db.tables import audit, canonical_json, lots, registry_info, units

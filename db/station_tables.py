@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import Connection, RowMapping, Select, select
 
 from softcal.core.errors import InputError
-from softcal.core.reason import to_kept
+from softcal.core.words.reason import to_kept
 from softcal.db.arrays import get_bytes, put_bytes
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.registry_base import RegistryBase

@@ -7,8 +7,8 @@ import numpy as np
 
 from softcal.core.errors import BadReply, CommandRefused, SafetyStop
 from softcal.core.profiles import Profile
-from softcal.core.reason import Reason, reason
 from softcal.core.recording import Array
+from softcal.core.words.reason import Reason, reason
 from softcal.station.bench import Bench
 from softcal.station.config import UNKNOWN_S
 from softcal.station.contact import ContactSearch, stiffest_N_mm

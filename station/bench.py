@@ -8,8 +8,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from softcal.core.errors import DeviceError, NoReply
-from softcal.core.reason import Reason, several
 from softcal.core.twin.simulate import Twin
+from softcal.core.words.reason import Reason, several
 from softcal.station.catalogue import driver_of
 from softcal.station.clock import HostClock
 from softcal.station.config import (

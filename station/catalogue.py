@@ -13,7 +13,7 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, v
 
 import softcal.station.drivers
 from softcal.core.errors import InputError
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 from softcal.station.config import Role
 from softcal.station.driver import AnyDriver, Driver
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import BadReply, InputError
-from softcal.core.reason import Reason, reason
 from softcal.core.recording import Array
+from softcal.core.words.reason import Reason, reason
 from softcal.station.frames.force_unit import STANDARD_GRAVITY
 from softcal.station.interfaces import Clock, ForceReader
 from softcal.station.named import named

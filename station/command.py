@@ -3,7 +3,7 @@
 from typing import Any, Protocol, overload
 
 from softcal.core.errors import BadReply, CommandRefused
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 from softcal.station.named import named
 
 

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from softcal.core.errors import BadReply
-from softcal.core.reason import reason
 from softcal.core.recording import Array
+from softcal.core.words.reason import reason
 from softcal.station.clock import fit_clock
 from softcal.station.config import FixtureConfig
 from softcal.station.interfaces import Sample

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeAlias, runtime_checkable
 
 from softcal.core.errors import DeviceError
-from softcal.core.reason import Reason
+from softcal.core.words.reason import Reason
 
 
 class Held(DeviceError):

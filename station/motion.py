@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from softcal.core.errors import BadReply, DeviceError, NoReply, SafetyStop
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 from softcal.station.bench import Bench
 from softcal.station.interfaces import Held, Move, RoughLift, RunsOn
 from softcal.station.interlock import Event, Interlock, State

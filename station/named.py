@@ -1,6 +1,6 @@
 """How messages call a device, in the language of whoever reads them."""
 
-from softcal.core.reason import Reason, plain, reason
+from softcal.core.words.reason import Reason, plain, reason
 
 _NAMES = {
     "stage": Reason("device.stage"),

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from softcal.core.errors import BadReply
-from softcal.core.reason import reason
 from softcal.core.recording import Array
+from softcal.core.words.reason import reason
 
 STEP_S, EARLIEST_S, LATEST_S = 0.0025, -0.15, 0.7
 """Delays that are tried when force and stage are laid over each other."""

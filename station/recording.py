@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import BadReply, InputError
-from softcal.core.reason import reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.words.reason import reason
 from softcal.station.clock import ClockFit, fit_clock, residual_offset_s
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.named import named

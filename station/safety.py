@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 
 from softcal.core.errors import BadReply, NoReply, SafetyStop
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 from softcal.station.clock import seen_rate_Hz
 from softcal.station.config import SafetyConfig
 from softcal.station.interfaces import ForceReader, Readout, Sample

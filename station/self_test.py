@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import DeviceError
-from softcal.core.reason import Reason, plain, reason
+from softcal.core.words.reason import Reason, plain, reason
 from softcal.station.bench import Bench
 from softcal.station.clock import fit_clock, seen_rate_Hz
 from softcal.station.interfaces import Advises, ForceReader, Readout, RunsOn, Sample

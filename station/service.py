@@ -21,7 +21,7 @@ from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.profiles import Profile
 from softcal.core.quality.gate import Gate, RigFacts
-from softcal.core.reason import Reason, reason, root_of, several
+from softcal.core.words.reason import Reason, reason, root_of, several
 from softcal.station.acquisition import HOMING, RunProgress, ZeroMoved, record
 from softcal.station.bench import Bench
 from softcal.station.interfaces import Reader, Stage

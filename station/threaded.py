@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from softcal.core.errors import DeviceError, NoReply
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 from softcal.station.interfaces import Clock, Sample
 from softcal.station.named import named
 

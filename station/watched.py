@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from softcal.core.errors import BadReply, SafetyStop
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 from softcal.station.bench import Bench
 from softcal.station.bounds import FULL, REACTION_S, ForceBounds, Reaction
 from softcal.station.config import LATEST_S, UNKNOWN_S

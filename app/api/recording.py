@@ -79,21 +79,21 @@ class Recording:
         frame: "pd.DataFrame",
         output: Hashable = "output",
         reference: Hashable | None = None,
-        time: Hashable | None = None,
+        time_s: Hashable | None = None,
         **facts: Any,
     ) -> "Recording":
         """Take columns of a table.
 
         Args:
             frame: one row a sample.
-            output, reference, time: names of the columns; without `time` give `sample_rate_Hz`.
+            output, reference, time_s: names of the columns, the last in seconds; without it give `sample_rate_Hz`.
             facts: the other arguments of `Recording`.
 
         Raises:
             InputError: there is no column of that name; the message lists those there are.
         """
         columns: dict[str, Any] = {}
-        for argument, name in (("output", output), ("reference", reference), ("t_s", time)):
+        for argument, name in (("output", output), ("reference", reference), ("t_s", time_s)):
             if name is None:
                 continue
             if name not in frame.columns:
@@ -108,7 +108,7 @@ class Recording:
         path: str | Path,
         output: str = "output",
         reference: str | None = None,
-        time: str | None = None,
+        time_s: str | None = None,
         **facts: Any,
     ) -> "Recording":
         """Read a CSV, Excel or Parquet file; its name without suffix is the serial unless `serial` is given.
@@ -120,7 +120,7 @@ class Recording:
 
         try:
             return cls.from_frame(
-                read_table(Path(path)), output, reference, time, **{"serial": Path(path).stem, **facts}
+                read_table(Path(path)), output, reference, time_s, **{"serial": Path(path).stem, **facts}
             )
         except InputError as error:
             raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from softcal.app.registry.reference import reference_expanded
 from softcal.core.errors import InputError
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
-from softcal.core.reason import plain
 from softcal.core.unit.verdict import Limit, Verdict
+from softcal.core.words.reason import plain
 from softcal.db.entries import UnitEntry
 from softcal.db.registry import Registry
 

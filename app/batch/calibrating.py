@@ -4,10 +4,10 @@ import time
 from dataclasses import dataclass
 
 from softcal.core.errors import UnitRefused
-from softcal.core.reason import Reason
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.verdict import Verdict
+from softcal.core.words.reason import Reason
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_t
 from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.network.config import NetworkConfig
-from softcal.core.reason import Reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.health import check_alive, health_findings, output_limits
 from softcal.core.unit.method import Method
+from softcal.core.words.reason import Reason
 from softcal.db.entries import RecordingEntry
 from softcal.db.registry import Registry
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 from softcal.app.batch.calibrating import Refusal
 from softcal.app.batch.unit_work import Chunk, ChunkOutcome, SharedWork, UnitOutcome, UnitTask
-from softcal.core.reason import plain
 from softcal.core.unit.verdict import Verdict
+from softcal.core.words.reason import plain
 
 Work = Callable[[SharedWork, Chunk], ChunkOutcome]
 

@@ -40,9 +40,9 @@ from softcal.core.errors import InputError, RegistryError
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import EpochReport, NetworkConfig
-from softcal.core.reason import plain
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Release, Verdict
+from softcal.core.words.reason import plain
 from softcal.db.entries import UnitStanding
 from softcal.db.registry import Registry
 from softcal.db.work_queue import WorkItem, WorkSet

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from softcal.app.batch.audit import LotAudit, audit_json, audit_line
 from softcal.app.batch.train import TrainedOrFound
 from softcal.core.quality.lot_release import LotRelease
-from softcal.core.reason import Reason
 from softcal.core.unit.verdict import VERDICTS, Release, Verdict, worst_of
+from softcal.core.words.reason import Reason
 from softcal.db.entries import MadeCalibration
 
 TABLE_HEADER = ("serial", "verdict", "predicted", "before", "after", "own", "after/own", "fit_s", "map")

@@ -11,7 +11,6 @@ from softcal.core.lot import Lot
 from softcal.core.maps.anchors import check_loads
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import NetworkConfig
-from softcal.core.reason import reason
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import UnitProblem
@@ -19,6 +18,7 @@ from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Limit, Verdict
+from softcal.core.words.reason import reason
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,8 +68,8 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.batch.report import TABLE_HEADER, audit_lines, report_json, table_row
     from softcal.app.files.anchors import read_anchors
     from softcal.app.files.lot_folder import open_lot_folder
-    from softcal.core.reason import joined
     from softcal.core.unit.verdict import Release, Verdict
+    from softcal.core.words.reason import joined
 
     folder = open_lot_folder(options.lot)
     for remark in folder.remarks:

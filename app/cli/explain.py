@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     """Print reasons and budget, write the figure."""
     from softcal.app.charts.why_page import explain_unit, why_json
     from softcal.app.views.unit import unit_view
-    from softcal.core.reason import joined
+    from softcal.core.words.reason import joined
 
     if options.method:
         return _print_method(options)

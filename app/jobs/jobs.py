@@ -13,8 +13,8 @@ from softcal.app.logs import log_crash
 from softcal.core.errors import InputError, SoftcalError
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import RunState
-from softcal.core.reason import packed, to_kept
 from softcal.core.recording import LabelledRecording
+from softcal.core.words.reason import packed, to_kept
 from softcal.db.job_board import Job, JobBoard
 from softcal.db.registry import Registry
 

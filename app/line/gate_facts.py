@@ -19,9 +19,9 @@ from softcal.core.quality.gate import (
     may_run,
     quarantined,
 )
-from softcal.core.reason import Reason, reason
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.estimate import estimate
+from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
 from softcal.station.config import StationConfig

@@ -14,7 +14,7 @@ from typing import Protocol
 from softcal.app.line.place import is_alive
 from softcal.core.errors import InputError, RegistryError, SoftcalError
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 from softcal.db.order_queue import TAKEN_OVER_AFTER, OrderQueue
 from softcal.station.recording import StationRecording
 from softcal.station.service import StationService

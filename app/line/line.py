@@ -14,7 +14,7 @@ from softcal.app.line.serials import is_unheard_of
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, RunState
-from softcal.core.reason import Reason
+from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
 
 NEWEST_LOTS = 8

@@ -16,13 +16,13 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress, RunState
-from softcal.core.reason import Reason, joined, reason
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Verdict, stated_limit
+from softcal.core.words.reason import Reason, joined, reason
 from softcal.db.entries import NetworkEntry
 from softcal.db.registry import Registry
 from softcal.station.recording import StationRecording

@@ -15,11 +15,11 @@ from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError, NoReply
 from softcal.core.lot import Lot, check_serial
 from softcal.core.profiles import Profile, source_profile, unit_profile
-from softcal.core.reason import Reason, several
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.twin.simulate import Twin
 from softcal.core.twin.spread import draw_lot
 from softcal.core.unit.budget import SIMULATED, Reference
+from softcal.core.words.reason import Reason, several
 from softcal.station.acquisition import OnProgress, record
 from softcal.station.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
 from softcal.station.clock import HostClock

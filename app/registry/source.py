@@ -1,10 +1,10 @@
 """The source behind a shared network: the one place that puts its recording, network and model together."""
 
 from softcal.core.errors import InputError
-from softcal.core.reason import reason
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.words.reason import reason
 from softcal.db.registry import Registry
 
 

@@ -4,14 +4,14 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
-from softcal.core.reason import ENGLISH, filled
+from softcal.core.words.reason import ENGLISH, filled
 
 LANGUAGES = {"en": "English", "ko": "한국어"}
 
 
 @cache
 def catalogue() -> dict[str, dict[str, str]]:
-    """Return every text by language and key; what softcal's reasons say is English in `core.reason`.
+    """Return every text by language and key; what softcal's reasons say is English in `core.words.reason`.
 
     Raises:
         ValueError: a text stands in two files.

@@ -6,7 +6,7 @@ version kept, or that was quoted from a file or a device, stays as it is.
 
 from collections.abc import Callable, Iterable
 
-from softcal.core.reason import PLAIN, Reason, unpacked
+from softcal.core.words.reason import PLAIN, Reason, unpacked
 
 Words = Callable[..., str]
 

@@ -15,7 +15,7 @@ from softcal.app.ui.browser_memory import forget, recall, remember
 from softcal.app.ui.pins import Pauses, is_code, new_code
 from softcal.app.ui.registry_of_server import registry
 from softcal.core.errors import InputError
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import User
 from softcal.db.people import PERMISSIONS, ROLES, may
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 from softcal.core.errors import InputError
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 
 FREE_FAILURES = 2
 FIRST_PAUSE, LONGEST_PAUSE = timedelta(seconds=2), timedelta(minutes=5)

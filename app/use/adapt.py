@@ -19,7 +19,6 @@ from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
-from softcal.core.reason import plain
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import Estimate
@@ -30,6 +29,7 @@ from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.adapter import AdaptConfig, Adapter, MapUpdate
 from softcal.core.use.method import UseMethod
+from softcal.core.words.reason import plain
 from softcal.db.registry import Registry
 
 REASON = "the source unit itself: the shared network needs no map"

@@ -8,12 +8,12 @@ from softcal.app.registry.source import source_recording, unlabelled
 from softcal.core.identity import content_sha256
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256
-from softcal.core.reason import reason
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.method import TrimConfig, UseMethod
 from softcal.core.use.trim import Trimmed, trim
+from softcal.core.words.reason import reason
 from softcal.db.registry import Registry
 
 

@@ -7,7 +7,7 @@ from softcal.app.line.facts import SHOWN_RUNS, LineFacts, LineRun, standing_of
 from softcal.app.texts.reasons import plainly, said
 from softcal.app.views.common import number, phase_said
 from softcal.core.orders import Condition, OrderKind, Progress, RunState, Signal
-from softcal.core.reason import Reason, plain, root_of
+from softcal.core.words.reason import Reason, plain, root_of
 
 Words = Callable[..., str]
 

@@ -12,8 +12,8 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.control_chart import Capability, ControlChart, capability, control_chart
 from softcal.core.quality.yields import UnitRun, Yields, yields
-from softcal.core.reason import Reason
 from softcal.core.recording import Array
+from softcal.core.words.reason import Reason
 from softcal.db.entries import RunEntry, UnitEntry
 from softcal.db.lot_pages import UnitErrors, UnitFilter
 from softcal.db.registry import Registry

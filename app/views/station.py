@@ -7,8 +7,8 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.quality.control_chart import ControlChart, control_chart
-from softcal.core.reason import Reason
 from softcal.core.recording import LabelledRecording
+from softcal.core.words.reason import Reason
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
 

@@ -16,9 +16,9 @@ from softcal.core.gap.plausibility import DataMistake, numbers
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import Tangent
 from softcal.core.gap.search import EffectSearch
-from softcal.core.reason import reason
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter
+from softcal.core.words.reason import reason
 
 SHARE = 0.93
 """Share of what the twin leaves that one run's mistake must explain."""

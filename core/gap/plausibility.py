@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run
-from softcal.core.reason import Reason, reason
 from softcal.core.recording import Array
+from softcal.core.words.reason import Reason, reason
 
 Kind = Literal[
     "unit_factor",

@@ -8,8 +8,8 @@ import numpy as np
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.config import MapConfig
 from softcal.core.maps.crossing import KEPT, LevelPath, averaging_length, level_path, moving_mean
-from softcal.core.reason import reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.words.reason import reason
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
 from softcal.core.maps.curve import CurveMap, continued, monotone_curve
 from softcal.core.maps.interface import FitProblem
-from softcal.core.reason import reason
 from softcal.core.recording import Array
+from softcal.core.words.reason import reason
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ from softcal.core.maps.config import PairConfig
 from softcal.core.maps.crossing import robust_range
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.interface import FitProblem
-from softcal.core.reason import reason
 from softcal.core.recording import Array, Indices
 from softcal.core.windows import TAPS, resting, windows
+from softcal.core.words.reason import reason
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,8 @@ from softcal.core.identity import Settings
 from softcal.core.maps.config import MapConfig, PhaseConfig
 from softcal.core.maps.interface import FitProblem
 from softcal.core.maps.paired import PairedMap, fit_pairs, paired_map_from_arrays
-from softcal.core.reason import reason
 from softcal.core.recording import Array, OutputRecording
+from softcal.core.words.reason import reason
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from softcal.core.identity import Settings
 from softcal.core.maps.interface import FitProblem
 from softcal.core.maps.paired import PairedMap, fit_pairs, paired_map_from_arrays
 from softcal.core.maps.synchrony import paired_rows
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from softcal.core.errors import InputError
-from softcal.core.reason import Reason, reason
 from softcal.core.recording import Array
+from softcal.core.words.reason import Reason, reason
 
 D2 = 1.128
 """Mean range of two normal values in standard deviations."""

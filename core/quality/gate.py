@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 
 from softcal.core.orders import Condition, OrderKind
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True)

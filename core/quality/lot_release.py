@@ -8,10 +8,10 @@ import numpy as np
 from softcal.core.quality.acceptance import Promise
 from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit, PromisedRelease, release
-from softcal.core.reason import Reason, Value, plain, reason
 from softcal.core.unit.line_spread import SeenGains
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Judgement, Limit, Verdict
+from softcal.core.words.reason import Reason, Value, plain, reason
 
 
 @dataclass(frozen=True)

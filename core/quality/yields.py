@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from scipy.stats import binomtest
 
-from softcal.core.reason import PLAIN, Reason, plain
 from softcal.core.unit.verdict import Verdict
+from softcal.core.words.reason import PLAIN, Reason, plain
 
 GOOD = frozenset({Verdict.PASS})
 

@@ -20,7 +20,6 @@ from softcal.core.maps.synchronous import Synchronous
 from softcal.core.maps.synchrony import paired_rows
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
-from softcal.core.reason import Reason
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.audit_reading import gain_of, read_audit
 from softcal.core.unit.budget import Reference
@@ -46,6 +45,7 @@ from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Finding, Judgement, Limit, decide, decide_audited, default_limit
 from softcal.core.windows import TAPS
+from softcal.core.words.reason import Reason
 
 
 @dataclass(frozen=True, eq=False)

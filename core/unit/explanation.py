@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.reason import Reason
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.forecast import LINE, gather_evidence
 from softcal.core.unit.method import LEVELS
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.uncertainty import DIRECTIONS
+from softcal.core.words.reason import Reason
 
 DENSITY_BINS = 48
 

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from softcal.core.reason import Reason, reason
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.forecast import MapEvidence, map_variance, rest_rows
 from softcal.core.unit.method import FindingConfig
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.verdict import Finding, Verdict
+from softcal.core.words.reason import Reason, reason
 
 
 def map_findings(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> tuple[Finding, ...]:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.reason import Reason, reason
 from softcal.core.recording import Array, Indices, OutputRecording
 from softcal.core.unit.method import HealthConfig
 from softcal.core.unit.verdict import Finding, Verdict
+from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True)

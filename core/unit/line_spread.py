@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.reason import Reason, reason
 from softcal.core.unit.method import ReleaseConfig
+from softcal.core.words.reason import Reason, reason
 
 MOST_SPREAD = 1.0
 

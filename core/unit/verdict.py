@@ -10,10 +10,10 @@ from enum import StrEnum
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.reason import Reason, reason
 from softcal.core.unit.method import DecisionConfig
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.windows import TAPS
+from softcal.core.words.reason import Reason, reason
 
 
 class Verdict(StrEnum):

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from softcal.core.errors import InputError
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 from softcal.station.config import ReadoutConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import TextStream

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 from softcal.station.config import ForceConfig, StageConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 from softcal.station.config import StageConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit

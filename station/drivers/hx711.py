@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, InputError
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 from softcal.station.config import ForceConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import TextStream

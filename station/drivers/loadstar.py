@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, NoReply
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 from softcal.station.config import ForceConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import BAD_IN_A_ROW

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import CommandRefused, NoReply
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 from softcal.station.asked import AskedReader
 from softcal.station.config import ForceConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings

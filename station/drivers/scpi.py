@@ -7,7 +7,7 @@ remote control. Both measure on demand, so that every answer is a fresh reading.
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 from softcal.station.asked import AskedReader
 from softcal.station.config import ReadoutConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings

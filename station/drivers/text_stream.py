@@ -1,7 +1,7 @@
 """Driver of an Arduino-like device that prints `ms,value` by its own clock."""
 
 from softcal.core.errors import BadReply, reason_of
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 from softcal.station.clock import unwrap_ms
 from softcal.station.frames.text_stream import parse
 from softcal.station.interfaces import Sample

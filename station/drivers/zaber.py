@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 from softcal.station.command import Control, Measurement
 from softcal.station.config import StageConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from softcal.core.errors import BadReply
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 
 STATUS, HOLD, RESUME, RESET, DOOR, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x84", b"\x85"
 """Real-time bytes: picked out of the stream at once, never queued, no line end."""

@@ -1,7 +1,7 @@
 """Loadstar DI-100 and DI-1000 load cell interfaces ("DI-100U / DI-1000U Command Set", loadstarsensors.com). No I/O."""
 
 from softcal.core.errors import BadReply
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 from softcal.station.frames.force_unit import in_newtons
 
 END = b"\r"

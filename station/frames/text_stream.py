@@ -9,7 +9,7 @@ from functools import reduce
 from operator import xor
 
 from softcal.core.errors import BadReply
-from softcal.core.reason import reason
+from softcal.core.words.reason import reason
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from softcal.core.errors import BadReply
-from softcal.core.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason
 
 WARNINGS = {
     "FF": Reason("zaber.flag.FF"),

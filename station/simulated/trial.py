@@ -7,7 +7,7 @@ from typing import Any
 
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile, moves
-from softcal.core.reason import Reason
+from softcal.core.words.reason import Reason
 from softcal.station.acquisition import RunProgress, record
 from softcal.station.bench import open_simulated_bench
 from softcal.station.simulated.faults import DOWN_S, PRESS, Fault

@@ -1,9 +1,11 @@
 """The audit trail in words: every kind of row is a sentence, filters take what they say, and it is taken along."""
 
+import ast
 import json
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from functools import partial
+from pathlib import Path
 
 import pytest
 
@@ -42,6 +44,37 @@ def busy(calibrated: str) -> str:
         registry.rollback("A1", first.revision, reason="trial", actor="Erin") if len(registry.history("A1")) > 1 else 0
         registry.decide(first, "line", actor="Erin", reason="looked at it")
     return calibrated
+
+
+def stated_events() -> set[tuple[str, str]]:
+    """Read every `add_event(action, entity, ...)` of the application, names resolved in their module."""
+    found = set()
+    for path in sorted((Path(__file__).parents[2] / "app").rglob("*.py")):
+        module = ast.parse(path.read_text("utf-8"))
+        known: dict[str, str] = {}
+        for node in module.body:
+            if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name | ast.Tuple):
+                names = [name.id for name in ast.walk(node.targets[0]) if isinstance(name, ast.Name)]
+                values = [part.value for part in ast.walk(node.value) if isinstance(part, ast.Constant)]
+                known |= dict(zip(names, map(str, values), strict=False))
+        for call in ast.walk(module):
+            if isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "add_event":
+                actions, entities = (_words(part, known) for part in call.args[:2])
+                found |= {(action, entity) for action in actions for entity in entities}
+    return found
+
+
+def _words(part: ast.expr, known: dict[str, str]) -> list[str]:
+    if isinstance(part, ast.IfExp):
+        return [*_words(part.body, known), *_words(part.orelse, known)]
+    return [str(part.value)] if isinstance(part, ast.Constant) else [known[part.id]]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_every_event_that_the_application_states_has_a_sentence(language: str) -> None:
+    events = stated_events()
+    assert len(events) >= 12
+    assert [pair for pair in sorted(events) if "trail.{}.{}".format(*pair) not in catalogue()[language]] == []
 
 
 @pytest.mark.parametrize("language", LANGUAGES)

@@ -18,8 +18,8 @@ from softcal.app.views.line import ACTIONS, KEYS, TONES, away_view, line_view
 from softcal.core.lot import Lot
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.reason import Reason, plain, reason
 from softcal.core.unit.verdict import Verdict
+from softcal.core.words.reason import Reason, plain, reason
 from softcal.db.entries import NetworkEntry, RunEntry, UnitStanding
 from softcal.db.network_release import NetworkState
 from softcal.station.service import CODES

@@ -15,7 +15,7 @@ from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.reason import plain
+from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 

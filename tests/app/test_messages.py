@@ -18,8 +18,8 @@ from softcal.app.texts.reasons import PREFIX, said
 from softcal.core.errors import NoReply, SoftcalError
 from softcal.core.orders import Condition, Heartbeat, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.gate import CellAtGate, GoldenCheck, RigFacts, StationFacts, may_run
-from softcal.core.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, root_of
-from softcal.core.rig_sentences import SENTENCES
+from softcal.core.words.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, root_of
+from softcal.core.words.rig_sentences import SENTENCES
 from softcal.db.connection import open_registry
 from softcal.station.frames import gcl2, grbl, zaber
 from softcal.station.named import named

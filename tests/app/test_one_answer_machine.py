@@ -25,10 +25,10 @@ from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
-from softcal.core.reason import plain
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Verdict
+from softcal.core.words.reason import plain
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
 from softcal.db.registry_base import RegistrySettings

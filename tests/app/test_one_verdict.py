@@ -30,7 +30,6 @@ from softcal.app.views.unit import unit_view
 from softcal.core.errors import InputError
 from softcal.core.export.blob import CONDITIONAL, FAILED
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
-from softcal.core.reason import reason
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import (
@@ -43,6 +42,7 @@ from softcal.core.unit.verdict import (
     decide_audited,
     worst_of,
 )
+from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 from softcal.db.entries import MadeCalibration
 from softcal.db.lot_pages import UnitFilter

@@ -31,13 +31,13 @@ def tables(press_unit) -> list[pd.DataFrame]:  # type: ignore[no-untyped-def]
 @pytest.fixture(scope="module")
 def source(tables: list[pd.DataFrame]) -> softcal.SourceNetwork:
     return softcal.fit_network(
-        softcal.Recording.from_frame(tables[0], reference="reference", time="t_s", serial="S1"), **SMALL
+        softcal.Recording.from_frame(tables[0], reference="reference", time_s="t_s", serial="S1"), **SMALL
     )
 
 
 @pytest.fixture(scope="module")
 def unit(source: softcal.SourceNetwork, tables: list[pd.DataFrame]) -> softcal.Unit:
-    return softcal.fit_map(source, softcal.Recording.from_frame(tables[1], time="t_s", serial="S2"))
+    return softcal.fit_map(source, softcal.Recording.from_frame(tables[1], time_s="t_s", serial="S2"))
 
 
 def test_the_readme_example_runs_as_written(
@@ -90,7 +90,7 @@ def test_a_unit_of_another_gain_is_estimated_without_its_reference(
     reference = tables[1]["reference"].to_numpy()
     found = unit.estimate(tables[1]["output"])
     uncorrected = softcal.fit_map(
-        source, softcal.Recording.from_frame(tables[1], time="t_s", serial="S2"), family="identity"
+        source, softcal.Recording.from_frame(tables[1], time_s="t_s", serial="S2"), family="identity"
     )
     error = np.sqrt(np.nanmean((found["estimate"] - reference) ** 2))
     unmapped = np.sqrt(np.nanmean((uncorrected.estimate(tables[1]["output"])["estimate"] - reference) ** 2))
@@ -102,7 +102,7 @@ def test_the_reference_of_a_target_changes_nothing(
     source: softcal.SourceNetwork, unit: softcal.Unit, tables: list[pd.DataFrame]
 ) -> None:
     labelled = tables[1].assign(reference=0.0)
-    with_labels = softcal.Recording.from_frame(labelled, reference="reference", time="t_s", serial="S2")
+    with_labels = softcal.Recording.from_frame(labelled, reference="reference", time_s="t_s", serial="S2")
     again = softcal.fit_map(source, with_labels)
     pd.testing.assert_frame_equal(again.estimate(tables[1]["output"]), unit.estimate(tables[1]["output"]))
 
@@ -114,7 +114,7 @@ def test_pandas_keeps_its_index_and_arrays_give_the_same_numbers(
     by_series, by_array = unit.estimate(series), unit.estimate(series.to_numpy())
     assert list(by_series.index) == list(range(7, 1507))
     np.testing.assert_array_equal(by_series["estimate"], by_array["estimate"])
-    recording = softcal.Recording.from_frame(tables[1], reference="reference", time="t_s")
+    recording = softcal.Recording.from_frame(tables[1], reference="reference", time_s="t_s")
     pd.testing.assert_frame_equal(recording.to_frame(), tables[1][["t_s", "output", "reference"]])
 
 
@@ -152,11 +152,11 @@ def test_a_bad_recording_is_refused_when_it_is_made(arguments: dict[str, object]
 
 def test_a_missing_column_lists_those_there_are(tables: list[pd.DataFrame]) -> None:
     with pytest.raises(softcal.InputError, match=r"no column 'outpt'; the table has t_s, output, reference"):
-        softcal.Recording.from_frame(tables[0], output="outpt", time="t_s")
+        softcal.Recording.from_frame(tables[0], output="outpt", time_s="t_s")
 
 
 def test_anchors_must_come_in_pairs(source: softcal.SourceNetwork, tables: list[pd.DataFrame]) -> None:
-    target = softcal.Recording.from_frame(tables[1], time="t_s")
+    target = softcal.Recording.from_frame(tables[1], time_s="t_s")
     with pytest.raises(softcal.InputError, match="as many of both"):
         softcal.fit_map(source, target, anchors=([0.5, 0.6], [0.0]))
     anchored = softcal.fit_map(source, target, anchors=pd.DataFrame({"output": [0.54], "reference": [0.0]}))
@@ -171,7 +171,7 @@ def test_the_network_keeps_every_convention_of_scikit_learn(estimator: object, c
 
 
 def test_a_map_and_the_network_make_a_pipeline(source: softcal.SourceNetwork, tables: list[pd.DataFrame]) -> None:
-    recording = softcal.Recording.from_frame(tables[0], reference="reference", time="t_s").labelled
+    recording = softcal.Recording.from_frame(tables[0], reference="reference", time_s="t_s").labelled
     regressor = softcal.NetworkRegressor(hidden=(16, 8)).fit(recording.windows, recording.window_reference)
     pipeline = make_pipeline(softcal.MapTransformer(source), FrozenEstimator(regressor))
     output, reference = tables[2][["output"]], tables[2]["reference"]
@@ -194,7 +194,7 @@ def test_a_transformer_says_what_it_lacks(source: softcal.SourceNetwork, tables:
 def test_the_network_is_worth_as_much_to_cross_validation_as_to_the_command_line(
     tables: list[pd.DataFrame],
 ) -> None:
-    recording = softcal.Recording.from_frame(tables[0], reference="reference", time="t_s").labelled
+    recording = softcal.Recording.from_frame(tables[0], reference="reference", time_s="t_s").labelled
     regressor = softcal.NetworkRegressor(hidden=(16, 8))
     scores = cross_val_score(regressor, recording.windows, recording.window_reference, cv=3)
     assert scores.min() > 0.8

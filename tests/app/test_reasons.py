@@ -12,13 +12,13 @@ import pytest
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
 from softcal.app.texts.reasons import PLAINLY, PREFIX, plainly, said
 from softcal.app.views.lot import reason_kind
-from softcal.core import reason as reasons
 from softcal.core.maps import affine, ends, monotone, paired, phase, synchronous
-from softcal.core.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, to_kept, unpacked
-from softcal.core.rig_sentences import SENTENCES
 from softcal.core.unit import findings, health, verdict
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit, decide, decide_audited, default_limit
+from softcal.core.words import reason as reasons
+from softcal.core.words.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, to_kept, unpacked
+from softcal.core.words.rig_sentences import SENTENCES
 
 KOREAN, ENGLISH_WORDS = partial(text, "ko"), partial(text, "en")
 MODULES = [findings, health, verdict, affine, ends, monotone, paired, phase, synchronous]

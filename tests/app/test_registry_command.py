@@ -15,8 +15,8 @@ from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
-from softcal.core.reason import plain
 from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from softcal.app.cli.main import main
 from softcal.app.texts import catalogue as texts
 from softcal.app.views.lot import lot_view
-from softcal.core.reason import plain
+from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 
 

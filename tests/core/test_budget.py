@@ -9,7 +9,6 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.maps.config import MapConfig
-from softcal.core.reason import plain
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.budget import (
     SIMULATED,
@@ -25,6 +24,7 @@ from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Judgement, Limit, Verdict, decide, decide_audited
+from softcal.core.words.reason import plain
 
 DRAWS = 400_000
 CELL = Reference(

@@ -9,7 +9,6 @@ import pytest
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.maps.config import MapConfig
 from softcal.core.metrics import rmse
-from softcal.core.reason import joined
 from softcal.core.recording import OutputRecording
 from softcal.core.simulated_lot import FAULTS, LotDesign, simulate_lot
 from softcal.core.unit.calibrate import UnitProblem
@@ -21,6 +20,7 @@ from softcal.core.unit.findings import opening_findings
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.verdict import Limit
+from softcal.core.words.reason import joined
 
 AFFINE, AUTO = Method(map=MapConfig(family="affine")), Method()
 

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from softcal.core.errors import InputError
-from softcal.core.reason import plain
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import (
     VERDICTS,
@@ -24,6 +23,7 @@ from softcal.core.unit.verdict import (
     statement,
     worst_of,
 )
+from softcal.core.words.reason import plain
 
 LIMIT = Limit("N", 0.30)
 

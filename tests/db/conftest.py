@@ -16,9 +16,9 @@ from sqlalchemy.pool import NullPool
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
-from softcal.core.reason import plain
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 from softcal.db.tables import metadata

@@ -11,7 +11,7 @@ from sqlalchemy.pool import NullPool
 
 from softcal.core.errors import RegistryError
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.reason import plain
+from softcal.core.words.reason import plain
 from softcal.db.arrays import get_arrays, parts_of, put_arrays
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.sync import synchronise

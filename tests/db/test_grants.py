@@ -9,7 +9,7 @@ from sqlalchemy import text
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.reason import plain
+from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
 from softcal.db.grants import grant_statements

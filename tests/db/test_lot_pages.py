@@ -7,7 +7,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.quality.line_rules import LineRules
-from softcal.core.reason import plain
+from softcal.core.words.reason import plain
 from softcal.db.entries import GoldenRun
 from softcal.db.lot_pages import UnitFilter
 

@@ -7,8 +7,8 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.core.reason import plain
 from softcal.core.recording import OutputRecording
+from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.registry_base import RegistrySettings
 

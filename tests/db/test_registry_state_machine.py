@@ -13,9 +13,9 @@ from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
-from softcal.core.reason import plain
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.words.reason import plain
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
 

@@ -10,7 +10,7 @@ import pytest
 from sqlalchemy import event, text
 
 from softcal.core.lot import Lot
-from softcal.core.reason import plain
+from softcal.core.words.reason import plain
 from softcal.db.lot_pages import UnitFilter
 from softcal.db.registry import Registry
 from softcal.db.tables import calibrations, in_use

@@ -11,8 +11,8 @@ from sqlalchemy.pool import NullPool
 
 from softcal.app.cli.main import main
 from softcal.core.errors import SoftcalError
-from softcal.core.reason import plain
 from softcal.core.recording import OutputRecording
+from softcal.core.words.reason import plain
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
 from softcal.db.entries import Anchor

@@ -26,7 +26,7 @@ from softcal.app.views.gap import (
     place_rows,
     plain_name,
 )
-from softcal.core.reason import Reason
+from softcal.core.words.reason import Reason
 from softcal.db.job_board import Job
 from softcal.db.people import may
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from string import Formatter
 from typing import Any, Union
 
-from softcal.core.rig_sentences import SENTENCES
+from softcal.core.words.rig_sentences import SENTENCES
 
 Value = Union[str, float, int, "Reason"]
 

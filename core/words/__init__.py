@@ -1,0 +1,1 @@
+"""How reasons are said: codes with values, and their English sentences."""
