@@ -9,6 +9,8 @@ EXTRA_OF = {
     "pyvisa_py": "visa",
     "onnx": "documents",
     "reportlab": "documents",
+    "pikepdf": "documents",
+    "PIL": "documents",
     "psycopg": "postgresql",
     "distributed": "cluster",
     "dask": "cluster",
