@@ -193,21 +193,23 @@ class VisaTransport:
         self._session = None
 
     def _talk(self) -> None:
+        # Its own name for the session: `close` gives it up while a slow device still keeps this thread waiting.
+        session = self._session
         while (content := self._to_send.get()) is not None:
             try:
-                self._session.write_raw(content)
+                session.write_raw(content)
                 if b"?" in content:
-                    self._arrived.append(self._session.read_raw().rstrip(b"\r\n") + b"\n")
+                    self._arrived.append(session.read_raw().rstrip(b"\r\n") + b"\n")
             except self._errors as error:
-                if getattr(error, "error_code", None) == self._timed_out and self._is_cleared():
+                if getattr(error, "error_code", None) == self._timed_out and self._is_cleared(session):
                     continue  # Not answered: whoever asked sees that nothing comes.
                 self._fault = error
                 return
 
-    def _is_cleared(self) -> bool:
+    def _is_cleared(self, session: Any) -> bool:
         """Whether the device took a clear: an answer that comes too late must not be taken for that of the next."""
         try:
-            self._session.clear()
+            session.clear()
         except self._errors:
             return False
         return True

@@ -13,6 +13,7 @@ from softcal.app.views.gap import cause_rows, hidden_effects, named_causes, next
 from softcal.app.views.network import hidden_widths, loss_spec
 from softcal.core.errors import InputError
 from softcal.core.orders import RunState
+from softcal.core.words.reason import joined, unpacked
 from softcal.db.connection import open_registry
 
 METADATA = {"vref_V": 5.0, "adc_bits": 16, "r_series_ohm": 1000.0, "sample_rate_Hz": 50.0, "serial": "A17"}
@@ -51,14 +52,14 @@ def test_a_job_that_cannot_be_done_ends_with_one_line(calibrated: str) -> None:
             (
                 "train",
                 {"lot": "nowhere", "hidden": [4], "seed": 0, "members": 1, "max_epochs": 5},
-                "'nowhere' is not in",
+                "lot 'nowhere' is not in the registry",
             ),
             ("diagnose", {"case": "/nowhere"}, "there is no such folder"),
             ("bake", {}, "are unknown to this version"),
         ):
             job_id = registry.job_board.place(kind, request, "Erin")
             assert run_job(registry, job_id, lambda: None) is RunState.ERROR
-            assert said in registry.job_board.job(job_id).message
+            assert said in joined(unpacked(registry.job_board.job(job_id).message))
 
 
 def test_a_defect_in_a_job_is_logged_and_said(calibrated: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 """One link over serial ports, sockets and VISA resources: real ones of this machine, and what happens when they go."""
 
 import socket
+import threading
 import time
 
 import numpy as np
@@ -216,6 +217,40 @@ def test_a_late_answer_is_not_taken_for_the_next(tmp_path, monkeypatch):
     assert content == b"second\n"
     assert session.cleared == 1
     wire.close()
+
+
+def test_a_session_that_is_given_up_while_a_question_is_open_ends_quietly(monkeypatch):
+    pyvisa = pytest.importorskip("pyvisa")
+    answered = threading.Event()
+
+    class Session:
+        """Keeps the thread that asks for longer than `close` waits for it."""
+
+        def write_raw(self, content):
+            pass
+
+        def read_raw(self):
+            answered.wait(10)
+            raise pyvisa.errors.VisaIOError(pyvisa.constants.StatusCode.error_timeout)
+
+        def clear(self):
+            raise pyvisa.errors.InvalidSession
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr(pyvisa.ResourceManager, "open_resource", lambda *args, **kwargs: Session())
+    monkeypatch.setattr("softcal.station.transport.VISA_ANSWER_S", 0.05)
+    failed = []
+    monkeypatch.setattr(threading, "excepthook", failed.append)
+    wire = VisaTransport("USB0::1::2::3::INSTR")
+    wire.write(b"?")
+    wire.close()
+    answered.set()
+    [asking] = [thread for thread in threading.enumerate() if thread.name.startswith("VISA USB0")] or [None]
+    if asking is not None:
+        asking.join(10)
+    assert failed == []
 
 
 def test_a_usb_instrument_through_pyvisa(tmp_path, monkeypatch):
