@@ -153,7 +153,7 @@ def enter(page: Page, address: str) -> None:
 
 def open_sign_in(page: Page) -> str:
     """Open the page by the bar; return the bar."""
-    page.get_by_test_id("stTopNavLink").nth(4).click()
+    page.locator("[data-testid=stTopNavLink][href$=sign_in]").click()
     page.get_by_role("heading", level=1).wait_for()
     return page.get_by_test_id("stHeader").inner_text()
 
