@@ -4,7 +4,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +24,22 @@ def main_module() -> None:
     sys.modules["__main__"] = _MAIN_MODULE
 
 
+@pytest.fixture(scope="session", autouse=True)
+def data_of_the_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What fixtures of a whole file write down stays out of the data of the person who runs them, too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_DATA_HOME", str(tmp_path_factory.mktemp("data")))
+        yield
+
+
 @pytest.fixture(autouse=True)
-def logs_of_the_test(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No test writes into the logs of the person who runs it."""
+def places_of_the_test(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No test writes into the logs or data of the person who runs it, or finds there what another test left.
+
+    Copies of one registry have one identity: what a test writes down about one copy would speak against the next.
+    """
     monkeypatch.setenv("SOFTCAL_LOGS", str(tmp_path_factory.getbasetemp() / "logs"))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path_factory.mktemp("data")))
 
 
 @pytest.fixture

@@ -62,7 +62,8 @@ def test_python_uses_the_family_by_name(installed: Path, press_unit, tmp_path: P
         press_unit(1500, 1 + 0.2 * k, 0.5, 1).to_csv(tmp_path / f"S{k}.csv", index=False)
     code = """
 import sys, softcal
-source, target = (softcal.Recording.read(f"{sys.argv[1]}/S{k}.csv", reference="reference", time="t_s") for k in (0, 1))
+columns = {"reference": "reference", "time_s": "t_s"}
+source, target = (softcal.Recording.read(f"{sys.argv[1]}/S{k}.csv", **columns) for k in (0, 1))
 unit = softcal.fit_map(softcal.fit_network(source, hidden=(8,)), target, family="moments")
 print(unit.family, unit.map.gain)
 """

@@ -166,7 +166,7 @@ def test_a_stop_before_the_run_began_means_that_run_too(line):
 def test_the_gate_tells_every_condition_and_an_override_opens_it(tmp_path):
     with served(tmp_path, rules=GateRules()) as line:
         beat = line.wait_for(lambda beat: beat.state is StationState.CLOSED)
-        assert {c.name: c.is_good for c in beat.gate} == {
+        assert {str(c.name): c.is_good for c in beat.gate} == {
             "certificate": False,
             "warm-up": False,
             "zero return": True,
