@@ -47,6 +47,7 @@ def rivals(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]) -> tupl
     kept: list[Fit] = [best]
     for found in near:
         ids = set(found.hypothesis.ids)
+        # A larger set of causes holds the evidence of the smaller one: as its rival it says nothing new.
         if ids and not any(ids >= set(other.hypothesis.ids) for other in kept):
             kept.append(found)
     most = max(MOST_CAUSES, len(best.hypothesis.ids) + 1)
@@ -103,6 +104,7 @@ def hidden_fraction(found: Fit, effect_id: str) -> float:
     size = energy(signature)
     if size <= 0.0:
         return 1.0
+    # To first order: a full refit for each effect would take as long as the diagnosis.
     seen = Tangent(found, base_only=True).visible(signature)
     return float(np.clip(1.0 - energy(seen) / size, 0.0, 1.0))
 

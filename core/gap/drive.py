@@ -47,7 +47,9 @@ def straightened(signal: Array, sigma: float, half: int) -> tuple[Array, Array]:
     """Return the smoothed signal and, per sample, which share of the noise variance is left."""
     out, share = signal.copy(), np.ones(len(signal))
     for k in range(len(signal)):
+        # A line that leaves more than twice the noise's variance lies across a bend: the sample stays as it is.
         best = 2.0 * sigma * sigma
+        # Centred first, for it takes the most noise off; one-sided lines keep corners where they are.
         for first, last in ((k - half, k + half), (k - half, k), (k, k + half)):
             if first < 0 or last >= len(signal):
                 continue

@@ -223,6 +223,7 @@ class Problem:
         out = np.empty(len(self.measured))
         last, prediction = -1, None
         for block in self.blocks:
+            # One pass of the chain gives all channels of a run.
             if block.run != last:
                 run, last = self.case.runs[block.run], block.run
                 prediction = predict(run, last, base, hypothesis.chain, values, hypothesis.episodes_of(last))
@@ -290,6 +291,7 @@ class Fit:
         normal = gram(self.jacobian)
         free = np.flatnonzero(np.diag(normal) > 0)
         covariance = np.zeros_like(normal)
+        # Two parameters that these samples cannot tell apart make the matrix singular: an inverse would fail.
         covariance[np.ix_(free, free)] = np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True)
         return covariance
 
@@ -308,6 +310,7 @@ class Fit:
     @property
     def penalty(self) -> float:
         """What the hypothesis pays: p·ln(n) of Schwarz for its flexibility, −2·ln of the prior odds of its causes."""
+        # Twenty-five causes are tried: without prior odds the luckiest of them would often win by chance.
         each = -2.0 * float(np.log(PRIOR_ODDS))
         each += DRIVEN_COST if self.problem.is_driven_by_force else 0.0
         return self.parameter_count * float(np.log(self.problem.count)) + each * len(self.hypothesis.ids)
@@ -342,12 +345,14 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
             if trial_chi2 < chi2:
                 accepted = True
                 break
+            # Six times tenfold is a millionth of the step: what still does not descend is a minimum.
             damping = max(damping * 10, 1e-6)
         if not accepted:
             break
         gain = chi2 - trial_chi2
         x, predicted, residual, chi2 = candidate, trial, trial_residual, trial_chi2
         damping = max(damping / 10, 1e-9)
+        # A huge χ² is summed with rounding: below a ten-millionth of it no gain is real.
         if gain < tolerance + 1e-7 * chi2:
             break
         jacobian = space.jacobian(x, predicted)
@@ -364,6 +369,7 @@ class _Space:
         self.high = np.array([b[1] for b in bounds])
         for k, p in enumerate(hypothesis.parameters):
             if p.scale == "inverse_square":
+                # Coordinate 0 stands for an infinite value, "no such effect": the fit must be able to reach it.
                 self.low[k] = 0.0
         self.scale = np.array([fit_scale(p) for p in hypothesis.parameters])
         self.is_free = np.concatenate(
@@ -374,6 +380,7 @@ class _Space:
         """(parameters, samples) derivative of the weighted prediction, one-sided, away from a bound."""
         out = np.zeros((len(x), len(predicted)))
         for k in np.flatnonzero(self.is_free):
+            # One-sided: a central difference costs a second pass of the chain and gains nothing on kinked effects.
             step = DIFFERENCE * self.scale[k]
             if x[k] + step > self.high[k]:
                 step = -step
@@ -389,11 +396,13 @@ class _Space:
         candidate = x.copy()
         for _ in range(3):
             k = np.flatnonzero(free)
+            # Marquardt's scaling by the diagonal: millimetres and ohms are damped alike.
             damped = normal[np.ix_(k, k)] + np.diag(damping * np.diag(normal)[k] + 1e-12)
             candidate = x.copy()
             candidate[k] += np.linalg.solve(damped, slope[k])
             outside = (candidate < self.low) | (candidate > self.high)
             candidate = np.clip(candidate, self.low, self.high)
+            # What stands on its bound and wants beyond it is taken out; the others are solved again without it.
             held = free & outside & (candidate == x)
             if not held.any():
                 break

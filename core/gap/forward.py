@@ -76,6 +76,7 @@ def _from_force(run: Run, flow: Flow, base: BaseParameters, chain: Chain, values
     for _ in range(INVERSE_STEPS):
         flow.force_N = force_N
         chain.weigh(flow, values, chain.fresh_memories())
+        # What the cell would read beyond its reading is taken off the force until both agree.
         force_N = force_N + reading_N - flow.reading_N
     flow.force_N = flow.deformation_mm = force_N
     chain.sense(flow, base, run.readout, values, chain.fresh_memories())
@@ -93,6 +94,7 @@ def _rigid_block(run: Run, flow: Flow, chain: Chain, values: Values) -> Predicti
     bent_mm = flow.compliance_mm_N * force_N + (flow.stage_mm - flow.pad_mm)
     if not is_touched.any():
         return Prediction(stage_mm=flow.stage_mm)
+    # Nobody measured where the block stands: its level is what the touched samples say on average.
     level_mm = float(np.mean((flow.stage_mm - bent_mm)[is_touched]))
     return Prediction(stage_mm=np.where(is_touched, level_mm + bent_mm, flow.stage_mm))
 

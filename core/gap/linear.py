@@ -13,6 +13,7 @@ def gram(rows: Array) -> Array:
     out = np.empty((k, k))
     for i in range(k):
         for j in range(i, k):
+            # Half of the products: the matrix is symmetric.
             out[i, j] = out[j, i] = _dot(rows[i], rows[j])
     return out
 

@@ -61,6 +61,7 @@ def loose_noise(found: Fit) -> LooseNoise | None:
     is_loaded = output_V > output_V.min() + LOADED * np.ptp(output_V)
     is_slow = speed < np.quantile(speed, 0.5)
     spikes = int(np.count_nonzero(np.abs(error[is_slow]) > SPIKE_SIGMA))
+    # More than one in twenty are no spikes but a wider noise.
     if FEWEST_SPIKES <= spikes < 0.05 * len(error):
         return LooseNoise("electronics", f"{spikes} samples of the output far off while little moves: spikes")
     if np.count_nonzero(is_loaded) < 100:
@@ -129,8 +130,10 @@ def _behind(base: Fit) -> ChainStage:
     loose = loose_noise(base)
     if loose is not None:
         return loose.stage
+    # A shift in time errs by the slope of the output, to first order.
     if float(error @ rate) ** 2 / float(rate @ rate) > MOST * excess:
         return "acquisition"
+    # At rest neither pad nor channel acts: what errs there comes from behind them.
     at_rest = output_V < output_V.min() + 0.02 * np.ptp(output_V)
     mean = excess / len(error)
     if np.count_nonzero(at_rest) > 50 and float(np.mean(error[at_rest] ** 2)) - 1.0 > MOST * mean:

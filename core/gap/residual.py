@@ -68,6 +68,7 @@ def structure_of(parts: list[Array]) -> Structure:
     """Measure the structure of residuals in units of their noise; one array per run and channel."""
     largest = -np.inf
     for length in BLOCK_SAMPLES:
+        # Sums over blocks of white noise keep variance 1 at any length; structure adds up in them, noise does not.
         sums = [_block_sums(part, length) for part in parts]
         every = np.concatenate(sums)
         if len(every) > 3:
@@ -130,6 +131,7 @@ def suspects(maps: tuple[Map, ...], sensor_type: SensorType = "pressure") -> tup
         return BEFORE
     if not is_dirty(force):
         return BEHIND
+    # All three are dirty: the cleanest of them leaves out the stage that the other two share.
     quietest = min((force, BEHIND), (channel, BEFORE), (direct, ("load_cell",)), key=lambda pair: pair[0].z)
     return quietest[1] if quietest[0].z < 5 * QUIET * loud else (*BEFORE, *BEHIND)
 
@@ -164,10 +166,12 @@ def regimes(found: Fit) -> tuple[Regime, ...]:
             continue
         excess = np.concatenate([found.residual[b.place] ** 2 - 1.0 for b in blocks])
         total = float(excess.sum())
+        # Within four standard errors of the sum of squares there is no gap to divide.
         if total <= 4 * np.sqrt(2 * len(excess)):
             continue
         for name, members in _conditions(found, blocks).items():
             time_share = float(np.mean(members))
+            # A regime of next to no time, or of nearly all, says nothing of where a gap lies.
             if 0.01 < time_share < 0.95:
                 share = float(excess[members].sum()) / total
                 out.append(Regime(channel, name, float(np.clip(share, 0.0, 1.0)), share / time_share))
@@ -180,8 +184,10 @@ def _conditions(found: Fit, blocks: list[Block]) -> dict[str, Array]:
     drive = np.concatenate([_drive(run) for run in runs])
     speed = np.concatenate([np.gradient(_drive(run), run.t_s) for run in runs])
     part = np.concatenate([run.elapsed_s / run.elapsed_s[-1] for run in runs])
+    # Without a stage the load tells: a fiftieth of the largest counts as contact.
     contact = found.base.u0_mm if case.has("stage_mm") else 0.02 * float(drive.max())
     touching = drive > contact
+    # Quantiles of this recording: no speed in mm/s is fast for every rig.
     quick = np.abs(speed[touching & (np.abs(speed) > 0)])
     slow = float(np.quantile(quick, 0.02)) if len(quick) else 0.0
     fast = float(np.quantile(quick, 0.6)) if len(quick) else np.inf

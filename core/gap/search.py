@@ -97,6 +97,7 @@ class EffectSearch:
             if size == len(self._config.leads) or not self._is_wanting(self._leader):
                 break
             ranked = sorted((f for f in self.fits.values() if len(f.hypothesis.ids) == size), key=lambda f: f.bic)
+            # Several are grown on: the right pair often begins with the second-best single cause.
             parents = ranked[: self._config.beam[size - 1]]
         self._start_again()
         self._share_places()
@@ -175,6 +176,7 @@ class EffectSearch:
                 self.keep(found)
             if larger:
                 # What a larger fit gains may be a better minimum of the smaller one.
+                # A better base found beside a larger hypothesis serves the smaller one as well.
                 closest = min(larger, key=lambda found: found.chi2)
                 self.keep(fit(parent.problem, parent.hypothesis, closest.coordinates[: len(parent.coordinates)]))
             self._exchange(parent)
@@ -277,6 +279,7 @@ class EffectSearch:
         ids = found.hypothesis.ids
         if ids in self.fits:
             yardstick = Yardstick.of((*self.fits.values(), found))
+            # The same causes may end in several minima; one noise level judges them all.
             if yardstick.log_evidence(found) <= yardstick.log_evidence(self.fits[ids]):
                 return
         self.fits[ids] = found
@@ -291,6 +294,7 @@ class EffectSearch:
     def _grow(self, parent: Fit, count: int) -> list[Fit]:
         leads = screen(parent, self._probes)
         strongest = leads[0].gain if leads else 0.0
+        # A promise is first order: the refitted base gives more than it, so that less is asked for at first.
         need = max(self._config.gain / 3, self._config.relative_gain * strongest)
         children = []
         for lead in leads[:count]:

@@ -96,6 +96,7 @@ def _of_stretches(problem: Problem, part: int) -> Mask:
 
 def _refit(base: Fit, best: Fit, unseen: Mask) -> _Fold:
     problem = best.problem.seeing((~unseen).astype(np.float64))
+    # Few steps: the parameters of the whole case are a start close by.
     before = fit(problem, base.hypothesis, base.coordinates, steps=6)
     after = fit(problem, best.hypothesis, best.coordinates, steps=6) if best.hypothesis.ids else before
     return _Fold(unseen, before, after)
@@ -109,6 +110,7 @@ def _pooled(folds: list[_Fold], problem: Problem, channel: str, errors: list[Arr
     squares, count = 0.0, 0
     for fold, error in zip(folds, errors, strict=True):
         for block in problem.blocks:
+            # Presses alone count: they are what a twin is for, weights and resistors only calibrate it.
             if block.channel == channel and problem.case.runs[block.run].kind == "press":
                 members = error[block.place][fold.unseen[block.place]]
                 squares, count = squares + float(members @ members), count + len(members)
@@ -159,6 +161,7 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
         rows.append((before[0], float(np.sqrt(floor**2 + likely**2 + spread**2)), floor, sigma))
         wide.append((before[1], float(np.sqrt(floor**2 + (1.6 * left) ** 2 + (2.0 * spread) ** 2)), floor, sigma))
     predicted, pessimist = _ratio(rows), _ratio(wide)
+    # One recording does not know its own forecast better than to 0.02.
     margin = max(0.02, predicted - pessimist)
     return predicted, max(0.0, predicted - margin), min(1.0, predicted + margin)
 
@@ -171,6 +174,7 @@ def _left_over(best: Fit, channel: str) -> float:
     problem = best.problem
     parts = [b.place for b in problem.blocks if b.channel == channel]
     error = np.concatenate([(problem.measured - best.predicted)[p] for p in parts]) / problem.sigma[channel]
+    # Below, one standard error is taken off: a right hypothesis leaves a mean square that scatters about 1.
     excess = float(np.mean(error**2)) - 1.0
     return problem.sigma[channel] * float(np.sqrt(max(0.0, excess - np.sqrt(2.0 / len(error)))))
 
@@ -180,5 +184,6 @@ def _spread(fold: _Fold) -> Array:
     found = fold.after
     whole = found.problem.seeing(np.ones(len(found.problem.measured)))
     jacobian = fit(whole, found.hypothesis, found.coordinates, steps=0).jacobian
+    # The diagonal of J C Jᵀ alone: the whole matrix would be samples by samples.
     carried = np.array([combine(row, jacobian) for row in found.covariance])
     return np.asarray(np.sqrt(np.maximum(np.sum(carried * jacobian, axis=0), 0.0)) * whole.noise)

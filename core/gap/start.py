@@ -70,6 +70,7 @@ def with_driving_noise(problem: Problem, found: Fit) -> Problem:
 def _slope(force_N: Array, output_V: Array) -> Array:
     order = np.argsort(force_N, kind="stable")
     x, y = force_N[order], output_V[order]
+    # A slope from neighbours would be noise over noise; over a 24th of the samples it is the curve's.
     edges = np.linspace(0, len(x) - 1, 25).astype(int)
     keep = np.concatenate([[True], np.diff(x[edges]) > 1e-6])
     slopes = np.gradient(y[edges][keep], x[edges][keep]) if keep.sum() > 2 else np.zeros(int(keep.sum()))
@@ -92,11 +93,14 @@ def rough_start(case: Case) -> Array:
     u0, k1, k3, r0, kappa = 0.3, 1.0, 0.1, 4.0, 0.05
     loaded = force if force is not None else output
     if stage is not None and loaded is not None:
+        # The lowest twentieth of the stroke is off the pad in every profile.
         rest = float(np.median(loaded[stage <= np.quantile(stage, 0.05)]))
         is_pressed = loaded - rest > 0.03 * (loaded.max() - rest)
+        # Not the very first touch: one noisy sample would set it.
         u0 = float(np.quantile(stage[is_pressed], 0.02)) if is_pressed.any() else float(np.median(stage))
         bent = np.maximum(0.0, stage - u0)
         if force is not None:
+            # Never negative: a pad that pulls would begin the fit outside its bounds.
             (k1, k3), _ = nnls(np.column_stack([bent, bent**3]), np.maximum(force, 0.0))
         force = k1 * bent + k3 * bent**3
     if output is not None and force is not None:
@@ -104,6 +108,7 @@ def rough_start(case: Case) -> Array:
         resistance = output * readout.r_series_ohm / np.maximum(readout.vref_V - output, readout.step_V)
         drive = np.maximum(0.0, stage - u0) if readout.sensor_type == "strain" and stage is not None else force
         r0 = float(np.median(resistance[drive <= max(np.quantile(drive, 0.1), 0.02 * drive.max())]))
+        # At the largest loads the resistance has grown most, so that kappa shows best.
         top = drive >= np.quantile(drive, 0.98)
         kappa = max((1.0 - r0 / float(np.median(resistance[top]))) / float(np.median(drive[top])), 1e-4)
     values = (u0, k1, k3, max(r0, 1e-3), kappa)

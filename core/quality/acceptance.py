@@ -36,6 +36,7 @@ class Promise:
 
 def failing_share(checked: int, failed: int, confidence: float) -> float:
     """Return the one-sided upper bound of the failing share of a process (Clopper and Pearson 1934)."""
+    # All that were checked have failed: the quantile is not defined there, and 1 is its limit.
     return 1.0 if failed >= checked else float(beta.ppf(confidence, failed + 1, checked - failed))
 
 

@@ -137,8 +137,10 @@ def audited_ratios(audits: Sequence[AuditedUnit], rules: ReleaseConfig = RULES) 
 def _over_lots(groups: Sequence[Array], largest: float, least_spread: float) -> Ratios:
     sizes, means = np.array([len(group) for group in groups]), np.array([group.mean() for group in groups])
     free = float(np.sum(sizes - 1))
+    # Each lot about its own mean: a lot whose forecasts are all out by one factor is not a scattered one.
     squares = sum(float(np.sum((group - group.mean()) ** 2)) for group in groups)
     within = squares / free * (1 - float(np.mean(1 / sizes))) if free else 0.0
+    # Lots that agree by luck must not prove that lots are alike.
     between = max(float(np.var(means, ddof=1)), least_spread**2 / len(groups))
     whole = between + within
     degrees = whole**2 / (between**2 / (len(groups) - 1) + (within**2 / free if free else 0.0))
