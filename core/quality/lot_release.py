@@ -11,7 +11,7 @@ from softcal.core.quality.release import AuditedUnit, PromisedRelease, release
 from softcal.core.unit.line_spread import SeenGains
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Judgement, Limit, Verdict
-from softcal.core.words.reason import Reason, Value, plain, reason
+from softcal.core.words.reason import Reason, Value, reason
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class LotRelease:
     def judgement(self, serial: str) -> Judgement:
         """Return what the audits of the lot say about one of the units decided on."""
         if self.found is None:
-            return Judgement(Verdict.CONDITIONAL, (reason("not_qualified", why=plain(self.qualification.reason)),))
+            return Judgement(Verdict.CONDITIONAL, (reason("not_qualified", why=self.qualification.reason),))
         rmse, limit, unit = self.forecasts[serial], self.limit.maximum_rmse, self.limit.unit
         facts: Mapping[str, Value] = {"rmse": rmse, "limit": limit, "unit": unit, "audits": self._audits(self.found)}
         factor, centre = self.found.factor, self.forecast_scale
@@ -87,7 +87,7 @@ class LotRelease:
             "confidence": self.promise.confidence,
             "statement": self.statement,
             "qualification": self.qualification.source,
-            "reason": self.qualification.reason,
+            "reason": str(self.qualification.reason),
             "wanted": self.qualification.wanted,
             "considered": len(self.forecasts),
             "released": list(self.released),

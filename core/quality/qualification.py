@@ -10,6 +10,7 @@ from datetime import datetime, timedelta
 from softcal.core.quality.acceptance import Promise
 from softcal.core.quality.release import AuditedUnit, audits_wanted
 from softcal.core.unit.method import ReleaseConfig
+from softcal.core.words.reason import Reason, reason
 
 THIS_LOT, EARLIER_LOTS, NONE = "this lot", "earlier lots", "none"
 
@@ -41,13 +42,13 @@ class Qualification:
         source: `this lot`, `earlier lots` or `none`.
         audits: the audited units that count; empty where there is none.
         wanted: audits of this lot that are still missing; 0 where it is qualified.
-        reason: why, in one sentence.
+        reason: why.
     """
 
     source: str
     audits: tuple[AuditedUnit, ...]
     wanted: int
-    reason: str
+    reason: Reason
 
     @property
     def is_given(self) -> bool:
@@ -79,10 +80,10 @@ def qualify(
     """
     wanted = audits_wanted(Promise(rules.risk, rules.confidence))
     if len(here) >= wanted:
-        return Qualification(THIS_LOT, tuple(here), 0, f"{len(here)} audited units of this lot")
+        return Qualification(THIS_LOT, tuple(here), 0, reason("part.here", audits=len(here)))
     missing = wanted - len(here)
     if not sensor_model:
-        return _none(missing, len(here), "the lot names no sensor_model, so no earlier lot counts for it")
+        return _none(missing, len(here), reason("part.no_model"))
     same = [audit for audit in past if (audit.sensor_model, audit.method_id) == (sensor_model, method_id)]
     lasts = timedelta(days=rules.lasts_days)
     fresh = [audit for audit in same if now - audit.made_at <= lasts]
@@ -92,13 +93,13 @@ def qualify(
     lots = {audit.unit.lot_id for audit in standing}
     if len(standing) + len(here) >= wanted and len(lots) >= rules.least_lots:
         audits = (*here, *(audit.unit for audit in standing))
-        return Qualification(EARLIER_LOTS, audits, 0, f"{len(standing)} audited units of {len(lots)} earlier lots")
+        seen = reason("part.of_lots", audits=len(standing), lots=len(lots))
+        return Qualification(EARLIER_LOTS, audits, 0, seen)
     return _none(missing, len(here), _why(past, same, fresh, standing, rules))
 
 
-def _none(missing: int, here: int, why: str) -> Qualification:
-    wanted = f"audit {missing} more units of this lot, drawn by its audit plan"
-    return Qualification(NONE, (), missing, f"{here} audited units of this lot; {why}; {wanted}")
+def _none(missing: int, here: int, why: Reason) -> Qualification:
+    return Qualification(NONE, (), missing, reason("part.unqualified", audits=here, why=why, missing=missing))
 
 
 def _why(
@@ -107,14 +108,14 @@ def _why(
     fresh: Sequence[PastAudit],
     standing: Sequence[PastAudit],
     rules: ReleaseConfig,
-) -> str:
+) -> Reason:
     if not past:
-        return "no earlier lot was audited"
+        return reason("part.no_lot")
     if not same:
-        return "the audits of earlier lots are of another sensor model or method"
+        return reason("part.other_method")
     if not fresh:
-        return f"the audits of earlier lots are older than {rules.lasts_days:g} days"
+        return reason("part.old_audits", days=rules.lasts_days)
     if len(standing) < len(fresh):
-        return "a failed audit or golden unit withdrew what earlier lots had shown"
+        return reason("part.withdrawn")
     lots = len({audit.unit.lot_id for audit in standing})
-    return f"{len(standing)} audited units of {lots} earlier lots are too few ({rules.least_lots} lots are needed)"
+    return reason("part.few_lots", audits=len(standing), lots=lots, least=rules.least_lots)

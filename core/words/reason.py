@@ -50,6 +50,15 @@ ENGLISH: Mapping[str, str] = {
     "not_qualified": "not released by sample: {why}",
     "part.here": "{audits} audited units of this lot",
     "part.of_lots": "{audits} audited units of {lots} earlier lots",
+    "part.unqualified": (
+        "{audits} audited units of this lot; {why}; audit {missing} more units of this lot, drawn by its audit plan"
+    ),
+    "part.no_model": "the lot names no sensor_model, so no earlier lot counts for it",
+    "part.no_lot": "no earlier lot was audited",
+    "part.other_method": "the audits of earlier lots are of another sensor model or method",
+    "part.old_audits": "the audits of earlier lots are older than {days:g} days",
+    "part.withdrawn": "a failed audit or golden unit withdrew what earlier lots had shown",
+    "part.few_lots": "{audits} audited units of {lots} earlier lots are too few ({least} lots are needed)",
     "sampled.released": (
         "released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
         "within the limit {limit:.3g} {unit}; risk {risk:.0%} at {confidence:.0%} confidence"

@@ -200,7 +200,7 @@ def test_audits_made_under_another_method_qualify_nothing(
     with open_registry(registry_url) as registry:
         evidence = AuditReader(registry).evidence("large", "another method", datetime.now(UTC))
     assert not evidence.qualification.is_given and evidence.interval_scale == 1.0
-    assert "another sensor model or method" in evidence.qualification.reason
+    assert "another sensor model or method" in str(evidence.qualification.reason)
 
 
 def test_a_golden_unit_of_another_sensor_model_withdraws_nothing(
