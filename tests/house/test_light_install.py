@@ -149,12 +149,11 @@ def test_a_missing_extra_is_one_line_that_says_what_to_install(
     assert f"pip install 'softcal[{extra}]'" in done.stderr
 
 
-def test_the_sdist_holds_what_a_packager_needs(sdist: Path) -> None:
+def test_the_sdist_holds_what_a_packager_needs(sdist: Path, require) -> None:  # type: ignore[no-untyped-def]
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
-    if tracked.returncode:
-        pytest.skip("not a git checkout; the list of files is not known")
+    require(tracked.returncode == 0, "no git checkout: the list of files is not known")
     wanted = {n for n in tracked.stdout.splitlines() if (ROOT / n).is_file()} - {".gitignore"}
     assert not wanted - names
 
