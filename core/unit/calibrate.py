@@ -4,7 +4,7 @@ The line, a batch, its workers, a watched folder and the screens all call `calib
 by `input_sha256`. No fit sees a reference of the unit; an audit, where there is one, only measures.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -102,11 +102,12 @@ def input_sha256(facts: UnitProblem, method: Method) -> str:
     return content_sha256({}, settings)
 
 
-def calibrate(problem: UnitProblem) -> Calibration:
+def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) -> Calibration:
     """Fit the unit's map, say how far it can be trusted, and decide.
 
     Args:
         problem: the unit with its lot's source; the method is the one its source model was made with.
+        on_map: told once the map and its forecast are there, before an audit is scored: that may train a network.
 
     Raises:
         UnitRefused: the recording allows no map at all; the reason says why and what to do.
@@ -127,6 +128,8 @@ def calibrate(problem: UnitProblem) -> Calibration:
         *map_findings(model, target, evidence),
         *opening_findings(chosen.evidence, method.findings),
     )
+    if on_map is not None:
+        on_map()
     scores = None if problem.audit is None else _scores(problem, chosen.unit_map, problem.audit)
     calibration = Calibration(
         serial=target.serial,

@@ -250,3 +250,20 @@ def test_an_opening_is_judged_by_presses_its_map_has_not_seen(calibrate, press):
 def test_a_unit_that_follows_late_in_a_shared_opening_is_told(lag_s, count):
     assert len(opening_findings({"lag_s": lag_s, "shared_until_s": 40.0}, AUTO.findings)) == count
     assert opening_findings({"lag_s": lag_s}, AUTO.findings) == ()
+
+
+def test_what_an_audit_takes_is_no_part_of_what_the_map_took(source_model, good, press, monkeypatch):
+    import softcal.core.unit.calibrate as calibration_of
+    from softcal.app.batch import calibrating
+
+    now_s, score = [0.0], calibration_of.score_map
+
+    def slow_score(*arguments):
+        now_s[0] += 100.0
+        return score(*arguments)
+
+    monkeypatch.setattr(calibration_of, "score_map", slow_score)
+    monkeypatch.setattr(calibrating.time, "perf_counter", lambda: now_s[0])
+    audit = press(3, gain=1.3, offset_V=0.05, seconds=120.0)
+    record = calibrating.calibrated(UnitProblem(replace(source_model, method=AFFINE), good, audit=audit))
+    assert now_s[0] == 100.0 and record.fit_s == 0.0
