@@ -73,8 +73,8 @@ def as_case(sealed: SealedCase, plans: Sequence[RunPlan]) -> Case:
     for number, found in enumerate(sealed.written(plans), start=1):
         measured, stated = found.measured, replace(readout, sample_rate_Hz=found.sample_rate_Hz)
         columns = {name: np.round(values, 6) for name, values in measured.columns.items()}
-        special = {"kind": measured.kind, "profile": measured.profile, "dummy_ohm": measured.dummy_ohm}
-        runs.append(Run(name=f"runs/{number}", readout=stated, **special, **columns))
+        kept = {"kind": measured.kind, "profile": measured.profile, "dummy_ohm": measured.dummy_ohm, **columns}
+        runs.append(Run(name=f"runs/{number}", readout=stated, **kept))  # type: ignore[arg-type]
     return Case(sealed.name, tuple(runs))
 
 

@@ -107,6 +107,7 @@ def _headline(report: Mapping[str, Any], serial: str) -> str:
         f"<h1 class='{escape(report['verdict'])}'>{escape(WORDS[report['verdict']])}</h1>",
         f"<p class='lead'>Cause: {names}.</p>" if names else "",
         _partly(report),
+        _offsets(report),
         f"<p class='note'>Not recorded: {missing}.{_unseen(report)}</p>" if missing else "",
     ]
     return f"<header>{''.join(lines)}</header>"
@@ -118,6 +119,21 @@ def _partly(report: Mapping[str, Any]) -> str:
         return ""
     names = " and ".join(escape(_words(effect)) for effect in found["effects"])
     return f"<p class='note'>Nearest, a partial explanation: {names}, {_percent(found['share'])} of the gap.</p>"
+
+
+def _offsets(report: Mapping[str, Any]) -> str:
+    """Say what was taken off every run before anything was compared, at most in size."""
+    most = {
+        name: max((abs(one[name]) for one in report.get("offsets", ())), default=0.0)
+        for name in ("force_N", "resistance", "seat_mm")
+    }
+    if not any(most.values()):
+        return ""
+    return (
+        f"<p class='note'>Taken off run by run: a load at rest of up to {most['force_N']:.3f} N, an unloaded "
+        f"resistance that differs by up to {100 * most['resistance']:.2f} %, a surface that differs by up to "
+        f"{1e3 * most['seat_mm']:.0f} µm.</p>"
+    )
 
 
 def _unseen(report: Mapping[str, Any]) -> str:

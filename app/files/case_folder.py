@@ -90,7 +90,7 @@ def _run_folders(folder: Path) -> list[Path]:
     places = sorted((p for p in inner.iterdir() if p.is_dir()), key=_by_number) if inner.is_dir() else []
     if not places:
         tables = sorted(p.name for p in folder.iterdir() if p.suffix in (".csv", ".parquet", ".xlsx"))
-        hint = f"; to diagnose {tables[0]} alone, name it and give --vref-V, --adc-bits and --rate-Hz" if tables else ""
+        hint = f"; to diagnose {tables[0]} alone, name it and give vref_V, adc_bits and rate_Hz" if tables else ""
         raise InputError(f"{folder}: neither {RECORDING} nor runs/<n>/{RECORDING}; this is no case{hint}")
     for place in places:
         if not (place / RECORDING).is_file():

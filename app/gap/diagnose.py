@@ -32,9 +32,7 @@ def diagnose_case(
     if not place.is_file():
         return diagnose(open_case(place), progress)
     if readout is None:
-        raise InputError(
-            f"{place}: a plain table does not say its electronics; give --vref-V, --adc-bits and --rate-Hz"
-        )
+        raise InputError(f"{place}: a plain table does not say its electronics; give vref_V, adc_bits and rate_Hz")
     return diagnose(open_table(place, readout), progress)
 
 

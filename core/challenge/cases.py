@@ -83,6 +83,9 @@ class SealedCase:
     withheld: tuple[str, ...] = ()
     turns_between_samples: bool = False
     mistake: str = ""
+    tare_N: float = 0.0
+    seating: float = 0.0
+    seat_mm: float = 0.0
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -97,7 +100,16 @@ class SealedCase:
         path = path if self.turns_between_samples else _as_recorded(path, self.rig.sample_rate_Hz)
         temperature = _temperature(np.random.default_rng([plan.seed, 2]), plan.protocol, path.duration_s)
         dummy_ohm = RESISTORS_ohm[plan.seed % len(RESISTORS_ohm)] if kind == DUMMY_RESISTOR else None
-        measured = record(self.rig, Rack(self.causes, EQUATIONS), path, temperature, rng, kind, dummy_ohm, known_force)
+        warmer, lower = np.random.default_rng([plan.seed, 3]).normal(size=2)
+        rig = replace(
+            self.rig,
+            r0_ohm=self.rig.r0_ohm * float(np.exp(self.seating * warmer)),
+            u0_mm=self.rig.u0_mm + self.seat_mm * float(lower),
+        )
+        measured = record(rig, Rack(self.causes, EQUATIONS), path, temperature, rng, kind, dummy_ohm, known_force)
+        if kind in (PRESS, REST) and self.tare_N:
+            force_N = measured.columns["force_N"] + self.tare_N
+            measured = replace(measured, columns={**measured.columns, "force_N": force_N})
         return replace(measured, columns={k: v for k, v in measured.columns.items() if k not in self.withheld})
 
     def written(self, plans: Sequence[RunPlan]) -> list[RunOnFile]:
@@ -150,6 +162,9 @@ class SealedCase:
             withheld=tuple(record["withheld"]),
             turns_between_samples=record["turns_between_samples"],
             mistake=record["mistake"],
+            tare_N=record["tare_N"],
+            seating=record["seating"],
+            seat_mm=record["seat_mm"],
         )
 
 

@@ -107,6 +107,10 @@ def _seldom_single(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
     return _single(1.0)(rng, scope) if rng.random() < 0.3 else ()
 
 
+def _half_single(rng: Rng, scope: Scope) -> tuple[Cause, ...]:
+    return _single(1.0)(rng, scope) if rng.random() < 0.5 else ()
+
+
 _SEEN_WITHOUT_CELL = ("motion", "mechanics", "transduction", "electronics", "acquisition")
 _SEEN_WITHOUT_STAGE = ("transduction", "electronics", "load_cell", "acquisition")
 
@@ -128,11 +132,14 @@ LINES: Mapping[str, Callable[[Rng, Scope], tuple[Cause, ...]]] = {
     "published_form": _published_form,
     "published_outside": _published_outside,
     "mistakes": _seldom_single,
+    "untared": _half_single,
+    "reseated": _half_single,
 }
 """The strata: singles at a rig's usual size and at 0.3 and 0.1 of it, the same causes by other equations, pairs,
 triples, none, effects outside the catalogue, poor recordings, singles on a stage that turns between samples, causes and
-effects by published equations nobody wrote the solver for, and mistakes in the recordings, a third of them beside an
-effect."""
+effects by published equations nobody wrote the solver for, mistakes in the recordings, a third of them beside an
+effect, and what every rig has, half of it beside an effect: a cell that was not tared, a unit that sits anew in every
+run."""
 
 _SHARES = {"usual": 6, "third": 4, "tenth": 4, "form": 4, "pair": 5, "triple": 2, "none": 5, "outside": 5}
 """The mix of a challenge; every poor line counts 1."""
@@ -157,6 +164,7 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
     needs_temperature = any("coefficient_per_K" in cause.values for cause in causes)
     unlogged = () if needs_temperature or rng.random() < 0.5 else ("temperature_C",)
     kept_back = RunPlan("kept_back", drawn_seed(rng))
+    tare_N = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.005, 0.025)) * peak_N if line == "untared" else 0.0
     return SealedCase(
         name=name,
         line=line,
@@ -169,6 +177,9 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
         withheld=(*_WITHHELD.get(line, ()), *unlogged),
         turns_between_samples=line == "turning",
         mistake=draw_mistake(rng, rig, peak_N, scope.span_V, len(plans)) if line == "mistakes" else "",
+        tare_N=tare_N,
+        seating=float(rng.uniform(0.002, 0.008)) if line == "reseated" else 0.0,
+        seat_mm=float(rng.uniform(0.005, 0.03)) if line == "reseated" else 0.0,
     )
 
 

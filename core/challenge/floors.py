@@ -17,6 +17,8 @@ FLOORS: Mapping[str, float] = MappingProxyType(
         "form": 0.5,
         "outside": 0.5,
         "mistakes": 0.7,
+        "untared": 0.6,
+        "reseated": 0.6,
         "published_form": 0.15,
         "published_outside": 0.15,
     }

@@ -15,6 +15,7 @@ from softcal.core.gap.explained import explained_twin, in_catalogue_form
 from softcal.core.gap.fit import BASE, Fit, from_fit
 from softcal.core.gap.next_experiment import NextExperiment, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
+from softcal.core.gap.offsets import Offsets, offsets
 from softcal.core.gap.place import likely_stages, loose_noise
 from softcal.core.gap.plausibility import DataMistake, mistakes
 from softcal.core.gap.posterior import exact_log_evidence, log_evidences, probabilities
@@ -152,6 +153,12 @@ class Diagnosis:
         free = dict(zip(BASE, self.named.problem.is_free, strict=True))
         return {p.name: v for p, v in values.items() if free[p] and _is_on_bound(p, v)}
 
+    @property
+    def offsets(self) -> list[Offsets]:
+        """What every run has of its own and no cause has to explain; it is taken off before anything is compared."""
+        found = self.named
+        return offsets(found.problem, found.base, found.problem.bare.predict(found.hypothesis, found.coordinates))
+
     def report(self) -> dict[str, object]:
         """Return the report of the contract, ready for JSON."""
         return {
@@ -187,6 +194,7 @@ class Diagnosis:
             "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
             "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
             "on_bound": self.on_bound,
+            "offsets": [vars(one) | {"run": one.run + 1} for one in self.offsets],
             "twin": None if self.verdict == "data" else twin_record(self.explained),
             "base_twin": None if self.verdict == "data" else twin_record(explained_twin(self.base)),
             "maps": [{"map": m.name, "z": m.structure.z, "structured_sigma": m.structure.rms} for m in self.maps],

@@ -9,6 +9,7 @@ import numpy as np
 from softcal.core.gap.case import Case, Mask, Run
 from softcal.core.gap.forward import predict
 from softcal.core.gap.linear import dots, energy, gram
+from softcal.core.gap.offsets import largest_offsets, with_offsets
 from softcal.core.gap.rounding import dither_V, mean_code_V
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
@@ -149,6 +150,8 @@ class Problem:
     use: Array | None = None
     extra_variance: Array | None = None
     """(samples,) variance that comes with the noise of the driving channel, in the units of the samples squared."""
+    has_offsets: bool = True
+    """Whether every run may have a zero of the force and an unloaded resistance of its own."""
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
@@ -201,6 +204,11 @@ class Problem:
         # Without a force only κ·k1 and κ·k3 act; k1 stays where it is and κ takes their common factor.
         return np.array([stage, stage and force, stage, output, output])
 
+    @cached_property
+    def largest_offsets(self) -> Array:
+        """(3,) bounds of every run's own zero, resistance and seat."""
+        return largest_offsets(self.case)
+
     @property
     def is_driven_by_force(self) -> bool:
         """Whether a measured force, with its noise, drives the chain in place of a stage position."""
@@ -231,16 +239,23 @@ class Problem:
             if block.channel == "output_V" and self.dither_V is not None and channel is not None:
                 channel = mean_code_V(channel, self.dither_V, self.case.readout.step_V)
             out[block.place] = self.measured[block.place] if channel is None else channel
+        if self.has_offsets and not self.case.is_planned:
+            out = with_offsets(self, base, out)
         # A sample nobody can foretell costs as much as a right prediction would: nothing is won by not knowing.
         return np.where(np.isnan(out), self.measured - self.noise, out)
 
     def seeing(self, use: Array) -> "Problem":
         """Return the same problem with other samples open to the fit."""
-        return Problem(self.case, self.sigma, use, self.extra_variance)
+        return replace(self, use=use)
+
+    @cached_property
+    def bare(self) -> "Problem":
+        """The same problem with one zero and one resistance for all runs."""
+        return replace(self, has_offsets=False)
 
     def with_noise(self, sigma: Mapping[str, float]) -> "Problem":
         """Return the same problem under another noise level."""
-        return Problem(self.case, sigma, self.use, self.extra_variance)
+        return replace(self, sigma=sigma)
 
 
 def predicted_channels(run: Run) -> tuple[str, ...]:

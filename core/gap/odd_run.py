@@ -120,6 +120,10 @@ def nearest(base: Fit, promised_share: float = PROMISED) -> list[_Fitted]:
     Args:
         promised_share: of what the fit leaves that a mistake must promise, to first order, to be fitted.
     """
+    if _is_clean(base):
+        return []
+    # Small zeros of single runs are taken off every fit; a mistake is looked for with none of them.
+    base = fit(base.problem.bare, base.hypothesis, base.coordinates)
     runs = [k for k, run in enumerate(base.problem.case.runs) if run.kind == "press"]
     excess = base.chi2 - base.problem.count
     is_within_noise = excess < 4.0 * np.sqrt(2.0 * base.problem.count)

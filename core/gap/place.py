@@ -12,6 +12,7 @@ import numpy as np
 from softcal.core.gap.case import Mask, Run
 from softcal.core.gap.fit import Block, Fit
 from softcal.core.gap.residual import Map, suspects
+from softcal.core.gap.tone import strongest_tone
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage, Placing
 
@@ -45,11 +46,20 @@ class LooseNoise:
 
 
 def loose_noise(found: Fit) -> LooseNoise | None:
-    """Return what is wrong with the noise of the output, None where it is even.
+    """Return what is wrong with the noise, None where it is even.
 
     A clock that jitters makes fast samples noisier than slow ones; a bad contact or a disturbed line throws single
-    samples far off. Neither leaves a structure that sums up.
+    samples far off; a line picks up a tone. None of these leaves a structure that sums up.
     """
+    tone = strongest_tone(found) if found.problem.dither_V is None else None
+    if tone is not None:
+        stage: ChainStage = "electronics" if tone.channel == "output_V" else "load_cell"
+        name = tone.channel.split("_")[0]
+        return LooseNoise(stage, f"a tone of {tone.frequency_Hz:.1f} Hz in the {name}, {tone.rms:.1f} times its noise")
+    return _loose_output(found)
+
+
+def _loose_output(found: Fit) -> LooseNoise | None:
     blocks = [b for b in _blocks(found, "output_V") if found.problem.case.runs[b.run].stage_mm is not None]
     if not blocks or found.problem.dither_V is not None:
         return None

@@ -1,5 +1,7 @@
 """Where the base fit begins: rough base parameters and noise levels read off the recordings."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import nnls
 
@@ -64,7 +66,7 @@ def with_driving_noise(problem: Problem, found: Fit) -> Problem:
         slope = _slope(run.force_N, found.predicted[block.place])
         # Smoothed noise moves slowly: it counts as often as samples share it.
         extra[block.place] = (2 * HALF_WIDTH + 1) * (slope * run.driving_force.sigma_N) ** 2
-    return Problem(case, problem.sigma, problem.use, extra)
+    return replace(problem, extra_variance=extra)
 
 
 def _slope(force_N: Array, output_V: Array) -> Array:

@@ -1,0 +1,88 @@
+"""What is wrong with a unit is named for what it is, on recordings drawn on the twin; no label of the unit is seen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.training import fit_network
+from softcal.core.recording import OutputRecording
+from softcal.core.simulated_lot import LotDesign, SimulatedLot, simulate_lot
+from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.source_model import SourceModel, make_source_model
+
+NETWORK = NetworkConfig(hidden=(24, 12), max_epochs=20, batch=128)
+
+
+@pytest.fixture(scope="module", params=[2, 4])
+def seed(request: pytest.FixtureRequest) -> int:
+    return int(request.param)
+
+
+@pytest.fixture(scope="module")
+def model(seed: int) -> SourceModel:
+    source = simulate_lot(seed, LotDesign(good=1)).source
+    return make_source_model(source, fit_network(source, NETWORK).network)
+
+
+def lot(seed: int, **design: object) -> SimulatedLot:
+    return simulate_lot(seed, LotDesign(**design))  # type: ignore[arg-type]
+
+
+def found(model: SourceModel, recording: OutputRecording) -> tuple[Calibration, set[str]]:
+    made = calibrate(UnitProblem(model, recording))
+    return made, {name for name in str(made.evidence["findings"]).split(", ") if name}
+
+
+def test_a_unit_pressed_over_half_the_range_is_a_retest_and_says_so(seed: int, model: SourceModel) -> None:
+    for unit in lot(seed, good=3, shift="half range").units:
+        made, names = found(model, unit.recording)
+        assert "stretched" in names and made.decision.verdict == "retest"
+
+
+def test_the_forecast_of_half_a_range_holds_the_doubt_of_its_gain(seed: int, model: SourceModel) -> None:
+    (unit,) = lot(seed, good=1, shift="half range").units
+    made, _ = found(model, unit.recording)
+    assert float(str(made.evidence["u_gain"])) > 0.5 * float(str(made.evidence["load_rms"]))
+
+
+def test_a_good_unit_with_a_programme_of_its_own_is_not_told_it_was_pressed_lightly(
+    seed: int, model: SourceModel
+) -> None:
+    for unit in lot(seed, good=3, shift="own programme").units:
+        assert "stretched" not in found(model, unit.recording)[1]
+
+
+@pytest.mark.parametrize("shift", ["none", "own programme"])
+def test_wrong_polarity_is_named_alone(seed: int, model: SourceModel, shift: str) -> None:
+    for unit in lot(seed, good=0, bad={"reversed": 2}, shift=shift).units:
+        made, names = found(model, unit.recording)
+        assert names == {"reversed"} and made.decision.verdict == "fail"
+
+
+@pytest.mark.parametrize("shift", ["none", "own programme"])
+def test_twice_the_noise_is_not_clipping(seed: int, model: SourceModel, shift: str) -> None:
+    (unit,) = lot(seed, good=1, shift=shift).units
+    noise_V = float(np.median(np.abs(np.diff(unit.recording.output, 2)))) / 0.6745 / np.sqrt(6)
+    for draw in range(5):
+        more = np.random.default_rng(draw).normal(0, np.sqrt(3) * noise_V, len(unit.recording.output))
+        noisy = replace(unit.recording, output=unit.recording.output + more)
+        assert "saturated" not in found(model, noisy)[1]
+
+
+def test_a_readout_that_clips_is_named_for_it_and_not_for_a_light_press(seed: int, model: SourceModel) -> None:
+    for unit in lot(seed, good=0, bad={"saturated": 3}, shift="own programme").units:
+        names = found(model, unit.recording)[1]
+        assert "saturated" in names and "stretched" not in names
+
+
+def test_a_map_bent_to_the_sources_use_does_not_hide_that_the_use_differs(seed: int, model: SourceModel) -> None:
+    (unit,) = lot(seed, good=1, shift="other dwell").units
+    line = replace(model.method, map=replace(model.method.map, family="label_shift"))
+    straight = replace(model, method=line)
+    bent, rigid = (calibrate(UnitProblem(one, unit.recording)) for one in (model, straight))
+    assert bent.unit_map.family == "between"
+    for name in ("u_shift", "u_overlap"):
+        assert bent.evidence[name] == pytest.approx(rigid.evidence[name])

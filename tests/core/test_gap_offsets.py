@@ -1,0 +1,135 @@
+"""What every rig has is no cause: a cell that was not tared, a unit that sits anew; and a tone is not nothing."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from softcal.core import profiles
+from softcal.core.gap.case import Case, Run
+from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.fit import BASE as PARAMETERS
+from softcal.core.gap.fit import Hypothesis, Problem, to_fit
+from softcal.core.gap.offsets import RESISTANCE, TARE, offsets
+from softcal.core.gap.start import base_fit
+from softcal.core.gap.tone import strongest_tone
+from softcal.core.recording import Array
+from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
+from softcal.core.twin.simulate import EffectSetting, Twin, simulate
+
+READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=16, r_series_ohm=10.0, sample_rate_Hz=50.0)
+BASE = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, kappa_per_N=0.06, sigma_force_N=0.015)
+DEPTH_mm = 3.1
+SIGMA = {"force_N": 0.015, "output_V": 0.001}
+PEAK_N = 1.1 * 2.75 + 0.1 * 2.75**3
+
+
+def _runs(
+    seatings: tuple[float, ...] = (0.0, 0.0, 0.0),
+    *effects: EffectSetting,
+    seats_mm: tuple[float, ...] = (0.0, 0.0, 0.0),
+) -> list[Run]:
+    rng = np.random.default_rng(4)
+    pressed = (
+        profiles.ramps([DEPTH_mm] * 2, 0.6),
+        profiles.ramps([DEPTH_mm] * 6, 4.0),
+        profiles.steps_with_holds([1.2, 2.4, DEPTH_mm, 1.8], hold_s=4.0),
+    )
+    runs = []
+    for seating, seat_mm, profile in zip(seatings, seats_mm, pressed, strict=True):
+        t_s, stage_mm = profile.sample(50.0)
+        unit = dataclasses.replace(BASE, r0_ohm=BASE.r0_ohm * (1.0 + seating), u0_mm=BASE.u0_mm + seat_mm)
+        force_N, output_V = simulate(Twin(unit, effects, READOUT), t_s, stage_mm, rng, np.full(len(t_s), 22.0))
+        runs.append(Run(profile.name, t_s, READOUT, stage_mm, force_N, output_V, profile=profile.name))
+    return runs
+
+
+def _case(runs: list[Run]) -> Case:
+    return Case("G1", tuple(runs))
+
+
+def _untared(tare_N: float, *effects: EffectSetting) -> Case:
+    runs = _runs((0.0, 0.0, 0.0), *effects)
+    return _case([dataclasses.replace(run, force_N=np.asarray(run.force_N) + tare_N) for run in runs])
+
+
+def _prediction(problem: Problem, base: BaseParameters) -> Array:
+    return problem.predict(Hypothesis(), np.array([to_fit(p, getattr(base, p.name)) for p in PARAMETERS]))
+
+
+def _true_prediction(problem: Problem) -> Array:
+    return _prediction(problem, BASE)
+
+
+def _found(problem: Problem) -> Array:
+    """(runs, 3) offsets of force, resistance and seat at the true parameters."""
+    found = offsets(problem, BASE, _true_prediction(problem.bare))
+    return np.array([[o.force_N, o.resistance, o.seat_mm] for o in found])
+
+
+def test_every_offset_of_every_run_is_found() -> None:
+    zeros_N, seatings, seats_mm = (0.05, -0.1, 0.02), (0.004, -0.006, 0.0), (0.02, 0.0, -0.01)
+    runs = [
+        dataclasses.replace(run, force_N=np.asarray(run.force_N) + zero)
+        for run, zero in zip(_runs(seatings, seats_mm=seats_mm), zeros_N, strict=True)
+    ]
+    found = _found(Problem(_case(runs), SIGMA))
+    assert found[:, 0] == pytest.approx(zeros_N, abs=3e-3)
+    assert found[:, 1] == pytest.approx(np.array(seatings), abs=1e-3)
+    assert found[:, 2] == pytest.approx(np.array(seats_mm), abs=2e-3)
+
+
+def test_the_directions_are_those_of_the_twin() -> None:
+    """A twin with another resistance and surface, and one whose offsets are taken off, leave the same."""
+    moved = _runs((0.0, 0.008, 0.0), seats_mm=(0.0, 0.015, 0.0))
+    problem = Problem(_case(moved), SIGMA)
+    left = (problem.measured - _true_prediction(problem)) / problem.noise
+    own = dataclasses.replace(BASE, r0_ohm=BASE.r0_ohm * 1.008, u0_mm=BASE.u0_mm + 0.015)
+    of_moved = np.concatenate([np.full(b.place.stop - b.place.start, b.run == 1) for b in problem.blocks])
+    true_left = (problem.measured - _prediction(problem.bare, own)) / problem.noise
+    assert np.std(left[of_moved]) == pytest.approx(np.std(true_left[of_moved]), rel=0.03)
+
+
+def test_an_offset_beyond_what_rigs_have_stays_a_gap() -> None:
+    problem = Problem(_untared(0.5), SIGMA)
+    largest_N = max(np.ptp(problem.measured[b.place]) for b in problem.blocks if b.channel == "force_N")
+    assert _found(problem)[:, 0] == pytest.approx([TARE * largest_N] * 3)
+
+
+def test_what_all_runs_share_is_left_to_the_base() -> None:
+    every = _found(Problem(_case(_runs((0.01, 0.01, 0.01), seats_mm=(0.02, 0.02, 0.02))), SIGMA))
+    assert np.abs(every[:, 1]).max() < 1e-3 < 0.01 < RESISTANCE and np.abs(every[:, 2]).max() < 2e-3
+
+
+@pytest.mark.parametrize("share", [-0.02, 0.02])
+def test_a_cell_that_was_not_tared_is_no_gap(share: float) -> None:
+    assert diagnose(_untared(share * PEAK_N)).verdict == "no_gap"
+
+
+def test_a_unit_that_sits_anew_in_every_run_is_no_gap() -> None:
+    assert diagnose(_case(_runs((-0.01, 0.008, 0.0), seats_mm=(0.0, -0.03, 0.02)))).verdict == "no_gap"
+
+
+def test_a_cause_on_an_untared_rig_is_named_alone() -> None:
+    relaxes = EffectSetting("stress_relaxation", {"g": 0.1, "tau": 5.0}, ())
+    found = diagnose(_untared(0.02 * PEAK_N, relaxes))
+    assert found.best.hypothesis.ids == ("stress_relaxation",)
+
+
+@pytest.mark.parametrize("channel", ["force_N", "output_V"])
+def test_a_tone_is_not_taken_for_noise(channel: str) -> None:
+    noise = SIGMA[channel]
+    runs = _runs()
+    toned = [
+        dataclasses.replace(
+            run, **{channel: np.asarray(getattr(run, channel)) + 3 * noise * np.sin(2 * np.pi * 17.3 * run.t_s)}
+        )
+        for run in runs
+    ]
+    found = strongest_tone(base_fit(_case(toned)))
+    assert found is not None and found.channel == channel and found.frequency_Hz == pytest.approx(17.3, abs=0.1)
+    assert diagnose(_case(toned)).verdict != "no_gap"
+
+
+def test_white_noise_has_no_tone() -> None:
+    assert strongest_tone(base_fit(_case(_runs()))) is None
