@@ -14,7 +14,7 @@ from softcal.core.errors import UnitRefused
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
-from softcal.core.recording import Array, OutputRecording
+from softcal.core.recording import OutputRecording
 from softcal.core.simulated_lot import draw_twins
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.scoring import score_map
@@ -70,7 +70,7 @@ def _own_error(lot: RecordedLot, network: Network, model: SourceModel, serial: s
 
 def _compressions(unit: OutputRecording) -> int:
     """Presses that begin within the recording, counted where the stage crosses a third of the depth downward."""
-    stage_mm: Array = unit.stage_mm
+    stage_mm = unit.stage_mm
     level_mm = stage_mm.max() / 3
     return int(np.count_nonzero((stage_mm[:-1] < level_mm) & (stage_mm[1:] >= level_mm)))
 

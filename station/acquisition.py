@@ -10,18 +10,23 @@ from softcal.core.profiles import Profile
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
 from softcal.station.bench import Bench
-from softcal.station.config import UNKNOWN_S
-from softcal.station.contact import ContactSearch, stiffest_N_mm
-from softcal.station.interfaces import Move, Step
+from softcal.station.config import LATEST_S, UNKNOWN_S
+from softcal.station.contact import AGAIN_MM, SURE_MM, ContactSearch, Foot, slower_mm_s, stiffest_N_mm
+from softcal.station.interfaces import Move, OnWait, Step, ignore_wait
 from softcal.station.motion import RETRACT_MM_S
 from softcal.station.proof import check_lag, lag_s
-from softcal.station.recording import Raw, RunFacts, StationRecording, assemble
+from softcal.station.recording import Raw, RunFacts, StationRecording, assemble, device_times_s
 from softcal.station.spool import Spool
 from softcal.station.steps import check_profile, steps_of
 from softcal.station.trajectory import DrivenMove, reconstruct
 from softcal.station.watched import WatchedBench
 
 SETTLE_S = 1.0
+
+SEARCH_WAY_MM = 0.05
+"""A contact that is there after less than this cannot be located: nothing was read above it."""
+
+ROUNDING_MM = 1e-6
 
 HOMING, FEELING, PRESSING = "homing", "feeling the unit", "pressing"
 RETURN_S = 3.5
@@ -59,6 +64,7 @@ def record(
     with_reference: bool,
     on_progress: OnProgress | None = None,
     spool: Spool | None = None,
+    on_wait: OnWait = ignore_wait,
 ) -> StationRecording:
     """Press one unit with one profile and return what was read.
 
@@ -69,6 +75,7 @@ def record(
         with_reference: keep the load cell's reading in the recording (source unit); it guards the run in any case.
         on_progress: called about every 0.1 s.
         spool: where everything that is read goes as it comes.
+        on_wait: called at every look at the devices; what it raises stops the stage.
 
     Raises:
         CommandRefused: the profile leaves the station's bounds; nothing moved.
@@ -80,17 +87,24 @@ def record(
         raise CommandRefused(Reason("rig.needs_cell"))
     if bench.force is None and not bench.config.safety.without_cell:
         raise CommandRefused(Reason("rig.no_limit"))
-    run = _Run(bench, serial, profile, on_progress, spool)
+    run = _Run(bench, serial, profile, on_progress, spool, on_wait)
     return run.watched.motion.supervise(lambda: run.perform(with_reference))
 
 
 class _Run:
     def __init__(
-        self, bench: Bench, serial: str, profile: Profile, on_progress: OnProgress | None, spool: Spool | None
+        self,
+        bench: Bench,
+        serial: str,
+        profile: Profile,
+        on_progress: OnProgress | None,
+        spool: Spool | None,
+        on_wait: OnWait,
     ) -> None:
         self._bench, self._serial, self._profile, self._spool = bench, serial, profile, spool
-        self._clock, self._stage, self._on_progress = bench.clock, bench.stage, on_progress
-        self.watched = WatchedBench(bench, spool, self._show_now_and_then)
+        self._clock, self._stage = bench.clock, bench.stage
+        self._on_progress, self._on_wait = on_progress, on_wait
+        self.watched = WatchedBench(bench, spool, self._on_tick)
         self._motion, self._readings = self.watched.motion, self.watched.readings
         self._moves: list[DrivenMove] = []
         self._phase, self._began_s, self._shown_s = "starting", bench.clock.now_s(), -1.0
@@ -155,9 +169,12 @@ class _Run:
         moves = tuple((*astuple(move.path), move.begun_s, move.confirmed_s) for move in self._moves)
         about = (self._serial, self._profile.name, readout.name, readout.unit, readout.rate_Hz)
         zeros = (zero_mm, contact_mm, zero_N, zero_return_N)
-        return RunFacts(*about, moves, span_s, *zeros, with_reference, self.watched.late_s)
+        force = self._bench.config.force
+        is_stated = force is None or force.latency_s != UNKNOWN_S
+        return RunFacts(*about, moves, span_s, *zeros, with_reference, self.watched.late_s, is_stated)
 
-    def _show_now_and_then(self) -> None:
+    def _on_tick(self) -> None:
+        self._on_wait()
         if self._clock.now_s() - self._shown_s >= 0.1:
             self._show()
 
@@ -204,19 +221,36 @@ class _Run:
         return change_N
 
     def _find_contact(self) -> float:
-        """Lower slowly until force (or output, without a load cell) changes; return the position of the contact."""
+        """Lower slowly until force (or output, without a load cell) changes; return the position of the contact.
+
+        Where the noise leaves doubt (soft units, round tips) the unit is touched a second time, more slowly.
+        """
         self._enter("searching for contact")
         bench, fixture = self._bench, self._bench.config.fixture
         search = ContactSearch(fixture, bench.force is not None, self._readings.force, self._readings.output)
-        deepest_mm, began_s = bench.config.safety.deepest_mm, self._clock.now_s()
         speed_mm_s = min(fixture.search_mm_s, self.watched.fastest_free_mm_s)
+        contact = self._touch(search, speed_mm_s)
+        slow_mm_s = slower_mm_s(speed_mm_s, contact.doubt_mm)
+        if contact.doubt_mm <= SURE_MM or slow_mm_s >= speed_mm_s:
+            return contact.at_mm
+        above_mm = contact.at_mm - AGAIN_MM
+        self._total_s += (self._stage.position_mm - above_mm) / slow_mm_s
+        self._go(above_mm, self._retract_mm_s)
+        self._motion.wait(max(0.3, self.watched.bounds.reaction.delay_s))
+        search.begin()
+        return self._touch(search, slow_mm_s).at_mm
+
+    def _touch(self, search: ContactSearch, speed_mm_s: float) -> Foot:
+        deepest_mm, began_s = self._bench.config.safety.deepest_mm, self._clock.now_s()
         move = self._motion.go(deepest_mm, speed_mm_s, search.is_over)
         if not search.has_found:
             raise SafetyStop(reason("rig.no_contact", deepest_mm=deepest_mm))
+        if self._stage.position_mm - move.path.start_mm < SEARCH_WAY_MM:
+            raise BadReply(reason("rig.contact_at_once", way_mm=SEARCH_WAY_MM))
         # The search ended in a stop: the path that can be reconstructed begins here.
         self._moves.clear()
         polls = [poll for poll in self._readings.polls if poll.host_s >= began_s]
-        return search.contact_mm(reconstruct(polls, [move]).at, self.watched.late_s)
+        return search.contact(reconstruct(polls, [move]).at, self.watched.late_s)
 
     def _feel(self, zero_mm: float, contact_mm: float) -> None:
         """Press once, slowly, as deep as the profile will: only where the unit was felt may the stage go fast.
@@ -228,11 +262,13 @@ class _Run:
         safety, bounds = self._bench.config.safety, self.watched.bounds
         slow_mm_s = min(bounds.unknown_mm_s, safety.speed_mm_s)
         if self._bench.force is None or self._profile.fastest_mm_s <= slow_mm_s:
+            self.watched.learn_latency(None)
             return
         deepest_mm, began = zero_mm + self._profile.deepest_mm, len(self._readings.force)
         self._total_s += (deepest_mm - self._stage.position_mm) / slow_mm_s
         self._enter(FEELING)
         self._go(deepest_mm, slow_mm_s)
+        self.watched.felt_mm = deepest_mm + ROUNDING_MM
         down = len(self._readings.force)
         self._motion.wait(0.3)
         self._go(zero_mm, self._retract_mm_s)
@@ -240,17 +276,23 @@ class _Run:
         at = reconstruct(self._readings.polls, self._moves).at
         host_s = np.array([sample.host_s for sample in self._readings.force[began:]]) - self.watched.late_s
         force_N = np.array([sample.values[0] for sample in self._readings.force[began:]])
-        self._measure_latency(host_s + self.watched.late_s, force_N, at, contact_mm)
+        self._measure_latency(began, force_N, at, contact_mm)
         seen = slice(None, down - began)
         stiffness_N_mm = stiffest_N_mm(at(host_s[seen]), force_N[seen])
         self._check_speed(float(np.max(force_N)) - self._motion.zero_N, stiffness_N_mm)
 
-    def _measure_latency(self, host_s: Array, force_N: Array, at: Callable[[Array], Array], contact_mm: float) -> None:
-        found_s = lag_s(host_s, force_N, at, contact_mm)
-        check_lag(found_s, self.watched.late_s)
+    def _measure_latency(self, began: int, force_N: Array, at: Callable[[Array], Array], contact_mm: float) -> None:
+        """See how late the load cell is in the slow press, by its own clock: lines arrive late by chance, too."""
         force = self._bench.config.force
-        if force is not None and force.latency_s == UNKNOWN_S and np.isfinite(found_s):
-            self.watched.learn_latency(max(0.0, found_s))
+        if force is None or self._bench.force is None:
+            return
+        found_s = lag_s(device_times_s(self._readings.force)[began:], force_N, at, contact_mm)
+        is_stated, period_s = force.latency_s != UNKNOWN_S, 1.0 / self._bench.force.rate_Hz
+        possible_s = force.latency_s if is_stated else min(max(0.0, found_s), LATEST_S)
+        if np.isfinite(found_s):
+            check_lag(found_s, possible_s, period_s)
+        if not is_stated:
+            self.watched.learn_latency(possible_s if np.isfinite(found_s) else None)
 
     def _check_speed(self, force_N: float, stiffness_N_mm: float) -> None:
         bounds, fastest_mm_s = self.watched.bounds, self._profile.fastest_mm_s

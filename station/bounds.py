@@ -66,6 +66,19 @@ class ForceBounds:
         """Fastest speed where this unit showed at most this force and this stiffness."""
         return self.reaction.fastest_mm_s((self.ceiling_N - force_N) / max(stiffness_N_mm, 1e-6))
 
+    def ahead_mm(self, speed_mm_s: float, force_N: float) -> float:
+        """Return how far a controller may have been told to go ahead where nothing was felt yet.
+
+        A host that dies before it has noticed `force_N` then leaves no more than the ceiling.
+        """
+        unseen_s = self.reaction.delay_s - REACTION_S
+        return (self.ceiling_N - force_N) / self.stiffest_N_mm - speed_mm_s * unseen_s
+
+    def gone_N(self, speed_mm_s: float, ran_on_mm: float) -> float:
+        """Return the force at most where the host dies at the limit: what it has not seen, and what still runs out."""
+        unseen_s = self.reaction.delay_s - REACTION_S
+        return self.limit_N + self.stiffest_N_mm * (speed_mm_s * unseen_s + ran_on_mm)
+
     def worst_N(self, speed_mm_s: float, force_N: float, stiffness_N_mm: float) -> float:
         """Return the force a stop ends at, at most, when the force is noticed at `force_N`."""
         return force_N + stiffness_N_mm * self.reaction.overrun_mm(speed_mm_s)

@@ -1,8 +1,10 @@
 """Where the stage touches the unit: seen by the load cell, or by the output where no load cell reads. No I/O here."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from softcal.core.errors import BadReply
 from softcal.core.recording import Array
@@ -16,16 +18,38 @@ UNLOADED_SAMPLES = 25
 OUTPUT_AHEAD = 4.0
 """When the output has changed by so many thresholds and the force by none, the load cell is dead."""
 
-REACH_MM, STEP_MM, COARSE_STEPS = 1.5, 0.001, 20
-"""The contact is looked for within REACH_MM above the deepest point of the search."""
+REACH_MM, GRID_MM = 1.5, 0.02
+"""The contact is looked for within REACH_MM above the deepest point of the search, first on a grid."""
 
-POWERS = (1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 1.9, 2.0)
-"""Force laws from a flat pad to a cone."""
+POWERS = (1.0, 1.25, 1.5, 1.75, 2.0)
+"""Force laws from a flat pad to a cone, to begin with."""
 
 CURVED = 9.0
 """A curve must leave this much less than a line, in variances of one sample."""
 
+SURE_MM = 0.0033
+"""A contact with a larger standard deviation is touched again, more slowly: three of them are 10 µm."""
+
+FINEST_MM_S = 0.08
+"""No touch is slower than this: a soft cone would take half a minute."""
+
+AGAIN_MM = 0.15
+"""The second touch begins so far above the first."""
+
 STRETCH_MM = 0.1
+
+
+@dataclass(frozen=True)
+class Foot:
+    """Where values begin to rise or fall.
+
+    Args:
+        at_mm: stage position.
+        doubt_mm: its standard deviation, from the noise that the fit leaves.
+    """
+
+    at_mm: float
+    doubt_mm: float
 
 
 class ContactSearch:
@@ -42,11 +66,13 @@ class ContactSearch:
     ) -> None:
         self._fixture, self._has_force = fixture, has_force
         self._cell, self._output = cell, output
-        self._began_at = self._seen_cell = len(cell)
-        self._seen_output = len(output)
-        if not has_force:
-            self._began_at = len(output)
         self._free_N, self._free_output = _unloaded(cell), _unloaded(output)
+        self.begin()
+
+    def begin(self) -> None:
+        """Search from here on, against the unloaded values of the first time."""
+        self._seen_cell, self._seen_output = len(self._cell), len(self._output)
+        self._began_at = self._seen_cell if self._has_force else self._seen_output
         self._is_felt = self.has_found = False
 
     def is_over(self) -> bool:
@@ -79,7 +105,7 @@ class ContactSearch:
                 raise BadReply(reason("rig.no_contact.cell", change=change))
         return False
 
-    def contact_mm(self, stage_at: Callable[[Array], Array], late_s: float = 0.0) -> float:
+    def contact(self, stage_at: Callable[[Array], Array], late_s: float = 0.0) -> Foot:
         """Return the stage position at which the signal leaves its unloaded value.
 
         Args:
@@ -98,46 +124,67 @@ class ContactSearch:
         return bend(stage_at(host_s[self._began_at :]), values[self._began_at :])
 
 
-def bend(stage_mm: Array, values: Array) -> float:
+def bend(stage_mm: Array, values: Array) -> Foot:
     """Return where values that were constant begin to rise or fall as a power of the way that follows.
 
-    Least squares of values = b + k · max(0, stage_mm − x0)^p over b, k, x0 and p in POWERS: a flat pad rises with
+    Least squares of values = b + k · max(0, stage_mm − x0)^p over b, k, x0 and p in [1, 2]: a flat pad rises with
     p = 1, a ball on soft rubber with 1.5, a cone with 2. Unlike the crossing of a threshold it does not depend on
     the unit's stiffness, and noise is averaged.
 
     Args:
         stage_mm: (n,) positions of the search, mm, ending in contact.
         values: (n,) force or output there.
-
-    Returns:
-        x0 in mm.
     """
+    starts = [_start(stage_mm, values, power) for power in POWERS]
+    line, left_by_line = _fitted(stage_mm, values, starts[0], is_straight=True)
+    curve, left = _fitted(stage_mm, values, max(starts, key=lambda start: start.explained), is_straight=False)
+    # A straight line unless a curve is clearly better: a free power costs certainty where it is not needed.
+    return curve if left < left_by_line * (1.0 - CURVED / len(values)) else line
+
+
+@dataclass(frozen=True)
+class _Start:
+    at_mm: float
+    power: float
+    explained: float
+
+
+def _start(stage_mm: Array, values: Array, power: float) -> _Start:
+    """Return the foot on a coarse grid that explains most of the values with this power, and how much that is."""
     deepest_mm = float(np.max(stage_mm))
     shallowest_mm = max(float(np.min(stage_mm)), deepest_mm - REACH_MM)
-    coarse = np.arange(shallowest_mm, deepest_mm, COARSE_STEPS * STEP_MM)
-    total = float(np.sum((values - values.mean()) ** 2))
-    found = [_foot(stage_mm, values, coarse, deepest_mm, power) for power in POWERS]
-    left = np.array([total - explained for _, explained in found])
-    # A straight line unless a curve is clearly better: a free power costs certainty where it is not needed.
-    best = int(np.argmin(left))
-    is_curved = left[best] < left[0] * (1.0 - CURVED / len(values))
-    return found[best if is_curved else 0][0]
-
-
-def _foot(stage_mm: Array, values: Array, coarse_mm: Array, deepest_mm: float, power: float) -> tuple[float, float]:
-    """Return x0 of one power, and how much of the values it explains."""
-    near, _ = _best(stage_mm, values, coarse_mm, power)
-    around = np.arange(near - COARSE_STEPS * STEP_MM, near + COARSE_STEPS * STEP_MM, STEP_MM)
-    return _best(stage_mm, values, around[around < deepest_mm], power)
-
-
-def _best(stage_mm: Array, values: Array, candidates_mm: Array, power: float) -> tuple[float, float]:
-    """Return the candidate that explains most of the values, and how much that is."""
+    candidates_mm = np.arange(shallowest_mm, deepest_mm, GRID_MM)
     shape = np.maximum(0.0, stage_mm - candidates_mm[:, None]) ** power  # (candidates, n)
     shape -= shape.mean(axis=1, keepdims=True)
     explained = (shape @ (values - values.mean())) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
     k = int(np.argmax(explained))
-    return float(candidates_mm[k]), float(explained[k])
+    return _Start(float(candidates_mm[k]), power, float(explained[k]))
+
+
+def _fitted(stage_mm: Array, values: Array, start: _Start, is_straight: bool) -> tuple[Foot, float]:
+    """Return the foot of a line or of a free power, and the sum of squares that it leaves."""
+
+    def left(parameters: Array) -> Array:
+        level, slope, at_mm = parameters[:3]
+        power = 1.0 if is_straight else parameters[3]
+        return np.asarray(level + slope * np.maximum(0.0, stage_mm - at_mm) ** power - values)
+
+    power = 1.0 if is_straight else float(np.clip(start.power, 1.05, 1.95))
+    slope, level = np.polyfit(np.maximum(0.0, stage_mm - start.at_mm) ** power, values, 1)
+    low, high = [-np.inf, -np.inf, float(np.min(stage_mm)) - 1e-6], [np.inf, np.inf, float(np.max(stage_mm))]
+    first = [level, slope, start.at_mm]
+    if not is_straight:
+        first, low, high = [*first, power], [*low, POWERS[0]], [*high, POWERS[-1]]
+    found = least_squares(left, first, bounds=(low, high), x_scale="jac")
+    squares = float(2.0 * found.cost)
+    variance = squares / max(1, len(values) - len(first))
+    doubt_mm = float(np.sqrt(np.linalg.pinv(found.jac.T @ found.jac)[2, 2] * variance))
+    return Foot(float(found.x[2]), doubt_mm), squares
+
+
+def slower_mm_s(speed_mm_s: float, doubt_mm: float) -> float:
+    """Return the speed of a search that is sure enough: noise is averaged over as many more readings."""
+    return max(FINEST_MM_S, speed_mm_s * (SURE_MM / doubt_mm) ** 2)
 
 
 def stiffest_N_mm(stage_mm: Array, force_N: Array) -> float:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import BadReply, NoReply
+from softcal.core.words.reason import Reason, reason
 from softcal.station.clock import seen_rate_Hz
 from softcal.station.frames import esm, gcl2, grbl, loadstar, zaber
 from softcal.station.frames.indicator import OVERLOADED, parse_N
@@ -31,7 +32,7 @@ class DeviceIdentity:
         port: device name.
         role: stage, force, readout; "" when it is nothing softcal knows, or could be either of two.
         kind: the dialect, as in the station file.
-        description: what it said of itself, or why it is not known.
+        says: what it said of itself and what it is taken for, or why it is not known.
         rate_Hz: of a stream, by its own clock.
         channels: of a stream; of a stand 1 where a gauge answers behind it.
     """
@@ -39,7 +40,7 @@ class DeviceIdentity:
     port: str
     role: str
     kind: str
-    description: str
+    says: Reason
     rate_Hz: float = 0.0
     channels: int = 0
 
@@ -52,7 +53,7 @@ def identify(port: str, clock: Clock) -> DeviceIdentity:
     """
     link = Link(port, clock)
     try:
-        unknown = DeviceIdentity(port, "", "", "answers in no dialect that softcal knows")
+        unknown = DeviceIdentity(port, "", "", Reason("port.unknown"))
         return _stream(link) or _esm(link) or _grbl(link) or _zaber(link) or _mark10(link) or _loadstar(link) or unknown
     finally:
         link.close()
@@ -62,7 +63,9 @@ def _stream(link: Link) -> DeviceIdentity | None:
     banner, lines = "", []
     heard, rate_Hz = _heard(link)
     if any(_is_indicator(line.text) for line in heard[1:3]):
-        return DeviceIdentity(link.port, "force", "indicator", heard[1].text.decode(), rate_Hz, 1)
+        return DeviceIdentity(
+            link.port, "force", "indicator", reason("port.said", said=heard[1].text.decode()), rate_Hz, 1
+        )
     for line in heard:
         if line.text.startswith(b"softcal "):
             banner = line.text.decode("ascii", "replace")
@@ -95,17 +98,17 @@ def _heard(link: Link) -> tuple[list[Line], float]:
     return [*heard, *after], len(after) / LISTEN_S
 
 
-def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tuple[str, str, str]:
+def _told_apart(banner: str, largest: int, smallest: int, rate_Hz: float) -> tuple[str, str, Reason]:
     """Return role, dialect and the reason why: a banner decides, else what only one kind of device can send."""
     if "load cell" in banner:
-        return "force", "hx711", f"says {banner!r}"
+        return "force", "hx711", reason("port.said", said=banner)
     if banner:
-        return "readout", "arduino", f"says {banner!r}"
+        return "readout", "arduino", reason("port.said", said=banner)
     if largest >= 2**16 or smallest < 0:
-        return "force", "hx711", "counts beyond 16 bit or below 0, as a bridge amplifier sends them"
+        return "force", "hx711", reason("port.bridge", smallest=smallest, largest=largest)
     if largest <= CONVERTER_COUNTS and not any(abs(rate_Hz - usual_Hz) < 1.5 for usual_Hz in CELL_RATES_HZ):
-        return "readout", "arduino", f"counts up to {largest}, as a 12-bit converter sends them"
-    return "", "", f"counts up to {largest} at {rate_Hz:.0f} Hz: a load cell or readout; say which in the station file"
+        return "readout", "arduino", reason("port.converter", largest=largest)
+    return "", "", reason("port.either", largest=largest, rate_Hz=rate_Hz)
 
 
 def _esm(link: Link) -> DeviceIdentity | None:
@@ -120,8 +123,8 @@ def _esm(link: Link) -> DeviceIdentity | None:
     try:
         settings = gcl2.parse_settings(link.next_line(QUICK_S).text)
     except (BadReply, NoReply):
-        return DeviceIdentity(link.port, "stage", "esm", "Mark-10 stand without a gauge that answers")
-    return DeviceIdentity(link.port, "stage", "esm", f"Mark-10 stand, its gauge in {settings.unit}", 50.0, 1)
+        return DeviceIdentity(link.port, "stage", "esm", Reason("port.esm"))
+    return DeviceIdentity(link.port, "stage", "esm", reason("port.esm.gauge", unit=settings.unit), 50.0, 1)
 
 
 def _grbl(link: Link) -> DeviceIdentity | None:
@@ -136,9 +139,9 @@ def _grbl(link: Link) -> DeviceIdentity | None:
         except NoReply:
             return None
         if isinstance(reply, grbl.Greeting):
-            return DeviceIdentity(link.port, "stage", "grbl", reply.text)
+            return DeviceIdentity(link.port, "stage", "grbl", reason("port.said", said=reply.text))
         if isinstance(reply, grbl.GrblStatus):
-            return DeviceIdentity(link.port, "stage", "grbl", f"GRBL controller, {reply.state}")
+            return DeviceIdentity(link.port, "stage", "grbl", reason("port.grbl", state=reply.state))
     return None
 
 
@@ -157,7 +160,7 @@ def _zaber(link: Link) -> DeviceIdentity | None:
         reply = zaber.parse_reply(link.next_line(QUICK_S).text)
     except (BadReply, NoReply):
         return None
-    return DeviceIdentity(link.port, "stage", "zaber", f"Zaber device {reply.data}") if reply else None
+    return DeviceIdentity(link.port, "stage", "zaber", reason("port.zaber", device=reply.data)) if reply else None
 
 
 def _mark10(link: Link) -> DeviceIdentity | None:
@@ -172,7 +175,7 @@ def _mark10(link: Link) -> DeviceIdentity | None:
             continue  # The bytes of the other dialects have earned an error code first.
         except NoReply:
             return None
-        return DeviceIdentity(link.port, "force", "mark10", f"Mark-10 gauge in {settings.unit}", 50.0, 1)
+        return DeviceIdentity(link.port, "force", "mark10", reason("port.mark10", unit=settings.unit), 50.0, 1)
     return None
 
 
@@ -187,6 +190,6 @@ def _loadstar(link: Link) -> DeviceIdentity | None:
             return None
         if any(known in line for known in loadstar.KNOWN_MODELS):
             return DeviceIdentity(
-                link.port, "force", "loadstar", f"Loadstar {line.decode('ascii', 'replace')}", 80.0, 1
+                link.port, "force", "loadstar", reason("port.loadstar", model=line.decode("ascii", "replace")), 80.0, 1
             )
     return None

@@ -1,5 +1,6 @@
 """What the acquisition needs of a clock, a stage, a load cell and a sensor readout, whatever their dialect."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias, runtime_checkable
@@ -14,10 +15,16 @@ class Held(DeviceError):
 
 @dataclass(frozen=True)
 class Move:
-    """Go to a stage position at a constant speed, starting and ending at rest."""
+    """Go to a stage position at a constant speed, starting and ending at rest.
+
+    Args:
+        ahead_mm: how far beyond where the stage is its controller may have been told to go already. That much runs out
+            when the host dies. A controller that takes whole moves cannot keep to it.
+    """
 
     to_mm: float
     speed_mm_s: float
+    ahead_mm: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -139,6 +146,10 @@ class RunsOn(Protocol):
 
     def runs_on_s(self, speed_mm_s: float) -> float:
         """Return after how long it stands, at most, once the host is gone in a move at this speed."""
+        ...
+
+    def runs_on_mm(self, move: Move) -> float:
+        """Return how far it still goes, at most, once the host is gone in this move."""
         ...
 
 

@@ -18,6 +18,8 @@ from softcal.station.transport import open_transport, wire_of
 POLL_S = 0.002
 """How long one wait for bytes lasts; bounds how late an answer is seen."""
 
+PSEUDO_TERMINALS = "/dev/pts/"
+
 LONGEST_LINE = 4096
 """More bytes than this without a line end is not a text device."""
 
@@ -34,7 +36,8 @@ class Link:
     """One open port.
 
     Args:
-        port: a serial port (/dev/ttyACM0, COM5), a socket (tcp://192.168.0.7:5025) or a VISA resource.
+        port: a serial port (/dev/ttyACM0, COM5), a socket (tcp://192.168.0.7:5025), a VISA resource or a Bluetooth
+            board (ble://AA:BB:CC:DD:EE:FF).
         clock: the clock that stamps lines and lets time pass while waiting.
         baud_rate: of a serial port, symbols per second, 8N1.
         name: how messages call the device.
@@ -48,6 +51,9 @@ class Link:
         self._label = named(name, port)
         self._rest = b""
         self._lines: deque[Line] = deque()
+        if is_device(port) and (owner := _owner(port)):
+            # A program that takes no lock would share the port: each of the two would get half of the bytes.
+            raise NoReply(reason("rig.port", device=self._label, why=reason("port.taken", owner=owner)))
         try:
             self._transport = open_transport(port, baud_rate)
         except (OSError, ValueError) as error:
@@ -135,6 +141,11 @@ def link_for_driver(port: str, clock: Clock, baud_rate: int, name: str) -> Itera
         raise
 
 
+def is_device(port: str) -> bool:
+    """Whether a port is a piece of hardware: a pty is held open by the program at its other end."""
+    return wire_of(port) == "serial" and not os.path.realpath(port).startswith(PSEUDO_TERMINALS)
+
+
 def available_ports() -> list[str]:
     """Return the serial ports of this machine that belong to a USB device, in the system's order."""
     return [port.device for port in list_ports.comports() if port.vid is not None]
@@ -142,7 +153,7 @@ def available_ports() -> list[str]:
 
 def _why_closed(port: str, error: Exception) -> Reason:
     match wire_of(port):
-        case "tcp":
+        case "tcp" | "ble":
             return reason("port.unreached", error=reason_of(error))
         case "visa":
             return reason("port.visa", error=reason_of(error))

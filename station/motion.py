@@ -3,6 +3,7 @@
 Nothing else in softcal calls `home`, `begin` or `stop` of a stage; `tests/station/test_holes.py` holds that.
 """
 
+import math
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -47,10 +48,17 @@ class Motion:
     Args:
         bench: open devices.
         tick: lets a little time pass, reads every device and raises what is wrong; called all through every move.
+        ahead_mm: (position to go down to, speed) -> how far ahead its controller may be told to go.
     """
 
-    def __init__(self, bench: Bench, tick: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        bench: Bench,
+        tick: Callable[[], None],
+        ahead_mm: Callable[[float, float], float] = lambda to_mm, speed_mm_s: math.inf,
+    ) -> None:
         self._bench, self._clock, self._stage, self._tick = bench, bench.clock, bench.stage, tick
+        self._ahead_mm = ahead_mm
         self._interlock = Interlock()
         self._path: Trapezoid | None = None
         self._force_N: float | None = None
@@ -126,9 +134,10 @@ class Motion:
         self._check_depth(to_mm)
         path = Trapezoid(self._stage.position_mm, to_mm, speed_mm_s, self._stage.acceleration_mm_s2)
         began_s = self._clock.now_s()
-        self._interlock.take(Event.LOWER if to_mm > self._stage.position_mm else Event.RAISE)
+        is_down = to_mm > self._stage.position_mm
+        self._interlock.take(Event.LOWER if is_down else Event.RAISE)
         self._path = path
-        self._stage.begin(Move(to_mm, speed_mm_s))
+        self._stage.begin(Move(to_mm, speed_mm_s, self._ahead_mm(to_mm, speed_mm_s) if is_down else math.inf))
         while self._stage.is_moving:
             self._tick()
             if is_over is not None and is_over():

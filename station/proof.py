@@ -6,31 +6,49 @@ No I/O here. A channel that lies smoothly cannot be seen sample by sample; it is
 from collections.abc import Callable
 
 import numpy as np
+from scipy.signal import lfilter
 
 from softcal.core.errors import BadReply
 from softcal.core.recording import Array
 from softcal.core.words.reason import reason
 
-STEP_S, EARLIEST_S, LATEST_S = 0.0025, -0.15, 0.7
+COARSE_S, FINE_S, EARLIEST_S, LATEST_S = 0.02, 0.0025, -0.16, 0.7
 """Delays that are tried when force and stage are laid over each other."""
 
 POWERS = (1, 2, 3, 4)
-LATE_S, EARLY_S = 0.04, 0.12
-"""A cell may seem this much later than declared, or this much earlier: relaxation makes a soft unit's force lead."""
+RELAXED_POWERS, RELAXATION_S = (1, 3), (0.1, 0.5, 3.0)
+"""A soft unit's force relaxes and so leads its depth: without these terms that would be taken for an early cell."""
 
-TELLS = 1.5
-"""A delay that fits the run so many times better than one LATE_S beside it is known."""
+GRID_S = 0.01
+"""The law of the depth is laid out at these steps; faster than that no soft unit and no load cell follows."""
 
-GAIN = 1.4
-"""Largest ratio between the stiffest and the softest press of one run; a cell whose gain halves shows 2."""
+LATE_S, EARLY_S, PERIOD_SHARE = 0.01, 0.12, 0.25
+"""A cell may seem this much later than declared, or this much earlier (a unit that relaxes within 0.1 s still makes it
+seem so), and by this share of its sampling period."""
 
-PRESS_SAMPLES = 10
+BESIDE_S, TELLS, TELLS_SAMPLES = 0.04, 1.1, 40.0
+"""A delay is known that fits n samples TELLS + TELLS_SAMPLES/n times better than one beside it: few fit anyhow."""
+
+GAIN, OUTPUT_GAIN = 1.4, 1.6
+"""Largest ratio between the stiffest and the softest press of one run; a cell whose gain halves shows 2. An output may
+creep and follow late by itself; it is looked at where no load cell says whether the stage moved."""
+
+FOLLOWS = 0.7
+"""Share of an output's variance that goes with the depth, at least; 0.84 is the least of a good rig."""
+
+BIT_LEVELS, BIT_SPAN, BIT_ROUNDING = 16, 2, 0.01
+"""Different readings that are needed to know a converter's step, how many times a bit's weight they must run through,
+and how far from whole steps they may be."""
+
+PRESS_SAMPLES, SHALLOW = 10, 0.1
+"""A press has so many samples at least, and is deeper than this share of the deepest."""
 
 
 def lag_s(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float) -> float:
     """Return by how much the force is behind the stage.
 
-    The force is laid over a smooth law of the depth, shifted in time, by least squares.
+    The force is laid over a smooth law of the depth with relaxation (a generalised Maxwell solid), shifted in time, by
+    least squares.
 
     Args:
         t_s, force_N: (n,) samples of the load cell, host clock.
@@ -40,25 +58,31 @@ def lag_s(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], con
     Returns:
         Delay in s, positive when the force is late; NaN where the run does not tell: too shallow, too slow, too noisy.
     """
-
-    def misfit(lag: float) -> float:
-        return _misfit(t_s - lag, force_N, stage_mm_at, contact_mm)
-
-    lags = np.arange(EARLIEST_S, LATEST_S, STEP_S)
     if len(t_s) < PRESS_SAMPLES or float(np.max(stage_mm_at(t_s))) <= contact_mm:
         return float("nan")
-    coarse = lags[::8]
-    best = coarse[int(np.argmin([misfit(lag) for lag in coarse]))]
-    near = lags[np.abs(lags - best) <= 8 * STEP_S]
+    grid_s = np.arange(t_s[0] - LATEST_S - BESIDE_S, t_s[-1] - EARLIEST_S + BESIDE_S, GRID_S)
+    law = _law_of_depth(np.maximum(0.0, stage_mm_at(grid_s) - contact_mm))
+
+    def misfit(lag: float) -> float:
+        columns = [np.interp(t_s - lag, grid_s, column) for column in law]
+        return _misfit(np.column_stack([np.ones_like(t_s), *columns]), force_N)
+
+    coarse = np.arange(EARLIEST_S, LATEST_S, COARSE_S)
+    best = float(coarse[int(np.argmin([misfit(lag) for lag in coarse]))])
+    near = best + np.arange(-COARSE_S, COARSE_S + FINE_S, FINE_S)
     found = float(near[int(np.argmin([misfit(lag) for lag in near]))])
-    beside = min(misfit(found - LATE_S), misfit(found + LATE_S))
-    return found if beside > TELLS * misfit(found) else float("nan")
+    beside = min(misfit(found - BESIDE_S), misfit(found + BESIDE_S))
+    return found if beside > (TELLS + TELLS_SAMPLES / len(t_s)) * misfit(found) else float("nan")
 
 
-def check_lag(found_s: float, declared_s: float) -> None:
-    """Raise `BadReply` when the load cell is later, or earlier, than its station file says."""
-    off_s = found_s - declared_s
-    if off_s > LATE_S or off_s < -EARLY_S:
+def check_lag(found_s: float, declared_s: float, period_s: float) -> None:
+    """Raise `BadReply` when the load cell is later, or earlier, than its station file says.
+
+    Args:
+        period_s: between two of its samples.
+    """
+    off_s, slack_s = found_s - declared_s, PERIOD_SHARE * period_s
+    if off_s > LATE_S + slack_s or off_s < -EARLY_S - slack_s:
         raise BadReply(reason("rig.behind", found_s=found_s, declared_s=declared_s, latency_s=max(0.0, found_s)))
 
 
@@ -72,13 +96,80 @@ def check_gain(stage_mm: Array, force_N: Array) -> None:
     Raises:
         BadReply: at equal depths one press shows far more force than another.
     """
-    gains = press_gains(stage_mm, force_N)
-    if len(gains) > 1 and float(np.max(gains)) > GAIN * float(np.min(gains)):
-        raise BadReply(reason("rig.gain", ratio=np.max(gains) / np.min(gains)))
+    ratio = _ratio(press_gains(stage_mm, force_N))
+    if ratio > GAIN:
+        raise BadReply(reason("rig.gain", ratio=ratio))
+
+
+def check_output_gain(stage_mm: Array, output: Array) -> None:
+    """Compare the presses of a run without a load cell by what the output does at equal depths.
+
+    Args:
+        stage_mm: (n,) depth, 0 at the start of the profile.
+        output: (n,) of the first sensor.
+
+    Raises:
+        BadReply: at equal depths one press changes the output far more than another: the stage was not there.
+    """
+    is_up = stage_mm <= SHALLOW * np.max(stage_mm)
+    change = output - (np.median(output[is_up]) if np.any(is_up) else output[0])
+    ratio = _ratio(press_gains(stage_mm, change * np.sign(np.sum(change))))
+    if ratio > OUTPUT_GAIN:
+        raise BadReply(reason("rig.output_gain", ratio=ratio))
+
+
+def check_follows(t_s: Array, output: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float) -> None:
+    """See whether the output of every sensor follows the depth at all: an input that floats does not.
+
+    Args:
+        t_s: (n,) instants.
+        output: (n, channels) of the sensors.
+        stage_mm_at: instants -> stage positions, same origin as contact_mm.
+        contact_mm: where the unit's surface is.
+
+    Raises:
+        BadReply: less than FOLLOWS of an output's variance goes with the depth.
+    """
+    grid_s = np.arange(t_s[0], t_s[-1] + GRID_S, GRID_S)
+    depth_mm = np.maximum(0.0, stage_mm_at(grid_s) - contact_mm)
+    if len(t_s) < PRESS_SAMPLES or float(np.max(depth_mm)) <= 0.0:
+        return
+    columns = [np.interp(t_s, grid_s, column) for column in _law_of_depth(depth_mm)]
+    basis = np.column_stack([np.ones_like(t_s), *columns])
+    for values in output.T:
+        spread = float(np.sum((values - values.mean()) ** 2))
+        followed = 1.0 - _misfit(basis, values) / spread if spread else 0.0
+        if followed < FOLLOWS:
+            raise BadReply(reason("rig.follows", percent=100 * followed))
+
+
+def check_bits(output: Array) -> None:
+    """Look for a line of the converter that hangs: a bit that is always the same where it should change.
+
+    Args:
+        output: (n, channels) of the sensors; readings of a converter are whole multiples of its step.
+
+    Raises:
+        BadReply: one bit never changes although the readings run through several times its weight.
+    """
+    for values in output.T:
+        levels = np.unique(values)
+        if len(levels) < BIT_LEVELS:
+            continue
+        counts = levels / np.min(np.diff(levels))
+        if np.max(np.abs(counts - np.round(counts))) > BIT_ROUNDING or np.max(np.abs(counts)) > 2**31:
+            continue  # No converter's steps: an instrument that averages.
+        codes = np.round(counts).astype(np.int64)
+        for bit in range(int(np.log2(np.ptp(codes) / BIT_SPAN)) + 1):
+            if len(np.unique(codes >> bit & 1)) == 1:
+                raise BadReply(reason("rig.bit", bit=bit))
 
 
 def press_gains(stage_mm: Array, force_N: Array) -> Array:
-    """Return the force of each press relative to the run's usual one at equal depths, (number of presses,)."""
+    """Return the force of each press relative to the run's usual one at equal depths, (number of presses,).
+
+    A press that never is where others have a quarter of the run's largest force is left out.
+    """
     presses = _presses(stage_mm)
     if not presses:
         return np.empty(0)
@@ -97,20 +188,29 @@ def press_gains(stage_mm: Array, force_N: Array) -> Array:
 
 def _presses(stage_mm: Array) -> list[tuple[int, int]]:
     """Stretches that leave the shallow tenth and come back to it, or to the end."""
-    is_deep = np.concatenate([[False], stage_mm > 0.1 * np.max(stage_mm), [False]])
+    is_deep = np.concatenate([[False], stage_mm > SHALLOW * np.max(stage_mm), [False]])
     turns = np.flatnonzero(np.diff(is_deep.astype(int)))
     return [(int(begin), int(end)) for begin, end in zip(turns[::2], turns[1::2], strict=True)]
+
+
+def _ratio(gains: Array) -> float:
+    return float(np.max(gains) / max(float(np.min(gains)), 1e-9)) if len(gains) > 1 else 1.0
 
 
 def _median(values: Array) -> float:
     return float(np.median(values)) if len(values) else float("nan")
 
 
-def _misfit(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float) -> float:
-    depth_mm = np.maximum(0.0, stage_mm_at(t_s) - contact_mm)
-    scale = max(float(np.max(depth_mm)), 1e-9)
-    basis = np.column_stack([np.ones_like(depth_mm), *((depth_mm / scale) ** power for power in POWERS)])
-    _, residual, rank, _ = np.linalg.lstsq(basis, force_N, rcond=None)
-    if len(residual):
-        return float(residual[0])
-    return float(np.sum((force_N - force_N.mean()) ** 2)) if rank < 2 else 0.0
+def _law_of_depth(depth_mm: Array) -> list[Array]:
+    """Return what a soft unit's force may be made of: powers of the depth, and those that relax (steps of GRID_S)."""
+    depth = depth_mm / max(float(np.max(depth_mm)), 1e-9)
+    columns = [depth**power for power in POWERS]
+    for time_s in RELAXATION_S:
+        kept = float(np.exp(-GRID_S / time_s))
+        columns += [lfilter([1.0, -1.0], [1.0, -kept], depth**power) for power in RELAXED_POWERS]
+    return columns
+
+
+def _misfit(basis: Array, force_N: Array) -> float:
+    weights, *_ = np.linalg.lstsq(basis, force_N, rcond=None)
+    return float(np.sum((force_N - basis @ weights) ** 2))

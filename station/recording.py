@@ -11,15 +11,15 @@ from softcal.core.words.reason import reason
 from softcal.station.clock import ClockFit, fit_clock, residual_offset_s
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.named import named
-from softcal.station.proof import check_gain, check_lag, lag_s
+from softcal.station.proof import LATE_S, check_bits, check_follows, check_gain, check_lag, check_output_gain, lag_s
 from softcal.station.spool import SpooledRun
 from softcal.station.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
 
 LARGEST_LOSS = 0.02
 """A recording that lost more of its samples than this is not one."""
 
-LONGEST_GAP_S = 0.2
-"""Force is read between two samples of the load cell no further apart than this."""
+LONGEST_GAP_S = 0.25
+"""Force is read between two samples of the load cell no further apart than this: one of a cell at 10 Hz may be lost."""
 
 LAG_SAMPLES = 3000
 """Enough of a run to see by how much the load cell is late."""
@@ -116,7 +116,8 @@ class RunFacts:
         zero_mm: stage position that is 0 in the recording.
         contact_mm, zero_N, zero_return_N: as in `StationRecording`.
         with_reference: whether the recording keeps the force.
-        force_late_s: how late the load cell is by its station file; taken off its times.
+        force_late_s: how late the load cell is, as far as that was known in the run; taken off its times.
+        is_latency_stated: whether the station file says that; where it does not, what the run shows is taken off.
     """
 
     serial: str
@@ -132,6 +133,7 @@ class RunFacts:
     zero_return_N: float
     with_reference: bool
     force_late_s: float = 0.0
+    is_latency_stated: bool = True
 
 
 @dataclass(frozen=True)
@@ -165,12 +167,19 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
     moves = [DrivenMove(Trapezoid(*row[:4]), *row[4:]) for row in facts.moves]
     track = reconstruct([poll for poll in raw.polls if poll.host_s >= moves[0].begun_s], moves)
     stage_mm = track.at(host_s) - facts.zero_mm
-    force_N, cell = _force_at(host_s, raw.force, facts)
-    late_s = float("nan")
-    if force_N is not None:
-        late_s = _force_lag_s(host_s, force_N, track, facts)
-        check_lag(late_s, facts.force_late_s)
-        check_gain(stage_mm, force_N)
+    check_bits(output)
+    check_follows(host_s, output, track.at, facts.contact_mm)
+    cell = _fitted(_columns(raw.force)[0], raw.force, "load cell") if raw.force else None
+    force_N, behind_s = None, float("nan")
+    if cell is None:
+        check_output_gain(stage_mm, output[:, 0])
+    else:
+        behind_s = _behind_s(raw.force, cell, track, facts)
+        late_s = facts.force_late_s
+        if not facts.is_latency_stated and abs(behind_s - late_s) > LATE_S:
+            late_s = behind_s
+        _check_gain(raw.force, cell, track, facts, late_s)
+        force_N = _force_at(host_s, raw.force, cell, facts, late_s)
     return StationRecording(
         facts.serial,
         facts.profile,
@@ -184,7 +193,7 @@ def assemble(raw: Raw, facts: RunFacts) -> StationRecording:
         facts.zero_N,
         facts.zero_return_N,
         lost,
-        _alignment(sensor, cell, track, output[:, 0], stage_mm, force_N, facts.sample_rate_Hz, late_s),
+        _alignment(sensor, cell, track, output[:, 0], stage_mm, force_N, facts.sample_rate_Hz, behind_s),
     )
 
 
@@ -192,12 +201,25 @@ def restore(run: SpooledRun) -> StationRecording:
     """Make the recording of a finished run again from its spool.
 
     Raises:
-        InputError: the run was aborted or cut off; it is not a recording and never becomes one.
+        InputError: the run was aborted or cut off; it is not a recording and never becomes one. Or its facts are not
+            those of its samples: another version of softcal wrote them.
         BadReply: as `assemble`.
     """
+    serial = run.header.get("serial", "?")
     if not run.is_whole or not run.facts:
-        raise InputError(reason("rig.run_ended", serial=run.header.get("serial", "?"), end=run.end))
-    return assemble(Raw(run.output, run.force, run.polls), RunFacts(**run.facts))
+        raise InputError(reason("rig.run_ended", serial=serial, end=run.end))
+    try:
+        return assemble(Raw(run.output, run.force, run.polls), RunFacts(**run.facts))
+    except (IndexError, TypeError, ValueError) as error:
+        raise InputError(reason("rig.run_facts", serial=serial)) from error
+
+
+def device_times_s(samples: Sequence[Sample]) -> Array:
+    """Return (n,) when samples were taken, host clock: by the device's clock where it has one."""
+    device_s, _ = _columns(samples)
+    if samples[0].device_s is None:
+        return device_s
+    return fit_clock(device_s, np.array([sample.host_s for sample in samples])).to_host(device_s)
 
 
 def _columns(samples: Sequence[Sample]) -> tuple[Array, Array]:
@@ -223,20 +245,37 @@ def _count_lost(sensor_s: Array, facts: RunFacts) -> int:
     return lost
 
 
-def _force_lag_s(host_s: Array, force_N: Array, track: StageTrack, facts: RunFacts) -> float:
-    thin = slice(None, None, max(1, len(host_s) // LAG_SAMPLES))
-    return lag_s(host_s[thin], force_N[thin], track.at, facts.contact_mm) + facts.force_late_s
+def _behind_s(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, facts: RunFacts) -> float:
+    """Return how late the load cell is behind the stage in the profile, and check it against what was stated."""
+    device_s, force_N = _columns(samples)
+    force_s = cell.to_host(device_s)
+    inside = np.flatnonzero((force_s >= facts.span_s[0]) & (force_s <= facts.span_s[1]))
+    inside = inside[:: max(1, len(inside) // LAG_SAMPLES)]
+    found_s = lag_s(force_s[inside], force_N[inside, 0], track.at, facts.contact_mm)
+    if facts.is_latency_stated:
+        check_lag(found_s, facts.force_late_s, float(np.median(np.diff(device_s))))
+    return found_s
 
 
-def _force_at(host_s: Array, samples: Sequence[Sample], facts: RunFacts) -> tuple[Array | None, ClockFit | None]:
-    if not samples:
-        return None, None
-    force_s, force_N = _columns(samples)
-    fit = _fitted(force_s, samples, "load cell")
-    longest_s = float(np.max(np.diff(force_s), initial=0.0))
+def _check_gain(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, facts: RunFacts, late_s: float) -> None:
+    """Compare all presses, the slow one before the profile too: a gain may change while the first one begins."""
+    device_s, force_N = _columns(samples)
+    force_s = cell.to_host(device_s) - late_s
+    inside = (force_s >= facts.moves[0][4]) & (force_s <= facts.span_s[1])
+    if np.any(inside):
+        check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside, 0] - facts.zero_N)
+
+
+def _force_at(host_s: Array, samples: Sequence[Sample], cell: ClockFit, facts: RunFacts, late_s: float) -> Array:
+    """Return the force at host times, zero subtracted, from a load cell whose readings are late by so much."""
+    device_s, force_N = _columns(samples)
+    force_s = cell.to_host(device_s) - late_s
+    # One sample beyond either end is needed, too; what lies before it is homing and the search for contact.
+    first, last = np.searchsorted(force_s, (host_s[0], host_s[-1]))
+    longest_s = float(np.max(np.diff(force_s[max(0, first - 1) : last + 1]), initial=0.0))
     if longest_s > LONGEST_GAP_S:
         raise BadReply(reason("rig.gap", seconds=longest_s))
-    return np.interp(host_s, fit.to_host(force_s) - facts.force_late_s, force_N[:, 0]) - facts.zero_N, fit
+    return np.interp(host_s, force_s, force_N[:, 0]) - facts.zero_N
 
 
 def _alignment(

@@ -11,9 +11,10 @@ from softcal.station.config import SafetyConfig
 from softcal.station.interfaces import ForceReader, Readout, Sample
 from softcal.station.named import named
 
-FROZEN_MM, FROZEN_SAMPLES = 0.6, 5
-"""A channel whose value does not change over so many samples while the stage moves so far is frozen. Lines that a stall
-held back are older than the stage's position: a single one says nothing."""
+FROZEN_MM, FROZEN_OUTPUT_MM, FROZEN_SAMPLES = 0.6, 1.0, 5
+"""A channel whose value does not change over so many samples while the stage moves so far is frozen: a load cell, and a
+sensor's output, which may be flat where the unit is hardly touched. Lines that a stall held back are older than the
+stage's position: a single one says nothing."""
 
 PRESSED_MM, MISSING_S = 0.8, 0.15
 """A unit pressed this deep for so long must show a force."""
@@ -21,8 +22,9 @@ PRESSED_MM, MISSING_S = 0.8, 0.15
 JUMP_N, STANDING_S = 1.0, 0.3
 """More from one sample to the next, while the stage stands for so long, is no force of the unit."""
 
-STUCK_MM, STUCK_MEAN, STUCK_NOISES = 1.2, 8, 3.0
-"""The mean of so many samples must change by this many times the noise while the stage moves so far on the unit."""
+STUCK_MM, STUCK_OUTPUT_MM, STUCK_MEAN_S, STUCK_NOISES, STUCK_SAMPLES = 1.2, 1.6, 0.1, 6.0, 6
+"""The mean over so long must change by this many times its noise while the stage moves so far on the unit (a load cell,
+a sensor's output). A slow channel has few samples in a fast press: from fewer than these nothing is said."""
 
 AGE_S, CLOCK_SHARE = 0.25, 0.02
 """A line that brings readings this old is no guard; a device clock is off by less than this share."""
@@ -110,13 +112,17 @@ class StuckWatch:
     Args:
         name: of the device, as messages call it.
         noise: standard deviation of the channel while nothing is pressed.
+        rate_Hz: of the channel.
+        stuck_mm: how far the stage may move on the unit before the channel must follow.
     """
 
-    def __init__(self, name: str, noise: float) -> None:
-        self._name, self._least = name, STUCK_NOISES * noise
-        self._recent: deque[float] = deque(maxlen=STUCK_MEAN)
-        self._low = self._shallow_mm = float("inf")
-        self._high = self._deep_mm = float("-inf")
+    def __init__(self, name: str, noise: float, rate_Hz: float, stuck_mm: float = STUCK_MM) -> None:
+        self._stuck_mm = stuck_mm
+        averaged = max(1, round(STUCK_MEAN_S * rate_Hz))
+        self._name, self._least = name, STUCK_NOISES * noise / np.sqrt(averaged)
+        self._recent: deque[float] = deque(maxlen=averaged)
+        self._count, self._low, self._high = 0, float("inf"), float("-inf")
+        self._shallow_mm, self._deep_mm = float("inf"), float("-inf")
 
     def check(self, value: float, pressed_mm: float) -> None:
         """Raise `BadReply` when the stage has moved far on the unit and the channel has not followed.
@@ -129,17 +135,19 @@ class StuckWatch:
         if pressed_mm <= 0.0:
             self._forget()
             return
-        if len(self._recent) < STUCK_MEAN:
+        if len(self._recent) < (self._recent.maxlen or 1):
             return
+        self._count += 1
         mean = float(np.mean(self._recent))
         self._low, self._high = min(self._low, mean), max(self._high, mean)
         self._shallow_mm, self._deep_mm = min(self._shallow_mm, pressed_mm), max(self._deep_mm, pressed_mm)
         if self._high - self._low > self._least:
             self._forget()
-        elif self._deep_mm - self._shallow_mm > STUCK_MM:
-            raise BadReply(reason("rig.stuck", device=named(self._name), level=mean, stuck_mm=STUCK_MM))
+        elif self._deep_mm - self._shallow_mm > self._stuck_mm and self._count >= STUCK_SAMPLES:
+            raise BadReply(reason("rig.stuck", device=named(self._name), level=mean, stuck_mm=self._stuck_mm))
 
     def _forget(self) -> None:
+        self._count = 0
         self._low = self._shallow_mm = float("inf")
         self._high = self._deep_mm = float("-inf")
 
@@ -152,6 +160,7 @@ class StreamWatch:
         bounds: the station's safety bounds.
         now_s: host time at which watching begins.
         rails: lowest and highest possible value of a readout, where staying there means a broken wire.
+        frozen_mm: how far the stage may move on the unit before the channel must change.
     """
 
     def __init__(
@@ -160,7 +169,9 @@ class StreamWatch:
         bounds: SafetyConfig,
         now_s: float,
         rails: tuple[float, float] | None = None,
+        frozen_mm: float = FROZEN_MM,
     ) -> None:
+        self._frozen_mm = frozen_mm
         self._reader, self._bounds, self._rails = reader, bounds, rails
         self._seen_s = now_s
         self._times: deque[float] = deque(maxlen=LOSS_SAMPLES)
@@ -204,14 +215,14 @@ class StreamWatch:
             self._value, self._changed_at_mm, self._same = sample.values, pressed_mm, 1
             return
         self._same += 1
-        if self._same >= FROZEN_SAMPLES and abs(pressed_mm - self._changed_at_mm) > FROZEN_MM:
+        if self._same >= FROZEN_SAMPLES and abs(pressed_mm - self._changed_at_mm) > self._frozen_mm:
             raise BadReply(
                 reason(
                     "rig.frozen",
                     device=named(self._reader.name),
                     level=sample.values[0],
                     unit=self._reader.unit,
-                    frozen_mm=FROZEN_MM,
+                    frozen_mm=self._frozen_mm,
                 )
             )
 

@@ -9,7 +9,7 @@ from softcal.core.errors import DeviceError
 from softcal.core.words.reason import Reason, plain, reason
 from softcal.station.bench import Bench
 from softcal.station.clock import fit_clock, seen_rate_Hz
-from softcal.station.interfaces import Advises, ForceReader, Readout, RunsOn, Sample
+from softcal.station.interfaces import Advises, ForceReader, Move, Readout, RunsOn, Sample
 from softcal.station.motion import Cancelled
 from softcal.station.named import named
 from softcal.station.recording import LARGEST_DRIFT
@@ -21,6 +21,9 @@ LOOK_S = 0.001
 
 STEP_MM, STEP_S = 2.0, 10.0
 """The stage goes down by at most so much, and for at most so long: what is in the way is to be met slowly."""
+
+GONE_S, GONE_SHARE = 1.0, 0.25
+"""The stage is told nothing for so long, from this share of its way on: longer than all that was sent ahead takes."""
 
 STAGE = named("stage")
 
@@ -150,12 +153,12 @@ def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[SelfTestI
     stage = bench.stage
     watched = WatchedBench(bench, None, on_wait)
     try:
-        took_s, down_mm, error_mm = watched.motion.supervise(lambda: _go_out_and_back(watched))
+        way = watched.motion.supervise(lambda: _go_out_and_back(watched))
     except Cancelled:
         raise
     except DeviceError as error:
         return [SelfTestItem(STAGE, Reason("check.homing_moving"), Reason("found.failed"), error.reason)]
-    cure = None if abs(error_mm) < POSITION_MM else Reason("cure.return")
+    cure = None if abs(way.error_mm) < POSITION_MM else Reason("cure.return")
     return [
         SelfTestItem(STAGE, Reason("check.homing"), Reason("found.switch")),
         SelfTestItem(
@@ -166,15 +169,25 @@ def _stage_findings(bench: Bench, on_wait: Callable[[], None]) -> list[SelfTestI
         SelfTestItem(
             STAGE,
             Reason("check.return"),
-            reason("found.return", way_mm=2 * down_mm, took_s=took_s, error_mm=error_mm),
+            reason("found.return", way_mm=2 * way.down_mm, took_s=way.took_s, error_mm=way.error_mm),
             cure,
         ),
-        *_safety_findings(bench, watched),
+        *_safety_findings(bench, watched, way),
     ]
 
 
-def _go_out_and_back(watched: WatchedBench) -> tuple[float, float, float]:
-    """Return how long it took, how far down it went, and by how much it came back elsewhere."""
+@dataclass(frozen=True)
+class _Way:
+    """How long the stage took down and up, how far down it went, by how much it came back elsewhere, and how far it ran
+    on when it was left alone (NaN where it was not)."""
+
+    took_s: float
+    down_mm: float
+    error_mm: float
+    ran_on_mm: float
+
+
+def _go_out_and_back(watched: WatchedBench) -> _Way:
     bench, stage = watched.bench, watched.bench.stage
     watched.start()
     watched.home()
@@ -182,18 +195,41 @@ def _go_out_and_back(watched: WatchedBench) -> tuple[float, float, float]:
     watched.expect_nothing()
     began_mm, began_s, speed_mm_s = stage.position_mm, bench.clock.now_s(), min(5.0, watched.fastest_free_mm_s)
     room_mm = max(0.0, bench.config.fixture.approach_mm - began_mm)
-    down_mm = min(STEP_MM, speed_mm_s * STEP_S, room_mm)
+    down_mm, ran_on_mm = min(STEP_MM, speed_mm_s * STEP_S, room_mm), float("nan")
     if down_mm > 0.0:
-        watched.motion.go(began_mm + down_mm, speed_mm_s)
+        ran_on_mm = _ran_on_mm(watched, began_mm + down_mm, speed_mm_s)
         watched.motion.go(began_mm, speed_mm_s)
     took_s, count = bench.clock.now_s() - began_s, len(watched.readings.polls)
     watched.motion.wait(0.4)
     if len(watched.readings.polls) == count:
         raise DeviceError(Reason("rig.no_position.known"))
-    return took_s, down_mm, watched.readings.polls[-1].position_mm - began_mm
+    gone_s = GONE_S if np.isfinite(ran_on_mm) else 0.0
+    return _Way(took_s - gone_s, down_mm, watched.readings.polls[-1].position_mm - began_mm, ran_on_mm)
 
 
-def _safety_findings(bench: Bench, watched: WatchedBench) -> list[SelfTestItem]:
+def _ran_on_mm(watched: WatchedBench, to_mm: float, speed_mm_s: float) -> float:
+    """Go there, leave the stage alone on the way as if its host had died, and return how far it went meanwhile."""
+    stage, clock, polls = watched.bench.stage, watched.bench.clock, watched.readings.polls
+    from_mm = stage.position_mm + GONE_SHARE * (to_mm - stage.position_mm)
+    gone: list[tuple[float, float]] = []  # (from when, until when it was left alone)
+
+    def leave_once() -> bool:
+        if not gone and polls and polls[-1].position_mm > from_mm:
+            began_s = clock.now_s()
+            watched.leave_stage_alone(GONE_S)
+            gone.append((began_s, clock.now_s()))
+        return False
+
+    move = watched.motion.go(to_mm, speed_mm_s, leave_once if isinstance(stage, RunsOn) else None)
+    later_mm = [poll.position_mm for poll in polls if gone and poll.host_s > gone[0][1]]
+    if not later_mm:
+        return float("nan")
+    # By the path it was told: an answer that a stall held back is older than it seems.
+    here_mm = float(move.path.position_mm(np.array([gone[0][0] - move.begun_s]))[0])
+    return max(0.0, later_mm[0] - here_mm)
+
+
+def _safety_findings(bench: Bench, watched: WatchedBench, way: _Way) -> list[SelfTestItem]:
     """What a stop holds on this rig, in figures."""
     if bench.force is None:
         return []
@@ -204,9 +240,33 @@ def _safety_findings(bench: Bench, watched: WatchedBench) -> list[SelfTestItem]:
         "found.safe_speed", free_mm_s=bounds.free_mm_s, unknown_mm_s=bounds.unknown_mm_s, ceiling_N=bounds.ceiling_N
     )
     findings = [*unsafe, SelfTestItem(STAGE, Reason("check.safe_speed"), safe)]
-    if isinstance(stage, RunsOn):
-        speed_mm_s = bench.config.safety.speed_mm_s
-        on_s = stage.runs_on_s(speed_mm_s)
-        value = reason("found.runs_on", speed_mm_s=speed_mm_s, on_s=on_s, way_mm=on_s * speed_mm_s)
-        findings.append(SelfTestItem(STAGE, Reason("check.runs_on"), value))
+    return [*findings, *_gone_findings(watched, stage, way)] if isinstance(stage, RunsOn) else findings
+
+
+def _gone_findings(watched: WatchedBench, stage: RunsOn, way: _Way) -> list[SelfTestItem]:
+    """How far the stage runs on when the host dies, at most and as measured, and what that may add to the force."""
+    bounds, fastest_mm_s = watched.bounds, watched.bench.config.safety.speed_mm_s
+    slow_mm_s = min(bounds.unknown_mm_s, fastest_mm_s)
+    slow_mm = stage.runs_on_mm(Move(0.0, slow_mm_s, bounds.ahead_mm(slow_mm_s, bounds.limit_N)))
+    findings = [
+        SelfTestItem(
+            STAGE,
+            Reason("check.runs_on"),
+            reason(
+                "found.runs_on",
+                speed_mm_s=fastest_mm_s,
+                on_s=stage.runs_on_s(fastest_mm_s),
+                way_mm=stage.runs_on_mm(Move(0.0, fastest_mm_s)),
+                slow_mm_s=slow_mm_s,
+                slow_mm=slow_mm,
+                worst_N=bounds.gone_N(slow_mm_s, slow_mm),
+            ),
+        )
+    ]
+    if np.isfinite(way.ran_on_mm):
+        speed_mm_s = min(5.0, watched.fastest_free_mm_s)
+        most_mm = stage.runs_on_mm(Move(0.0, speed_mm_s, bounds.ahead_mm(speed_mm_s, bounds.touch_N)))
+        found = reason("found.ran_on", way_mm=way.ran_on_mm, speed_mm_s=speed_mm_s, most_mm=most_mm)
+        is_right = way.ran_on_mm <= most_mm + POSITION_MM
+        findings.append(SelfTestItem(STAGE, Reason("check.ran_on"), found, None if is_right else Reason("cure.ran_on")))
     return findings

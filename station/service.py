@@ -56,7 +56,7 @@ class Hooks:
 
     Args:
         report: takes progress; called about ten times a second of station time.
-        is_stop_wanted: whether somebody asked to stop the run in progress.
+        is_stop_wanted: whether somebody asked to stop the run in progress; asked at every look at the devices.
         gate: whether an order of this kind may run now, with this rig.
     """
 
@@ -228,7 +228,7 @@ class StationService:
         header = {"serial": order.serial, "order": order.order_id, "station": order.station, "lot": order.lot_id}
         profile = self._profiles[order.kind]
         with Spool(self.spool_path(order), header | {"kind": order.kind, "profile": profile.name}) as spool:
-            recording = record(bench, order.serial, profile, with_reference, relay.on_progress, spool)
+            recording = record(bench, order.serial, profile, with_reference, relay.on_progress, spool, relay.look)
         self._zero_return_N = recording.zero_return_N
         self._ready()
         return recording
@@ -275,7 +275,6 @@ class _Relay:
             raise Cancelled(Reason("rig.by_hand"))
 
     def on_progress(self, progress: RunProgress) -> None:
-        self.look()
         self.phase = progress.phase
         if progress.output is not None:
             self._points.append((progress.t_s, progress.output, progress.stage_mm, progress.force_N))

@@ -147,13 +147,22 @@ def read_spool(path: Path) -> SpooledRun:
     except OSError as error:
         raise InputError(reason("file.unreadable", path=str(path), error=reason_of(error))) from error
     values, damaged = _intact(lines)
-    if not values or values[0].get("schema") != SCHEMA:
-        raise InputError(reason("file.no_spool", path=str(path)))
+    try:
+        if values and values[0].get("schema") == SCHEMA:
+            return _run_of(values, damaged)
+    except (AttributeError, IndexError, TypeError, ValueError) as error:
+        raise InputError(reason("file.no_spool", path=str(path))) from error  # Whole lines of something else.
+    raise InputError(reason("file.no_spool", path=str(path)))
+
+
+def _run_of(values: Sequence[dict[str, Any]], damaged: int) -> SpooledRun:
     output, force, polls = [], [], []
     for value in values[1:]:
         output += [_sample(row) for row in value.get("output", ())]
         force += [_sample(row) for row in value.get("force", ())]
         polls += [StagePosition(*row) for row in value.get("polls", ())]
+    # A second header is another run in the same file: what belongs to which cannot be told.
+    damaged += sum("schema" in value for value in values[1:])
     end = Reason.of(values[-1].get("end", Reason("spool.cut_off")))
     header = {key: str(text) for key, text in values[0].items() if key != "schema"}
     facts: dict[str, Any] = next((value["facts"] for value in values if "facts" in value), {})

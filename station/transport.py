@@ -1,4 +1,4 @@
-"""The wire under a link: a serial port, a TCP socket or a VISA resource, told apart by how the port is written."""
+"""The wire under a link: a serial port, a TCP socket, a VISA resource or a Bluetooth UART, told apart by the name."""
 
 import importlib
 import re
@@ -10,11 +10,13 @@ from typing import Any, Literal, Protocol, TypeAlias
 
 import serial
 
-WireKind: TypeAlias = Literal["serial", "tcp", "visa", "library"]
+WireKind: TypeAlias = Literal["serial", "tcp", "visa", "ble", "library"]
 """`library`: the driver speaks through a vendor's library and gives `port` a meaning of its own."""
 
 _VISA = re.compile(r"(TCPIP|USB|GPIB|VXI|PXI|ASRL)\d*::.+", re.IGNORECASE)
 _TCP = re.compile(r"tcp://(?P<host>\[[^\]]+\]|[^:/]+):(?P<port>\d{1,5})")
+
+BLE = "ble://"
 
 CONNECT_S = 3.0
 VISA_ANSWER_S = 2.0
@@ -38,9 +40,11 @@ class Transport(Protocol):
 
 
 def wire_of(port: str) -> WireKind:
-    """Return what a port of a station file names: `tcp://host:5025`, `USB0::…::INSTR`, or a serial port."""
+    """Return what a port of a station file names: `tcp://host:5025`, `ble://AA:BB:…`, `USB0::…`, or a serial port."""
     if port.startswith("tcp://"):
         return "tcp"
+    if port.startswith(BLE):
+        return "ble"
     return "visa" if _VISA.fullmatch(port) else "serial"
 
 
@@ -48,7 +52,7 @@ def open_transport(port: str, baud_rate: int) -> Transport:
     """Open what a port names; the baud rate is for serial ports.
 
     Raises:
-        OSError: it cannot be opened, or PyVISA is not installed.
+        OSError: it cannot be opened, or the library it needs is not installed.
         ValueError: it is written in a way that names nothing.
     """
     match wire_of(port):
@@ -56,6 +60,10 @@ def open_transport(port: str, baud_rate: int) -> Transport:
             return TcpTransport(port)
         case "visa":
             return VisaTransport(port)
+        case "ble":
+            from softcal.station.bluetooth import BleTransport
+
+            return BleTransport(port.removeprefix(BLE))
         case _:
             return SerialTransport(port, baud_rate)
 
@@ -210,7 +218,7 @@ class VisaTransport:
         """Whether the device took a clear: an answer that comes too late must not be taken for that of the next."""
         try:
             session.clear()
-        except self._errors:
+        except (*self._errors, TypeError):  # pyvisa-py reads a socket that `close` has taken away meanwhile.
             return False
         return True
 

@@ -1,5 +1,6 @@
 """A bench whose every reading is kept and checked while its stage moves: what a run and a self-test have in common."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -12,7 +13,16 @@ from softcal.station.bounds import FULL, REACTION_S, ForceBounds, Reaction
 from softcal.station.config import LATEST_S, UNKNOWN_S
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.motion import TICK_S, Motion
-from softcal.station.safety import FollowWatch, ForceWatch, JumpWatch, StreamWatch, StuckWatch
+from softcal.station.safety import (
+    FROZEN_OUTPUT_MM,
+    STUCK_MM,
+    STUCK_OUTPUT_MM,
+    FollowWatch,
+    ForceWatch,
+    JumpWatch,
+    StreamWatch,
+    StuckWatch,
+)
 from softcal.station.spool import Spool
 
 BOOT_S = 3.0
@@ -43,9 +53,11 @@ class WatchedBench:
     def __init__(self, bench: Bench, spool: Spool | None = None, on_tick: Callable[[], None] = lambda: None) -> None:
         self.bench, self._spool, self._on_tick = bench, spool, on_tick
         self.readings = Readings()
-        self.motion = Motion(bench, self.tick)
+        self.motion = Motion(bench, self.tick, self._ahead_mm)
         self.bounds = bounds_of(bench)
         self.contact_mm: float | None = None
+        self.felt_mm = 0.0
+        """So deep the unit was pressed slowly: what lies above holds no surprise."""
         self._force_watch = ForceWatch(bench.config.safety)
         self._follow_watch = FollowWatch(bench.config.fixture.contact_N)
         self._jump_watch = JumpWatch()
@@ -53,12 +65,16 @@ class WatchedBench:
         self._stuck: dict[str, StuckWatch] = {}
         self._free_N: float | None = None
         self._lowest_N = float("inf")
+        self._learned_s: float | None = None
+        force = bench.config.force
+        self._is_lateness_open = force is not None and force.latency_s == UNKNOWN_S
 
     @property
     def late_s(self) -> float:
         """How late the load cell is, as far as that is known."""
         force = self.bench.config.force
-        return max(0.0, force.latency_s) if force is not None else 0.0
+        is_stated = force is not None and force.latency_s != UNKNOWN_S
+        return force.latency_s if force is not None and is_stated else self._learned_s or 0.0
 
     @property
     def fastest_free_mm_s(self) -> float:
@@ -70,7 +86,9 @@ class WatchedBench:
         """Begin to read, and to watch."""
         bench, now_s = self.bench, self.bench.clock.now_s()
         bench.readout.start()
-        self._streams["readout"] = StreamWatch(bench.readout, bench.config.safety, now_s, bench.readout.range)
+        self._streams["readout"] = StreamWatch(
+            bench.readout, bench.config.safety, now_s, bench.readout.range, FROZEN_OUTPUT_MM
+        )
         if bench.force is not None:
             bench.force.start()
             self._streams["force"] = StreamWatch(bench.force, bench.config.safety, now_s)
@@ -120,19 +138,35 @@ class WatchedBench:
     def expect_contact(self, contact_mm: float) -> None:
         """Take where the unit's surface is: from here on every channel must follow the stage."""
         self.contact_mm = contact_mm
-        self._stuck["readout"] = StuckWatch(self.bench.readout.name, noise_of(self.readings.output))
-        if self.bench.force is not None:
-            self._stuck["force"] = StuckWatch(self.bench.force.name, noise_of(self.readings.force))
+        for name, reader, samples, stuck_mm in (
+            ("readout", self.bench.readout, self.readings.output, STUCK_OUTPUT_MM),
+            ("force", self.bench.force, self.readings.force, STUCK_MM),
+        ):
+            if reader is not None:
+                self._stuck[name] = StuckWatch(reader.name, noise_of(samples), reader.rate_Hz, stuck_mm)
 
-    def learn_latency(self, late_s: float) -> None:
-        """Take how late the load cell was found to be, where the station file does not say it."""
+    def learn_latency(self, late_s: float | None) -> None:
+        """Take how late the load cell was found to be, where the station file does not say it; None where unclear."""
+        self._is_lateness_open = False
+        if late_s is None:
+            return
+        self._learned_s = late_s
         delay_s = self.bounds.reaction.delay_s - LATEST_S + late_s
         self.bounds = replace(self.bounds, reaction=replace(self.bounds.reaction, delay_s=delay_s))
 
     def tick(self) -> None:
         """Let a little time pass, read every device, and check everything that was read."""
         self.bench.clock.sleep_s(TICK_S)
-        polls = self.bench.stage.poll()
+        self._take(self.bench.stage.poll())
+
+    def leave_stage_alone(self, seconds: float) -> None:
+        """Watch the channels and tell the stage nothing, as if its host had died."""
+        end_s = self.bench.clock.now_s() + seconds
+        while self.bench.clock.now_s() < end_s:
+            self.bench.clock.sleep_s(TICK_S)
+            self._take(())
+
+    def _take(self, polls: Sequence[StagePosition]) -> None:
         self.readings.polls += polls
         output, cell = self._read(polls)
         self._look_ahead()
@@ -159,6 +193,16 @@ class WatchedBench:
                 raise SafetyStop(reason("rig.homing.rises", force_N=sample.values[0] - self._lowest_N))
         self._on_tick()
 
+    def _ahead_mm(self, to_mm: float, speed_mm_s: float) -> float:
+        if self.bench.force is None or to_mm <= self.felt_mm:
+            return math.inf
+        return self.bounds.ahead_mm(speed_mm_s, self.noticed_N)
+
+    @property
+    def noticed_N(self) -> float:
+        """The force at which whatever is met stops the stage: the touch, or the limit once the unit was found."""
+        return self.bounds.touch_N if self.contact_mm is None else self.bounds.limit_N
+
     def _look_ahead(self) -> None:
         """How long the force may still grow: until a stop holds, or until the move ends by itself."""
         speed_mm_s = self.motion.speed_mm_s
@@ -170,20 +214,25 @@ class WatchedBench:
         self._force_watch.ahead_s = min(stop_s, self.late_s + self.motion.left_mm / speed_mm_s)
 
     def _check(self, output: Sequence[Sample], cell: Sequence[Sample]) -> None:
-        pressed_mm = self.pressed_mm()
-        for sample in cell:
-            self._force_watch.check(sample)
-            self._check_free(sample.values[0])
-            self._follow_watch.check(sample.values[0] - self._force_watch.zero_N, pressed_mm, sample.host_s)
-            self._jump_watch.check(sample.values[0], self.bench.stage.is_moving, sample.host_s)
-        for name, samples in (("force", cell), ("readout", output)):
+        # A cell that is late tells of where the stage was.
+        for name, samples, late_s in (("force", cell, self.late_s), ("readout", output, 0.0)):
+            pressed_mm = self.pressed_mm(late_s)
             for sample in samples:
+                if name == "force":
+                    self._check_force(sample, pressed_mm)
                 self._streams[name].check(sample, pressed_mm)
-                if name in self._stuck:
+                # A cell of which nobody knows how late it is seems to hang while the stage turns round.
+                if name in self._stuck and not (name == "force" and self._is_lateness_open):
                     self._stuck[name].check(sample.values[0], pressed_mm)
         for watch in self._streams.values():
             watch.check_silence(self.bench.clock.now_s())
         self._check_depth()
+
+    def _check_force(self, sample: Sample, pressed_mm: float) -> None:
+        self._force_watch.check(sample)
+        self._check_free(sample.values[0])
+        self._follow_watch.check(sample.values[0] - self._force_watch.zero_N, pressed_mm, sample.host_s)
+        self._jump_watch.check(sample.values[0], self.bench.stage.is_moving, sample.host_s)
 
     def _check_free(self, force_N: float) -> None:
         touch_N = self.bench.config.fixture.touch_N
@@ -192,11 +241,14 @@ class WatchedBench:
                 reason("rig.in_the_way", position_mm=self.bench.stage.position_mm, force_N=force_N - self._free_N)
             )
 
-    def pressed_mm(self) -> float:
-        """How far the stage is below the contact; 0 above it, or before it was found."""
+    def pressed_mm(self, ago_s: float = 0.0) -> float:
+        """How far the stage was below the contact so long ago; 0 above it, or before it was found."""
         if self.contact_mm is None or not self.readings.polls:
             return 0.0
-        return max(0.0, self.readings.polls[-1].position_mm - self.contact_mm)
+        then_s = self.bench.clock.now_s() - ago_s
+        newest = self.readings.polls[-1]
+        poll = next((p for p in reversed(self.readings.polls) if p.host_s <= then_s), newest) if ago_s else newest
+        return max(0.0, poll.position_mm - self.contact_mm)
 
     def _check_depth(self) -> None:
         deepest_mm = self.bench.config.safety.deepest_mm

@@ -1,7 +1,10 @@
 """`softcal station`: find and test the rig, press the source unit or a target unit and record it."""
 
 import argparse
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -180,9 +183,10 @@ def run_check(options: argparse.Namespace) -> int:
     """Identify, test, report."""
     from softcal.app.line.rig import check_station
 
-    check = check_station(options.port, options.station, options.simulated, may_move=not options.no_motion)
+    with _signals_as_ctrl_c():
+        check = check_station(options.port, options.station, options.simulated, may_move=not options.no_motion)
     if check.devices:
-        print_table(("port", "is", "dialect", "says"), [(d.port, d.role, d.kind, d.description) for d in check.devices])
+        print_table(("port", "is", "dialect", "says"), [(d.port, d.role, d.kind, str(d.says)) for d in check.devices])
     if check.findings:
         print_table(("device", "what", "value", "to do"), [_row(finding) for finding in check.findings])
     if options.write:
@@ -232,14 +236,33 @@ def run_press(options: argparse.Namespace) -> int:
 
     profile = profile_for(options.kind, options.profile_seed, options.seconds, options.depth, options.profile)
     twin = _chosen_twin(options)
-    with chosen_bench(options.station, options.simulated, len(options.serial), twin) as bench:
+    bench_of = chosen_bench(options.station, options.simulated, len(options.serial), twin)
+    with _signals_as_ctrl_c(), bench_of as bench:
         with_reference, spools = options.kind == "source", spool_folder(options.spool)
         run = record_to_files(bench, options.serial, options.out, profile, with_reference, spools, _progress())
     for path in run.files:
         say(f"{path}: {len(run.recording.t_s)} samples in {run.seconds:.0f} s of station time")
+    for remark in run.remarks:
+        say(remark)
     if options.json:
         write_json(options.json, run_json(run))
     return 0
+
+
+@contextmanager
+def _signals_as_ctrl_c() -> Iterator[None]:
+    """Take a terminate or a hang-up signal as Ctrl-C: the stage is lifted, and not left on the unit."""
+
+    def interrupt(signal_number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    names = ("SIGTERM", "SIGHUP")  # Windows has no SIGHUP.
+    before = {number: signal.signal(number, interrupt) for n in names if (number := getattr(signal, n, None))}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _chosen_twin(options: argparse.Namespace) -> "Twin | None":
@@ -321,6 +344,9 @@ def run_recover(options: argparse.Namespace) -> int:
     if options.json:
         runs = [vars(run) | {"spool": str(run.spool), "files": [str(file) for file in run.files]} for run in found]
         write_json(options.json, {"schema": "softcal.station-recover/1", "runs": runs})
+    for run in found:
+        if not run.files:
+            say(run.end)
     say(f"{len(found)} spool(s) read; they were left where they are")
     return 0
 

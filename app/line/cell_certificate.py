@@ -9,14 +9,7 @@ from typing import Any
 from softcal.core.errors import InputError
 from softcal.db.entries import CellCertificate
 
-NEEDED = {
-    "cell_serial": "--cell",
-    "number": "--number",
-    "issued_on": "--issued",
-    "due_on": "--due",
-    "capacity_N": "--capacity",
-    "uncertainty_N": "--uncertainty",
-}
+NEEDED = ("cell_serial", "number", "issued_on", "due_on", "capacity_N", "uncertainty_N")
 
 PER_UNIT_N = {r"\newton": 1.0, r"\milli\newton": 1e-3, r"\kilo\newton": 1e3}
 """D-SI names of the units in which a load cell's certificate may state forces."""
@@ -37,10 +30,10 @@ def certificate_from(given: Mapping[str, Any], dcc: Path | None) -> CellCertific
     document = None if dcc is None else _content(dcc)
     facts = {} if document is None else _facts(document, dcc)
     facts |= {name: value for name, value in given.items() if value is not None}
-    missing = [f"{name} ({option})" for name, option in NEEDED.items() if facts.get(name) is None]
+    missing = [name for name in NEEDED if facts.get(name) is None]
     if missing:
         where = "" if dcc is None else f"{dcc}: "
-        raise InputError(f"{where}the certificate lacks {', '.join(missing)}; give them as options, nothing was stored")
+        raise InputError(f"{where}the certificate lacks {', '.join(missing)}; state them beside it, nothing was stored")
     return CellCertificate(**{"laboratory": "", **facts}, document=document)
 
 

@@ -24,6 +24,9 @@ REPORT_S = 0.2
 IDLE_S = 0.2
 """Between two looks for an order; one transaction each."""
 
+EAR_S = 0.03
+"""Between two looks for a stop in a run. A look only reads: it waits for nobody who writes."""
+
 MISSED_BEATS = 3
 """An owner whose heartbeat stands still for so many beats is gone, whatever its clock says."""
 
@@ -82,8 +85,9 @@ class HandFixture:
 class StationHost:
     """One station and its registry, joined.
 
-    A thread of its own, the desk, writes heartbeat and progress and listens for a stop: a slow or absent registry
-    never keeps the service from watching force and travel.
+    A thread of its own, the desk, writes heartbeat and progress and answers: a slow or absent registry never keeps the
+    service from watching force and travel. Another one, the ear, only reads whether somebody said stop: a desk that
+    waits for its turn to write does not keep a stop waiting.
 
     Args:
         queue: where orders come from and progress goes.
@@ -126,8 +130,12 @@ class StationHost:
         """
         self._beat(self._patience())
         self._queue.interrupt(self._station, INTERRUPTED)
-        desk = threading.Thread(target=self._keep_desk, args=(goes_on,), name="station desk", daemon=True)
-        desk.start()
+        threads = (
+            threading.Thread(target=self._keep_desk, name="station desk", daemon=True),
+            threading.Thread(target=self._keep_ear, args=(goes_on,), name="station ear", daemon=True),
+        )
+        for thread in threads:
+            thread.start()
         try:
             self._service.start()
             while goes_on() and not self._lost:
@@ -135,7 +143,8 @@ class StationHost:
         finally:
             self._service.close()
             self._is_over.set()
-            desk.join()
+            for thread in threads:
+                thread.join()
         if self._lost:
             raise InputError(self._lost)
         self._beat()
@@ -260,11 +269,26 @@ class StationHost:
             self._unsaid.pop(0)
             self._log("order", {"order": progress.order_id, "state": progress.state, "message": progress.text})
 
-    def _keep_desk(self, goes_on: Callable[[], bool]) -> None:
-        beaten_s = 0.0
-        while not self._is_over.wait(REPORT_S):
+    def _keep_ear(self, goes_on: Callable[[], bool]) -> None:
+        while not self._is_over.wait(EAR_S):
             if not goes_on():
                 self._is_stop_wanted.set()
+            try:
+                if self._active and self._queue.has_stop(self._station):
+                    self._is_stop_wanted.set()
+                    self._answer_stop()
+            except SoftcalError:
+                continue  # Away for a moment: the next look tries again.
+
+    def _answer_stop(self) -> None:
+        """Say that the run is being stopped; the stage was told before."""
+        order = self._queue.take(self._station, only=OrderKind.STOP)
+        if order is not None:
+            self._say(order, RunState.DONE, Reason("run.stopping"))
+
+    def _keep_desk(self) -> None:
+        beaten_s = 0.0
+        while not self._is_over.wait(REPORT_S):
             try:
                 with self._at_desk:
                     self._attend()

@@ -9,9 +9,10 @@ import numpy as np
 from softcal.app.files.recording_file import write_columns
 from softcal.app.line.rig import SERIALS_APART, columns
 from softcal.app.line.serials import numbered
-from softcal.core.errors import InputError
+from softcal.core.errors import BadReply, InputError
 from softcal.core.lot import check_serial
-from softcal.station.recording import restore
+from softcal.station.interfaces import Sample
+from softcal.station.recording import StationRecording, restore
 from softcal.station.spool import SpooledRun, read_spool
 
 
@@ -38,9 +39,8 @@ class Recovered:
 def recover(folder: Path, out: Path) -> list[Recovered]:
     """Write what the spools of a folder hold: finished runs as recordings, all others marked as aborted.
 
-    Spools stay where they are; deleting them is a decision of a person.
-
-    A spool that cannot be read (a full disk leaves an empty one) is named and keeps no other from being recovered.
+    Spools stay where they are; deleting them is a decision of a person. One that cannot be read (a full disk leaves an
+    empty one) is named and keeps no other from being recovered. A file that is another recording is not written over.
 
     Raises:
         InputError: no such folder.
@@ -53,34 +53,52 @@ def recover(folder: Path, out: Path) -> list[Recovered]:
 def _recover(path: Path, out: Path) -> Recovered:
     try:
         run = read_spool(path)
+        serial = check_serial(run.header.get("serial", "unknown"))
     except InputError as error:
         return Recovered(path, "", "", f"not readable: {error}", 0, ())
-    serial, profile = check_serial(run.header.get("serial", "unknown")), run.header.get("profile", "")
-    if run.is_whole and run.facts:
+    profile = run.header.get("profile", "")
+    try:
         recording = restore(run)
-        files = tuple(out / f"{check_serial(name)}.csv" for name in _serials(run, recording.output.shape[1]))
-        for channel, file in enumerate(files):
-            write_columns(file, columns(recording, channel))
-        return Recovered(path, serial, profile, str(run.end), len(recording.t_s), files)
-    file = out / f"{path.stem}.aborted.csv"
-    write_columns(file, _aborted_columns(run))
-    return Recovered(path, serial, profile, str(run.end), len(run.output), (file,))
+        serials = [check_serial(name) for name in _serials(run, recording.output.shape[1])]
+    except (BadReply, InputError) as error:
+        end = str(error) if run.is_whole else str(run.end)
+        file = out / f"{path.stem}.aborted.csv"
+        write_columns(file, _aborted_columns(run, end))
+        return Recovered(path, serial, profile, end, len(run.output), (file,))
+    files = tuple(_write(recording, channel, out, name, path.stem) for channel, name in enumerate(serials))
+    return Recovered(path, serial, profile, str(run.end), len(recording.t_s), files)
 
 
-def _aborted_columns(run: SpooledRun) -> list[tuple[str, Any]]:
-    """Return every channel of a run that is no recording, force and stage read at the times the output was."""
-    channels = len(run.output[0].values) if run.output else 0
-    device_s = [sample.host_s if sample.device_s is None else sample.device_s for sample in run.output]
-    host_s = np.array([sample.host_s for sample in run.output])
+def _write(recording: StationRecording, channel: int, out: Path, serial: str, spool: str) -> Path:
+    """Write one channel under its serial, or under the name of its spool where that file is another recording."""
+    file, own = out / f"{serial}.csv", out / f"{spool}-{serial}.csv"
+    if not file.exists():
+        write_columns(file, columns(recording, channel))
+        return file
+    write_columns(own, columns(recording, channel))
+    if own.read_bytes() != file.read_bytes():
+        return own
+    own.unlink()
+    return file
+
+
+def _aborted_columns(run: SpooledRun, end: str) -> list[tuple[str, Any]]:
+    """Return every channel of a run that is no recording, at the times of the first one that spoke at all.
+
+    Other channels are read between two of their samples; before the first and after the last one they are empty.
+    """
+    polls = [Sample(poll.host_s, None, (poll.position_mm,)) for poll in run.polls]
+    leading = run.output or run.force or polls
+    host_s = np.array([sample.host_s for sample in leading])
+    device_s = [sample.host_s if sample.device_s is None else sample.device_s for sample in leading]
     columns: list[tuple[str, Any]] = [("device_s", np.array(device_s)), ("host_s", host_s)]
-    columns += [(f"output_{c}", np.array([s.values[c] for s in run.output])) for c in range(channels)]
-    if run.force:
-        force_s, force_N = zip(*((s.host_s, s.values[0]) for s in run.force), strict=True)
-        columns.append(("force_N", np.interp(host_s, force_s, force_N)))
-    if run.polls:
-        poll_s, stage_mm = zip(*((p.host_s, p.position_mm) for p in run.polls), strict=True)
-        columns.append(("stage_mm", np.interp(host_s, poll_s, stage_mm)))
-    return [*columns, ("aborted", [str(run.end)] * len(device_s))]
+    for channel in range(len(run.output[0].values) if run.output else 0):
+        columns.append((f"output_{channel}", np.array([sample.values[channel] for sample in run.output])))
+    for name, samples in (("force_N", run.force), ("stage_mm", polls)):
+        if samples:
+            at_s, values = zip(*((sample.host_s, sample.values[0]) for sample in samples), strict=True)
+            columns.append((name, np.interp(host_s, at_s, values, left=np.nan, right=np.nan)))
+    return [*columns, ("aborted", [end] * len(host_s))]
 
 
 def _serials(run: SpooledRun, channels: int) -> list[str]:

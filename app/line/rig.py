@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from softcal.app.bootstrap import data_folder
-from softcal.app.files.lot_folder import write_lot_toml
+from softcal.app.files.lot_folder import read_lot, restate_reference, write_lot_toml
 from softcal.app.files.profile_file import read_profile
 from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError, NoReply
@@ -19,11 +19,18 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.twin.simulate import Twin
 from softcal.core.twin.spread import draw_lot
 from softcal.core.unit.budget import SIMULATED, Reference
-from softcal.core.words.reason import Reason, several
+from softcal.core.words.reason import Reason, reason, several
 from softcal.station.acquisition import OnProgress, record
 from softcal.station.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
 from softcal.station.clock import HostClock
-from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig, StationConfig, read_station_file
+from softcal.station.config import (
+    UNKNOWN_S,
+    ForceConfig,
+    ReadoutConfig,
+    StageConfig,
+    StationConfig,
+    read_station_file,
+)
 from softcal.station.identify import DeviceIdentity, identify
 from softcal.station.link import available_ports
 from softcal.station.recording import StationRecording
@@ -33,9 +40,11 @@ from softcal.station.spool import Spool
 SERIALS_APART = ","
 """Between the serials of several channels in the header of a spool; no serial contains it."""
 
-LOOKED_FOR = (
-    "a stage (GRBL, Zaber, Mark-10 stand), a load cell (HX711, Mark-10, Loadstar, indicator) and a sensor readout"
-)
+LOT_PARTS = ("source", "units", "audit")
+"""Folders of a lot folder that hold recordings."""
+
+PARTS = {"stage": Reason("part.stage"), "readout": Reason("part.readout"), "force": Reason("part.cell")}
+"""What a station needs, by the role of the device."""
 
 
 @contextmanager
@@ -75,12 +84,14 @@ def _units_like(twin: Twin | None, seed: int, count: int) -> tuple[Twin, ...]:
 def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
     """Return what answers at these ports, or at all USB serial ports of this machine where none is given.
 
+    A port that cannot be opened stands in the list with the reason: another program has it, or nothing is there.
+
     Raises:
-        NoReply: there is no port, or some cannot be opened; all of them are named.
+        NoReply: there is no port, or some that were named cannot be opened; all of them are named.
     """
     candidates = list(ports) or available_ports()
     if not candidates:
-        raise NoReply(f"no USB serial port on this machine; looked for {LOOKED_FOR}; plug them in, or use --simulated")
+        raise NoReply(Reason("port.at.none"))
     found: list[DeviceIdentity] = []
     faults: list[Reason] = []
     for port in candidates:
@@ -88,6 +99,7 @@ def find_devices(ports: Sequence[str]) -> list[DeviceIdentity]:
             found.append(identify(port, HostClock()))
         except NoReply as error:
             faults.append(error.reason)
+            found.append(DeviceIdentity(port, "", "", error.reason))
     if faults and ports:
         raise NoReply(several(faults))
     return found
@@ -99,17 +111,14 @@ def station_of(devices: Sequence[DeviceIdentity]) -> StationConfig:
     Raises:
         NoReply: stage, readout or load cell is missing, or two could be the same part; all that is missing is named.
     """
-    stage = _only(devices, "stage", "the stage")
-    readout = _only(devices, "readout", "the sensor readout")
-    force = _only(devices, "force", "the load cell")
+    stage, readout, force = (_only(devices, role) for role in PARTS)
     if force is None and stage is not None and stage.kind == "esm" and stage.channels:
         force = stage  # The gauge on the stand, behind the same port.
-    parts = (("a stage", stage), ("a sensor readout", readout), ("a load cell", force))
-    missing = [name for name, device in parts if device is None]
     if stage is None or readout is None or force is None:
-        unclear = "".join(f"; {device.port}: {device.description}" for device in devices if not device.role)
+        missing = [part for part, device in zip(PARTS.values(), (stage, readout, force), strict=True) if device is None]
         looked_at = ", ".join(device.port for device in devices)
-        raise NoReply(f"not found: {' and '.join(missing)}; looked at {looked_at}{unclear}")
+        unclear = [reason("port.at", port=device.port, why=device.says) for device in devices if not device.role]
+        raise NoReply(several([reason("port.missing", parts=_and(missing), ports=looked_at), *unclear]))
     return StationConfig(
         StageConfig(stage.port, stage.kind),
         ReadoutConfig(readout.port, rate_Hz=round(readout.rate_Hz, 1), channels=readout.channels),
@@ -117,13 +126,18 @@ def station_of(devices: Sequence[DeviceIdentity]) -> StationConfig:
     )
 
 
-def _only(devices: Sequence[DeviceIdentity], role: str, name: str) -> DeviceIdentity | None:
+def _only(devices: Sequence[DeviceIdentity], role: str) -> DeviceIdentity | None:
     """Return the one device of a role; between two nobody but a person can decide."""
     found = [device for device in devices if device.role == role]
     if len(found) > 1:
-        ports = " and ".join(f"{device.port} ({device.description})" for device in found)
-        raise NoReply(f"{ports} could each be {name}; name the ports you mean with --port, nothing was written")
+        first, second, *_ = (reason("port.at", port=device.port, why=device.says) for device in found)
+        raise NoReply(reason("port.one_of", first=first, second=second, part=PARTS[role]))
     return found[0] if found else None
+
+
+def _and(parts: Sequence[Reason]) -> Reason:
+    first, *rest = parts
+    return reason("part.and", first=first, rest=_and(rest)) if rest else first
 
 
 @dataclass(frozen=True)
@@ -139,10 +153,16 @@ class StationCheck:
         return {
             "schema": "softcal.station-check/1",
             "station": self.config.name,
-            "devices": [asdict(device) for device in self.devices],
+            "devices": [_device_json(device) for device in self.devices],
             "findings": [_finding_json(finding) for finding in self.findings],
             "is_good": all(finding.is_good for finding in self.findings),
         }
+
+
+def _device_json(device: DeviceIdentity) -> dict[str, object]:
+    facts = asdict(replace(device, says=Reason("port.unknown")))
+    del facts["says"]
+    return facts | {"description": str(device.says)}
 
 
 def _finding_json(finding: SelfTestItem) -> dict[str, object]:
@@ -170,11 +190,12 @@ def check_station(
 
 @dataclass(frozen=True)
 class WrittenRun:
-    """What one run left behind: the recording and the files or registry entries that hold it."""
+    """What one run left behind: the recording, the files that hold it, and what a person should know of them."""
 
     recording: StationRecording
     files: tuple[Path, ...]
     seconds: float
+    remarks: tuple[str, ...] = ()
 
 
 def record_to_files(
@@ -201,19 +222,21 @@ def record_to_files(
         check_serial(serial)
     if len(serials) != bench.readout.channels or len(set(serials)) != len(serials):
         raise InputError(f"{len(set(serials))} serials for {bench.readout.channels} channels; give one per channel")
+    paths = [out] if len(serials) == 1 else [out / f"{serial}.csv" for serial in serials]
+    _check_lot(paths, serials, bench, with_reference)
     began_s = bench.clock.now_s()
     spool_path = new_spool(spool_folder, serials[0])
     header = {"serial": serials[0], "serials": SERIALS_APART.join(serials), "profile": profile.name}
     with Spool(spool_path, header | {"station": bench.config.name}) as spool:
         recording = record(bench, serials[0], profile, with_reference, on_progress, spool)
-    paths = [out] if len(serials) == 1 else [out / f"{serial}.csv" for serial in serials]
     for channel, path in enumerate(paths):
         write_columns(path, columns(recording, channel))
-    if with_reference:
+    remarks = []
+    if with_reference and paths[0].parent.name == "source":
         is_simulated = bench.config.name == SIMULATED_NAME
-        _begin_lot(paths[0], recording, SIMULATED if is_simulated else station_reference(bench.config))
+        remarks = _state_source(paths[0], recording, SIMULATED if is_simulated else station_reference(bench.config))
     spool_path.unlink()
-    return WrittenRun(recording, tuple(paths), bench.clock.now_s() - began_s)
+    return WrittenRun(recording, tuple(paths), bench.clock.now_s() - began_s, (*remarks, *_remarks(bench, recording)))
 
 
 def station_reference(config: StationConfig) -> Reference | None:
@@ -223,12 +246,55 @@ def station_reference(config: StationConfig) -> Reference | None:
     return Reference(cell=config.force.serial or "not named", used_on=datetime.now(UTC).date())
 
 
-def _begin_lot(source: Path, recording: StationRecording, reference: Reference | None) -> None:
-    """Write the lot.toml of a source that lies in LOT/source/, so that `softcal batch LOT` takes the folder."""
+def _check_lot(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with_reference: bool) -> None:
+    """Refuse, before anything moves, a recording that the lot folder it goes to could not use.
+
+    Raises:
+        InputError: another rate or unit than the lot's, the lot's source as one of its units, or a lot.toml that
+            cannot be read.
+    """
+    folder = paths[0].parent
+    if folder.name not in LOT_PARTS or not (folder.parent / "lot.toml").is_file():
+        return
+    lot, readout = read_lot(folder.parent), bench.readout
+    if (lot.sample_rate_Hz, lot.output_unit) != (readout.rate_Hz, readout.unit):
+        raise InputError(
+            f"{folder.parent / 'lot.toml'} states {lot.sample_rate_Hz:g} Hz and {lot.output_unit}, the readout gives "
+            f"{readout.rate_Hz:g} Hz and {readout.unit}; record into another lot folder, nothing moved"
+        )
+    if not with_reference and lot.source in serials:
+        raise InputError(
+            f"{lot.source} is the source of {folder.parent / 'lot.toml'}; press it with `softcal station source`, or "
+            "scan the unit's own serial, nothing moved"
+        )
+
+
+def _state_source(source: Path, recording: StationRecording, reference: Reference | None) -> list[str]:
+    """Write the lot.toml of a source in LOT/source/, so that `softcal batch LOT` takes the folder; return remarks."""
     folder = source.parent.parent
-    if source.parent.name == "source" and not (folder / "lot.toml").exists():
+    if not (folder / "lot.toml").exists():
         lot = Lot(folder.resolve().name, source.stem, recording.sample_rate_Hz, output_unit=recording.output_unit)
         write_lot_toml(folder, lot, reference)
+        return []
+    lot = read_lot(folder)
+    if lot.source == source.stem:
+        restate_reference(folder, reference)
+        return []
+    return [
+        f"{folder / 'lot.toml'} names {lot.source} as the source; {source.stem} lies beside it and is not used; to use "
+        f'it, write source = "{source.stem}" and another id of the lot there'
+    ]
+
+
+def _remarks(bench: Bench, recording: StationRecording) -> list[str]:
+    """Say what a person should write into the station file."""
+    force, behind_s = bench.config.force, recording.alignment.force_behind_s
+    if force is None or force.latency_s != UNKNOWN_S or not np.isfinite(behind_s):
+        return []
+    return [
+        f"the load cell was found {behind_s:.3f} s behind the stage, which was taken off; write "
+        f"latency_s = {max(0.0, behind_s):.2f} into [force] of the station file"
+    ]
 
 
 def spool_folder(option: Path | None) -> Path:
@@ -256,6 +322,7 @@ def run_json(run: WrittenRun) -> dict[str, object]:
         "zero_N": recording.zero_N,
         "zero_return_N": recording.zero_return_N,
         "alignment": alignment,
+        "remarks": list(run.remarks),
     }
 
 

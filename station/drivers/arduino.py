@@ -9,6 +9,7 @@ from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.text_stream import TextStream
 from softcal.station.interfaces import Sample
 from softcal.station.link import Link, link_for_driver
+from softcal.station.transport import WireKind
 
 
 @dataclass(frozen=True)
@@ -104,4 +105,5 @@ def _simulate(around: Surroundings) -> Simulated[ArduinoConfig]:
     return Simulated(config, SimulatedTextStream(around.wire, counts, electronics.sample_rate_Hz, drift))
 
 
-DRIVERS = (Driver("arduino", "text lines `ms,adc[,adc ...]`", ArduinoConfig, open_arduino, _simulate),)
+_WIRES: tuple[WireKind, ...] = ("serial", "tcp", "ble")
+DRIVERS = (Driver("arduino", "text lines `ms,adc[,adc ...]`", ArduinoConfig, open_arduino, _simulate, _WIRES),)

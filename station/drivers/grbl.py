@@ -1,16 +1,15 @@
 """Driver of a GRBL 1.1 or grblHAL stage with one axis (gnea/grbl wiki, "Grbl v1.1 Interface")."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
-from softcal.core.words.reason import Reason, reason
+from softcal.core.words.reason import Reason, reason, several
 from softcal.station.config import StageConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit
+from softcal.station.feeding import PieceFeed, runs_on_mm, runs_on_s
 from softcal.station.frames import grbl
 from softcal.station.interfaces import Held, Move, OnWait, StagePosition, ignore_wait
 from softcal.station.link import POLL_S, Line, Link, link_for_driver
@@ -21,10 +20,6 @@ STATUS_S = 0.1
 
 SILENCE_S = 0.25
 """A controller that leaves a status poll unanswered for so long is gone."""
-
-PIECE_S, AHEAD_S = 0.1, 0.3
-"""A move is fed in pieces of PIECE_S, at most AHEAD_S and the time of braking ahead: when the host dies, the stage soon
-stops by itself. A planner that sees less than its braking distance would never get up to speed."""
 
 SLOW_MM_S2 = 50.0
 """A drive that brakes with less than this makes every safe speed small."""
@@ -91,8 +86,8 @@ class GrblStage:
         self._offset_mm: tuple[float, ...] | None = None
         self.is_position_known = self._is_homing = False
         self._in_flight: deque[int] = deque()
-        self._pieces: deque[tuple[float, bytes]] = deque()
-        self._began_s = self._peak_mm_s = 0.0
+        self._feed: PieceFeed | None = None
+        self._speed_mm_s = self._peak_mm_s = 0.0
         self._is_button_held = self._is_alarmed = self.can_lift_roughly = False
         self._asked_s: float | None = None
         self._next_status_s = 0.0
@@ -106,7 +101,7 @@ class GrblStage:
     @property
     def is_moving(self) -> bool:
         """Whether the last move has not yet been confirmed as finished."""
-        return bool(self._pieces or self._in_flight)
+        return bool(self._feed is not None or self._in_flight)
 
     def home(self, on_wait: OnWait = ignore_wait) -> None:
         """Find the homing switch and wait until it is done.
@@ -135,11 +130,10 @@ class GrblStage:
         """
         admit(self, move)
         path = Trapezoid(self.position_mm, move.to_mm, move.speed_mm_s, self.acceleration_mm_s2)
-        self._target_mm = move.to_mm
+        self._target_mm, self._speed_mm_s = move.to_mm, move.speed_mm_s
         self._peak_mm_s = path.peak_mm_s
-        self._pieces = deque(self._cut(path))
-        self._began_s = self._link.clock.now_s()
-        self._feed()
+        self._feed = PieceFeed(path, move.ahead_mm, self._link.clock.now_s())
+        self._send_due()
 
     def poll(self) -> list[StagePosition]:
         """Read what the controller said, feed the move in progress, ask for the position when it is time.
@@ -152,7 +146,7 @@ class GrblStage:
         now_s = self._link.clock.now_s()
         if self._asked_s is not None and now_s - self._asked_s > SILENCE_S:
             raise NoReply(reason("grbl.no_status", seconds=SILENCE_S))
-        self._feed()
+        self._send_due()
         if self._asked_s is None and now_s >= self._next_status_s:
             self._ask_status(now_s)
         return positions
@@ -211,17 +205,24 @@ class GrblStage:
 
     def unsafe_settings(self) -> list[tuple[str, Reason]]:
         """Return each setting that takes safety away as `$n=value`, and the command that mends it."""
+        return self._unsafe(self.settings)
+
+    def _unsafe(self, settings: Mapping[int, float]) -> list[tuple[str, Reason]]:
         found = []
         for number, is_safe, cure in SAFE_SETTINGS:
-            value = self.settings.get(number + (self._index if number == 120 else 0))
+            shown = number + (self._index if number == 120 else 0)
+            value = settings.get(shown)
             if value is not None and not is_safe(value):
-                shown = number + (self._index if number == 120 else 0)
                 found.append((f"${shown}={value:g}", replace(cure, values={"number": shown})))
         return found
 
     def runs_on_s(self, speed_mm_s: float) -> float:
         """Return after how long the stage stands, at most, once the host is gone in a move at this speed."""
-        return AHEAD_S + PIECE_S + 1.5 * speed_mm_s / self.acceleration_mm_s2
+        return runs_on_s(speed_mm_s, self.acceleration_mm_s2)
+
+    def runs_on_mm(self, move: Move) -> float:
+        """Return how far the stage still goes, at most, once the host is gone in a move."""
+        return runs_on_mm(move, self.acceleration_mm_s2)
 
     def close(self) -> None:
         """Give the port back."""
@@ -252,36 +253,31 @@ class GrblStage:
         needed = (110 + self._index, 120 + self._index, 130 + self._index)
         if missing := [f"${number}" for number in needed if number not in settings]:
             raise BadReply(reason("grbl.settings", missing=", ".join(missing)))
-        if not settings.get(22):
-            raise CommandRefused(Reason("grbl.homing_off"))
-        if settings.get(13):
-            raise CommandRefused(Reason("grbl.inches"))
+        refused = [Reason(code) for code, is_so in _unfit(settings) if is_so]
+        if refused:
+            # What else takes safety away is said with it: the settings are sent once.
+            advice = [reason("grbl.setting", setting=found, cure=cure) for found, cure in self._unsafe(settings)]
+            raise CommandRefused(several([*refused, *advice]))
         return settings
 
-    def _cut(self, path: Trapezoid) -> list[tuple[float, bytes]]:
-        """Return (when it begins, line) of each piece of a move, and the line that proves its end."""
-        count = max(1, int(path.duration_s / PIECE_S))
-        edges_s = np.linspace(0.0, path.duration_s, count + 1)
-        ends_mm = [*path.position_mm(edges_s[1:-1]), path.end_mm]
-        pieces = [
-            (float(starts_s), grbl.move_line(self._axis, self._sign * float(mm), path.speed_mm_s))
-            for starts_s, mm in zip(edges_s, ends_mm, strict=False)
-        ]
-        return [*pieces, (pieces[-1][0], grbl.SYNCHRONISE)]
-
-    def _feed(self) -> None:
+    def _send_due(self) -> None:
+        """Send the pieces that are due, and after the last one the line that proves the end of the move."""
         now_s = self._link.clock.now_s()
-        while self._pieces:
-            starts_s, line = self._pieces[0]
-            late_s = now_s - self._began_s - starts_s
-            ahead_s = AHEAD_S + 0.5 * self._peak_mm_s / self.acceleration_mm_s2
-            if late_s < -ahead_s or sum(self._in_flight) + len(line) > grbl.LINE_LENGTH:
+        while self._feed:
+            ends_mm = self._feed.due_mm(now_s)
+            if ends_mm is None or not self._send(grbl.move_line(self._axis, self._sign * ends_mm, self._speed_mm_s)):
                 return
-            # After a stall of the host the stage has paused; what follows must not run ahead of it.
-            self._began_s += max(0.0, late_s)
-            self._pieces.popleft()
-            self._in_flight.append(len(line))
-            self._link.write(line)
+            self._feed.sent(now_s)
+        if self._feed is not None and self._send(grbl.SYNCHRONISE):
+            self._feed = None
+
+    def _send(self, line: bytes) -> bool:
+        """Send a line where the controller's buffer has room for it, and say whether it had."""
+        if sum(self._in_flight) + len(line) > grbl.LINE_LENGTH:
+            return False
+        self._in_flight.append(len(line))
+        self._link.write(line)
+        return True
 
     def _take(self, line: Line) -> StagePosition | None:
         reply = grbl.parse(line.text)
@@ -334,7 +330,7 @@ class GrblStage:
             self._link.clock.sleep_s(POLL_S)
 
     def _forget_motion(self) -> None:
-        self._pieces.clear()
+        self._feed = None
         self._in_flight.clear()
         self._asked_s = None
 
@@ -408,6 +404,11 @@ class GrblStage:
             self._is_homing = False
             why = reply.reason if isinstance(reply, grbl.Alarm) else Reason("grbl.part.restarted")
             raise DeviceError(reason("grbl.homing_failed", why=why))
+
+
+def _unfit(settings: Mapping[int, float]) -> tuple[tuple[str, bool], ...]:
+    """Return what a controller cannot be used with, and whether it is so."""
+    return ("grbl.homing_off", not settings.get(22)), ("grbl.inches", bool(settings.get(13)))
 
 
 def _is_locked(reply: grbl.Reply) -> bool:

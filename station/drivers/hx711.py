@@ -10,6 +10,7 @@ from softcal.station.drivers.text_stream import TextStream
 from softcal.station.interfaces import Sample
 from softcal.station.link import Link, link_for_driver
 from softcal.station.named import named
+from softcal.station.transport import WireKind
 
 RAILS = (-(2**23), 2**23 - 1)
 """Counts of a saturated converter: overload, or a bridge that is not connected."""
@@ -100,4 +101,5 @@ def _simulate(around: Surroundings) -> Simulated[Hx711Config]:
     return Simulated(config, SimulatedTextStream(around.wire, counts, config.rate_Hz, drift, banner=banner))
 
 
-DRIVERS = (Driver("hx711", "text lines `ms,counts` of an HX711", Hx711Config, _open, _simulate),)
+_WIRES: tuple[WireKind, ...] = ("serial", "tcp", "ble")
+DRIVERS = (Driver("hx711", "text lines `ms,counts` of an HX711", Hx711Config, _open, _simulate, _WIRES),)

@@ -13,7 +13,7 @@ from typing import Any
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply, SafetyStop
 from softcal.station.config import FixtureConfig, SafetyConfig
 from softcal.station.interfaces import Held, Move, OnWait, StagePosition
-from softcal.station.interlock import State
+from softcal.station.interlock import Event, Interlock, State
 from softcal.station.motion import Cancelled, Motion
 
 MOST_FAULTS = 3
@@ -46,12 +46,14 @@ class Told:
         faulted_at: how many commands there had been when the first fault came; None without one.
         held_at: the same for the hold button.
         states: (state of the run, is moving, position known, held) that were met.
+        ways: (state of the run, what happened in it).
     """
 
     commands: list[str] = field(default_factory=list)
     faulted_at: int | None = None
     held_at: int | None = None
     states: set[tuple[State, bool, bool, bool]] = field(default_factory=set)
+    ways: set[tuple[State, Event]] = field(default_factory=set)
     is_up: bool = True
     answers: bool = True
     seconds: float = 0.0
@@ -146,6 +148,10 @@ class ModelStage:
             self._told.faulted_at = len(self._told.commands)
 
 
+class _Endless(BaseException):
+    """A run that would go on for ever."""
+
+
 class _Clock:
     def __init__(self) -> None:
         self.t_s = 0.0
@@ -155,6 +161,20 @@ class _Clock:
 
     def sleep_s(self, seconds: float) -> None:
         self.t_s += seconds
+        if self.t_s > LONGEST_S:
+            raise _Endless
+
+
+class _SeenInterlock(Interlock):
+    """Keeps which way it went from which state."""
+
+    def __init__(self, told: "Told") -> None:
+        super().__init__()
+        self._told = told
+
+    def take(self, event: Event) -> None:
+        self._told.ways.add((self.state, event))
+        super().take(event)
 
 
 def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
@@ -174,6 +194,7 @@ def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
             _watch(choices.pick(4), stage)
 
     motion = Motion(bench, tick)
+    motion._interlock = _SeenInterlock(told)
 
     def look() -> None:
         told.states.add((motion.state, stage.is_moving, stage.is_position_known, told.held_at is not None))
@@ -183,6 +204,8 @@ def run_once(given: Sequence[int]) -> tuple[Told, list[tuple[int, int]]]:
         motion.supervise(lambda: _program(motion, stage))
     except DeviceError as error:
         told.message = str(error)
+    except _Endless:
+        pass  # Its time tells.
     look()
     told.ended, told.seconds = motion.state, clock.t_s
     told.is_up = not stage.is_moving and stage.position_mm <= APPROACH_MM
@@ -197,10 +220,12 @@ def _watch(answer: int, stage: ModelStage) -> None:
 
 
 def _program(motion: Motion, stage: ModelStage) -> None:
-    """A run in short: home, approach, search until the touch, press, wait, go back."""
+    """A run in short: home, approach, search until the touch, touch again, press, wait, go back."""
     motion.home(lambda: None)
     motion.go(APPROACH_MM, 5.0)
-    motion.go(8.0, 1.0, lambda: stage.is_moving and stage._polls >= POLLS - 1)
+    for _ in range(2):
+        motion.go(8.0, 1.0, lambda: stage.is_moving and stage._polls >= POLLS - 1)
+        motion.go(APPROACH_MM, 5.0)
     motion.go(9.0, 5.0)
     motion.wait(0.05)
     motion.go(APPROACH_MM, 5.0)
@@ -212,6 +237,7 @@ class Explored:
 
     runs: int
     states: int
+    ways: frozenset[tuple[State, Event]]
     broken: tuple[str, ...]
 
 
@@ -225,17 +251,18 @@ def explore(judge: Callable[[Told], str], most_faults: int = MOST_FAULTS) -> Exp
     waiting: list[list[int]] = [[]]
     runs, broken = 0, []
     states: set[tuple[State, bool, bool, bool]] = set()
+    ways: set[tuple[State, Event]] = set()
     while waiting:
         given = waiting.pop()
         told, made = run_once(given)
-        runs, states = runs + 1, states | told.states
+        runs, states, ways = runs + 1, states | told.states, ways | told.ways
         if wrong := judge(told):
             broken.append(f"{given}: {wrong}: {told.commands}, {told.message}")
         if sum(answer > 0 for answer in given) < most_faults:
             for k in range(len(given), len(made)):
                 before = [answer for answer, _ in made[:k]]
                 waiting += [[*before, answer] for answer in range(1, made[k][1])]
-    return Explored(runs, len(states), tuple(broken))
+    return Explored(runs, len(states), frozenset(ways), tuple(broken))
 
 
 def broken_property(told: Told) -> str:

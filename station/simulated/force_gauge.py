@@ -60,7 +60,7 @@ class SimulatedMark10:
 
 
 class SimulatedIndicator:
-    """An indicator that prints its reading in kg.
+    """An indicator that prints its reading in kg. A fault switch: `capacity_N`, beyond which it shows OL.
 
     Args:
         wire: the serial line.
@@ -72,7 +72,7 @@ class SimulatedIndicator:
     def __init__(
         self, wire: Wire, force_N: Callable[[float], float], rate_Hz: float = 50.0, capacity_N: float = 20.0
     ) -> None:
-        self.wire, self._force_N, self._period_s, self._capacity_N = wire, force_N, 1.0 / rate_Hz, capacity_N
+        self.wire, self._force_N, self._period_s, self.capacity_N = wire, force_N, 1.0 / rate_Hz, capacity_N
         self._due_s = 0.003
 
     def receive(self, now_s: float) -> None:
@@ -87,7 +87,7 @@ class SimulatedIndicator:
         """Print the lines that are due and let bytes reach the host."""
         while self._due_s <= now_s:
             force_N = self._force_N(self._due_s)
-            state = "OL" if abs(force_N) > self._capacity_N else "US"
+            state = "OL" if abs(force_N) > self.capacity_N else "US"
             sign = "-" if force_N < 0 else "+"
             self.wire.send(f"{state},GS,{sign}{abs(force_N) / 9.80665:7.4f}kg\r\n".encode(), self._due_s)
             self._due_s += self._period_s

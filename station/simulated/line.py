@@ -29,6 +29,11 @@ class SimulatedLine:
         self._armed: list[Fault] = []
         self._phase = ""
 
+    @property
+    def station(self) -> SimulatedStation | None:
+        """The station that is open; None before the first time."""
+        return self._station
+
     @contextmanager
     def open(self) -> Iterator[Bench]:
         """Open the station; what was broken before is whole again."""

@@ -32,6 +32,7 @@ class SimulatedRig:
         self.force_fault: Callable[[float, float], float] | None = None
         self.output_fault: Callable[[float, float], float] | None = None
         self._stands_at_mm: float | None = None
+        self._lost_mm = 0.0
         self.keeps_truth = False
         self.true_t_s: list[float] = []
         self.true_stage_mm: list[float] = []
@@ -63,13 +64,17 @@ class SimulatedRig:
         """The motor loses its supply: the controller counts on, the carriage stays where it is."""
         self._stands_at_mm = self.axis.position_mm
 
+    def lose_steps(self, lost_mm: float) -> None:
+        """The motor slips: from now on the carriage is higher than the controller counts."""
+        self._lost_mm += lost_mm
+
     def _press(self, now_s: float) -> None:
         self._read_s = now_s
         if self.keeps_truth:
             self.true_t_s.append(now_s)
             self.true_stage_mm.append(self.axis.position_mm)
         at_mm = self.axis.position_mm if self._stands_at_mm is None else self._stands_at_mm
-        u_mm = at_mm - self.clearance_mm
+        u_mm = at_mm - self._lost_mm - self.clearance_mm
         since_s = now_s - self._mounted_s
         readings = [unit.advance(np.array([since_s]), np.array([u_mm])) for unit in self._units]
         self._force_N = float(readings[0][0][0])

@@ -1,5 +1,6 @@
 """Trials of safety: a rig of any drive, cell and unit, pressed by the real code, and the largest force it truly saw."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -9,11 +10,18 @@ import numpy as np
 from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile
 from softcal.core.twin.simulate import Twin
-from softcal.station.acquisition import record
+from softcal.station.acquisition import RunProgress, record
 from softcal.station.bench import Bench, open_bench, simulated_config
 from softcal.station.config import UNKNOWN_S
 from softcal.station.simulated.law_unit import ForceLaw, LawUnit
 from softcal.station.simulated.station import SimulatedStation
+
+LIFTED = "the stage is stopped and lifted"
+SAID_N = 0.3
+"""A force that is said may be off by so much: its zero, its noise."""
+
+GONE_S = 10.0
+"""Longer than anything that was sent ahead takes."""
 
 START_MM = 0.5
 """Where the stage was left, above everything."""
@@ -79,13 +87,32 @@ class RigOutcome:
         largest_N: true force at the deepest point the stage reached.
         message: "" where the run went through, else what the operator reads.
         is_up: whether the stage stands above the unit at the end.
+        stands_N: true force on the unit at the end.
         station_s: how long it took.
     """
 
     largest_N: float
     message: str
     is_up: bool
+    stands_N: float
     station_s: float
+
+    @property
+    def ends(self) -> str:
+        """How it ended, in two words."""
+        if not self.message:
+            return "went through"
+        return "stopped and lifted" if self.is_up else "stopped on the unit"
+
+    @property
+    def is_true(self) -> bool:
+        """Whether what the operator reads of the stage is so: lifted, or what stands on the unit within SAID_N."""
+        if not self.message:
+            return self.is_up
+        if LIFTED in self.message or "nothing moved" in self.message:
+            return self.is_up
+        said = re.search(r"with (-?[\d.]+) N on the load cell", self.message)
+        return said is not None and abs(float(said[1]) - self.stands_N) <= SAID_N
 
 
 def press(case: RigCase, profile: Profile) -> RigOutcome:
@@ -98,4 +125,39 @@ def press(case: RigCase, profile: Profile) -> RigOutcome:
             message = str(error)
         depth_mm = station.axis.deepest_mm - case.surface_mm
         is_up = station.axis.position_mm <= case.surface_mm
-        return RigOutcome(float(case.law.force_N(depth_mm)), message, is_up, station.world.now_s())
+        stands_N = float(case.law.force_N(station.axis.position_mm - case.surface_mm))
+        largest_N = float(case.law.force_N(depth_mm))
+        return RigOutcome(largest_N, message, is_up, stands_N, station.world.now_s())
+
+
+class _HostGone(BaseException):
+    """Ends a run after its host has said nothing for long enough."""
+
+
+def press_until_gone(case: RigCase, profile: Profile, phase: str, at_mm: float) -> float | None:
+    """Press a case until its host dies; return the true force at the deepest point that the stage then reaches.
+
+    Args:
+        phase: of the run in which the host dies.
+        at_mm: depth of the stage below the surface at which it does, mm.
+
+    Returns:
+        The force in N; None where the run never came there.
+    """
+    seen, deepest_mm = [""], list[float]()
+    with open_rig(case) as (bench, station):
+
+        def die_there() -> None:
+            if seen[0] == phase and station.axis.position_mm - case.surface_mm >= at_mm:
+                station.world.sleep_s(GONE_S)
+                deepest_mm.append(station.axis.deepest_mm)
+                raise _HostGone
+
+        def follow(progress: RunProgress) -> None:
+            seen[0] = progress.phase
+
+        try:
+            record(bench, "S1", profile, True, follow, None, die_there)
+        except (DeviceError, _HostGone):
+            pass  # What matters is where the stage had come to before anybody could do anything.
+    return float(case.law.force_N(deepest_mm[0] - case.surface_mm)) if deepest_mm else None

@@ -8,8 +8,9 @@ import numpy as np
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin, TwinStream
 from softcal.station.catalogue import driver_of
-from softcal.station.config import ForceConfig, ReadoutConfig, StageConfig
+from softcal.station.config import ForceConfig, ReadoutConfig, Role, StageConfig
 from softcal.station.driver import AnyDriver, Simulated, Surroundings
+from softcal.station.simulated.ble import BleEnd
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.medium import SocketEnd
 from softcal.station.simulated.motion import Axis
@@ -98,6 +99,10 @@ class SimulatedStation:
         """The far end of an Arduino readout, with its fault switches."""
         return _switches_of(SimulatedTextStream, self._far_ends[2])
 
+    def far_end(self, kind: type[_E], role: Role) -> _E:
+        """The far end of any stage, load cell or readout, with its fault switches."""
+        return _switches_of(kind, self._far_ends[("stage", "cell", "readout").index(role)])
+
     def mount(self, unit: Twin) -> None:
         """Put a unit under the stage, a little higher or lower than the one before."""
         clearance_mm = self.free_mm + 1.0 + float(self._rng.uniform(-0.2, 0.2))
@@ -115,8 +120,14 @@ class SimulatedStation:
 
 
 def wire_for(driver: AnyDriver, rng: np.random.Generator) -> Wire:
-    """Return a line of the kind a driver speaks over: a serial line, or a socket for all others."""
-    return Wire(rng) if driver.wires[0] == "serial" else Wire(rng, medium=SocketEnd())
+    """Return a line of the kind a driver speaks over: a serial line, Bluetooth, or a socket for all others."""
+    match driver.wires[0]:
+        case "serial":
+            return Wire(rng)
+        case "ble":
+            return Wire(rng, medium=BleEnd())
+        case _:
+            return Wire(rng, medium=SocketEnd())
 
 
 def _switches_of(kind: type[_E], far_end: FarEnd | None) -> _E:

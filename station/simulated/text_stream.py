@@ -12,8 +12,8 @@ CELL_COUNTS_PER_N, CELL_ZERO_COUNTS = 9870.0, 84_210.0
 class SimulatedTextStream:
     """A device that samples by its own crystal and prints every sample.
 
-    Faults are switches: `is_frozen` (the last value for ever), `rate_factor` (0.5 = half rate), `restart()`, and
-    everything the wire can do.
+    Faults are switches: `is_frozen` (the last value for ever), `rate_factor` (0.5 = half rate), `has_checksum`,
+    `device_ms` (its clock), `restart()`, and everything the wire can do.
 
     Args:
         wire: the serial line.
@@ -35,7 +35,7 @@ class SimulatedTextStream:
         has_checksum: bool = True,
     ) -> None:
         self.wire, self._sample = wire, sample
-        self.rate_Hz, self._drift, self._banner, self._has_checksum = rate_Hz, drift, banner, has_checksum
+        self.rate_Hz, self._drift, self._banner, self.has_checksum = rate_Hz, drift, banner, has_checksum
         self.rate_factor = 1.0
         self.is_frozen = False
         self.device_ms = float(first_ms)
@@ -69,7 +69,7 @@ class SimulatedTextStream:
     def _print(self, now_s: float) -> None:
         if not (self.is_frozen and self._last):
             self._last = self._sample(now_s)
-        line = format_line(StreamLine(int(self.device_ms) % 2**32, self._last), self._has_checksum)
+        line = format_line(StreamLine(int(self.device_ms) % 2**32, self._last), self.has_checksum)
         # Whoever opens a port in mid-stream sees the end of a line first.
         self.wire.send(line[3:] if self._is_first else line, now_s)
         self._is_first = False

@@ -1,7 +1,7 @@
 """One run on the simulated station with one fault: what the operator reads, when the stage stood, what was kept."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +9,19 @@ from softcal.core.errors import DeviceError
 from softcal.core.profiles import Profile, moves
 from softcal.core.words.reason import Reason
 from softcal.station.acquisition import RunProgress, record
-from softcal.station.bench import open_simulated_bench
-from softcal.station.simulated.faults import DOWN_S, PRESS, Fault
+from softcal.station.bench import Bench, open_simulated_bench
+from softcal.station.simulated.faults import MOMENTS, PRESS, RETURN, Fault
 from softcal.station.simulated.station import SimulatedStation
 from softcal.station.spool import Spool, read_spool
 
 PROFILE: Profile = moves("trial", [0.0, 3.0, 0.0, 3.0, 0.0], [2.0, 2.0, 2.0, 10.0, 10.0], [1.0, 1.0, 0.5, 0.0, 1.0])
+
+HANGS_S = 900.0
+"""A run that is not over after so long is never over."""
+
+AT_THE_END = "when the run is closed"
+DISK_MOMENTS = (*MOMENTS, AT_THE_END)
+"""When a disk can fill up."""
 
 COAST_S = 1.0
 """How long the rig is watched after the run gave up: a stage nobody can reach runs out of queued pieces."""
@@ -26,7 +33,8 @@ class FaultOutcome:
 
     Args:
         fault: its name.
-        error: class of the error, "" when the run went through.
+        phase: of the run in which it was seen, "" where that was before the first.
+        error: class of the error, "" when the run went through, "hang" when it never ended.
         message: the sentence for the operator.
         detected_s: from the fault to the stop byte, or to the end of the run where none was sent; NaN before a run.
         stopped_s: from the fault to a stage that stands until it is lifted on purpose; NaN before a run.
@@ -37,6 +45,7 @@ class FaultOutcome:
     """
 
     fault: str
+    phase: str
     error: str
     message: str
     detected_s: float
@@ -58,43 +67,64 @@ def run_with_fault(fault: Fault, folder: Path, seed: int = 0) -> FaultOutcome:
 
 
 def _tried(fault: Fault, folder: Path, seed: int, make_spool: Callable[[Path], Spool]) -> FaultOutcome:
-    with open_simulated_bench(seed=seed) as (bench, station):
+    opened = open_simulated_bench(seed=seed, stage_kind=fault.stage_kind, force_kind=fault.force_kind)
+    with opened as (full, station):
+        bench = full if fault.has_cell else _without_cell(full)
         watch = _Watch(station, fault)
         if not fault.phase:
             station.world.at(fault.after_s, watch.inject)
             station.world.sleep_s(0.001)
-        error, record_state = None, "none"
+        error: DeviceError | None = None
+        record_state, is_hanging = "none", False
         path = folder / "run.spool"
+        station.world.at(HANGS_S, _hang)
         try:
             with make_spool(path) as spool:
-                record(bench, "F1", PROFILE, True, watch.on_progress, spool)
+                record(bench, "F1", PROFILE, fault.has_cell, watch.on_progress, spool)
             record_state = "good"
         except DeviceError as caught:
             error = caught
+        except _Hangs:
+            is_hanging = True
         ended_s = station.world.now_s()
         station.world.sleep_s(COAST_S)
         return FaultOutcome(
             fault.name,
-            type(error).__name__ if error else "",
+            watch.phase,
+            "hang" if is_hanging else type(error).__name__ if error else "",
             str(error or ""),
             watch.detected_s(ended_s),
             watch.stopped_s(),
             station.rig.largest_force_N,
             record_state,
-            str(read_spool(path).end),
+            str(read_spool(path).end) if path.exists() else "no spool",
             error.reason if error else None,
         )
 
 
-def run_with_full_disk(folder: Path, seed: int = 0) -> FaultOutcome:
-    """Press while the disk fills up: the spool's next line cannot be written."""
+def _without_cell(bench: Bench) -> Bench:
+    safety = replace(bench.config.safety, without_cell=True)
+    return replace(bench, force=None, config=replace(bench.config, force=None, safety=safety))
+
+
+def _hang() -> None:
+    raise _Hangs
+
+
+def run_with_full_disk(folder: Path, moment: str = "while pressing", seed: int = 0) -> FaultOutcome:
+    """Press while the disk fills up: from that moment on the spool's next line cannot be written.
+
+    Args:
+        moment: one of DISK_MOMENTS.
+    """
     spool: list[_FillingSpool] = []
 
     def make_spool(path: Path) -> Spool:
-        spool.append(_FillingSpool(path, {"serial": "F1"}))
+        spool.append(_FillingSpool(path, {"serial": "F1"}, is_full_at_end=moment == AT_THE_END))
         return spool[0]
 
-    fault = Fault("disk full while pressing", PRESS, DOWN_S, lambda station: spool[0].fill())
+    phase, after_s = MOMENTS.get(moment, (RETURN, 1e6))
+    fault = Fault(f"disk full {moment}", phase, after_s, lambda station: spool[0].fill())
     return _tried(fault, folder, seed, make_spool)
 
 
@@ -123,8 +153,12 @@ def run_with_dead_host(folder: Path, seed: int = 0) -> FaultOutcome:
         message = "the station's service was started again; press the unit again"
         force_N = station.rig.largest_force_N
         return FaultOutcome(
-            "host process killed while pressing", "none", message, 0.0, stands_s, force_N, "none", spool_says
+            "host process killed while pressing", PRESS, "none", message, 0.0, stands_s, force_N, "none", spool_says
         )
+
+
+class _Hangs(BaseException):
+    """Far more time has passed than any run takes."""
 
 
 class _HostDied(BaseException):
@@ -132,45 +166,60 @@ class _HostDied(BaseException):
 
 
 class _FillingSpool(Spool):
-    """A spool whose disk can fill up."""
+    """A spool whose disk can fill up, on demand or when the run says its last."""
+
+    def __init__(self, path: Path, header: dict[str, str], is_full_at_end: bool) -> None:
+        super().__init__(path, header)
+        self._is_full_at_end, self._before = is_full_at_end, self._file
+
+    def add_facts(self, facts: dict[str, Any]) -> None:
+        if self._is_full_at_end:
+            self.fill()
+        super().add_facts(facts)
 
     def fill(self) -> None:
         # The file of before stays open: the writing thread may be in the middle of a line.
         self._before, self._file = self._file, Path("/dev/full").open("ab")
 
     def __exit__(self, *exception: Any) -> None:
-        super().__exit__(*exception)
-        self._before.close()
+        try:
+            super().__exit__(*exception)
+        finally:
+            self._before.close()
 
 
 class _Watch:
     def __init__(self, station: SimulatedStation, fault: Fault) -> None:
         self._station, self._fault = station, fault
+        self._stage = station.stage if fault.stage_kind == "grbl" else None
         self._at_s: float | None = None
         self._is_planned = not fault.phase
+        self.phase = ""
 
     def on_progress(self, progress: RunProgress) -> None:
+        self.phase = progress.phase
         if not self._is_planned and progress.phase == self._fault.phase:
             self._is_planned = True
             self._station.world.at(self._station.world.now_s() + self._fault.after_s, self.inject)
 
     def inject(self) -> None:
         self._at_s = self._station.world.now_s()
-        self._station.stage.stop_received_s = None
+        if self._stage is not None:
+            self._stage.stop_received_s = None
         self._fault.inject(self._station)
 
     def detected_s(self, ended_s: float) -> float:
         if self._at_s is None or not self._fault.phase:
             return float("nan")
-        stop_s = self._station.stage.stop_received_s
+        stop_s = None if self._stage is None else self._stage.stop_received_s
         return (ended_s if stop_s is None else stop_s) - self._at_s
 
     def stopped_s(self) -> float:
         """When the stage came to rest for good: at the stop byte, before it, or without one."""
-        if self._at_s is None or not self._fault.phase:
+        if self._at_s is None or not self._fault.phase or self._stage is None:
             return float("nan")
-        stop_s, stands = self._station.stage.stop_received_s, self._station.axis.standstills_s
-        if stop_s is not None and self._station.stage.was_moving_at_stop:
+        stop_s, stands = self._stage.stop_received_s, self._station.axis.standstills_s
+        if stop_s is not None and self._stage.was_moving_at_stop:
             rest_s = min(stand_s for stand_s in stands if stand_s >= stop_s)
         else:
             rest_s = max((s for s in stands if stop_s is None or s <= stop_s), default=0.0)

@@ -13,8 +13,9 @@ BYTE_S = 10 / 115200
 class Wire:
     """The device's side of a line.
 
-    Faults are switches: `is_silent` (nothing leaves), `garbage` (this share of lines comes as noise), `repeat` and
-    `loss` (share of lines sent twice or never), `unplug()`, and the delays below.
+    Faults are switches: `is_silent` (nothing leaves), `unplug()`, the delays below, and shares of lines: `garbage`
+    comes as noise, `torn` loses its second half with the line end, `flipped` has one wrong bit, `swapped` comes after
+    the next one, `repeat` comes twice, `loss` never.
 
     Args:
         rng: draws delays and faults.
@@ -39,7 +40,8 @@ class Wire:
         self._open_at_s = 0.0
         self.is_plugged = True
         self.is_silent = False
-        self.garbage = self.repeat = self.loss = 0.0
+        self.garbage = self.repeat = self.loss = self.torn = self.flipped = self.swapped = 0.0
+        self._held_back: list[bytes] = []
 
     def receive(self) -> bytes:
         """Return what the host has written since the last call."""
@@ -77,10 +79,21 @@ class Wire:
     close = unplug
 
     def _with_faults(self, content: bytes) -> list[bytes]:
-        if self.loss and self._rng.random() < self.loss:
+        if self._falls(self.loss):
             return []
-        if self.garbage and self._rng.random() < self.garbage:
+        if self._falls(self.garbage):
             return [self._rng.integers(0, 256, len(content), dtype=np.uint8).tobytes()]
-        if self.repeat and self._rng.random() < self.repeat:
-            return [content, content]
-        return [content]
+        if self._falls(self.torn):
+            return [content[: len(content) // 2]]
+        if self._falls(self.flipped):
+            wrong = bytearray(content)
+            wrong[int(self._rng.integers(len(content)))] ^= 1 << int(self._rng.integers(7))
+            return [bytes(wrong)]
+        if not self._held_back and self._falls(self.swapped):
+            self._held_back.append(content)
+            return []
+        before, self._held_back = self._held_back, []
+        return [content, content] if self._falls(self.repeat) else [content, *before]
+
+    def _falls(self, share: float) -> bool:
+        return bool(share and self._rng.random() < share)

@@ -1,5 +1,7 @@
 """Where the stage touches: found within some micrometres, whatever the stiffness, the noise and the delays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,8 @@ from softcal.station.bench import open_simulated_bench
 from softcal.station.config import FixtureConfig
 from softcal.station.contact import ContactSearch, bend
 from softcal.station.interfaces import Sample
+from softcal.station.simulated.law_unit import ForceLaw
+from softcal.station.simulated.rig_trial import RigCase, open_rig
 
 TOUCH = ramps([0.5], 4.0, rest_s=0.1)
 
@@ -22,18 +26,28 @@ def test_the_bend_is_found_whatever_the_stiffness(rng, stiffness_N_mm):
     force_N = stiffness_N_mm * np.maximum(0.0, stage_mm - 5.2) + rng.normal(0, 0.013, len(stage_mm))
     # Standard error of a line's foot: about 2 sigma / (k sqrt(n)); three of them.
     touching = np.sum(stage_mm > 5.2)
-    assert bend(stage_mm, force_N + 0.7) == pytest.approx(5.2, abs=6 * 0.013 / stiffness_N_mm / np.sqrt(touching))
+    assert bend(stage_mm, force_N + 0.7).at_mm == pytest.approx(5.2, abs=6 * 0.013 / stiffness_N_mm / np.sqrt(touching))
+
+
+@pytest.mark.parametrize("power", [1.0, 1.25, 1.4, 1.75])
+def test_the_doubt_of_a_contact_is_the_spread_of_many(rng, power):
+    errors_mm, doubts_mm = [], []
+    for _ in range(60):
+        stage_mm = np.arange(4.0 + rng.uniform(0, 0.006), 5.2 + (0.3 / 5.0) ** (1 / power), 0.006)
+        foot = bend(stage_mm, 5.0 * np.maximum(0.0, stage_mm - 5.2) ** power + rng.normal(0, 0.004, len(stage_mm)))
+        errors_mm.append(foot.at_mm - 5.2)
+        doubts_mm.append(foot.doubt_mm)
+    spread_mm = np.sqrt(np.mean(np.square(errors_mm)))
+    assert spread_mm == pytest.approx(np.median(doubts_mm), rel=0.3)  # 60 draws tell a spread within 9 %
 
 
 @pytest.mark.parametrize("power", [1.0, 1.25, 1.4, 1.75, 2.0])
-def test_the_bend_is_found_within_ten_micrometres_for_any_power_law(rng, power):
-    errors_mm = []
-    for _ in range(10):
-        stage_mm = np.arange(4.0, 5.2 + (0.3 / 1.2) ** (1 / power), 0.0016)  # 0.13 mm/s at 80 Hz
-        force_N = 1.2 * np.maximum(0.0, stage_mm - 5.2) ** power + rng.normal(0, 0.004, len(stage_mm))
-        errors_mm.append(bend(stage_mm, force_N) - 5.2)
-    assert abs(np.mean(errors_mm)) < 0.010
-    assert np.sqrt(np.mean(np.square(errors_mm))) < 0.010
+def test_the_surface_is_found_within_ten_micrometres_for_any_power_law(power):
+    for seed in (1, 2, 3):
+        case = RigCase(law=ForceLaw(1.2, power), surface_mm=2.203, latency_s=0.0, stiffest_N_mm=60.0, seed=seed)
+        with open_rig(replace(case, limit_N=12.0)) as (bench, _):
+            recording = record(bench, "A1", ramps([0.3], 0.5, rest_s=0.1), with_reference=True)
+        assert recording.contact_mm == pytest.approx(2.203, abs=0.010)
 
 
 def test_units_of_other_stiffness_are_aligned_within_micrometres():

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import CommandRefused, DeviceError, NoReply
-from softcal.station.drivers.grbl import AHEAD_S, PIECE_S, GrblStage
+from softcal.station.drivers.grbl import GrblStage
+from softcal.station.feeding import AHEAD_S, PIECE_S
 from softcal.station.interfaces import Move
 from softcal.station.link import Link
 from softcal.station.simulated.grbl import SEGMENTS_S, SimulatedGrbl

@@ -9,6 +9,7 @@ import pytest
 from softcal.app.line.rig import station_of
 from softcal.core.errors import DeviceError, InputError, NoReply
 from softcal.core.profiles import ramps
+from softcal.core.words.reason import plain
 from softcal.station.acquisition import FEELING, PRESSING, record
 from softcal.station.config import station_from_table
 from softcal.station.drivers.grbl import GrblStage
@@ -20,7 +21,7 @@ from softcal.station.self_test import self_test
 from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.law_unit import ForceLaw
 from softcal.station.simulated.motion import Axis
-from softcal.station.simulated.rig_trial import RigCase, open_rig, press
+from softcal.station.simulated.rig_trial import RigCase, open_rig, press, press_until_gone
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
 
@@ -226,18 +227,18 @@ def test_a_limit_that_leaves_no_room_to_stop_is_refused():
         station_from_table(TABLE | {"force": force, "safety": {"force_N": 19.0}})
 
 
-STAGE = DeviceIdentity("/dev/s", "stage", "grbl", "Grbl 1.1h")
+STAGE = DeviceIdentity("/dev/s", "stage", "grbl", plain("Grbl 1.1h"))
 
 
 def test_two_streams_that_could_be_either_are_not_guessed_between():
-    first = DeviceIdentity("/dev/1", "readout", "arduino", "text stream", 80.0, 1)
-    second = DeviceIdentity("/dev/2", "readout", "arduino", "text stream", 50.0, 1)
-    with pytest.raises(NoReply, match=r"/dev/1.*/dev/2.*could each be the sensor readout"):
+    first = DeviceIdentity("/dev/1", "readout", "arduino", plain("text stream"), 80.0, 1)
+    second = DeviceIdentity("/dev/2", "readout", "arduino", plain("text stream"), 50.0, 1)
+    with pytest.raises(NoReply, match=r"/dev/1.*/dev/2.*could each be a sensor readout"):
         station_of([STAGE, first, second])
 
 
 def test_a_station_file_is_never_made_without_a_load_cell():
-    readout = DeviceIdentity("/dev/1", "readout", "arduino", "softcal readout 1", 50.0, 1)
+    readout = DeviceIdentity("/dev/1", "readout", "arduino", plain("softcal readout 1"), 50.0, 1)
     with pytest.raises(NoReply, match="not found: a load cell"):
         station_of([STAGE, readout])
 
@@ -252,7 +253,7 @@ def test_a_bare_stream_of_small_counts_is_not_taken_for_a_readout(rng):
     found = identify(wire.port, world)
     wire.close()
     assert found.role == ""
-    assert "load cell or readout" in found.description
+    assert "load cell or readout" in str(found.says)
 
 
 def test_every_move_of_softcal_is_made_in_one_place():
@@ -271,3 +272,30 @@ def test_every_move_of_softcal_is_made_in_one_place():
         if re.search(r"stage\.(home|begin|stop|lift_roughly)\(", line)
     ]
     assert callers == []
+
+
+@pytest.mark.parametrize("acceleration_mm_s2", [10.0, 500.0])
+@pytest.mark.parametrize("at_mm", [0.99, 1.0, 1.001])
+def test_a_host_that_dies_above_a_hard_stop_leaves_less_than_the_cell_can_bear(acceleration_mm_s2, at_mm):
+    law = ForceLaw(stop_mm=1.0, stop_N_mm=1000.0)
+    case = replace(QUICK, acceleration_mm_s2=acceleration_mm_s2, stiffest_N_mm=1000.0, law=law)
+    force_N = press_until_gone(case, ramps([1.5], 8.0), FEELING, at_mm)
+    assert force_N is not None and force_N < 0.9 * case.capacity_N
+
+
+def test_the_self_test_measures_how_far_the_stage_runs_on_and_says_the_most_in_mm_and_N():
+    with open_rig(replace(QUICK, stiffest_N_mm=1000.0, acceleration_mm_s2=10.0)) as (bench, _):
+        found = {str(f.what): f for f in self_test(bench) if str(f.device) == "stage"}
+    said, measured = str(found["runs on when the host dies"].value), found["ran on when left alone"]
+    worst_N = float(re.search(r"and ([\d.]+) N$", said)[1])
+    assert QUICK.limit_N < worst_N <= 0.9 * QUICK.capacity_N + 0.05
+    ran_on_mm, most_mm = map(float, re.findall(r"([\d.]+) mm(?!/s)", str(measured.value)))
+    assert 0.5 * most_mm < ran_on_mm <= most_mm and measured.is_good
+
+
+def test_a_controller_that_runs_on_further_than_it_was_told_is_a_fault():
+    with open_rig(replace(QUICK, stiffest_N_mm=1000.0)) as (bench, station):
+        told = bench.stage.runs_on_mm
+        bench.stage.runs_on_mm = lambda move: told(move) - 0.1
+        (found,) = [f for f in self_test(bench) if str(f.what) == "ran on when left alone"]
+    assert "further than it was told" in str(found.cure)

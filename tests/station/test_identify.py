@@ -1,12 +1,22 @@
 """What answers at a port, and a self-test that names every fault at once."""
 
+import re
+import subprocess
+import sys
+from functools import partial
+
 import pytest
 
-from softcal.core.errors import NoReply
+from softcal.app.line import rig
+from softcal.app.texts.catalogue import text
+from softcal.app.texts.reasons import said
+from softcal.core.errors import CommandRefused, NoReply
 from softcal.core.profiles import ramps
 from softcal.core.twin.simulate import Twin
+from softcal.station import link
 from softcal.station.acquisition import record
 from softcal.station.bench import open_simulated_bench
+from softcal.station.drivers.grbl import GrblStage
 from softcal.station.identify import identify
 from softcal.station.self_test import self_test
 from softcal.station.simulated.station import SimulatedStation
@@ -32,6 +42,42 @@ def test_each_device_is_known_by_what_it_says(station):
     assert (found["stage"].kind, found["force"].kind, found["readout"].kind) == ("grbl", "hx711", "arduino")
     assert found["force"].rate_Hz == pytest.approx(80.0, rel=0.1)
     assert found["readout"].rate_Hz == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize(
+    ("wire", "english", "korean"),
+    [
+        ("stage_wire", "Grbl 1.1h|GRBL controller, ", "라고 응답|GRBL 제어기, "),
+        ("force_wire", "says 'softcal load cell", "라고 응답"),
+        ("readout_wire", "says 'softcal readout", "라고 응답"),
+    ],
+)
+def test_every_port_says_what_it_is_taken_for_and_why_in_both_languages(station, wire, english, korean):
+    says = identify(getattr(station, wire).port, station.world).says
+    assert re.search(english, str(says))
+    assert re.search(korean, said(says, partial(text, "ko")))
+
+
+def test_a_port_that_another_program_has_open_without_a_lock_is_named_and_left_alone(station, monkeypatch):
+    monkeypatch.setattr(link, "PSEUDO_TERMINALS", "/nowhere/")  # This pty stands for hardware.
+    monkeypatch.setattr(rig, "available_ports", lambda: [station.force_wire.port])
+    hold = "import os, sys, time; os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print(flush=True); time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", hold, station.force_wire.port], stdout=subprocess.PIPE) as other:
+        assert other.stdout.readline()
+        (found,) = rig.find_devices([])
+        other.kill()
+    assert found.role == ""
+    assert re.search(rf"in use by .*process {other.pid}\)", str(found.says))
+    with pytest.raises(NoReply, match=r"not found: a stage and a sensor readout and a load cell.*in use by"):
+        rig.station_of([found])
+
+
+def test_a_controller_that_cannot_home_is_told_every_setting_that_is_unsafe(station):
+    station.stage.settings |= {1: 25.0, 20: 0.0, 22: 0.0, 122: 10.0}
+    with pytest.raises(CommandRefused) as refused:
+        GrblStage(link.Link(station.stage_wire.port, station.world))
+    for command in ("$22=1", "$1=255", "$20=1", "$122=200"):
+        assert f"send {command} once" in str(refused.value)
 
 
 def test_a_device_that_says_nothing_is_no_device(station):

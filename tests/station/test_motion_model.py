@@ -2,8 +2,13 @@
 
 import pytest
 
+from softcal.core.errors import DeviceError
+from softcal.core.words.reason import Reason
+from softcal.station import interlock, motion
+from softcal.station.interfaces import Move
 from softcal.station.interlock import NEXT, Event, Interlock, State
-from softcal.station.simulated.explore import Told, broken_property, explore, run_once
+from softcal.station.motion import Motion
+from softcal.station.simulated.explore import broken_property, explore, run_once
 
 RESTS = (State.STOPPED, State.OVER)
 
@@ -11,22 +16,96 @@ RESTS = (State.STOPPED, State.OVER)
 def test_every_run_with_any_faults_keeps_the_properties():
     found = explore(broken_property, most_faults=3)
     assert found.broken == ()
-    assert found.runs > 1000 and found.states > 12
+    assert found.runs > 10_000 and found.states > 15
+    assert found.ways == {(state, event) for state, ways in NEXT.items() for event in ways}  # none was left untried
 
 
-def test_the_search_would_find_a_stage_that_goes_on_after_a_fault():
+def goes_on(monkeypatch):
+    """The run begins again by itself after any fault."""
+    supervise = Motion.supervise
 
-    def forbids_lifting(told: Told) -> str:
-        is_lifted = told.faulted_at is not None and "up" in told.commands[told.faulted_at :]
-        return "lifts after a fault" if is_lifted else ""
+    def supervise_twice(motion, action):
+        try:
+            return supervise(motion, action)
+        except DeviceError:
+            motion._interlock.state = State.STANDING
+            return supervise(motion, action)
 
-    assert explore(forbids_lifting, 1).broken
+    monkeypatch.setattr(Motion, "supervise", supervise_twice)
+
+
+def waits_for_ever(monkeypatch):
+    """A move has no deadline."""
+    monkeypatch.setattr(motion, "ARRIVAL_S", float("inf"))
+
+
+def lifts_what_is_held(monkeypatch):
+    """The button at the machine is taken for any other fault."""
+    monkeypatch.setattr(motion, "Held", type("NobodyRaisesThis", (Exception,), {}))
+
+
+def says_lifted_without_lifting(monkeypatch):
+    def lift(self):
+        for event in (Event.LIFT, Event.ARRIVED):
+            self._interlock.take(event)
+        return Reason("left.lifted")
+
+    monkeypatch.setattr(Motion, "_lift", lift)
+
+
+def says_nothing_of_the_load(monkeypatch):
+    def left(self, state):
+        if self.state in (State.STOPPING, State.LIFTING):
+            self._interlock.take(Event.LEAVE)
+        return state
+
+    monkeypatch.setattr(Motion, "_left", left)
+
+
+def lifts_the_wrong_way(monkeypatch):
+    def begin_down(self, path):
+        self._stage.begin(Move(self._stage.position_mm + 1.0, path.speed_mm_s))
+
+    monkeypatch.setattr(Motion, "_begin_lift", begin_down)
+
+
+def homes_to_get_away(monkeypatch):
+    def home_instead(self):
+        self._stage.home()
+        return Reason("left.lifted")
+
+    monkeypatch.setattr(Motion, "_lift", home_instead)
+
+
+def stays_open_after_a_stop(monkeypatch):
+    """A run that was stopped is not over: it could go on."""
+    open_end = {**NEXT, State.STOPPING: {**NEXT[State.STOPPING], Event.LEAVE: State.STANDING}}
+    monkeypatch.setattr(interlock, "NEXT", open_end)
+
+
+@pytest.mark.parametrize(
+    ("mutate", "property_"),
+    [
+        (goes_on, "moves down after a stop"),
+        (waits_for_ever, "a state has no deadline"),
+        (lifts_what_is_held, "moves by itself while somebody holds it"),
+        (says_lifted_without_lifting, "does not say what stands on the unit"),
+        (says_nothing_of_the_load, "does not say what stands on the unit"),
+        (lifts_the_wrong_way, "moves down after a stop"),
+        (homes_to_get_away, "moves down after a stop"),
+        (stays_open_after_a_stop, "a run does not end"),
+    ],
+)
+def test_the_search_finds_a_safety_core_that_is_broken(monkeypatch, mutate, property_):
+    mutate(monkeypatch)
+    broken = explore(broken_property, 1).broken
+    assert any(property_ in run for run in broken), broken[:3]
 
 
 def test_a_run_without_faults_does_all_of_its_moves():
     told, _ = run_once([])
     assert told.ended is State.OVER
-    assert told.commands == ["home", "down", "down", "stop", "down", "up"]
+    assert told.commands == ["home", "down", *["down", "stop", "up"] * 2, "down", "up"]
 
 
 def reached(start: State) -> set[State]:

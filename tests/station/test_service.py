@@ -203,3 +203,20 @@ def test_a_defect_in_a_run_stops_the_station_and_the_stage(host, service):
         service.perform(order())
     assert service.state is StationState.STOPPED
     assert not host.stations[-1].axis.is_moving
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.03, 0.06, 0.09])
+def test_a_stop_reaches_the_stage_at_the_next_look_at_the_devices(host, service, after_s):
+    asked_s = []
+
+    def is_stop_wanted():
+        now_s, pressing = host.stations[-1].world.now_s(), [r for r in host.reports if r.phase == "pressing"]
+        if pressing and not asked_s:
+            asked_s.append(now_s + after_s)
+            host.stations[-1].stage.stop_received_s = None  # The search for contact ended in a stop, too.
+        return bool(asked_s) and now_s >= asked_s[0]
+
+    service._hooks = replace(service._hooks, is_stop_wanted=is_stop_wanted)
+    service.perform(order())
+    # Looks are 5 ms apart; a stop that waits for the next report on the screen would take up to 100 ms.
+    assert host.stations[-1].stage.stop_received_s - asked_s[0] < 0.02

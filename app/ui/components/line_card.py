@@ -1,12 +1,13 @@
 """The operator's state as HTML: colour, mark, word, serial, one instruction. Everything from outside is escaped."""
 
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
 from softcal.app.charts.palette import Palette
 from softcal.app.views.common import shortened
-from softcal.app.views.line import LineView
+from softcal.app.views.line import Chip, LineView
 from softcal.core.orders import Condition
 
 MARKS = {
@@ -81,13 +82,18 @@ def conditions_html(view: LineView, title: str) -> str:
 
 def chips_html(view: LineView, title: str, empty: str) -> str:
     """Return the last units, newest first."""
-    chips = "".join(
+    body = chips_row(view.chips) if view.chips else f"<p>{escape(empty)}</p>"
+    return f'<div class="sc-chips"><h3>{escape(title)}</h3>{body}</div>'
+
+
+def chips_row(chips: Sequence[Chip]) -> str:
+    """Return units with their results side by side."""
+    drawn = "".join(
         f'<li class="sc-chip sc-{c.tone}" title="{escape(c.serial)}: {escape(c.word)}">{_mark(c.tone)}'
         f"<b>{escape(shortened(c.serial, LONGEST_CHIP))}</b><span>{escape(c.word)}</span></li>"
-        for c in view.chips
+        for c in chips
     )
-    body = f"<ul>{chips}</ul>" if chips else f"<p>{escape(empty)}</p>"
-    return f'<div class="sc-chips"><h3>{escape(title)}</h3>{body}</div>'
+    return f"<ul>{drawn}</ul>"
 
 
 def _condition(condition: Condition) -> str:

@@ -52,11 +52,13 @@ def _found(result: Mapping[str, Any]) -> None:
     say = words()
     if result["is_good"]:
         st.success(say("setup.good", station=result["station"]), icon=":material/check:")
+    if result.get("ports"):
+        table([_port_row(*port) for port in result["ports"]])
     marks = {True: "✓", False: "✕"}
     table(
         [
             {
-                "": marks[not cure],
+                say("station.good"): marks[not cure],
                 say("setup.device"): in_words(Reason.of(device)),
                 say("setup.what"): in_words(Reason.of(what)),
                 say("setup.value"): in_words(Reason.of(value)),
@@ -68,3 +70,12 @@ def _found(result: Mapping[str, Any]) -> None:
     with st.expander(say("setup.file_of"), icon=":material/description:"):
         st.code(result["toml"], language="toml")
         st.download_button(say("setup.save"), result["toml"], "station.toml", "application/toml", on_click="ignore")
+
+
+def _port_row(port: str, role: str, kind: str, says: object) -> dict[str, str]:
+    say = words()
+    return {
+        say("setup.port"): port,
+        say("setup.is"): " ".join(filter(None, (say(f"setup.role.{role or 'none'}"), kind and f"({kind})"))),
+        say("setup.says"): in_words(Reason.of(says)),
+    }

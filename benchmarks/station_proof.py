@@ -1,0 +1,195 @@
+"""Press good rigs of many kinds and say how many were refused; then break them a little, and say what is noticed.
+
+python benchmarks/station_proof.py [--seeds A B] [--kept FILE] [--part K N] [--quick]
+
+The constants of station/proof.py and station/safety.py were chosen on seeds 0 to 99; other seeds test them.
+"""
+
+import argparse
+import json
+import tempfile
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softcal.core.errors import SoftcalError
+from softcal.station.acquisition import PRESSING, RunProgress
+from softcal.station.interfaces import Sample
+from softcal.station.recording import Raw, RunFacts, assemble
+from softcal.station.simulated.proof_trial import GoodRig, draw_good_rig, press_good_rig
+from softcal.station.simulated.station import SimulatedStation
+from softcal.station.spool import SpooledRun, read_spool
+
+LATER_S = (-0.15, 0.02, 0.03, 0.05, 0.1)
+GAINS = (0.5, 0.6, 0.7, 0.8, 1.5, 2.0)
+STUCK_S = (0.5, 1.0, 2.0, 100.0)
+SLIPPED_MM = (0.3, 0.6, 1.0)
+EVERY = {"changed": 8, "broken": 16}
+"""Every so many rigs are changed afterwards, on their files, or broken while they are pressed."""
+
+
+def main() -> None:
+    """Run what is not kept yet, then print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, nargs=2, default=(100, 300), metavar=("A", "B"))
+    parser.add_argument("--kept", type=Path, metavar="FILE", help="keep results there, and go on where they end")
+    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("K", "N"), help="every N-th seed from K")
+    parser.add_argument("--quick", action="store_true", help="six rigs")
+    options = parser.parse_args()
+    first, end = (options.seeds[0], options.seeds[0] + 6) if options.quick else options.seeds
+    seeds = range(first + options.part[0], end, options.part[1])
+    kept = _Kept(options.kept)
+    for what, trial in (("good", _press), ("changed", _change), ("broken", _break)):
+        for seed in seeds:
+            if what == "good" or (seed - first) % EVERY[what] == 0:
+                kept.add(what, seed, trial)
+    _print([row for row in kept.rows if first <= row["seed"] < end])
+
+
+class _Kept:
+    """What was found, in a file where one is named: a run that is cut off goes on where it ended."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        lines = path.read_text().splitlines() if path is not None and path.exists() else []
+        self.rows: list[dict[str, Any]] = [json.loads(line) for line in lines]
+
+    def add(self, trial: str, seed: int, run: Callable[[GoodRig], Iterator[dict[str, Any]]]) -> None:
+        """Run one trial of one rig unless it is there already."""
+        if any((row["trial"], row["seed"]) == (trial, seed) for row in self.rows):
+            return
+        rig = draw_good_rig(seed)
+        about = {"trial": trial, "seed": seed, "unit": rig.unit, "cell_Hz": rig.cell_Hz, "late_s": rig.late_s}
+        new = [about | row for row in run(rig)]
+        self.rows += new
+        if self._path is not None:
+            with self._path.open("a") as file:
+                file.write("".join(json.dumps(row) + "\n" for row in new))
+
+
+def _press(rig: GoodRig) -> Iterator[dict[str, Any]]:
+    said, behind_s = _said(lambda: press_good_rig(rig).alignment.force_behind_s)
+    yield {"what": "good", "value": 0.0, "said": said, "behind_s": behind_s}
+
+
+def _change(rig: GoodRig) -> Iterator[dict[str, Any]]:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.spool"
+        if _said(lambda: press_good_rig(rig, path).zero_N)[0]:
+            yield {"what": "refused", "value": 0.0, "said": ""}
+            return
+        run = read_spool(path)
+    for what, values, change in (("later", LATER_S, _later), ("gain", GAINS, _gain)):
+        for value in values:
+            yield {"what": what, "value": value, "said": _assembled(change(run, value))}
+
+
+def _break(rig: GoodRig) -> Iterator[dict[str, Any]]:
+    for what, values, breaks in (("stuck", STUCK_S, _stick), ("slipped", SLIPPED_MM, _slip)):
+        for value in values:
+            yield {"what": what, "value": value, "said": _pressed(rig, breaks, value)}
+
+
+def _said(act: Callable[[], float]) -> tuple[str, float | None]:
+    try:
+        found = act()
+    except SoftcalError as error:
+        return str(error), None
+    return "", found if np.isfinite(found) else None
+
+
+def _assembled(run: SpooledRun) -> str:
+    # A latency that is not stated is corrected, not refused: it is stated here as it was found to be.
+    facts = replace(RunFacts(**run.facts), is_latency_stated=True)
+    return _said(lambda: assemble(Raw(run.output, run.force, run.polls), facts).zero_N)[0]
+
+
+def _later(run: SpooledRun, late_s: float) -> SpooledRun:
+    force = tuple(replace(sample, host_s=sample.host_s + late_s) for sample in run.force)
+    return replace(run, force=force)
+
+
+def _gain(run: SpooledRun, gain: float) -> SpooledRun:
+    """Change the cell's gain between two presses: where the stage is highest, near the middle of the profile."""
+    zero_N, (begun_s, ended_s) = run.facts["zero_N"], run.facts["span_s"]
+    inside = [
+        p for p in run.polls if begun_s + 0.35 * (ended_s - begun_s) < p.host_s < ended_s - 0.35 * (ended_s - begun_s)
+    ]
+    at_s = min(inside, key=lambda poll: poll.position_mm).host_s
+
+    def changed(sample: Sample) -> Sample:
+        force_N = zero_N + gain * (sample.values[0] - zero_N)
+        return replace(sample, values=(force_N,)) if sample.host_s > at_s else sample
+
+    return replace(run, force=tuple(changed(sample) for sample in run.force))
+
+
+Breaks = Callable[[SimulatedStation, float], None]
+
+
+def _pressed(rig: GoodRig, breaks: Breaks, value: float) -> str:
+    is_broken = False
+
+    def on_progress(progress: RunProgress, station: SimulatedStation) -> None:
+        nonlocal is_broken
+        is_deep = progress.force_N is not None and progress.force_N > 0.4
+        if progress.phase == PRESSING and is_deep and not is_broken:
+            is_broken = True
+            breaks(station, value)
+
+    said = _said(lambda: press_good_rig(rig, None, on_progress).zero_N)[0]
+    return said if is_broken else "not broken"
+
+
+def _stick(station: SimulatedStation, seconds: float) -> None:
+    """The load cell hangs in the middle of a press, its noise goes on."""
+    since_s, rng = station.world.now_s(), np.random.default_rng(1)
+    level_N: list[float] = []
+
+    def stuck(now_s: float, force_N: float) -> float:
+        level_N.append(force_N)
+        return level_N[0] + float(rng.normal(0, 0.005)) if now_s < since_s + seconds else force_N
+
+    station.rig.force_fault = stuck
+
+
+def _slip(station: SimulatedStation, slipped_mm: float) -> None:
+    station.rig.lose_steps(slipped_mm)
+
+
+def _print(rows: list[dict[str, Any]]) -> None:
+    good = [row for row in rows if row["what"] == "good"]
+    refused = [row for row in good if row["said"]]
+    off_ms = np.array([1000 * (row["behind_s"] - row["late_s"]) for row in good if row["behind_s"] is not None])
+    known = len(off_ms) / max(1, len(good) - len(refused))
+    print(f"{len(good)} good rigs pressed; {len(refused)} refused ({100 * len(refused) / max(1, len(good)):.1f} %).")
+    print(
+        f"How late the cell was is known in {100 * known:.0f} %; found minus true: median {np.median(off_ms):+.1f} ms, "
+        f"from {off_ms.min():+.1f} to {off_ms.max():+.1f} ms.\n"
+    )
+    print("| what is wrong | how much | rigs | noticed | share |")
+    print("|---|---|---|---|---|")
+    table: dict[tuple[str, float], list[bool]] = defaultdict(list)
+    for row in rows:
+        if row["what"] not in ("good", "refused") and row["said"] != "not broken":
+            table[str(row["what"]), float(row["value"])].append(bool(row["said"]))
+    names = {
+        "later": "load cell later than stated, s",
+        "gain": "gain of the load cell from the middle of the run on, times",
+        "stuck": "load cell stuck but noisy, s",
+        "slipped": "motor loses steps in a press, mm",
+    }
+    for (what, value), noticed in table.items():
+        print(f"| {names[what]} | {value:g} | {len(noticed)} | {sum(noticed)} | {100 * np.mean(noticed):.0f} % |")
+    if refused:
+        print("\nRefused although good:\n")
+        for row in refused:
+            print(f"- {row['seed']}: {row['unit']}, {row['cell_Hz']:g} Hz, {row['late_s']:.3f} s: {row['said']}")
+
+
+if __name__ == "__main__":
+    main()

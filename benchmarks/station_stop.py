@@ -1,0 +1,182 @@
+"""How long a stop takes from the key, or from the order, to the stage's controller, through service and registry.
+
+python benchmarks/station_stop.py [--rounds N] [--browser] [--writer]
+
+The simulated rig runs at real time here. The clock starts when F8 is pressed in a Chromium that shows the line's screen
+(--browser), or when the order is placed, and ends when the stop byte has crossed the wire of the stage.
+"""
+
+import argparse
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from screens_common import chromium, served
+
+from softcal.app.line.host import StationHost
+from softcal.app.line.pressed_run import RunKeeper
+from softcal.core.lot import Lot
+from softcal.core.orders import Order, OrderKind, Progress, StationState
+from softcal.core.profiles import unit_profile
+from softcal.core.quality.gate import Gate
+from softcal.db.connection import open_registry
+from softcal.db.registry import Registry
+from softcal.station.bench import Bench, open_simulated_bench
+from softcal.station.service import Hooks, StationService
+from softcal.station.simulated.station import SimulatedStation
+
+STATION, LOT = "line-1", "L1"
+PHASES = ("homing", "searching for contact", "feeling the unit", "pressing", "reading the zero return")
+GOAL_S, HANG_S = 0.3, 240.0
+
+
+@dataclass
+class Rig:
+    """A served simulated station at real time, and the one who orders from it."""
+
+    registry: Registry
+    seed: int = 0
+    station: SimulatedStation | None = None
+
+    @contextmanager
+    def open(self) -> Iterator[Bench]:
+        """Open the bench as the service does, again after each stop."""
+        self.seed += 1
+        with open_simulated_bench(seed=self.seed, time_factor=1.0) as (bench, self.station):
+            yield bench
+
+    def order(self, kind: OrderKind) -> str:
+        """Place an order."""
+        order_id = f"{kind}-{time.monotonic_ns()}"
+        serial = "A1" if kind is OrderKind.UNIT else ""
+        self.registry.order_queue.place(Order(order_id, STATION, kind, serial, LOT, "benchmark"))
+        return order_id
+
+    def until(self, is_so: Callable[[], bool], what: str) -> None:
+        """Wait, on a busy machine for long."""
+        end_s = time.monotonic() + HANG_S
+        while not is_so():
+            if time.monotonic() > end_s:
+                raise TimeoutError(f"waited for {what}")
+            time.sleep(0.005)
+
+    def progress(self, order_id: str) -> Progress:
+        """Return how far an order is."""
+        return self.registry.order_queue.progress(order_id)
+
+    def is_ready(self) -> bool:
+        """Whether a run may be ordered."""
+        beat = self.registry.order_queue.heartbeat(STATION)
+        return beat is not None and beat.state is StationState.READY and not beat.order_id
+
+
+def main() -> None:
+    """Stop runs in every phase and print the times."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=5, help="stops in each phase (default 5)")
+    parser.add_argument("--browser", action="store_true", help="from the key in a real browser")
+    parser.add_argument("--writer", action="store_true", help="while another process keeps the registry writing")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        url = f"sqlite:///{folder}/r.db"
+        with open_registry(url) as registry, serving(registry, Path(folder)) as rig:
+            registry.add_lot(Lot(LOT, "A0", 50.0))
+            with told_by(options.browser, rig, url) as tell, busy(options.writer, url):
+                report([(phase, [stop_in(rig, phase, tell) for _ in range(options.rounds)]) for phase in PHASES])
+
+
+@contextmanager
+def serving(registry: Registry, folder: Path) -> Iterator[Rig]:
+    """Serve the simulated rig in a thread of its own."""
+    rig, is_over = Rig(registry), threading.Event()
+    profile = unit_profile(np.random.default_rng(1))
+
+    def service(report: Callable[[Progress], None], is_stop_wanted: Callable[[], bool]) -> StationService:
+        hooks = Hooks(report, is_stop_wanted, lambda kind, facts: Gate())
+        return StationService(rig.open, {OrderKind.UNIT: profile}, folder, hooks)
+
+    keeper = RunKeeper(registry, STATION)
+    host = StationHost(registry.order_queue, STATION, keeper, lambda actor, why: None, service)
+    thread = threading.Thread(target=lambda: host.run(lambda: not is_over.is_set()))
+    thread.start()
+    try:
+        rig.until(rig.is_ready, "a station that is ready")
+        yield rig
+    finally:
+        is_over.set()
+        thread.join()
+
+
+@contextmanager
+def told_by(is_browser: bool, rig: Rig, url: str) -> Iterator[Callable[[], None]]:
+    """Give what tells the station to stop: F8 in a browser, or an order."""
+    if not is_browser:
+        yield lambda: None if rig.order(OrderKind.STOP) else None
+        return
+    with served(url) as (address, _), chromium() as browser:
+        page = browser.new_page()
+        page.goto(address)
+        page.wait_for_selector(".sc-card", timeout=60_000)
+        yield lambda: page.keyboard.press("F8")
+
+
+@contextmanager
+def busy(is_wanted: bool, url: str) -> Iterator[None]:
+    """Keep another connection writing, as a batch does: half a second of lock, then a tenth free."""
+    is_over = threading.Event()
+
+    def write() -> None:
+        with open_registry(url) as registry:
+            while not is_over.wait(0.1):
+                with registry.database.writing():
+                    time.sleep(0.5)
+
+    writer = threading.Thread(target=write)
+    if is_wanted:
+        writer.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        if is_wanted:
+            writer.join()
+
+
+def stop_in(rig: Rig, phase: str, tell: Callable[[], None]) -> float:
+    """Order a run, stop it in this phase, acknowledge; return the seconds from being told to the stop byte."""
+    run = rig.order(OrderKind.UNIT)
+    rig.until(lambda: rig.progress(run).phase == phase, phase)
+    time.sleep(np.random.default_rng().uniform(0.0, 0.2))
+    station = rig.station
+    if station is None:
+        raise ValueError("no station is open")
+    station.stage.stop_received_s = None
+    began_s = time.monotonic()
+    is_there = (lambda: station.stage.stop_received_s is not None, "the stop byte")
+    told = threading.Thread(target=rig.until, args=is_there)
+    told.start()
+    tell()
+    told.join()
+    took_s = time.monotonic() - began_s
+    rig.until(lambda: not rig.progress(run).state.is_active, "the end of the run")
+    rig.order(OrderKind.ACKNOWLEDGE)
+    rig.until(rig.is_ready, "a station that is ready")
+    return took_s
+
+
+def report(times: list[tuple[str, list[float]]]) -> None:
+    """Print a row for each phase."""
+    print("| phase | stops | median, s | largest, s |")
+    print("|---|---|---|---|")
+    for phase, took_s in [*times, ("all", [t for _, some in times for t in some])]:
+        print(f"| {phase} | {len(took_s)} | {np.median(took_s):.3f} | {np.max(took_s):.3f} |", flush=True)
+    print(f"\nGoal: {GOAL_S} s.")
+
+
+if __name__ == "__main__":
+    main()

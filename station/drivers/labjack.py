@@ -1,0 +1,140 @@
+"""Analog inputs of a LabJack T4, T7 or T8 as the sensor's readout, through LabJack's own LJM library.
+
+Registers: LabJack T-Series Datasheet, 14 Analog Inputs. Every reading is asked for and answered, none is old.
+"""
+
+import importlib
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from softcal.core.errors import BadReply, CommandRefused, InputError, NoReply
+from softcal.core.words.reason import reason
+from softcal.station.config import ReadoutConfig
+from softcal.station.driver import Driver, Opening, Simulated, Surroundings
+from softcal.station.named import named
+from softcal.station.threaded import Reading, ThreadedReader
+
+NAME = "sensor readout"
+RANGES_V = (10.0, 1.0, 0.1, 0.01)
+"""Ranges of a T7; others take those they have and refuse the rest."""
+
+
+@dataclass(frozen=True)
+class LabjackConfig(ReadoutConfig):
+    """Analog inputs of a LabJack; the port is its serial number, its IP address, or ANY.
+
+    Args:
+        device: T4, T7, T8 or ANY.
+        first_input: number of the first analog input; further channels are the next ones.
+        full_scale_V: range of the inputs: 10, 1, 0.1 or 0.01.
+        resolution: resolution index of the converter; 0 is the device's own choice.
+
+    Raises:
+        InputError: an input or a range that cannot be.
+    """
+
+    kind: str = "labjack"
+    device: str = "ANY"
+    first_input: int = 0
+    full_scale_V: float = 10.0
+    resolution: int = 0
+
+    def __post_init__(self) -> None:
+        if self.full_scale_V not in RANGES_V:
+            known = ", ".join(f"{value:g}" for value in RANGES_V)
+            raise InputError(
+                reason("station_file.known", name="readout.full_scale_V", value=f"{self.full_scale_V:g}", known=known)
+            )
+        for name, value, high in (("first_input", self.first_input, 254), ("resolution", self.resolution, 12)):
+            if not 0 <= value <= high:
+                raise InputError(reason("station_file.outside", name=f"readout.{name}", value=value, low=0, high=high))
+
+    @property
+    def inputs(self) -> list[str]:
+        """Names of the inputs that are read."""
+        return [f"AIN{self.first_input + channel}" for channel in range(self.channels)]
+
+    def library(self) -> Any:
+        """Return LabJack's module.
+
+        Raises:
+            NoReply: it, or the LJM library below it, is not installed.
+        """
+        try:
+            return importlib.import_module("labjack.ljm")
+        except Exception as error:  # It raises a kind of its own where LJM itself is missing.
+            raise NoReply(reason("labjack.missing", device=named(NAME, self.port), error=str(error))) from error
+
+
+def open_labjack(config: LabjackConfig, opening: Opening) -> ThreadedReader:
+    """Open the inputs a station file describes, and set their range.
+
+    Raises:
+        NoReply: no such LabJack, or its library is missing.
+        CommandRefused: it does not take a setting.
+    """
+    ljm = config.library()
+    try:
+        handle = ljm.openS(config.device, "ANY", config.port)
+    except ljm.LJMError as error:
+        raise NoReply(reason("labjack.none", device=named(NAME, config.port), error=str(error))) from error
+    try:
+        for name in config.inputs:
+            _set(ljm, handle, f"{name}_RANGE", config.full_scale_V, config.port)
+            _set(ljm, handle, f"{name}_RESOLUTION_INDEX", config.resolution, config.port)
+    except BaseException:
+        ljm.close(handle)
+        raise
+
+    def read() -> Reading:
+        values = tuple(ljm.eReadNames(handle, config.channels, config.inputs))
+        if not all(math.isfinite(value) for value in values):
+            raise BadReply(reason("labjack.reading", device=named(NAME), values=str(values)))
+        return Reading(values)
+
+    # The converter reads a little beyond its range: at the range itself the sensor is at the rail.
+    limits = (-config.full_scale_V, config.full_scale_V)
+    return ThreadedReader(
+        NAME,
+        "V",
+        config.rate_Hz,
+        opening.clock,
+        read,
+        lambda: ljm.close(handle),
+        channels=config.channels,
+        limits=limits,
+    )
+
+
+def _set(ljm: Any, handle: int, name: str, value: float, port: str) -> None:
+    try:
+        ljm.eWriteName(handle, name, value)
+        found = float(ljm.eReadName(handle, name))
+    except ljm.LJMError as error:
+        raise CommandRefused(
+            reason("labjack.refused", device=named(NAME, port), name=name, value=value, error=str(error))
+        ) from error
+    if value and abs(found - value) > 0.1 * value:  # 0 lets the device choose.
+        raise CommandRefused(reason("labjack.other", device=named(NAME, port), name=name, value=value, found=found))
+
+
+def _simulate(around: Surroundings) -> Simulated[LabjackConfig]:
+    from softcal.station.simulated.labjack import SimulatedLabjack, SimulatedLabjackConfig
+
+    rate_Hz, channels = around.electronics.sample_rate_Hz, len(around.outputs_V(0.0))
+    config = SimulatedLabjackConfig(around.wire.port, rate_Hz=rate_Hz, channels=channels)
+    return Simulated(config, SimulatedLabjack(around.wire, around.outputs_V))
+
+
+DRIVERS = (
+    Driver(
+        "labjack",
+        "LabJack T4, T7, T8: analog inputs",
+        LabjackConfig,
+        open_labjack,
+        _simulate,
+        ("library",),
+        is_threaded=True,
+    ),
+)

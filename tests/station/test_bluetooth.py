@@ -1,0 +1,93 @@
+"""Boards behind Bluetooth: the text-stream drivers pass their kit over the air, and what fails is one sentence."""
+
+import inspect
+import sys
+from dataclasses import replace
+
+import pytest
+
+from softcal.core.errors import DeviceError, NoReply
+from softcal.station.bluetooth import NOTIFIES, TAKES, BleTransport
+from softcal.station.catalogue import driver_of
+from softcal.station.clock import HostClock
+from softcal.station.link import Link
+from softcal.station.simulated.ble import SimulatedBleak
+from softcal.station.testing import DriverRig, checks
+from softcal.station.transport import wire_of
+
+ADDRESS = "ble://AA:BB:CC:DD:EE:FF"
+
+
+@pytest.fixture
+def bleak(monkeypatch):
+    """Bleak as far as softcal uses it, over sockets of this machine."""
+    monkeypatch.setitem(sys.modules, "bleak", SimulatedBleak)
+
+
+def over_the_air(role, kind):
+    return replace(driver_of(role, kind), wires=("ble",), is_threaded=True)
+
+
+DRIVERS = [over_the_air("readout", "arduino"), over_the_air("cell", "hx711")]
+
+
+@pytest.mark.parametrize("check", [check for driver in DRIVERS for check in checks(driver)], ids=str)
+def test_a_driver_over_the_air(bleak, check):
+    check()
+
+
+def test_a_bluetooth_port_is_written_as_an_address():
+    assert wire_of(ADDRESS) == "ble"
+    assert "ble" in driver_of("readout", "arduino").wires
+
+
+def test_without_bleak_the_package_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "bleak", None)
+    with pytest.raises(NoReply, match=r"AA:BB:CC:DD:EE:FF.*pip install 'softcal\[ble\]'"):
+        Link(ADDRESS, HostClock(), name="load cell")
+
+
+def test_a_board_that_is_not_there_is_one_sentence_and_leaves_no_thread(bleak):
+    import threading
+
+    with pytest.raises(NoReply, match="ble://127.0.0.1:1") as caught:
+        Link("ble://127.0.0.1:1", HostClock(), name="load cell")
+    assert "\n" not in str(caught.value)
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("Bluetooth")]
+
+
+def test_what_is_written_arrives_whole_and_in_order(bleak):
+    with DriverRig(DRIVERS[0]) as rig:
+        board = BleTransport(rig.wire.port.removeprefix("ble://"))
+        received, end_s = b"", rig.clock.now_s() + 5.0
+        rig.simulated.far_end.receive = lambda now_s: None  # Nobody else reads what the host writes.
+        board.write(bytes(range(100)))
+        while len(received) < 100 and rig.clock.now_s() < end_s:
+            rig.clock.sleep_s(0.01)
+            received += rig.wire.receive()
+        board.close()
+    assert received == bytes(range(100))
+
+
+def test_a_board_that_goes_out_of_reach_ends_the_readings(bleak):
+    with DriverRig(DRIVERS[0]) as rig, rig.reader() as reader:
+        rig.wire.unplug()
+        assert isinstance(rig.fault_within(1.0, reader.poll), DeviceError)
+
+
+def test_softcal_calls_bleak_as_bleak_is():
+    bleak = pytest.importorskip("bleak")
+    for name in ("__init__", "connect", "start_notify", "write_gatt_char", "disconnect"):
+        own = inspect.signature(getattr(SimulatedBleak.BleakClient, name)).parameters
+        real = inspect.signature(getattr(bleak.BleakClient, name)).parameters
+        assert [key for key in own if key not in real] == [], name
+    from bleak.uuids import uuidstr_to_str
+
+    assert (uuidstr_to_str(NOTIFIES), uuidstr_to_str(TAKES)) == ("Nordic UART TX", "Nordic UART RX")
+
+
+def test_a_machine_without_bluetooth_says_so_in_one_sentence():
+    pytest.importorskip("bleak")
+    with pytest.raises(NoReply, match="AA:BB:CC:DD:EE:FF") as caught:
+        Link(ADDRESS, HostClock(), name="load cell")
+    assert "\n" not in str(caught.value)

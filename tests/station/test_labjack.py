@@ -1,0 +1,88 @@
+"""A LabJack through a library that stands in the place of its own: settings, readings, and every way it can fail."""
+
+import inspect
+import sys
+from dataclasses import replace
+
+import pytest
+
+from softcal.core.errors import CommandRefused, InputError, NoReply
+from softcal.core.profiles import moves
+from softcal.station.acquisition import record
+from softcal.station.bench import open_simulated_bench
+from softcal.station.catalogue import driver_of
+from softcal.station.clock import HostClock
+from softcal.station.config import device_section
+from softcal.station.driver import Opening
+from softcal.station.drivers.labjack import LabjackConfig
+from softcal.station.simulated.labjack import SimulatedLjm
+from softcal.station.testing import DriverRig
+
+DRIVER = driver_of("readout", "labjack")
+
+
+def test_range_and_resolution_are_set_as_the_file_says():
+    with DriverRig(DRIVER) as rig:
+        rig.open(full_scale_V=1.0, resolution=4).close()
+        assert rig.simulated.far_end.registers == {"AIN0_RANGE": 1.0, "AIN0_RESOLUTION_INDEX": 4.0}
+
+
+def test_a_range_that_the_device_does_not_have_is_refused():
+    with DriverRig(DRIVER) as rig:
+        rig.simulated.far_end._value = lambda name, now_s: 10.0
+        with pytest.raises(CommandRefused, match="AIN0_RANGE was set to 0.1 and reads 10"):
+            rig.open(full_scale_V=0.1)
+
+
+def test_further_channels_are_the_next_inputs():
+    assert LabjackConfig("ANY", channels=3, first_input=4).inputs == ["AIN4", "AIN5", "AIN6"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [("full_scale_V", 5.0, "10, 1, 0.1, 0.01"), ("first_input", 300, r"\[0, 254\]"), ("resolution", 13, r"\[0, 12\]")],
+)
+def test_a_setting_that_cannot_be_is_refused_when_the_file_is_read(key, value, said):
+    with pytest.raises(InputError, match=f"readout.{key} is .*{said}"):
+        device_section("readout", {"kind": "labjack", "port": "ANY", key: value})
+
+
+def test_without_the_library_both_parts_are_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "labjack.ljm", None)
+    with pytest.raises(NoReply, match=r"install LJM .*pip install 'softcal\[labjack\]'") as caught:
+        DRIVER.open(LabjackConfig("470012345"), Opening(HostClock()))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_voltage_that_is_no_number_is_no_reading():
+    with DriverRig(DRIVER) as rig:
+        reader = rig.open()
+        reader.start()
+        rig.level = float("nan")
+        error = rig.fault_within(1.0, reader.poll)
+        assert "which is no voltage" in str(error)
+
+
+def test_a_unit_is_pressed_and_recorded_through_it():
+    profile = moves("short", [0.0, 2.0, 0.0], [2.0, 2.0, 2.0], [0.5, 0.5, 0.5])
+    with open_simulated_bench(seed=3, readout_kind="labjack") as (bench, _):
+        recording = record(bench, "A1", profile, with_reference=True)
+    assert (recording.output_unit, recording.sample_rate_Hz) == ("V", 50.0)
+    assert recording.force_N is not None and recording.force_N.max() > 1.0
+
+
+def test_softcal_calls_the_library_as_it_is(monkeypatch):
+    import ctypes
+
+    # The module loads LJM, which no package index has, when it is imported.
+    monkeypatch.setattr(ctypes.CDLL, "__init__", lambda self, *_, **__: None, raising=True)
+    ljm = pytest.importorskip("labjack.ljm")
+    for name in ("openS", "close", "eReadName", "eReadNames", "eWriteName"):
+        own = list(inspect.signature(getattr(SimulatedLjm, name)).parameters)[1:]
+        assert own == list(inspect.signature(getattr(ljm, name)).parameters), name
+    assert issubclass(ljm.LJMError, Exception)
+
+
+def test_the_driver_of_the_simulated_library_is_the_shipped_one():
+    with DriverRig(DRIVER) as rig:
+        assert isinstance(rig.config, LabjackConfig) and replace(rig.config).kind == DRIVER.kind

@@ -1,0 +1,137 @@
+"""A recording proves itself: lag, gain, what follows the stage; and good rigs of many kinds are never refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import BadReply
+from softcal.core.profiles import ramps
+from softcal.core.twin.simulate import Twin, simulate
+from softcal.station.acquisition import record
+from softcal.station.bench import open_simulated_bench
+from softcal.station.config import UNKNOWN_S
+from softcal.station.proof import (
+    check_bits,
+    check_follows,
+    check_gain,
+    check_lag,
+    check_output_gain,
+    lag_s,
+    press_gains,
+)
+from softcal.station.simulated.proof_trial import draw_good_rig, press_good_rig
+
+TURNS_S, DEPTHS_MM = np.arange(0.0, 31.0, 1.5), np.tile([0.0, 3.0, 0.0, 2.0], 6)[:21]
+
+
+def stage_mm(t_s):
+    return np.interp(t_s, TURNS_S, DEPTHS_MM)
+
+
+def relaxing_force(t_s, share=0.3, time_s=0.8):
+    """A standard linear solid: a spring, and a Maxwell branch, in steps of a millisecond."""
+    fine_s = np.arange(0.0, 31.0, 0.001)
+    elastic = 0.8 * stage_mm(fine_s) ** 1.5
+    branch, kept = np.zeros_like(elastic), np.exp(-0.001 / time_s)
+    for k in range(1, len(elastic)):
+        branch[k] = kept * branch[k - 1] + elastic[k] - elastic[k - 1]
+    return np.interp(t_s, fine_s, (1 - share) * elastic + share * branch)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.02, 0.05, 0.1, 0.3])
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_how_late_a_cell_is_is_found_on_elastic_and_on_relaxing_units(late_s, share, rng):
+    t_s = np.arange(1.0, 29.0, 1 / 80)
+    force_N = relaxing_force(t_s - late_s, share) + rng.normal(0, 0.01, len(t_s))
+    assert lag_s(t_s, force_N, stage_mm, 0.0) == pytest.approx(late_s, abs=0.008)
+
+
+def test_a_few_samples_or_noise_alone_tell_nothing(rng):
+    t_s = np.arange(1.0, 3.0, 0.1)
+    assert np.isnan(lag_s(t_s, relaxing_force(t_s) + rng.normal(0, 0.2, len(t_s)), stage_mm, 0.0))
+    t_s = np.arange(1.0, 29.0, 1 / 80)
+    assert np.isnan(lag_s(t_s, rng.normal(0, 1.0, len(t_s)), stage_mm, 0.0))
+    assert np.isnan(lag_s(t_s, rng.normal(0, 1.0, len(t_s)), lambda t: np.zeros_like(t), 1.0))
+
+
+@pytest.mark.parametrize(("found_s", "period_s", "is_good"), [
+    (0.008, 0.0125, True), (0.02, 0.0125, False), (0.02, 0.1, True), (-0.06, 0.0125, True),
+    (-0.15, 0.0125, False),
+    (float("nan"), 0.0125, True),
+])  # fmt: skip
+def test_a_cell_may_be_off_by_a_share_of_its_sampling_period(found_s, period_s, is_good):
+    if is_good:
+        return check_lag(found_s, 0.0, period_s)
+    with pytest.raises(BadReply, match="behind the stage, 0.000 s are declared"):
+        check_lag(found_s, 0.0, period_s)
+
+
+def test_a_press_with_another_gain_is_refused():
+    t_s = np.arange(0.0, 30.0, 0.02)
+    force_N = relaxing_force(t_s)
+    check_gain(stage_mm(t_s), force_N)
+    assert press_gains(stage_mm(t_s), force_N) == pytest.approx(1.0, abs=0.15)
+    with pytest.raises(BadReply, match="at equal depths one press shows"):
+        check_gain(stage_mm(t_s), np.where(t_s > 15.0, 0.6, 1.0) * force_N)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_lost_steps_show_in_the_output_where_there_is_no_cell(sign):
+    t_s = np.arange(0.0, 30.0, 0.02)
+    output = 2.0 + sign * 0.1 * stage_mm(t_s) ** 1.5
+    check_output_gain(stage_mm(t_s), output)
+    slipped = 2.0 + sign * 0.1 * np.maximum(0.0, stage_mm(t_s) - np.where(t_s > 15.0, 1.0, 0.0)) ** 1.5
+    with pytest.raises(BadReply, match="whether the motor lost steps"):
+        check_output_gain(stage_mm(t_s), slipped)
+
+
+def test_an_output_that_does_not_follow_the_stage_is_refused(rng):
+    t_s = np.arange(1.0, 29.0, 0.02)
+    good = 1.4 + 0.1 * relaxing_force(t_s) + rng.normal(0, 0.005, len(t_s))
+    check_follows(t_s, good[:, None], stage_mm, 0.0)
+    floats = 2.0 + 0.4 * np.sin(2 * np.pi * 0.93 * t_s)
+    with pytest.raises(BadReply, match="goes with the depth of the stage"):
+        check_follows(t_s, np.column_stack([good, floats]), stage_mm, 0.0)
+
+
+@pytest.mark.parametrize("bit", [1, 3, 5, 6])
+@pytest.mark.parametrize("is_one", [True, False])
+def test_a_bit_that_hangs_is_found(bit, is_one, rng):
+    t_s = np.arange(0.0, 30.0, 0.02)
+    counts = np.round(290 + 60 * relaxing_force(t_s) + rng.normal(0, 0.5, len(t_s))).astype(int)
+    step_V = 5 / 1023
+    check_bits(step_V * counts[:, None])
+    stuck = counts | 1 << bit if is_one else counts & ~(1 << bit)
+    with pytest.raises(BadReply, match=f"bit {bit} of its converter never changes"):
+        check_bits(step_V * stuck[:, None])
+
+
+def test_an_instrument_without_steps_has_no_bits(rng):
+    check_bits(rng.normal(100.0, 3.0, (500, 2)))
+    check_bits(np.full((500, 1), 1.4))
+
+
+def test_a_latency_that_nobody_stated_is_found_and_taken_off():
+    with open_simulated_bench(seed=3) as (bench, station):
+        station.force_wire.delay_s += 0.1
+        unstated = replace(bench.config, force=replace(bench.config.force, latency_s=UNKNOWN_S))
+        recording = record(replace(bench, config=unstated), "A0", ramps([2.0, 3.0], 3.0, rest_s=0.5), True)
+        surface_mm = recording.contact_mm - 0.3 - station.rig.clearance_mm
+    force_N, _ = simulate(Twin(), recording.t_s, recording.stage_mm + surface_mm)
+    assert recording.alignment.force_behind_s == pytest.approx(0.1, abs=0.01)
+    # 0.1 s late, this run would be wrong by 0.5 N.
+    assert np.sqrt(np.mean((recording.force_N - force_N) ** 2)) < 0.1
+
+
+SHORT_OF = pytest.mark.xfail(
+    strict=True, reason="a slow cell 0.30 s late is found 0.23 s late (docs/station-figures.md)"
+)
+
+
+@pytest.mark.parametrize("seed", [7, 19, pytest.param(31, marks=SHORT_OF), 36, 57, 66])
+def test_slow_late_and_flat_channels_of_a_good_rig_are_no_fault(seed):
+    rig = draw_good_rig(seed)
+    recording = press_good_rig(rig)
+    behind_s = recording.alignment.force_behind_s
+    assert np.isnan(behind_s) or behind_s == pytest.approx(rig.late_s, abs=0.03)
