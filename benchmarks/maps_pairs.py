@@ -37,7 +37,7 @@ def main() -> None:
     names = taxels(day)
     sources = [name for name in options.sources if name in names] or names[3:5]
     configs = variants()
-    errors = {label: [] for label, _ in configs}
+    errors: dict[str, list[float]] = {label: [] for label, _ in configs}
     for source in sources:
         recording = taxel(day, source, fitted)
         network = fit_network(recording).network

@@ -1,6 +1,7 @@
 """What audits buy: lots whose truth is outside what the method was set on, released on 0 to 20 audited units.
 
-python benchmarks/trust.py [--quick] [--seeds FIRST LAST] [--cache DIR] [--measured] [--figure FILE]
+python benchmarks/trust.py [--quick] [--seeds FIRST LAST] [--cache DIR] [--measured | --days]
+    [--figure FILE]
 
 Each lot is fitted once and kept in the cache; which units are audited is drawn many times over. A release keeps the
 promise of `softcal lot release`: no more than the risk of the released units beyond the limit, at 90 % confidence.
@@ -8,7 +9,7 @@ promise of `softcal lot release`: no more than the risk of the released units be
 
 import argparse
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import gettempdir
 
@@ -17,11 +18,14 @@ from map_methods import print_table
 from plotly.subplots import make_subplots
 from scipy.stats import beta
 from screens_common import chromium
-from trust_lots import GOOD, FittedUnit, covered, drawn_lots, fitted, measured_lots
+from trust_lots import GOOD, FittedUnit, covered, day_lots, drawn_lots, fitted, measured_lots
 
 from softcal.core.quality.acceptance import Promise
-from softcal.core.quality.conformal import least_risk, unit_scale
+from softcal.core.quality.conformal import least_risk
 from softcal.core.quality.release import AuditedUnit, least_passing, release
+from softcal.core.quality.widening import Widening, fit_widening
+from softcal.core.unit.line_spread import LineSpread
+from softcal.core.unit.method import LineConfig
 from softcal.core.unit.verdict import Limit
 
 AUDITS = (0, 3, 5, 10, 20)
@@ -54,12 +58,17 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 24), metavar=("FIRST", "LAST"))
     parser.add_argument("--cache", type=Path, default=Path(gettempdir()) / "softcal-trust", help="fits are kept here")
     parser.add_argument("--measured", action="store_true", help="the recordings of shared/data in place of drawn lots")
+    parser.add_argument("--days", action="store_true", help="lots read on another day, without and with a golden run")
     parser.add_argument("--figure", type=Path, help="draw what audits buy: .html, or .png by chromium")
     options = parser.parse_args()
     if options.measured:
         report(by_lot(fitted(measured_lots, "measured", options.cache)))
         return
     seeds = range(1) if options.quick else range(*options.seeds)
+    if options.days:
+        fits = (fitted(lambda seed=seed: day_lots(seed), f"days-{seed}", options.cache) for seed in seeds)  # type: ignore[misc]
+        report(by_lot(unit for units in fits for unit in units))
+        return
     units = [u for seed in seeds for u in fitted(lambda seed=seed: drawn_lots(seed), f"seed-{seed}", options.cache)]  # type: ignore[misc]
     lots = by_lot(units)
     report(lots)
@@ -73,6 +82,7 @@ def report(lots: Lots) -> None:
     print_kinds(lots, 10)
     print_audits(lots)
     print_deciles(lots)
+    print_line(lots)
 
 
 def by_lot(units: Iterable[FittedUnit]) -> Lots:
@@ -107,8 +117,8 @@ def _draw(audited: Sequence[FittedUnit], rest: Sequence[FittedUnit], others: int
         least_passing(len(audited) + len(rest) + others, held),
     )
     released = [u for u in rest if u.serial in decision.released]
-    scale = unit_scale([u.scores for u in audited], 0.9) if audited else 1.0
-    share = {u.serial: float(covered(u, scale)) for u in rest}
+    widening = fit_widening([u.samples for u in audited], 0.9) if audited else Widening()
+    share = {u.serial: covered(u, widening) for u in rest}
     return Draw(
         len(rest) + others,
         sum(u.truth <= u.limit for u in rest),
@@ -127,7 +137,7 @@ def print_without_audits(lots: Lots) -> None:
         passed, mapped = [u for u in units if u.word == "pass"], [u for u in units if u.sample]
         ratio = np.exp(np.median([np.log(u.truth / u.forecast) for u in mapped]))
         beyond = sum(u.truth > u.limit for u in passed)
-        cover = np.quantile([covered(u, 1.0) for u in mapped], (0.1, 0.5))
+        cover = np.quantile([covered(u) for u in mapped], (0.1, 0.5))
         far = float(np.mean([u.truth > u.limit for u in units]))
         rows.append(
             (kind, len(units), percent(far), f"{beyond} of {len(passed)}", f"{ratio:.2f}", *map(percent, cover))
@@ -210,6 +220,34 @@ def print_deciles(lots: Lots) -> None:
     print_table(
         ("forecast / limit", "10 %", "median", "90 %"), [(a, float(b), float(c), float(d)) for a, b, c, d in rows]
     )
+
+
+def print_line(lots: Lots) -> None:
+    """Print what a spread of the line that nobody stated would do to the forecasts, were it in them by default."""
+    rows = []
+    line = LineConfig()
+    for share in (0.0, 0.02, LineSpread(line.load_spread, line.day_spread).share):
+        wide = {key: [with_line(unit, share) for unit in units] for key, units in lots.items()}
+        by_kind = released_on(wide, 10)
+        for label, is_good in (("good lots", True), ("all other kinds", False)):
+            draws = [d for kind, group in by_kind.items() if (kind in GOOD) == is_good for d in group]
+            units = [u for (kind, _), g in wide.items() if (kind in GOOD) == is_good for u in g if u.sample]
+            released, beyond = sum(d.released for d in draws), sum(d.beyond for d in draws)
+            good = percent((released - beyond) / max(sum(d.good for d in draws), 1))
+            within = sum(u.forecast <= u.limit for u in units)
+            wrong = sum(u.forecast <= u.limit < u.truth for u in units)
+            ratio = np.exp(np.median([np.log(u.truth / u.forecast) for u in units]))
+            rows.append((percent(share), label, f"{within} of {len(units)}", wrong, f"{ratio:.2f}", good))
+    print("A spread of the line in every forecast by default:\n")
+    head = ("share of the load", "kinds", "forecast within the limit", "of these beyond it", "true / forecast, median")
+    print_table((*head, "ten audits: good units released"), rows)
+
+
+def with_line(unit: FittedUnit, share: float) -> FittedUnit:
+    """Return a unit as it would be judged with this spread of the line in its forecast."""
+    forecast = float(np.hypot(unit.forecast, share * unit.load))
+    word = unit.word if unit.is_vetoed or forecast <= unit.limit else "fail"
+    return replace(unit, forecast=forecast, word=word)
 
 
 def upper(beyond: int, released: int) -> str:

@@ -1,6 +1,7 @@
 """Lots whose truth is outside what the method was set on, and measured lots: fitted once, kept for `trust.py`."""
 
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,8 +18,10 @@ from softcal.core.challenge.sealed_lot import press_lot
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.metrics import rmse
 from softcal.core.network.training import fit_network
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.quality.widening import AuditedSamples, Widening
+from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.simulated_lot import LineEffects, LotDesign, simulate_lot
+from softcal.core.unit.bridge import make_bridge
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import Estimate, estimate
@@ -65,12 +68,10 @@ class FittedUnit:
     sample: tuple[tuple[float, ...], ...] = ()
 
     @property
-    def scores(self) -> Array:
-        """|residual| over half-width, (n,); empty for a refused unit."""
-        if not self.sample:
-            return np.empty(0)
-        estimate, reference, half = np.array(self.sample)
-        return np.asarray(np.abs(estimate - reference) / half)
+    def samples(self) -> AuditedSamples:
+        """What an audit of it shows of its interval; empty for a refused unit."""
+        estimate, reference, half = np.array(self.sample) if self.sample else np.empty((3, 0))
+        return AuditedSamples(np.abs(estimate - reference), half)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +84,13 @@ class RawUnit:
 
 @dataclass(frozen=True, eq=False)
 class RawLot:
-    """A source and the units made with it."""
+    """A source and the units made with it; `golden` is the source pressed again in their sitting."""
 
     kind: str
     name: str
     source: LabelledRecording
     units: tuple[RawUnit, ...]
+    golden: LabelledRecording | OutputRecording | None = None
 
 
 def designs(units: int) -> dict[str, LotDesign]:
@@ -136,18 +138,31 @@ def _labelled(serial: str, measured: Measured) -> LabelledRecording:
     return LabelledRecording(OutputRecording(serial, t_s, columns["output_V"], rate_Hz), columns["force_N"])
 
 
-def measured_lots(sources: int = 5) -> Iterator[RawLot]:
-    """Yield the recordings of shared/data as lots: taxels by source and programme, places of the skin, the pair."""
+def day_lots(seed: int) -> Iterator[RawLot]:
+    """Yield lots read on another day, in step with the source: without a golden run, and with one."""
+    lot = simulate_lot(seed, LotDesign(UNITS, line=DAY))
+    units = tuple(RawUnit(u.recording, u.audit) for u in lot.units)
+    for kind, golden in (
+        ("another day", None),
+        ("another day, golden run", lot.golden.unlabelled),
+        ("another day, golden run under the load cell", lot.golden),
+    ):
+        yield RawLot(kind, f"{kind} {seed}", lot.source, units, golden)
+
+
+def measured_lots(sources: int = 3) -> Iterator[RawLot]:
+    """Yield the recordings of shared/data as lots: taxels by source and programme, places of the skin, the pair.
+
+    Every third taxel is a unit.
+    """
     day, other = insole("calibration"), insole("validation_1")
     names = taxels(day)
     half = np.arange(len(day)) * 32 // len(day) % 2 == 0
     for source in names[:: max(len(names) // sources, 1)][:sources]:
-        rest = [n for n in names if n != source]
-        for kind, fit, rows in (
-            ("insole, same programme", day, half),
-            ("insole, other day and programme", other, None),
-        ):
-            units = tuple(RawUnit(taxel(fit, n, rows).unlabelled, taxel(day, n, ~half)) for n in rest)
+        rest = [n for n in names[1::3] if n != source]
+        same = tuple(RawUnit(taxel(day, n, half).unlabelled, taxel(day, n, ~half)) for n in rest)
+        later = tuple(RawUnit(taxel(other, n).unlabelled, unit.audit) for n, unit in zip(rest, same, strict=True))
+        for kind, units in (("insole, same programme", same), ("insole, other day and programme", later)):
             yield RawLot(kind, f"{kind} {source}", taxel(day, source, half), units)
     places = {name: skin(name) for name in ("left", "middle", "right")}
     yield from _in_turn("skin, three places", places)
@@ -178,21 +193,25 @@ def skin(place: str) -> LabelledRecording:
 
 
 def fitted(lots: Callable[[], Iterator[RawLot]], name: str, cache: Path) -> list[FittedUnit]:
-    """Return the units of lots, fitted now or read from the cache, which has a folder of this name and a file a lot."""
-    folder, models, units = cache / name, {}, []  # type: ignore[var-annotated]
-    if (folder / "whole").exists():
-        return [unit for file in sorted(folder.glob("*.jsonl")) for unit in _read(file)]
+    """Return the units of lots, fitted now or read from the cache: a folder of this name, a file a lot.
+
+    What was cut off goes on with the first lot that is missing.
+    """
+    folder, models, names = cache / name, dict[str, SourceModel](), list[str]()
+    whole = folder / "whole"
+    if whole.exists():
+        return [unit for file in whole.read_text().splitlines() for unit in _read(folder / file)]
     folder.mkdir(parents=True, exist_ok=True)
-    for k, lot in enumerate(lots()):
-        file = folder / f"{k:03d}.jsonl"
+    for lot in lots():
+        names.append(re.sub(r"\W+", "-", lot.name) + ".jsonl")
+        file = folder / names[-1]
         if not file.exists():
             rows = [json.dumps(asdict(unit)) + "\n" for unit in _fit_lot(lot, models)]
             part = file.with_suffix(".part")
             part.write_text("".join(rows))
             part.rename(file)
-        units += _read(file)
-    (folder / "whole").touch()
-    return units
+    whole.write_text("\n".join(names))
+    return fitted(lots, name, cache)
 
 
 def _read(file: Path) -> list[FittedUnit]:
@@ -204,16 +223,18 @@ def _fit_lot(lot: RawLot, models: dict[str, SourceModel]) -> Iterator[FittedUnit
         trained = fit_network(lot.source, NETWORK)
         models[lot.source.sha256] = make_source_model(lot.source, trained.network, trained.validation_rows)
     model = models[lot.source.sha256]
+    bridge = None if lot.golden is None else make_bridge(model, lot.golden)
     for unit in lot.units:
-        yield _fit_unit(lot, unit, model)
+        yield _fit_unit(lot, UnitProblem(model, unit.recording, bridge=bridge), unit.audit)
 
 
-def _fit_unit(lot: RawLot, unit: RawUnit, model: SourceModel) -> FittedUnit:
+def _fit_unit(lot: RawLot, problem: UnitProblem, audit: LabelledRecording) -> FittedUnit:
+    model, recording = problem.source, problem.recording
     limit = default_limit(lot.source.reference_unit, model.held_out_rmse).maximum_rmse
-    serial = unit.recording.serial
+    serial = recording.serial
     try:
-        calibration = calibrate(UnitProblem(model, unit.recording))
-        result = estimate(model.network, calibration, unit.audit.unlabelled)
+        calibration = calibrate(problem)
+        result = estimate(model.network, calibration, audit.unlabelled)
     except (UnitRefused, InputError):
         return FittedUnit(lot.kind, lot.name, serial, float("inf"), float("inf"), float("inf"), limit, "fail", True)
     forecast, predicted = calibration.forecast, calibration.decision.predicted
@@ -226,19 +247,20 @@ def _fit_unit(lot: RawLot, unit: RawUnit, model: SourceModel) -> FittedUnit:
         serial,
         forecast.rmse,
         forecast.upper,
-        rmse(result.estimate[rows], unit.audit.reference[rows]),
+        rmse(result.estimate[rows], audit.reference[rows]),
         limit,
         str(predicted.verdict),
         is_vetoed,
         calibration.knowledge.kind,
-        _load(model, calibration, unit.recording),
-        _sample(result, unit.audit, rows),
+        _load(model, calibration, recording),
+        _sample(result, audit, rows),
     )
 
 
 def _load(model: SourceModel, calibration: Calibration, recording: OutputRecording) -> float:
     spread = np.linspace(0, len(recording.windows) - 1, model.method.forecast.rows).astype(np.int64)
-    return rms_load(model.network.evaluate(calibration.unit_map.apply(recording.windows[np.unique(spread)])))
+    load = model.network.evaluate(calibration.unit_map.apply(recording.windows[np.unique(spread)]))
+    return rms_load(load, model.method.forecast)
 
 
 def _sample(result: Estimate, audit: LabelledRecording, rows: NDArray[np.bool_]) -> tuple[tuple[float, ...], ...]:
@@ -249,6 +271,6 @@ def _sample(result: Estimate, audit: LabelledRecording, rows: NDArray[np.bool_])
     return tuple(tuple(float(f"{value:.5g}") for value in column) for column in columns)
 
 
-def covered(unit: FittedUnit, scale: float) -> float:
-    """Return the share of the unit's samples within its interval times `scale`."""
-    return float(np.mean(unit.scores <= scale))
+def covered(unit: FittedUnit, widening: Widening = Widening()) -> float:  # noqa: B008 - frozen
+    """Return the share of the unit's samples within its interval, widened."""
+    return float(np.mean(unit.samples.ratio(widening) <= 1))

@@ -1,8 +1,12 @@
 """How a number of the method is declared: with its value goes where it comes from."""
 
+import json
 from collections.abc import Iterator, Mapping
-from dataclasses import Field, field, fields, is_dataclass
-from typing import Any, TypeVar
+from dataclasses import Field, asdict, dataclass, field, fields, is_dataclass
+from functools import cache, lru_cache
+from typing import Any, Self, TypeVar
+
+from softcal.core.identity import content_sha256
 
 Config = TypeVar("Config")
 
@@ -56,3 +60,46 @@ def rebuilt(default: Config, kept: Mapping[str, Any]) -> Config:
 
 def _tupled(value: Any) -> Any:
     return tuple(_tupled(part) for part in value) if isinstance(value, list | tuple) else value
+
+
+@dataclass(frozen=True)
+class NumberedMethod:
+    """A frozen, nested configuration every number of which has an origin: the whole of it has one identity."""
+
+    @property
+    def id(self) -> str:
+        """Content hash of every number."""
+        return _id(self)
+
+    def numbers(self) -> Iterator[tuple[str, object, str]]:
+        """Yield (dotted name, value, origin) of every number."""
+        return origins(self)
+
+    def to_json(self) -> dict[str, object]:
+        """Return every number as nested JSON values; one and the same object for equal methods, to be read only."""
+        return _json(self)
+
+    @classmethod
+    def of(cls, kept: Mapping[str, Any]) -> Self:
+        """Read what `to_json` wrote; a number that came later has its default."""
+        found: Self = _of(cls, json.dumps(kept))  # type: ignore[arg-type]
+        return found
+
+
+METHODS_KEPT = 32
+"""A lot is made with one or two methods, and each of its units carries a copy: reading each costs more than a query."""
+
+
+@lru_cache(maxsize=METHODS_KEPT)
+def _of(kind: type[NumberedMethod], kept: str) -> Any:
+    return rebuilt(kind(), json.loads(kept))
+
+
+@lru_cache(maxsize=METHODS_KEPT)
+def _json(method: NumberedMethod) -> dict[str, object]:
+    return asdict(method)
+
+
+@cache
+def _id(method: NumberedMethod) -> str:
+    return content_sha256({}, method.to_json())

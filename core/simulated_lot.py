@@ -18,6 +18,8 @@ DEPTH_MM = 3.5
 OPPOSITE_DIRECTION, STILL = "reversed", "dead"
 DAY = 86_400
 """Sets the draw of a day apart from all other draws of a lot."""
+GOLDEN = 86_401
+"""The same for the golden run."""
 
 
 @dataclass(frozen=True)
@@ -94,10 +96,11 @@ class SimulatedUnit:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedLot:
-    """A source unit and the units made with it."""
+    """A source unit and the units made with it; the source once more in the units' sitting, under the load cell."""
 
     source: LabelledRecording
     units: tuple[SimulatedUnit, ...]
+    golden: LabelledRecording
 
 
 def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
@@ -114,7 +117,11 @@ def simulate_lot(seed: int, design: LotDesign | None = None) -> SimulatedLot:
         _simulate_unit(rng, twin, kind, f"U{k:03d}", design)
         for k, (twin, kind) in enumerate(zip(twins[1:], kinds, strict=True), start=1)
     )
-    return SimulatedLot(source, _on_its_day(units, source, np.random.default_rng([seed, DAY]), design.line))
+    later = np.random.default_rng([seed, GOLDEN])
+    golden = _record(later, twins[0], PROGRAMMES[design.shift](later, design.unit_s), "S0", design.has_stage)
+    day = _day(source, np.random.default_rng([seed, DAY]), design.line)
+    units = tuple(replace(unit, recording=day(unit.recording)) for unit in units)
+    return SimulatedLot(source, units, replace(golden, unlabelled=day(golden.unlabelled)))
 
 
 def draw_twins(
@@ -191,20 +198,15 @@ def _pressed(rng: np.random.Generator, twin: Twin, line: LineEffects) -> Twin:
     return replace(twin, parameters=replace(base, k1_N_mm=factor * base.k1_N_mm, k3_N_mm3=factor * base.k3_N_mm3))
 
 
-def _on_its_day(
-    units: tuple[SimulatedUnit, ...], source: LabelledRecording, rng: np.random.Generator, line: LineEffects
-) -> tuple[SimulatedUnit, ...]:
-    """Return the units with their recordings as the readout of another day shows them; audits keep the source's day."""
+def _day(
+    source: LabelledRecording, rng: np.random.Generator, line: LineEffects
+) -> Callable[[OutputRecording], OutputRecording]:
+    """Return how the readout shows a recording on the day of the units; source and audits have another one."""
     if not (line.day_gain or line.day_zero):
-        return units
+        return lambda recording: recording
     low, high = np.quantile(source.unlabelled.output, (0.02, 0.98))
     gain, zero_V = 1 + line.day_gain * rng.normal(), line.day_zero * (high - low) * rng.normal()
-
-    def read(unit: SimulatedUnit) -> SimulatedUnit:
-        recording = unit.recording
-        return replace(unit, recording=replace(recording, output=low + gain * (recording.output - low) + zero_V))
-
-    return tuple(read(unit) for unit in units)
+    return lambda recording: replace(recording, output=low + gain * (recording.output - low) + zero_V)
 
 
 def _record(rng: np.random.Generator, twin: Twin, profile: Profile, serial: str, has_stage: bool) -> LabelledRecording:

@@ -52,10 +52,10 @@ def draw_plan(
         InputError: no unit of the lot was accepted yet, or a plan stands and no reason was given.
     """
     if registry.events(PLAN, (lot_id,)) and not reason.strip():
-        raise InputError(f"lot {lot_id!r} has an audit plan; a new draw needs --new with --reason")
+        raise InputError(f"lot {lot_id!r} has an audit plan; a new draw needs a reason")
     accepted = _accepted(registry, lot_id)
     if not accepted:
-        raise InputError(f"lot {lot_id!r} has no accepted unit yet; run `softcal batch` first")
+        raise InputError(f"lot {lot_id!r} has no accepted unit yet; calibrate its units first")
     plan = plan_audit(accepted, config)
     facts = {
         "plan": plan.settings(),
@@ -160,7 +160,7 @@ def lot_limit(registry: Registry, lot_id: str) -> Limit:
         return Limit(lot.reference_unit, lot.limit_rmse, reference_expanded=expanded)
     serial = next((unit.serial for unit in _targets(registry, lot_id) if unit.revision is not None), None)
     if serial is None:
-        raise InputError(f"lot {lot_id!r} states no limit and has no calibrated unit yet; run `softcal batch` first")
+        raise InputError(f"lot {lot_id!r} states no limit and has no calibrated unit yet; calibrate its units first")
     evidence = registry.calibration(serial, lot_id=lot_id).record.evidence
     origin = plain(str(evidence["limit_origin"]))
     return Limit(lot.reference_unit, float(str(evidence["limit_rmse"])), origin, expanded)

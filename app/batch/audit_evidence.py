@@ -10,9 +10,9 @@ from softcal.app.batch.audit import lot_audit, lot_limit
 from softcal.core.lot import Lot
 from softcal.core.quality.acceptance import Promise, tolerance_factor
 from softcal.core.quality.audit_check import check_audits
-from softcal.core.quality.conformal import unit_scale
 from softcal.core.quality.qualification import PastAudit, Qualification, qualify
 from softcal.core.quality.release import AuditedUnit, audits_wanted
+from softcal.core.quality.widening import AuditedSamples, Widening, fit_widening
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.audit_reading import AuditReading
 from softcal.core.unit.calibrate import read_gain, with_audit
@@ -35,14 +35,14 @@ class AuditEvidence:
     Args:
         qualification: whether units may be released, and on which audits.
         limit: of the lot.
-        interval_scale: factor on the half-width of the 90 % intervals.
+        widening: of the 90 % intervals.
         seen: gains that the audited units of the lot read their loads with; None where there are too few.
         days: gains of golden units of the sensor model on different days; None where there are too few.
     """
 
     qualification: Qualification
     limit: Limit
-    interval_scale: float
+    widening: Widening
     seen: SeenGains | None = None
     days: SeenGains | None = None
 
@@ -93,11 +93,17 @@ class AuditReader:
             for audit, standing, made in audited.values()
             if made.method_id != method_id
         ]
-        qualification = qualify(here, past, now, lot.sensor_model, method_id, self._golden_failed_at(lot), RULES)
+        golden_failed_at, units = self._golden_failed_at(lot), self._units(lot)
+        qualification = qualify(here, past, now, lot.sensor_model, method_id, golden_failed_at, units, RULES)
         gains = [reading.gain for audit in here if (reading := readings[audit.serial]) is not None]
-        scale = self._interval_scale(qualification, lot_id)
+        widening = self._widening(qualification, lot_id)
         days = self._days(lot, now)
-        return AuditEvidence(qualification, lot_limit(registry, lot_id), scale, seen_gains(gains), days)
+        return AuditEvidence(qualification, lot_limit(registry, lot_id), widening, seen_gains(gains), days)
+
+    def _units(self, lot: Lot) -> int:
+        """Return how many units the lot has, or is planned to have where a line was told so."""
+        planned = self._registry.line_rules(lot).target or 0
+        return max(planned, sum(self._registry.verdict_counts(lot.id).values()))
 
     def _days(self, lot: Lot, now: datetime) -> SeenGains | None:
         """Return the gains of golden units of this sensor model, one a day, each about its unit's own mean."""
@@ -163,16 +169,16 @@ class AuditReader:
                 found.append(PastAudit(audit, other.sensor_model, made.method_id, standing.made_at, failed))
         return found
 
-    def _interval_scale(self, qualification: Qualification, lot_id: str) -> float:
-        """Return the factor on the intervals that the audited units ask for."""
+    def _widening(self, qualification: Qualification, lot_id: str) -> Widening:
+        """Return what the audited units ask for."""
         readings = []
         for audit in qualification.audits[: RULES.most_audits]:
             lot = audit.lot_id or lot_id
             standing = self._registry.standings(lot, [audit.serial]).get(audit.serial)
             if standing is not None and standing.made is not None:
                 readings.append(self._reading(lot, standing.made))
-        groups = [np.array(reading.ratios) for reading in readings if reading is not None]
-        return unit_scale(groups, CONFIDENCE) if groups else 1.0
+        units = [AuditedSamples(np.array(r.residual), np.array(r.half)) for r in readings if r is not None]
+        return fit_widening(units, CONFIDENCE) if units else Widening()
 
     def _reading(self, lot_id: str, made: MadeCalibration) -> AuditReading | None:
         key = lot_id, made.serial, made.revision

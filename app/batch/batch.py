@@ -1,6 +1,7 @@
 """Calibrate a whole lot without a screen: train or reuse f, fit every unit, verdicts, registry; resumable."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 from softcal.app.batch.audit import update_lot
@@ -11,13 +12,15 @@ from softcal.app.batch.report import BatchReport, UnitResult
 from softcal.app.batch.train import train_or_find
 from softcal.app.batch.unit_work import SharedWork
 from softcal.app.files.lot_folder import LotFolder
-from softcal.app.files.recording_file import read_labelled
+from softcal.app.files.recording_file import naming, read_labelled
 from softcal.app.files.regular import read_regular
 from softcal.app.registry.reference import state_reference
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
-from softcal.core.unit.source_model import make_source_model
-from softcal.core.unit.verdict import stated_limit
+from softcal.core.lot import Lot
+from softcal.core.unit.bridge import Bridge, make_bridge
+from softcal.core.unit.source_model import SourceModel, make_source_model
+from softcal.core.unit.verdict import Limit, default_limit, stated_limit
 from softcal.db.entries import UnitStanding
 from softcal.db.registry import Registry
 
@@ -29,19 +32,25 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     Whatever the registry already has for the same recording, network and configuration is not computed again.
 
     Raises:
-        InputError: the source cannot be used; without it there is no lot. Or two audits are one recording: nothing was
-            fitted.
+        InputError: the source cannot be used; without it there is no lot. Or two audits are one recording, or the
+            golden run is of another unit: nothing was fitted.
     """
     start_s = time.perf_counter()
     _check_audit_files(folder)
+    # Known loads that somebody names outrank those that lie in the folder.
+    config = replace(config, anchors=config.anchors or folder.read_anchors())
     source = folder.read_source()
     trained = train_or_find(folder.lot, source, registry, config.network, config.actor, watch.on_epoch)
     own = config.network if config.score_own else None
-    model = make_source_model(source, trained.network, method=config.method)
+    models = [make_source_model(source, trained.network, method=config.method)]
+    for other in folder.read_more_sources():
+        found = train_or_find(folder.lot, other, registry, config.network, config.actor, watch.on_epoch)
+        models.append(make_source_model(other, found.network, method=config.method))
     lot = registry.lot(folder.lot.id)
     line = state_line(registry, lot.id, folder.line, config.actor)
     reference = state_reference(registry, lot.id, folder.reference, source, config.actor)
-    shared = SharedWork(folder.lot, model, own, stated_limit(lot.reference_unit, lot.limit_rmse), line, reference)
+    limit, bridge = _limit(lot, models), _bridge(folder, models[0])
+    shared = SharedWork(folder.lot, tuple(models), own, limit, line, reference, bridge)
     watch.on_start(len(folder.unit_paths))
     results = LotWork(folder, registry, shared, config, watch).results()
     ordered = tuple(results[serial] for serial in folder.unit_paths)
@@ -49,6 +58,22 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     decided = update_release(registry, folder.lot.id, config.actor)
     ordered = _judged(registry, folder.lot.id, ordered)
     return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit, config.release, decided)
+
+
+def _bridge(folder: LotFolder, model: SourceModel) -> Bridge | None:
+    golden = folder.read_golden()
+    if golden is None or folder.golden_path is None:
+        return None
+    with naming(folder.golden_path):
+        return make_bridge(model, golden)
+
+
+def _limit(lot: Lot, sources: Sequence[SourceModel]) -> Limit | None:
+    stated = stated_limit(lot.reference_unit, lot.limit_rmse)
+    if stated is not None or len(sources) == 1:
+        return stated
+    # One limit for all units, whichever source they take: a noisier source must not widen it.
+    return default_limit(lot.reference_unit, sources[0].held_out_rmse, sources[0].method.decision)
 
 
 def _check_audit_files(folder: LotFolder) -> None:

@@ -61,11 +61,12 @@ def time_limit(limit_s: float) -> Iterator[None]:
     The exception comes between two steps of Python: a single call into a compiled library is not broken off. An alarm
     signal would reach the main thread only, and workers of a cluster compute in others.
     """
-    thread_id, lock, state = threading.get_ident(), threading.Lock(), {"is_over": False}
+    thread_id, lock, state = threading.get_ident(), threading.Lock(), {"is_over": False, "is_sent": False}
 
     def fire() -> None:
         with lock:
             if not state["is_over"]:
+                state["is_sent"] = True
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread_id), ctypes.py_object(TooLong))
 
     timer = threading.Timer(limit_s, fire)
@@ -73,9 +74,14 @@ def time_limit(limit_s: float) -> Iterator[None]:
     timer.start()
     try:
         yield
+    except TooLong:
+        state["is_sent"] = False
+        raise
     finally:
         with lock:
             state["is_over"] = True
-            # What was sent and has not come yet must not come later, in the middle of something else.
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread_id), None)
+            # What was sent and has not come yet must not come later, in the middle of something else. Where nothing
+            # is on its way there is nothing to take back: under a profiler CPython 3.11 would hang on that for ever.
+            if state["is_sent"]:
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread_id), None)
         timer.cancel()

@@ -51,7 +51,7 @@ CHUNK_S = 1.0
 """Seconds of CPU a chunk should hold. By `benchmarks/batch_chunks.py` a chunk of one unit costs the command twice as
 much as one of four or more, and a batch that is killed repeats no more than the chunks under way."""
 
-NO_RESULT = "the registry has no result of it; run `softcal registry verify`"
+NO_RESULT = "the registry has no result of it; have the registry verified"
 FIRST_CHUNK, LARGEST_CHUNK = 4, 128
 LOOK_EVERY_S = 1.0
 """How often a batch that waits for units of others looks whether they are done."""
@@ -316,12 +316,15 @@ def _settings_sha256(shared: SharedWork, is_refit: bool) -> str:
     """Return the hash of all that a result depends on beside the unit's own files."""
     settings = {
         "lot": {name: value for name, value in shared.lot.settings().items() if name != "limit_rmse"},
-        "network": shared.source.network.id,
+        "network": [model.network.id for model in shared.sources]
+        if len(shared.sources) > 1
+        else shared.source.network.id,
         "method": shared.source.method.id,
         "own": None if shared.own is None else asdict(shared.own),
         "limit": None if shared.limit is None else shared.limit.to_json(),
         "line": None if shared.line is None else shared.line.to_json(),
         **({} if shared.reference is None else {"reference": shared.reference.to_json()}),
+        **({} if shared.bridge is None else {"golden": shared.bridge.sha256}),
         # A newer version may read what an older one refused.
         "version": version("softcal"),
         "refit": uuid.uuid4().hex if is_refit else None,

@@ -145,7 +145,7 @@ def _decided(evidence: AuditEvidence, units: Mapping[str, MadeCalibration], leas
         evidence.qualification,
         evidence.limit,
         PROMISE,
-        interval_scale=evidence.interval_scale,
+        widening=evidence.widening,
         least=least,
         seen=evidence.seen,
         days=days,
@@ -186,7 +186,7 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
     """
     judgement = decided.judgement(base.serial)
     decision = replace(base.decision, measured=None, sampled=judgement)
-    scale, width = decided.forecast_scale, decided.interval_scale
+    scale, widening = decided.forecast_scale, decided.widening
     forecast = None
     if base.settings.get("forecast") is not None and base.predicted_rmse is not None:
         upper = base.predicted_rmse * (decided.found.factor if decided.found is not None else scale)
@@ -194,8 +194,9 @@ def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRe
         rmse = base.predicted_rmse * scale
         # Beyond a finite factor nothing is known; the forecast keeps the end it had.
         forecast = vars(ErrorForecast(rmse, old.lower * scale, upper if np.isfinite(upper) else old.upper * scale))
-    arrays = {**base.arrays, "interval.half_width": np.asarray(base.arrays["interval.half_width"]) * width}
-    told = {"forecast_rmse": base.predicted_rmse, "forecast_scale": scale, "interval_scale": width}
+    arrays = {**base.arrays, "interval.half_width": widening(np.asarray(base.arrays["interval.half_width"]))}
+    told = {"forecast_rmse": base.predicted_rmse, "forecast_scale": scale}
+    told |= {"interval_scale": widening.scale, "interval_added": widening.added}
     return replace(
         base,
         arrays=arrays,

@@ -1,7 +1,7 @@
 """What a worker does for a batch: from the bytes of a unit's file to its calibration, without registry or folder."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from softcal.app.batch.calibrating import Refusal, calibrated
@@ -12,11 +12,13 @@ from softcal.core.maps.anchors import check_loads
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.sources import nearest
 from softcal.core.unit.verdict import Limit, Verdict
 from softcal.core.words.reason import reason
 
@@ -57,19 +59,27 @@ class SharedWork:
 
     Args:
         lot: facts of the lot.
-        source: the source's recording, the shared network and all that the method in force derives from them.
+        sources: each source's recording, its shared network and all that the method in force derives from them; the
+            lot's own source first.
         own: how own calibrations are trained on audits, for comparison; None trains none.
         limit: the lot's limit; None derives one from the source's own error.
         line: how differently the line presses units, where it was stated.
         reference: what the source was compared with; None where nobody said.
+        bridge: the source pressed again in the units' sitting, where somebody did.
     """
 
     lot: Lot
-    source: SourceModel
+    sources: tuple[SourceModel, ...]
     own: NetworkConfig | None
     limit: Limit | None
     line: LineSpread | None = None
     reference: Reference | None = None
+    bridge: Bridge | None = None
+
+    @property
+    def source(self) -> SourceModel:
+        """The lot's own source."""
+        return self.sources[0]
 
 
 @dataclass(frozen=True)
@@ -137,9 +147,17 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
             refusal = Refusal(Verdict.RETEST, reason("wrong_loads", error=str(error)))
             return UnitOutcome(task.item_id, task.serial, refusal, recording, audit)
     shown = recording, shared.limit, task.anchors, audit, shared.own, shared.line, shared.reference
-    problem = UnitProblem(shared.source, *shown)
-    if problem.input_sha256 in task.known:
-        return UnitOutcome(task.item_id, task.serial, Known(problem.input_sha256))
+    networks = {model.network.id for model in shared.sources}
+    problems = [
+        replace(UnitProblem(model, *shown), beside=tuple(networks - {model.network.id})) for model in shared.sources
+    ]
+    # The golden run is one of the lot's own source: it says nothing of the others.
+    problems[0] = replace(problems[0], bridge=shared.bridge)
+    for problem in problems:
+        # Its input names the sources it was chosen among: the choice need not be made again.
+        if problem.input_sha256 in task.known:
+            return UnitOutcome(task.item_id, task.serial, Known(problem.input_sha256))
+    problem = problems[0] if len(problems) == 1 else nearest(problems)
     return UnitOutcome(task.item_id, task.serial, calibrated(problem), recording, audit)
 
 

@@ -55,6 +55,12 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument(
         "--stream", metavar="NAME", help="name of the stream in the registry; default: from its content"
     )
+    parser.add_argument(
+        "--loads",
+        type=Path,
+        metavar="FILE",
+        help="known loads at the start of the stream: columns output, reference; the unit is trimmed by them first",
+    )
     parser.add_argument("--resume", action="store_true", help="go on from the last state of the stream in the registry")
     parser.add_argument("--html", type=Path, metavar="FILE", help="figure of drift, map, estimate and predicted error")
     add_columns(parser)
@@ -80,12 +86,27 @@ def run(options: argparse.Namespace) -> int:
     from softcal.core.use.adapter import AdaptConfig
 
     config = AdaptConfig(options.mode)
-    adapt = AdaptOptions(config, options.revision, options.stream, options.resume, lot_id=options.lot)
     with registry_of(options, create=False) as registry:
+        revision = options.revision if options.loads is None else _trimmed(registry, options)
+        adapt = AdaptOptions(config, revision, options.stream, options.resume, lot_id=options.lot)
         report = _follow(registry, options, adapt)
         say_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
         _report(registry, options, report)
     return 0
+
+
+def _trimmed(registry: "Registry", options: argparse.Namespace) -> int:
+    """Trim the unit by the known loads that the stream begins with, and say so."""
+    from softcal.app.use.trim import trimmed_by
+
+    if options.revision is not None or options.resume:
+        raise InputError(
+            "--loads trims the map in use at the start of a stream; without --revision and --resume. "
+            "`softcal trim` between two streams does the rest"
+        )
+    revision = trimmed_by(registry, options.serial, options.loads, options.lot)
+    say(f"{options.serial}: followed from revision {revision}, trimmed by {options.loads}")
+    return revision
 
 
 def is_live(source: str) -> bool:

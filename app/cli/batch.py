@@ -51,13 +51,30 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes (default 1)")
     parser.add_argument("--engine", choices=("local", "dask"), default="local")
     parser.add_argument("--scheduler", metavar="ADDR", help="a running Dask scheduler; default: one for this run")
-    parser.add_argument("--anchors", type=Path, metavar="FILE", help="known loads: columns serial, output, reference")
+    parser.add_argument(
+        "--anchors",
+        type=Path,
+        metavar="FILE",
+        help="known loads: columns serial, output, reference; default: LOT/anchors.csv, where there is one",
+    )
     parser.add_argument("--no-own", action="store_true", help="do not train own calibrations on audits for comparison")
     parser.add_argument("--refit", action="store_true", help="fit again what the registry already has")
+    parser.add_argument(
+        "--parquet",
+        type=_parquet,
+        metavar="FILE",
+        help="write the results of the lot as a .parquet table, a row a unit",
+    )
     add_network(parser)
     add_json(parser)
     add_csv(parser)
     parser.set_defaults(run=run)
+
+
+def _parquet(text: str) -> Path:
+    if not text.lower().endswith(".parquet"):
+        raise argparse.ArgumentTypeError(f"{text}: a name that ends in .parquet was expected")
+    return Path(text)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -87,6 +104,11 @@ def run(options: argparse.Namespace) -> int:
         report = run_batch(folder, registry, config, batch_watch(folder.lot.reference_unit))
         if options.out is not None:
             _write_files(registry, report, options.out)
+        if options.parquet is not None:
+            from softcal.app.batch.results import write_results
+
+            write_results(registry, report.lot_id, options.parquet, report.release)
+            say(f"{options.parquet}: results of lot {report.lot_id}")
         if options.plots is not None:
             from softcal.app.charts.why_page import explain_units
 

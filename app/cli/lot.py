@@ -2,6 +2,7 @@
 
 import argparse
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from softcal.app.bootstrap import open_chosen_registry
@@ -45,6 +46,14 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     watch.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes (default 1)")
     add_network(watch)
     watch.set_defaults(run=_watch)
+    folder = actions.add_parser(
+        "folder", help="write a lot of the registry as a lot folder, for example one that a station recorded on orders"
+    )
+    folder.add_argument("lot", metavar="ID", help="lot in the registry")
+    folder.add_argument("--out", type=Path, required=True, metavar="DIR", help="lot folder to make; not there yet")
+    add_registry(folder)
+    add_json(folder)
+    folder.set_defaults(run=_folder)
     limit = actions.add_parser("limit", help="show or set the largest acceptable error of a lot's units")
     limit.add_argument("lot", metavar="ID", help="lot in the registry")
     add_registry(limit)
@@ -112,6 +121,7 @@ def _add_release(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_json(release)
     add_csv(release)
     release.add_argument("--pdf", type=Path, metavar="FILE", help="write the statement as one page")
+    release.add_argument("--language", choices=("en", "ko"), default="en", help="of the page")
     release.set_defaults(run=_release)
 
 
@@ -120,6 +130,7 @@ def _release(options: argparse.Namespace) -> int:
     from softcal.app.export.certificates.lot_facts import lot_statement_facts
     from softcal.app.export.certificates.lot_statement import lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
+    from softcal.app.texts.catalogue import text
 
     lot_id = _lot_id(options.lot)
     with open_chosen_registry(options.registry, create=False) as registry:
@@ -129,13 +140,13 @@ def _release(options: argparse.Namespace) -> int:
             raise InputError(f"lot {lot_id!r} has no calibrated unit yet; run `softcal batch` first")
         facts = lot_statement_facts(registry, lot_id, decided)
     if options.pdf is not None:
-        write_bytes(options.pdf, lot_statement_pdf(facts))
+        write_bytes(options.pdf, lot_statement_pdf(facts, partial(text, options.language)))
         say(f"{options.pdf}: statement on lot {lot_id}")
     if options.json:
         write_json(options.json, {"schema": "softcal.lot.release/1", "lot": lot_id, **decided.to_json()})
     if options.json != "-" or options.csv:
         rows = [
-            [a.serial, a.lot, a.forecast_rmse, a.measured_rmse, a.measured_rmse / a.forecast_rmse, a.word]
+            [a.serial, a.lot, a.forecast_rmse, a.measured_rmse, a.measured_rmse / a.forecast_rmse, _word(a.is_within)]
             for a in facts.audits
         ]
         print_table(("audited", "lot", "forecast", "measured", "measured/forecast", "verdict"), rows)
@@ -144,10 +155,26 @@ def _release(options: argparse.Namespace) -> int:
     return DONE if decided.released or not decided.forecasts else SOME_UNIT_NOT_PASSED
 
 
+def _word(is_within: bool) -> str:
+    return "within" if is_within else "beyond"
+
+
+def _folder(options: argparse.Namespace) -> int:
+    from softcal.app.registry.laid_out import write_lot_folder
+
+    with open_chosen_registry(options.registry, create=False) as registry:
+        written = write_lot_folder(registry, options.lot, options.out)
+    say(f"{options.out}: " + ", ".join(f"{len(serials)} in {part}/" for part, serials in written.items()))
+    if options.json:
+        write_json(options.json, {"schema": "softcal.lot.folder/1", "lot": options.lot, **written})
+    return DONE
+
+
 def _audit_plan(options: argparse.Namespace) -> int:
     from softcal.app.batch.audit import AUDIT_HEADER, audit_json, audit_line, audit_rows, draw_plan, update_lot
     from softcal.core.quality.audit_plan import AuditConfig
     from softcal.core.quality.promises import PROMISE_HEADER, promise_rows
+    from softcal.core.quality.qualification import small_lot
 
     lot_id = _lot_id(options.lot)
     with open_chosen_registry(options.registry, create=False) as registry:
@@ -157,12 +184,16 @@ def _audit_plan(options: argparse.Namespace) -> int:
             names = ("doubtful", "random", "seed", "allowed_share")
             asked = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
             audit = draw_plan(registry, lot_id, AuditConfig(**asked), reason=options.reason)
+        units = sum(registry.verdict_counts(lot_id).values())
     if options.json:
         write_json(options.json, audit_json(audit))
     if options.json != "-":
         print_table(AUDIT_HEADER, audit_rows(audit))
         print(audit_line(audit))
-        print_table(PROMISE_HEADER, promise_rows())
+        if small := small_lot(units):
+            print(f"no promise by sample: {small}")
+        else:
+            print_table(PROMISE_HEADER, promise_rows(units))
     return SOME_UNIT_NOT_PASSED if audit.statement is not None and audit.statement.word == "fail" else DONE
 
 

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from softcal.app.cli.options import add_json, add_registry, registry_of
+from softcal.app.cli.options import add_json, add_lot_of_serial, add_registry, registry_of
 from softcal.app.output import say, write_json
 
 EXAMPLES = """examples:
@@ -25,6 +25,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     parser.add_argument("--serial", required=True, metavar="S")
     parser.add_argument("--loads", required=True, type=Path, metavar="FILE", help="CSV or Parquet: output, reference")
+    add_lot_of_serial(parser)
     add_registry(parser)
     add_json(parser)
     parser.set_defaults(run=run)
@@ -35,14 +36,22 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.use.trim import trim_unit
 
     with registry_of(options, create=False) as registry:
-        found, revision = trim_unit(registry, options.serial, options.loads)
+        found, revision = trim_unit(registry, options.serial, options.loads, options.lot)
     gain, offset = found.unit_map.gain, found.unit_map.offset
     facts = {"serial": options.serial, "revision": revision, "gain": gain, "offset": offset}
-    errors = {"before_rmse": found.before_rmse, "after_rmse": found.after_rmse}
+    errors = {
+        "gain_error": found.gain_error,
+        "rest_error": found.rest_error,
+        "before_rmse": found.before_rmse,
+        "after_rmse": found.after_rmse,
+    }
     if options.json:
         write_json(options.json, {"schema": "softcal.trim/1", **facts, **errors})
     if options.json != "-":
-        print(f"{options.serial} revision {revision}: gain times {gain:.4g}, offset {offset:+.4g}")
+        print(
+            f"{options.serial} revision {revision}: gain times {gain:.4g} ± {found.gain_error:.1%}, "
+            f"offset {offset:+.4g}, level at rest ± {found.rest_error:.2g} (one standard uncertainty)"
+        )
         print(f"error at the loads: RMSE {found.before_rmse:.3g} before, {found.after_rmse:.3g} after")
     say("a trimmed unit is conditional until it, or others of its lot, are audited with the map in use now")
     return 0

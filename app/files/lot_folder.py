@@ -1,34 +1,44 @@
-"""A lot folder: lot.toml, source/, units/, audit/ into core values. One unreadable unit never stops the others."""
+"""A lot folder: lot.toml, source/, units/, audit/, golden/ into core values. One bad unit never stops the others."""
 
 import hashlib
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 
+from softcal.app.files.anchors import read_anchors
 from softcal.app.files.atomic import write_text
-from softcal.app.files.recording_file import CSV, PARQUET, naming, read_labelled, read_recording
+from softcal.app.files.bounded_table import CSV, PARQUET
+from softcal.app.files.recording_file import naming, read_labelled, read_recording, read_table
 from softcal.app.files.regular import read_regular
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
+from softcal.core.maps.interface import Anchors
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.budget import DAYS, NUMBERS, SIMULATED, Reference
 from softcal.core.unit.line_spread import LineSpread
 
 KNOWN_KEYS = {
     "": {"sample_rate_Hz", "source"},
-    "lot": {"id", "sensor_model", "sample_rate_Hz", "source", "simulated"},
+    "lot": {"id", "sensor_model", "sample_rate_Hz", "source", "more_sources", "simulated"},
     "reference": {"quantity", "unit", "cell", "certificate", "laboratory", *DAYS, *NUMBERS},
     "output": {"unit", "sample_rate_Hz", "source"},
     "limit": {"rmse"},
     "line": {"load_spread", "day_spread"},
 }
 """Keys of lot.toml by table. The two bare keys may also stand in [lot] or [output], where TOML puts what follows."""
+
+ANCHOR_FILES = ("anchors.csv", "anchors.parquet")
+"""Where a lot folder holds known loads of its units."""
+
+
+MOST_BYTES = 1_000_000
+"""A lot.toml has some ten lines."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +54,9 @@ class LotFolder:
         remarks: what in the folder was not understood, in words.
         line: how differently the line presses units, where `lot.toml` states it.
         reference: what the source was compared with; None where `lot.toml` does not say.
+        golden_path: the source unit pressed again in the units' sitting; None where golden/ holds nothing.
+        anchors_path: known loads of units (`serial, output, reference`); None where there are none.
+        more_source_paths: labelled recordings of further sources, by serial.
     """
 
     root: Path
@@ -54,44 +67,89 @@ class LotFolder:
     remarks: tuple[str, ...] = ()
     line: LineSpread | None = None
     reference: Reference | None = None
+    golden_path: Path | None = None
+    anchors_path: Path | None = None
+    more_source_paths: Mapping[str, Path] = field(default_factory=dict)
+
+    def read_anchors(self) -> Mapping[str, Anchors]:
+        """Read the known loads of the lot's units by serial; empty where there are none.
+
+        Raises:
+            InputError: the table cannot be read, or names a unit that the lot does not have.
+        """
+        return {} if self.anchors_path is None else read_anchors(self.anchors_path, self.unit_paths)
 
     def read_source(self) -> LabelledRecording:
         """Read the source unit's labelled recording."""
         return self._labelled(self.source_path, self.lot.source)
 
+    def read_more_sources(self) -> list[LabelledRecording]:
+        """Read the labelled recordings of further sources, in the order of `lot.toml`."""
+        return [self._labelled(path, serial) for serial, path in self.more_source_paths.items()]
+
     def read_unit(self, serial: str) -> OutputRecording:
         """Read a target unit's output; a reference column in its file is never looked at."""
-        return read_recording(self.unit_paths[serial], serial, self.lot.sample_rate_Hz, self.lot.output_unit)
+        path = self.unit_paths[serial]
+        content = read_regular(path, self.root)
+        return read_recording(path, serial, self.lot.sample_rate_Hz, self.lot.output_unit, content)
 
     def read_audit(self, serial: str) -> LabelledRecording | None:
         """Read a unit's audit recording, or None where it has none."""
         path = self.audit_paths.get(serial)
         return None if path is None else self._labelled(path, serial)
 
+    def read_golden(self) -> OutputRecording | LabelledRecording | None:
+        """Read the source unit's run in the units' sitting, with its reference where the file has one."""
+        path = self.golden_path
+        if path is None:
+            return None
+        content = read_regular(path, self.root)
+        if "reference" in read_table(path, content=content):
+            return read_labelled(path, self.lot.source, self.lot.sample_rate_Hz, self._units, content)
+        return read_recording(path, self.lot.source, self.lot.sample_rate_Hz, self.lot.output_unit, content)
+
+    @property
+    def _units(self) -> tuple[str, str]:
+        return self.lot.output_unit, self.lot.reference_unit
+
     def _labelled(self, path: Path, serial: str) -> LabelledRecording:
-        units = self.lot.output_unit, self.lot.reference_unit
-        return read_labelled(path, serial, self.lot.sample_rate_Hz, units)
+        return read_labelled(path, serial, self.lot.sample_rate_Hz, self._units, read_regular(path, self.root))
 
 
 def open_lot_folder(folder: Path) -> LotFolder:
     """Read `lot.toml` and list the recordings.
 
     Raises:
-        InputError: no such folder, no or a wrong `lot.toml`, no source recording, or a serial given twice.
+        InputError: no such folder, no or a wrong `lot.toml`, no source recording, a serial given twice, or a golden run
+            of another unit than the source.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such lot folder; make one with `softcal import`")
-    lot, line, reference, remarks = _read_lot_toml(folder / "lot.toml")
+    lot, line, reference, more, remarks = _read_lot_toml(folder / "lot.toml")
     sources = _recordings(folder / "source")
-    if lot.source not in sources:
-        seen = ", ".join(sources) or "nothing"
-        raise InputError(f"{folder / 'source'}: no recording of the source unit {lot.source!r}; found {seen}")
+    for serial in (lot.source, *more):
+        if serial not in sources:
+            seen = ", ".join(sources) or "nothing"
+            raise InputError(f"{folder / 'source'}: no recording of the source unit {serial!r}; found {seen}")
     units, audits = _recordings(folder / "units"), _recordings(folder / "audit")
-    strangers = sorted(set(audits) - set(units) - {lot.source})
+    strangers = sorted(set(audits) - set(units) - {lot.source, *more})
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
     remarks = (*remarks, *_same_files(units, folder))
-    return LotFolder(folder, lot, sources[lot.source], units, audits, remarks, line, reference)
+    golden = _golden(folder / "golden", lot.source)
+    loads = next((path for path in map(folder.joinpath, ANCHOR_FILES) if path.is_file()), None)
+    others = {serial: sources[serial] for serial in more}
+    return LotFolder(folder, lot, sources[lot.source], units, audits, remarks, line, reference, golden, loads, others)
+
+
+def _golden(folder: Path, source: str) -> Path | None:
+    found = _recordings(folder)
+    if strangers := sorted(set(found) - {source}):
+        raise InputError(
+            f"{folder}: golden run of {', '.join(strangers[:5])}; the golden unit of this lot is its source {source}: "
+            "press that in the units' sitting; nothing was fitted"
+        )
+    return found.get(source)
 
 
 def _same_files(units: Mapping[str, Path], root: Path) -> Iterator[str]:
@@ -140,12 +198,15 @@ def _recordings(folder: Path) -> dict[str, Path]:
     return found
 
 
-def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...]]:
-    if not path.is_file():
+def _read_lot_toml(
+    path: Path,
+) -> tuple[Lot, LineSpread | None, Reference | None, tuple[str, ...], tuple[str, ...]]:
+    if not path.exists():
         raise InputError(f"{path}: there is no lot.toml; `softcal import` writes one")
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        content = tomllib.loads(read_regular(path, path.parent, MOST_BYTES).decode())
+    # A thousand brackets inside one another are no table of anybody's.
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
     with naming(path):
         tables = {name: content.get(name, {}) for name in ("lot", "reference", "output", "limit", "line")}
@@ -153,7 +214,18 @@ def _read_lot_toml(path: Path) -> tuple[Lot, LineSpread | None, Reference | None
             if not isinstance(table, dict):
                 raise InputError(f"[{name}] must be a table")
         line, reference = _line(tables["line"]), _reference(tables)
-        return _lot(content, tables), line, reference, tuple(_unknown_keys(path, content))
+        lot = _lot(content, tables)
+        return lot, line, reference, _more_sources(tables["lot"], lot.source), tuple(_unknown_keys(path, content))
+
+
+def _more_sources(table: Mapping[str, object], first: str) -> tuple[str, ...]:
+    given = table.get("more_sources", [])
+    if not isinstance(given, list) or not all(isinstance(serial, str) for serial in given):
+        raise InputError(f"[lot] more_sources is {given!r}; a list of serials was expected")
+    serials = tuple(check_serial(serial) for serial in given)
+    if len({first, *serials}) <= len(serials):
+        raise InputError(f"[lot] more_sources is {given!r}; each source once, and {first!r} is the first")
+    return serials
 
 
 def _reference(tables: Mapping[str, Mapping[str, object]]) -> Reference | None:
@@ -234,17 +306,39 @@ def _unknown_keys(path: Path, content: Mapping[str, object]) -> Iterator[str]:
             yield f"{path}: {key} not used; known: {', '.join(sorted(set(KNOWN_KEYS) - {''}))}, sample_rate_Hz, source"
 
 
-def write_lot_toml(folder: Path, lot: Lot, reference: Reference | None = None) -> None:
-    """Write `lot.toml` for a lot folder, with what its source was compared with."""
+def write_lot_toml(
+    folder: Path, lot: Lot, reference: Reference | None = None, more_sources: Sequence[str] = ()
+) -> None:
+    """Write `lot.toml` for a lot folder, with what its source was compared with and the serials of further sources."""
     document = tomlkit.document()
     document["sample_rate_Hz"] = lot.sample_rate_Hz
     document["source"] = lot.source
     simulated = {"simulated": True} if reference is not None and reference.is_simulated else {}
-    document["lot"] = {"id": lot.id, "sensor_model": lot.sensor_model, **simulated}
+    more = {"more_sources": list(more_sources)} if more_sources else {}
+    document["lot"] = {"id": lot.id, "sensor_model": lot.sensor_model, **more, **simulated}
     document["reference"] = {"quantity": lot.reference_quantity, "unit": lot.reference_unit, **_stated(reference)}
     document["output"] = {"unit": lot.output_unit}
     if lot.limit_rmse is not None:
         document["limit"] = {"rmse": lot.limit_rmse}
+    write_text(folder / "lot.toml", tomlkit.dumps(document))
+
+
+def read_lot(folder: Path) -> Lot:
+    """Return what a folder's `lot.toml` says of its lot.
+
+    Raises:
+        InputError: there is none, or it cannot be read.
+    """
+    return _read_lot_toml(folder / "lot.toml")[0]
+
+
+def restate_reference(folder: Path, reference: Reference | None) -> None:
+    """Write into `lot.toml` what the source was compared with this time; everything else in it stays as it is."""
+    stated = _stated(reference)
+    if not stated:
+        return
+    document = tomlkit.parse((folder / "lot.toml").read_text(encoding="utf-8"))
+    document.setdefault("reference", tomlkit.table()).update(stated)
     write_text(folder / "lot.toml", tomlkit.dumps(document))
 
 

@@ -6,22 +6,27 @@ from pathlib import Path
 from softcal.app.files.anchors import read_anchors
 from softcal.app.registry.source import source_recording, unlabelled
 from softcal.core.identity import content_sha256
-from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
-from softcal.core.use.method import TrimConfig, UseMethod
+from softcal.core.use.method import UseMethod
 from softcal.core.use.trim import Trimmed, trim
 from softcal.core.words.reason import reason
 from softcal.db.registry import Registry
 
+LOADS = "loads"
+"""Group of a calibration's settings that keeps the known loads it was trimmed by."""
 
-def trim_unit(registry: Registry, serial: str, loads_file: Path, actor: str | None = None) -> tuple[Trimmed, int]:
+
+def trim_unit(
+    registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None, actor: str | None = None
+) -> tuple[Trimmed, int]:
     """Re-anchor a unit's map by the loads of a file, and keep it as its next revision.
 
     Args:
         loads_file: table with the columns output, reference; a row a load; a column serial names this unit.
+        lot_id: lot of the unit; needed where the serial stands in several.
 
     Returns:
         What the trim found, and the new revision.
@@ -29,32 +34,38 @@ def trim_unit(registry: Registry, serial: str, loads_file: Path, actor: str | No
     Raises:
         InputError: the loads cannot be of this unit, or the unit is not in the registry; nothing was changed.
     """
-    record = registry.calibration(serial).record
+    stored = registry.calibration(serial, lot_id=lot_id)
+    record = stored.record
     loads = read_anchors(loads_file, [serial])[serial]
     problem = FitProblem(
         source_recording(registry, record.network_id),
         registry.network(record.network_id),
         unlabelled(registry.recording(record.recording_sha256)),
     )
-    config = UseMethod().trim
-    problem = replace(problem, config=_config(record, problem, config))
-    found = trim(problem, Calibration.from_record(record).unit_map, loads, config)
-    lot_id = registry.calibration(serial).lot_id
+    problem = replace(problem, config=(record.method or Method()).map)
+    found = trim(problem, Calibration.from_record(record).unit_map, loads, record.knowledge.kind, UseMethod().trim)
     trimmed = _record(record, found, loads)
     why = f"trimmed by {len(loads.output)} loads"
-    revision = registry.add_calibration(lot_id, trimmed, actor=actor, reason=why, decided_by="trim")
+    revision = registry.add_calibration(stored.lot_id, trimmed, actor=actor, reason=why, decided_by="trim")
     return found, revision
 
 
-def _config(record: CalibrationRecord, problem: FitProblem, trim: TrimConfig) -> MapConfig:
-    """Return how far loads are believed beside the map: a paired map is firm, and f itself misreads a load at rest."""
-    config = (record.method or Method()).map
-    # Two loads must not outvote the many pairs a map was fitted to.
-    firm = {"paired": trim.firm_paired, "stage": trim.firm_stage}
-    model_N = float(str(record.evidence.get("u_model") or 0.0))
-    error = max(config.anchors.load_error, model_N / problem.network.reference_scale)
-    spread = min(config.anchors.gain_spread, firm.get(record.knowledge.kind, config.anchors.gain_spread))
-    return replace(config, anchors=replace(config.anchors, load_error=error, gain_spread=spread))
+def trimmed_by(registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None) -> int:
+    """Return the revision of a unit that known loads made, trimming it only where they have not done so yet.
+
+    A stream that is followed again from its start is then followed from the same map.
+
+    Raises:
+        InputError: as `trim_unit`.
+    """
+    stored = registry.calibration(serial, lot_id=lot_id)
+    if stored.record.settings.get(LOADS) == _values(read_anchors(loads_file, [serial])[serial]):
+        return stored.revision
+    return trim_unit(registry, serial, loads_file, lot_id)[1]
+
+
+def _values(loads: Anchors) -> dict[str, list[float]]:
+    return {"output": loads.output.tolist(), "reference": loads.reference.tolist()}
 
 
 def _record(record: CalibrationRecord, found: Trimmed, loads: Anchors) -> CalibrationRecord:
@@ -63,15 +74,20 @@ def _record(record: CalibrationRecord, found: Trimmed, loads: Anchors) -> Calibr
     predicted = record.decision.predicted
     best = max(predicted.verdict, Verdict.CONDITIONAL, key=lambda word: word.severity)
     decision = Decision(Judgement(best, (said, *predicted.reasons)))
-    told = {"map_anchor_gain": found.unit_map.gain, "map_anchor_offset": found.unit_map.offset}
+    told = {
+        "map_anchor_gain": found.unit_map.gain,
+        "map_anchor_offset": found.unit_map.offset,
+        "map_gain_error": found.gain_error,
+        "map_rest_error": found.rest_error,
+    }
     arrays = {name: array for name, array in record.arrays.items() if not name.startswith("map.")}
     arrays |= {f"map.{name}": array for name, array in found.unit_map.arrays().items()}
-    kept = {"base": record.input_sha256, "output": loads.output.tolist(), "reference": loads.reference.tolist()}
+    kept = {"base": record.input_sha256, **_values(loads)}
     return replace(
         record,
         map_sha256=map_sha256(found.unit_map),
         arrays=arrays,
-        settings={**record.settings, "decision": decision.to_json()},
+        settings={**record.settings, "decision": decision.to_json(), LOADS: _values(loads)},
         verdict=str(decision.verdict),
         reasons=decision.reasons,
         before_rmse=None,

@@ -67,14 +67,15 @@ class DeviceOptions:
     Args:
         scale: meaning of the device's codes; None covers the unit's output with a round full scale.
         compile_limit: largest rms change of the estimate by the device form, as a share of the predicted error.
-        adapt_gain, adapt_offset: what the firmware may change by itself, as shares of 1 and of the output span.
+        adapt_gain, adapt_offset: what the firmware may change by itself, as shares of 1 and of the output span; it
+            cannot tell a change of use from a drift, so nothing unless asked.
         unit_bytes: 256, 512 or 1024, the most a unit file may take; None takes the least that holds `GOAL`.
     """
 
     scale: InputScale | None = None
     compile_limit: float = 0.25
     adapt_gain: float = 0.0
-    adapt_offset: float = 0.1
+    adapt_offset: float = 0.0
     unit_bytes: int | None = None
 
 

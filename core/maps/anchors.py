@@ -9,6 +9,7 @@ from softcal.core.errors import InputError
 from softcal.core.identity import Settings
 from softcal.core.maps.config import AnchorConfig
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
+from softcal.core.metrics import rmse
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.windows import resting
 
@@ -48,47 +49,120 @@ class AnchoredMap:
         return self.inner.settings()
 
 
-def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> AnchoredMap:
-    """Correct gain and level of a map so that f reads the known loads.
+@dataclass(frozen=True, eq=False)
+class Anchoring:
+    """What known loads made of a map, and how well they fix it.
 
-    Minimises sum ((f(window at rest under load k) - load_k) / sigma)^2 + (dgain / gain_spread)^2 + (dlevel /
-    level_spread range)^2, with the spreads of `AnchorConfig`. One anchor moves what it can see, several fix both
-    numbers. The gain turns about the source's rest level.
+    Args:
+        unit_map: the map with gain and offset behind it.
+        gain_error: standard uncertainty of the gain, as a share of it.
+        rest_error: the same of the level at rest, in the source's output unit.
+        misfit: RMS distance of the loads from the source's levels after the fit, in standard uncertainties.
+    """
+
+    unit_map: AnchoredMap
+    gain_error: float
+    rest_error: float
+    misfit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Firmness:
+    """How far a map may be off before any load is seen: one standard deviation each.
+
+    Args:
+        gain: of the gain.
+        level: of the level at rest, as a share of the source's output range.
+        is_paired: whether the map was fitted to pairs behind f: it makes up for what f misreads, and is left as it is
+            unless the loads contradict it.
+    """
+
+    gain: float
+    level: float
+    is_paired: bool = False
+
+
+def firmness(kind: str, config: AnchorConfig) -> Firmness:
+    """Return how firm a map is.
+
+    Args:
+        kind: how its loads are known: `paired`, `stage` or anything else (`core/unit/knowledge.py`).
+        config: from the method.
+    """
+    firm = {"paired": config.firm_paired, "stage": config.firm_stage}
+    if kind in firm:
+        return Firmness(firm[kind], config.firm_level, is_paired=True)
+    return Firmness(config.gain_spread, config.level_spread)
+
+
+def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmness) -> Anchoring:
+    """Correct gain and level of a map so that the unit under a known load looks like the source under it.
+
+    Minimises sum ((offset + gain x_k - y_k) / sigma_k)^2 + (dgain / firm.gain)^2 + (dlevel / firm.level range)^2: x_k
+    is what the map makes of the output at rest under load k, y_k and sigma_k are level and spread of the source's own
+    output under that load. One anchor moves what it can see, several fix both numbers. The gain turns about the
+    source's rest level: both numbers would else be strongly correlated.
+
+    f is left out on purpose: it misreads a load at rest by its own error, and where it is flat no gain or offset of
+    any size would make it read the load. A map from pairs was fitted behind f and differs from the source's levels by
+    what f misreads: there f's error is in sigma_k, and loads within `config.clear` of them change nothing.
 
     Args:
         problem: source and network.
         unit_map: fitted without anchors.
         anchors: outputs at rest under known loads.
+        firm: how far the map is believed beside them.
     """
-    network, config = problem.network, problem.config.anchors
-    low, high = np.quantile(problem.source.unlabelled.output, problem.config.crossing.robust_range)
-    # A known load is known to so much only; without it two anchors would overrule a good map exactly.
-    sigma = config.load_error * network.reference_scale
-    loaded = unit_map.apply(resting(np.asarray(anchors.output, np.float64)))
+    config, output = problem.config, problem.source.unlabelled.output
+    low, high = np.quantile(output, config.crossing.robust_range)
+    is_rising = np.corrcoef(output, problem.source.reference)[0, 1] >= 0
+    rest, level = float(low if is_rising else high), firm.level * float(high - low)
+    mapped = unit_map.apply(resting(np.asarray(anchors.output, np.float64))).mean(axis=1)
+    wanted, sigma = np.array([source_level(problem.source, load, config.anchors) for load in anchors.reference]).T
+    if firm.is_paired:
+        sigma = np.hypot(sigma, _model_error(problem))
+    # In standard deviations of the prior, whose own residual is then the unknown itself.
+    design = np.stack([firm.gain * (mapped - rest), np.full_like(mapped, level)], axis=1) / sigma[:, None]
+    normal = design.T @ design + np.eye(2)
+    missing = (wanted - mapped) / sigma
+    is_read = firm.is_paired and float(np.max(np.abs(missing))) <= config.anchors.clear
+    theta = np.zeros(2) if is_read else np.linalg.solve(normal, design.T @ missing)
+    gain = 1.0 + firm.gain * float(theta[0])
+    offset = float(rest * (1.0 - gain) + level * theta[1])
+    misfit = float(np.sqrt(np.mean(((offset + gain * mapped - wanted) / sigma) ** 2)))
+    # Loads that do not fit a gain and an offset know neither better than they fit.
+    error = np.sqrt(np.diag(np.linalg.inv(normal))) * max(misfit, 1.0)
+    return Anchoring(
+        AnchoredMap(unit_map, gain, offset), firm.gain * float(error[0]) / abs(gain), level * float(error[1]), misfit
+    )
 
-    def corrected(theta: Array) -> tuple[float, float]:
-        # Scaled so that theta is in standard deviations of the prior: its residual is theta itself.
-        gain = 1.0 + config.gain_spread * float(theta[0])
-        # The gain turns about rest: both numbers would else be strongly correlated, and one anchor could move neither.
-        return gain, float(low * (1.0 - gain) + config.level_spread * (high - low) * theta[1])
 
-    def residuals(theta: Array) -> Array:
-        gain, offset = corrected(theta)
-        misread = (network.evaluate(offset + gain * loaded) - anchors.reference) / sigma
-        return np.concatenate([misread, theta])
+def _model_error(problem: FitProblem) -> float:
+    """Return the error of f on its source, carried to the source's output."""
+    source = problem.source
+    rows = np.linspace(0, len(source.windows) - 1, problem.config.anchors.model_rows).astype(np.int64)
+    error = rmse(problem.network.evaluate(source.windows[rows]), source.window_reference[rows])
+    return error * _mean_slope(source)
 
-    def jacobian(theta: Array) -> Array:
-        gain, offset = corrected(theta)
-        slope = network.gradient(offset + gain * loaded)[1] / sigma
-        by_gain = config.gain_spread * np.sum(slope * (loaded - low), axis=1)
-        by_level = config.level_spread * (high - low) * slope.sum(axis=1)
-        return np.concatenate([np.stack([by_gain, by_level], axis=1), np.eye(2)])
 
-    # Imported here: whoever applies a map does not wait for scipy.
-    from scipy.optimize import least_squares
+def _mean_slope(source: LabelledRecording) -> float:
+    return float(np.ptp(source.unlabelled.output) / np.ptp(source.reference))
 
-    gain, offset = corrected(least_squares(residuals, np.zeros(2), jacobian).x)
-    return AnchoredMap(unit_map, gain, offset)
+
+def source_level(source: LabelledRecording, load: float, config: AnchorConfig) -> tuple[float, float]:
+    """Return the source's output under a load, and its standard uncertainty, both in the source's output unit.
+
+    A straight line through the samples whose load is near; their scatter about it is what lag, loop and drift of the
+    source leave open.
+    """
+    away = source.reference - load
+    span = float(np.ptp(source.reference))
+    within = np.count_nonzero(np.abs(away) <= config.near * span)
+    near = np.argsort(np.abs(away), kind="stable")[: max(within, config.least_near)]
+    slope, level = np.polyfit(away[near], source.unlabelled.output[near], 1)
+    scatter = float(np.std(source.unlabelled.output[near] - level - slope * away[near]))
+    # A load is known to so much only: a source that repeats well must not make two anchors overrule a good map.
+    return float(level), float(np.hypot(scatter, config.load_error * span * _mean_slope(source)))
 
 
 def check_loads(source: LabelledRecording, loads: Anchors, nothing: str, config: AnchorConfig) -> None:

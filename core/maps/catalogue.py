@@ -9,6 +9,7 @@ from softcal.core.errors import InputError
 from softcal.core.identity import Settings
 from softcal.core.maps.affine import Affine, IdentityFamily
 from softcal.core.maps.anchors import AnchoredMap
+from softcal.core.maps.between import Between
 from softcal.core.maps.config import DEFAULT
 from softcal.core.maps.exact import Exact
 from softcal.core.maps.interface import MapFamily, UnitMap
@@ -25,6 +26,7 @@ _LISTED: tuple[MapFamily, ...] = (
     Affine(),
     LabelShift(),
     Monotone(),
+    Between(),
     Synchronous(),
     Phase(),
     Exact(),

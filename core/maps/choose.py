@@ -6,15 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import UnitRefused
-from softcal.core.maps.anchors import refine
+from softcal.core.maps.affine import IdentityFamily
+from softcal.core.maps.anchors import firmness, refine
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.config import DEFAULT, CrossingConfig
 from softcal.core.maps.crossing import averaging_length, level_path
 from softcal.core.maps.ends import match_ends
-from softcal.core.maps.interface import FitProblem, UnitMap
+from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.maps.label_shift import level_weights
 from softcal.core.maps.synchrony import Synchrony
 from softcal.core.recording import OutputRecording
+
+_KIND = {"synchronous": "paired", "phase": "stage"}
+"""How the loads behind a family are known; any other rests on distributions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,14 +58,33 @@ def choose_map(problem: FitProblem) -> ChosenMap:
         name, evidence = forced, {"decision": f"{forced}, as configured"}
     else:
         # Pairs need what not every recording has; these four need the output alone.
-        candidates = _fitted(problem, ("identity", "affine", "label_shift", "monotone"))
+        candidates = _fitted(problem, ("identity", "affine", "label_shift", "monotone", "between"))
         name, evidence = _decide(problem, candidates)
     chosen = candidates.pop(name)
-    if problem.anchors is not None:
-        anchored = refine(problem, chosen, problem.anchors)
-        chosen = anchored
-        evidence = {**evidence, "anchor_gain": anchored.gain, "anchor_offset": anchored.offset}
-    return ChosenMap(chosen, evidence, candidates)
+    if problem.anchors is None:
+        return ChosenMap(chosen, evidence, candidates)
+    return _anchored(problem, problem.anchors, ChosenMap(chosen, evidence, candidates))
+
+
+def _anchored(problem: FitProblem, anchors: Anchors, found: ChosenMap) -> ChosenMap:
+    """Hold the map and those that might have been taken against the known loads."""
+    config = problem.config.anchors
+    refined = refine(problem, found.unit_map, anchors, firmness(_KIND.get(found.family, ""), config))
+    told: dict[str, float | str] = {
+        "anchor_gain": refined.unit_map.gain,
+        "anchor_offset": refined.unit_map.offset,
+        "anchor_misfit": refined.misfit,
+        # Two loads know the gain better than matched levels do.
+        "gain_error": refined.gain_error,
+        "rest_error": refined.rest_error,
+    }
+    others = {
+        name: other
+        if name == IdentityFamily.name
+        else refine(problem, other, anchors, firmness(_KIND.get(name, ""), config)).unit_map
+        for name, other in found.alternatives.items()
+    }
+    return ChosenMap(refined.unit_map, {**found.evidence, **told}, others)
 
 
 def _fitted(problem: FitProblem, names: tuple[str, ...]) -> dict[str, UnitMap]:
@@ -134,8 +157,11 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
         return "identity", numbers | {"decision": "no difference from the source that the recording could show"}
     if dwell < config.same_programme:
         return "monotone", numbers | {"decision": "time is spent as in the source: sample quantiles matched"}
-    why = f"shift estimated: {dwell:.0%} of the time is spent at other loads; rest and hardest presses matched instead"
-    return "label_shift", numbers | {"decision": why}
+    why = (
+        f"{dwell:.0%} of the time is spent at other loads, or the unit is bent otherwise: half way between rest and "
+        "hardest presses, and sample quantiles"
+    )
+    return "between", numbers | {"decision": why}
 
 
 def _swing_rate(recording: OutputRecording, config: CrossingConfig) -> float:

@@ -228,16 +228,33 @@ class AnchorConfig:
     """A few known loads (`anchors.py`).
 
     Args:
-        gain_spread: how far the gain of a map may be off before any anchor is seen (one standard deviation).
+        gain_spread: how far the gain of a map that rests on distributions may be off before any anchor is seen (one
+            standard deviation).
         level_spread: the same for its level at rest, as a share of the source's output range.
-        load_error: error of f at rest under a known load, as a share of the reference's spread.
+        firm_paired, firm_stage: gain spread of a map from pairs in time, or by stage position.
+        firm_level: level spread of such a map.
+        load_error: of a known load, as a share of the source's range.
+        near: samples of the source within this share of its range around a load show its output under it.
+        least_near: so many of them at least.
+        model_rows: windows of the source that the error of f is taken from.
+        clear: loads within so many standard uncertainties of a paired map change nothing.
+        most_misfit: loads that lie further from the source's levels than so many standard uncertainties, whatever the
+            gain and offset, contradict one another.
         beyond: a known load may lie beyond the source's range by this share of it.
         same_load: loads nearer than this share of the source's range are one load stated twice.
     """
 
-    gain_spread: float = setting(0.1)
-    level_spread: float = setting(0.03)
-    load_error: float = setting(0.01)
+    gain_spread: float = setting(0.3)
+    level_spread: float = setting(0.1)
+    firm_paired: float = setting(0.02)
+    firm_stage: float = setting(0.05)
+    firm_level: float = setting(0.03)
+    load_error: float = setting(0.003)
+    near: float = setting(0.05)
+    least_near: int = setting(30)
+    model_rows: int = setting(2000)
+    clear: float = setting(2.0)
+    most_misfit: float = setting(10.0)
     beyond: float = setting(0.1)
     same_load: float = setting(0.01)
 
@@ -254,6 +271,8 @@ class ChoiceConfig:
         unlike_rate: a unit that swings this many times more often than the source shows noise or another use.
         clear: a gain or level this many standard errors from the source's is worth correcting.
         sharp: only a recording that fixes the gain this well can show that there is nothing to correct.
+        curve_weight: of equal quantiles beside rest and peak where neither can be shown to be right (`between.py`).
+        shape_shares: quantiles between which two outputs are compared in shape (`nearest.py`).
         extremes: quantiles both units share, for the affine family: rest below, the hardest presses above.
     """
 
@@ -262,6 +281,8 @@ class ChoiceConfig:
     unlike_rate: float = setting(6.0)
     clear: float = setting(2.0)
     sharp: float = setting(0.06)
+    curve_weight: float = setting(0.5, "set, not fitted: equal weights, since nothing tells which of the two is better")
+    shape_shares: tuple[float, float] = setting((0.02, 0.98))
     extremes: tuple[float, float] = setting((0.02, 0.99))
 
 

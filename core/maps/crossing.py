@@ -114,7 +114,7 @@ def _local_extremes(signal: Array) -> Indices:
     """Ends and local extremes; a plateau counts once, where it ends."""
     moves = np.flatnonzero(np.diff(signal))
     turns = moves[1:][np.diff(signal[moves + 1] > signal[moves])]
-    return np.unique(np.concatenate([[0], turns, [len(signal) - 1]])).astype(np.int64)
+    return np.concatenate([[0], turns, [len(signal) - 1]]).astype(np.int64)
 
 
 @lru_cache(maxsize=KEPT)

@@ -56,8 +56,7 @@ def match_ends(source: LabelledRecording, target: OutputRecording, config: MapCo
         UnitRefused: the unit's output makes no swing that stands out of its noise.
     """
     known = source.unlabelled
-    # A sensor may fall under load. From here on every level is taken in the direction of loading.
-    sign = 1.0 if np.corrcoef(known.output, source.reference)[0, 1] >= 0 else -1.0
+    sign = _direction(source)
     is_patchy, ends = _is_patchy(target, config), config.ends
     if is_patchy:
         average = ends.patch_average
@@ -73,6 +72,12 @@ def match_ends(source: LabelledRecording, target: OutputRecording, config: MapCo
     else:
         stretches, others = _stretches(known, len(target), average, sign, config)
     return _matched(stretches, others, shown, sign, float(2 * noise / shown.span[0]), config.curve.gain_prior)
+
+
+@lru_cache(maxsize=KEPT)
+def _direction(source: LabelledRecording) -> float:
+    """A sensor may fall under load: every level is taken in the direction of loading."""
+    return 1.0 if np.corrcoef(source.unlabelled.output, source.reference)[0, 1] >= 0 else -1.0
 
 
 def _matched(

@@ -27,6 +27,7 @@ def check_audits(
     _check_recordings(readings)
     _check_exchanged(readings, rules)
     _check_gains(readings, rules)
+    _check_strangers(readings, rules)
 
 
 def _check_recordings(readings: Mapping[str, AuditReading]) -> None:
@@ -52,6 +53,24 @@ def _check_exchanged(readings: Mapping[str, AuditReading], rules: ReleaseConfig)
                     f"the audits of {first} and {second} look exchanged: each rests at {one.audit_rest:.4g} and "
                     f"{other.audit_rest:.4g} where the other unit does; {NOTHING}"
                 )
+
+
+def _check_strangers(readings: Mapping[str, AuditReading], rules: ReleaseConfig) -> None:
+    """Refuse an audit that rests far from where its unit does while the others rest where theirs do."""
+    moved = {serial: (one.audit_rest - one.unit_rest) / max(one.span, 1e-12) for serial, one in readings.items()}
+    for serial, own in moved.items():
+        others = [other for name, other in moved.items() if name != serial]
+        if len(others) < rules.least_others:
+            continue
+        usual = float(np.median(others))
+        farthest = max(abs(other - usual) for other in others)
+        if abs(own - usual) > max(rules.stranger_rest, rules.stranger_factor * farthest):
+            reading = readings[serial]
+            raise InputError(
+                f"the audit of {serial} rests at {reading.audit_rest:.4g} where its unit rests at "
+                f"{reading.unit_rest:.4g}; the {len(others)} others rest where their units do: is it of another unit? "
+                f"{NOTHING}"
+            )
 
 
 def _check_gains(readings: Mapping[str, AuditReading], rules: ReleaseConfig) -> None:

@@ -10,7 +10,6 @@ from scipy.stats import beta
 
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
-from softcal.core.unit.method import ReleaseConfig
 
 
 def upper_bound(scores: Array, risk: float) -> float:
@@ -73,28 +72,6 @@ def pooled_scale(groups: Sequence[Array], coverage: float, has_unseen: bool = Fa
     # Cumulative sums round: without the margin an exact share would take one sample too many.
     reached = np.searchsorted(np.cumsum(weight[order]), coverage - 1e-12)
     return float("inf") if reached == len(order) else float(scores[order][reached])
-
-
-def unit_scale(
-    groups: Sequence[Array],
-    coverage: float,
-    rules: ReleaseConfig = ReleaseConfig(),  # noqa: B008 - frozen
-) -> float:
-    """Return the factor on an interval's half-width that serves the samples on average and the units one by one.
-
-    The larger of `pooled_scale` and the conformal bound of the units' own factors for `rules.least_coverage`. Where
-    units are alike it is the first; where each was pressed with another force, the second: one more unit has less than
-    that share of its samples covered with probability `rules.most_units` at most. Of fewer units than that takes, the
-    widest counts.
-
-    Args:
-        groups: per audited unit, (n,) |residual| over half-width of its samples.
-        coverage: share of samples, between 0 and 1.
-    """
-    pooled = pooled_scale(groups, coverage)
-    own = np.array([np.quantile(group, rules.least_coverage) for group in groups])
-    bound = upper_bound(own, rules.most_units)
-    return max(pooled, bound if np.isfinite(bound) else float(own.max()))
 
 
 def _rank(count: int, risk: float) -> int:

@@ -1,6 +1,6 @@
 """The decision on the units of a lot that nobody measured: qualification, bound, a judgement a unit, one statement."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,10 +8,11 @@ import numpy as np
 from softcal.core.quality.acceptance import Promise
 from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit, PromisedRelease, release
+from softcal.core.quality.widening import Widening
 from softcal.core.unit.line_spread import SeenGains
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Judgement, Limit, Verdict
-from softcal.core.words.reason import Reason, Value, reason
+from softcal.core.words.reason import Reason, Value, reason, several
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,8 @@ class LotRelease:
         promise: asked for.
         forecasts: forecast RMSE by serial of the units decided on.
         found: which of them are released; None without a qualification.
-        interval_scale: factor on the half-width of their 90 % intervals.
-        statement: the promise, or why there is none, in one sentence.
+        widening: of their 90 % intervals.
+        statement: the promise, or why there is none.
         seen: gains that audited units of this lot read their loads with; None where too few were audited.
         days: by serial, the error that another day adds as golden runs show it; empty without them.
     """
@@ -35,8 +36,8 @@ class LotRelease:
     promise: Promise
     forecasts: Mapping[str, float]
     found: PromisedRelease | None
-    interval_scale: float
-    statement: str
+    widening: Widening
+    statement: Reason
     seen: SeenGains | None = None
     days: Mapping[str, float] = field(default_factory=dict)
 
@@ -83,9 +84,11 @@ class LotRelease:
         ratios = None if found is None else {**vars(found.ratios)}
         return {
             "audits": len(self.qualification.audits),
+            "audited": len(self.qualification.here),
             "risk": self.promise.risk,
             "confidence": self.promise.confidence,
-            "statement": self.statement,
+            "statement": str(self.statement),
+            "statement_reason": self.statement.to_json(),
             "qualification": self.qualification.source,
             "reason": str(self.qualification.reason),
             "wanted": self.qualification.wanted,
@@ -95,7 +98,8 @@ class LotRelease:
             "ratios": ratios,
             "share_any_form": None if found is None else found.share_any_form,
             "risk_any_form": None if found is None else found.risk_any_form,
-            "interval_scale": self.interval_scale,
+            "interval_scale": self.widening.scale,
+            "interval_added": self.widening.added,
             "gains": None if self.seen is None else vars(self.seen),
             "day_rmse": max(self.days.values(), default=None),
             "limit": self.limit.to_json(),
@@ -107,7 +111,7 @@ def release_lot(
     qualification: Qualification,
     limit: Limit,
     promise: Promise,
-    interval_scale: float = 1.0,
+    widening: Widening = Widening(),  # noqa: B008 - frozen
     least: float = 0.0,
     seen: SeenGains | None = None,
     days: Mapping[str, float] | None = None,
@@ -119,56 +123,68 @@ def release_lot(
         qualification: on which audits, if any.
         limit: of the lot, in the forecasts' unit.
         promise: what is to hold for the released units.
-        interval_scale: factor on their intervals, from the same audits.
+        widening: of their intervals, from the same audits.
         least: number of units that must pass, or none is released.
         seen: gains that audited units of this lot read their loads with.
         days: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
     """
     found = release(forecasts, qualification.audits, limit, promise, least, days) if qualification.is_given else None
-    statement = _statement(forecasts, qualification.audits, found, qualification, limit, promise)
-    statement += _seen(seen) + _told_days(days or {}, limit.unit)
-    return LotRelease(qualification, limit, promise, forecasts, found, interval_scale, statement, seen, days or {})
+    told = [
+        _promised(forecasts, found, qualification, limit, promise),
+        *_seen(seen),
+        *_told_days(days or {}, limit.unit),
+    ]
+    return LotRelease(qualification, limit, promise, forecasts, found, widening, several(told), seen, days or {})
 
 
-def _seen(seen: SeenGains | None) -> str:
-    if seen is None:
-        return ""
-    return f"; the audited units read {seen.centre:.1%} of their loads, with a spread of {seen.spread:.1%} between them"
+def _seen(seen: SeenGains | None) -> Iterator[Reason]:
+    if seen is not None:
+        yield reason("release.gains", centre=seen.centre, spread=seen.spread)
 
 
-def _told_days(days: Mapping[str, float], unit: str) -> str:
-    if not days:
-        return ""
-    return f"; up to {max(days.values()):.3g} {unit} is kept for another day, as golden runs show it"
+def _told_days(days: Mapping[str, float], unit: str) -> Iterator[Reason]:
+    if days:
+        yield reason("release.days", day=max(days.values()), unit=unit)
 
 
-def _statement(
+def _promised(
     forecasts: Mapping[str, float],
-    audits: Sequence[AuditedUnit],
     found: PromisedRelease | None,
     qualification: Qualification,
     limit: Limit,
     promise: Promise,
-) -> str:
-    bound = f"{limit.maximum_rmse:.3g} {limit.unit}"
+) -> Reason:
+    bound: Mapping[str, Value] = {"limit": limit.maximum_rmse, "unit": limit.unit}
+    if not forecasts and qualification.here:
+        seen = _audited(qualification.here, reason("part.here", audits=len(qualification.here)), bound)
+        return reason("release.none_left", seen=seen)
     if found is None:
-        return f"no unit is released by sample: {qualification.reason}"
-    beyond = sum(audit.measured_rmse > limit.maximum_rmse for audit in audits)
-    seen = f"{qualification.reason}, {beyond} of them beyond {bound}"
+        return reason("release.unqualified", why=qualification.reason)
+    seen = _audited(qualification.audits, qualification.reason, bound)
     if not forecasts:
-        return f"no unit is left to release by sample: {seen}"
+        return reason("release.none_left", seen=seen)
     if not found.released:
-        return (
-            f"no unit is released by sample: {seen}; fewer than {ReleaseConfig.least_part:.0%} of the lot, or of the "
-            f"other {len(forecasts)} units, would pass at {found.factor:.2g} x their forecast"
-        )
-    return (
-        f"with {seen}: at most {promise.risk:.0%} of the {len(found.released)} units released by sample (of "
-        f"{len(forecasts)} unmeasured) are beyond {bound}, {promise.confidence:.0%} confidence; {any_form(found)}"
+        facts: Mapping[str, Value] = {"part": ReleaseConfig.least_part, "open": len(forecasts), "factor": found.factor}
+        return reason("release.poor", seen=seen, **facts)
+    return reason(
+        "release.promised",
+        seen=seen,
+        risk=promise.risk,
+        confidence=promise.confidence,
+        released=len(found.released),
+        open=len(forecasts),
+        any_form=any_form(found),
+        **bound,
     )
 
 
-def any_form(found: PromisedRelease) -> str:
+def _audited(audits: Sequence[AuditedUnit], which: Reason, bound: Mapping[str, Value]) -> Reason:
+    beyond = sum(audit.measured_rmse > float(bound["limit"]) for audit in audits)  # type: ignore[arg-type]
+    return reason("part.audits_beyond", audits=which, beyond=beyond, **bound)
+
+
+def any_form(found: PromisedRelease) -> Reason:
     """Return what holds for the released units whatever form the ratios have."""
-    share = f"{found.share_any_form:.1%} at that confidence and " if found.share_any_form < 1 else ""
-    return f"whatever form the ratios have, at most {share}{found.risk_any_form:.1%} on average"
+    if found.share_any_form < 1:
+        return reason("part.any_form", share=found.share_any_form, risk=found.risk_any_form)
+    return reason("part.any_form_mean", risk=found.risk_any_form)

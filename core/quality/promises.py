@@ -8,14 +8,21 @@ from softcal.core.unit.method import ReleaseConfig
 PROMISE_HEADER = ("if all hold", "beyond, on average", "beyond, at 90 %", "margin needed", "promise of 1 in 10")
 
 
-def promise_rows(promise: Promise = Promise()) -> list[list[object]]:  # noqa: B008 - frozen
-    """Return one row per number of audits, none of them beyond the limit, under `PROMISE_HEADER`.
+def promise_rows(
+    units: int | None = None,
+    promise: Promise = Promise(),  # noqa: B008 - frozen
+) -> list[list[object]]:
+    """Return one row per number of audits that leaves a unit over, none beyond the limit, under `PROMISE_HEADER`.
 
     The average and the share at a confidence hold for errors of any form. The margin is by how many standard deviations
     of the log ratio the mean must stay below the limit for the promise by variables (ISO 3951).
+
+    Args:
+        units: of the lot; None for any.
+        promise: asked for.
     """
     counts = sorted({3, ReleaseConfig.least_audits, audits_wanted(promise), 10, 20, audits_by_count(promise)})
-    return [_row(count, promise) for count in counts]
+    return [_row(count, promise) for count in counts if units is None or count < units]
 
 
 def _row(count: int, promise: Promise) -> list[object]:

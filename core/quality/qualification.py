@@ -43,12 +43,14 @@ class Qualification:
         audits: the audited units that count; empty where there is none.
         wanted: audits of this lot that are still missing; 0 where it is qualified.
         reason: why.
+        here: audited units of this lot, enough or not.
     """
 
     source: str
     audits: tuple[AuditedUnit, ...]
     wanted: int
     reason: Reason
+    here: tuple[AuditedUnit, ...] = ()
 
     @property
     def is_given(self) -> bool:
@@ -63,6 +65,7 @@ def qualify(
     sensor_model: str,
     method_id: str,
     golden_failed_at: datetime | None = None,
+    units: int | None = None,
     rules: ReleaseConfig = ReleaseConfig(),  # noqa: B008 - frozen
 ) -> Qualification:
     """Say whether and on what audits the units of a lot may be released.
@@ -77,13 +80,13 @@ def qualify(
         now: the time of the decision.
         sensor_model, method_id: of this lot.
         golden_failed_at: when a golden unit last failed on the line that presses this lot.
+        units: of this lot, measured or not; None where more may come than anybody knows.
     """
-    wanted = audits_wanted(Promise(rules.risk, rules.confidence))
+    wanted = wanted_audits(rules)
     if len(here) >= wanted:
-        return Qualification(THIS_LOT, tuple(here), 0, reason("part.here", audits=len(here)))
-    missing = wanted - len(here)
+        return Qualification(THIS_LOT, tuple(here), 0, reason("part.here", audits=len(here)), tuple(here))
     if not sensor_model:
-        return _none(missing, len(here), reason("part.no_model"))
+        return _none(here, reason("part.no_model"), units, rules)
     same = [audit for audit in past if (audit.sensor_model, audit.method_id) == (sensor_model, method_id)]
     lasts = timedelta(days=rules.lasts_days)
     fresh = [audit for audit in same if now - audit.made_at <= lasts]
@@ -94,12 +97,30 @@ def qualify(
     if len(standing) + len(here) >= wanted and len(lots) >= rules.least_lots:
         audits = (*here, *(audit.unit for audit in standing))
         seen = reason("part.of_lots", audits=len(standing), lots=len(lots))
-        return Qualification(EARLIER_LOTS, audits, 0, seen)
-    return _none(missing, len(here), _why(past, same, fresh, standing, rules))
+        return Qualification(EARLIER_LOTS, audits, 0, seen, tuple(here))
+    return _none(here, _why(past, same, fresh, standing, rules), units, rules)
 
 
-def _none(missing: int, here: int, why: Reason) -> Qualification:
-    return Qualification(NONE, (), missing, reason("part.unqualified", audits=here, why=why, missing=missing))
+def wanted_audits(rules: ReleaseConfig = ReleaseConfig()) -> int:  # noqa: B008 - frozen
+    """Return how many audits qualify."""
+    return audits_wanted(Promise(rules.risk, rules.confidence))
+
+
+def small_lot(units: int, rules: ReleaseConfig = ReleaseConfig()) -> Reason | None:  # noqa: B008 - frozen
+    """Say what a lot is to do that has no unit left once enough are audited; None for a larger one."""
+    wanted = wanted_audits(rules)
+    if units > wanted:
+        return None
+    return reason("part.small_lot", units=units, wanted=wanted, least=rules.least_lots)
+
+
+def _none(here: Sequence[AuditedUnit], why: Reason, units: int | None, rules: ReleaseConfig) -> Qualification:
+    missing, small = wanted_audits(rules) - len(here), None if units is None else small_lot(units, rules)
+    if small is None or units is None:
+        said = reason("part.unqualified", audits=len(here), why=why, missing=missing)
+        return Qualification(NONE, (), missing, said, tuple(here))
+    said = reason("part.unqualified_small", audits=len(here), why=why, small=small)
+    return Qualification(NONE, (), max(units - len(here), 0), said, tuple(here))
 
 
 def _why(

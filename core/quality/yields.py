@@ -89,5 +89,11 @@ def yields(runs: Mapping[str, Sequence[UnitRun]], golden: Collection[str] = (), 
 
 
 def kind(why: Reason) -> str:
-    """Return what reasons are counted by: their code; the sentence itself where an older version kept no code."""
-    return str(why) if why.code == PLAIN else why.code
+    """Return what reasons are counted by: their code with the codes in it, as "statement measured above".
+
+    The sentence itself where an older version kept no code.
+    """
+    if why.code == PLAIN:
+        return str(why)
+    parts = (value.code for value in why.values.values() if isinstance(value, Reason) and value.code != PLAIN)
+    return " ".join((why.code, *parts))

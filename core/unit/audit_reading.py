@@ -8,8 +8,8 @@ import numpy as np
 from softcal.core.identity import content_sha256
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 
-SHARES = np.linspace(0, 1, 101)
-"""Shares of the samples at which `AuditReading.ratios` are kept."""
+KEPT = 201
+"""Instants of an audit that are kept, evenly spaced: enough for shares of its samples."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,8 @@ class AuditReading:
         gain: slope of the estimates over the reference (least squares): 1 where the unit reads its loads in full.
         unit_rest, audit_rest: output at rest in the unit's recording and in the audit, in the output's unit.
         span: of the output in the unit's recording, in the same.
-        ratios: (101,) quantiles of |residual| over the half-width of the 90 % interval, at `SHARES`.
+        residual, half: (k,) |residual| and half-width of the 90 % interval at evenly spaced instants, in the
+            reference's unit.
     """
 
     output_sha256: str
@@ -31,16 +32,19 @@ class AuditReading:
     unit_rest: float
     audit_rest: float
     span: float
-    ratios: tuple[float, ...]
+    residual: tuple[float, ...]
+    half: tuple[float, ...]
 
     def to_json(self) -> dict[str, object]:
         """Return it as JSON values."""
-        return {**vars(self), "ratios": list(self.ratios)}
+        return {**vars(self), "residual": list(self.residual), "half": list(self.half)}
 
     @classmethod
-    def of(cls, kept: Mapping[str, object]) -> "AuditReading":
-        """Read what `to_json` wrote."""
-        ratios: list[float] = kept["ratios"]  # type: ignore[assignment]
+    def of(cls, kept: Mapping[str, object]) -> "AuditReading | None":
+        """Read what `to_json` wrote; None of what an older version kept, whose recording is to be read again."""
+        if "residual" not in kept:
+            return None
+        residual, half = (tuple(map(float, kept[name])) for name in ("residual", "half"))  # type: ignore[call-overload]
         gain, unit_rest, audit_rest, span = (
             float(str(kept[name])) for name in ("gain", "unit_rest", "audit_rest", "span")
         )
@@ -51,7 +55,8 @@ class AuditReading:
             unit_rest=unit_rest,
             audit_rest=audit_rest,
             span=span,
-            ratios=tuple(map(float, ratios)),
+            residual=residual,
+            half=half,
         )
 
 
@@ -67,8 +72,8 @@ def read_audit(
         recording: of the same unit.
         rest: share of the samples at whose quantile a unit is at rest.
     """
-    rows = np.isfinite(value)
-    ratios = np.quantile((np.abs(value - audit.reference) / np.maximum(half, 1e-12))[rows], SHARES)
+    rows = np.flatnonzero(np.isfinite(value))
+    kept = rows[np.unique(np.linspace(0, len(rows) - 1, KEPT).astype(np.int64))]
     rising = np.corrcoef(audit.unlabelled.output, audit.reference)[0, 1]
     end = rest if rising >= 0 else 1 - rest
     low, high = np.quantile(recording.output, (rest, 1 - rest))
@@ -79,8 +84,13 @@ def read_audit(
         unit_rest=float(np.quantile(recording.output, end)),
         audit_rest=float(np.quantile(audit.unlabelled.output, end)),
         span=float(high - low),
-        ratios=tuple(float(f"{ratio:.6g}") for ratio in ratios),
+        residual=_short(np.abs(value - audit.reference)[kept]),
+        half=_short(half[kept]),
     )
+
+
+def _short(values: Array) -> tuple[float, ...]:
+    return tuple(float(f"{value:.6g}") for value in values)
 
 
 def gain_of(value: Array, reference: Array) -> float:

@@ -12,8 +12,10 @@ import numpy as np
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.identity import content_sha256
 from softcal.core.maps.affine import IdentityFamily
+from softcal.core.maps.between import Between
 from softcal.core.maps.choose import ChosenMap, choose_map
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
+from softcal.core.maps.label_shift import LabelShift
 from softcal.core.maps.paired import fit_pairs
 from softcal.core.maps.phase import Phase
 from softcal.core.maps.synchronous import Synchronous
@@ -22,10 +24,11 @@ from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.audit_reading import gain_of, read_audit
+from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
-from softcal.core.unit.findings import map_findings, opening_findings
+from softcal.core.unit.findings import map_findings, opening_findings, wiring_findings
 from softcal.core.unit.forecast import (
     MapEvidence,
     Trial,
@@ -45,7 +48,7 @@ from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Finding, Judgement, Limit, decide, decide_audited, default_limit
 from softcal.core.windows import TAPS
-from softcal.core.words.reason import Reason
+from softcal.core.words.reason import Reason, reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,8 @@ class UnitProblem:
         own: how the unit's own calibration is trained on its audit, for comparison; None trains none.
         line: how differently the line presses units, where somebody stated it.
         reference: what the source was compared with; None where nobody said, and nothing is traced to it.
+        bridge: the source unit pressed again in the sitting of this unit, where somebody did.
+        beside: networks of the lot's other sources, which the unit was compared with (`sources.py`).
     """
 
     source: SourceModel
@@ -71,6 +76,8 @@ class UnitProblem:
     own: NetworkConfig | None = None
     line: LineSpread | None = None
     reference: Reference | None = None
+    bridge: Bridge | None = None
+    beside: tuple[str, ...] = ()
 
     @property
     def input_sha256(self) -> str:
@@ -97,8 +104,12 @@ def input_sha256(facts: UnitProblem, method: Method) -> str:
         "own": None if audit is None or facts.own is None else asdict(facts.own),
         **({} if facts.line is None else {"line": facts.line.to_json()}),
     }
+    if facts.bridge is not None:
+        settings["golden"] = facts.bridge.sha256
     if facts.reference is not None:
         settings["reference"] = facts.reference.to_json()
+    if facts.beside:
+        settings["beside"] = sorted(facts.beside)
     return content_sha256({}, settings)
 
 
@@ -119,11 +130,11 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     known = model.source.unlabelled
     check_alive(target, known, method.health)
     limits = output_limits(target, known, is_rising=model.interval.slope_limit > 0, config=method.health)
-    fit = FitProblem(model.source, model.network, target, problem.anchors, method.map)
+    fit = _fit_problem(problem)
     chosen = choose_map(fit)
     evidence = _evidence(problem, fit, chosen, limits)
     forecast = forecast_error(evidence.budget, evidence.knowledge)
-    findings = (
+    findings = wiring_findings(model, target) or (
         *health_findings(target, known, limits, method.health),
         *map_findings(model, target, evidence),
         *opening_findings(chosen.evidence, method.findings),
@@ -139,7 +150,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
         output_limits=limits,
         forecast=forecast,
         decision=Decision(
-            _predicted(problem, evidence, forecast, limit, findings),
+            _predicted(problem, evidence, forecast, limit, findings, _bridge_reason(problem, fit)),
             _measured(problem, scores, limit),
             bars=_bars(problem),
         ),
@@ -166,6 +177,34 @@ def with_audit(
     found = estimate(network, calibration, audit.unlabelled)
     half, rest = found.upper - found.estimate, (calibration.method or Method()).decision.audit_rest
     return replace(calibration, audit=read_audit(found.estimate, half, audit, recording, rest))
+
+
+def _fit_problem(problem: UnitProblem) -> FitProblem:
+    """Return what the map is fitted to: the golden run where the unit shares its loads in time, else the source."""
+    model, bridge = problem.source, problem.bridge
+    direct = FitProblem(model.source, model.network, problem.recording, problem.anchors, model.method.map)
+    if bridge is None:
+        return direct
+    bridged = replace(direct, source=bridge.golden)
+    return bridged if bridged.synchrony.is_synchronous else direct
+
+
+def _crossed(problem: UnitProblem, fit: FitProblem) -> Bridge | None:
+    """Return the bridge that the map was fitted over; None where it was fitted to the source's recording."""
+    bridge = problem.bridge
+    return bridge if bridge is not None and fit.source is bridge.golden else None
+
+
+def _bridge_reason(problem: UnitProblem, fit: FitProblem) -> tuple[Reason, ...]:
+    if problem.bridge is None:
+        return ()
+    bridge = _crossed(problem, fit)
+    if bridge is None:
+        missed = replace(fit, source=problem.bridge.golden).synchrony
+        return (reason("bridge.unused", correlation=missed.rank_correlation),)
+    if not bridge.is_measured:
+        return (reason("bridge.read"),)
+    return (reason("bridge.measured", day=bridge.day_rmse, unit=bridge.golden.reference_unit),)
 
 
 def _bars(problem: UnitProblem) -> tuple[Reason, ...]:
@@ -204,13 +243,14 @@ def _predicted(
     forecast: ErrorForecast,
     limit: Limit,
     findings: tuple[Finding, ...],
+    bridged: tuple[Reason, ...],
 ) -> Judgement:
-    """Decide on the forecast, and say last what the line adds that no recording shows."""
+    """Decide on the forecast, and say last how the day was bridged and what the line adds that no recording shows."""
     judgement, config = decide(forecast, limit, findings), problem.source.method.line
     share = (problem.line or LineSpread(config.load_spread, config.day_spread)).share
     load = rms_load(evidence.estimate, problem.source.method.forecast)
     said = line_reason(share, load, limit.unit, problem.line is not None)
-    return replace(judgement, reasons=(*judgement.reasons, said))
+    return replace(judgement, reasons=(*judgement.reasons, *bridged, said))
 
 
 def _measured(problem: UnitProblem, scores: Scores | None, limit: Limit) -> Judgement | None:
@@ -223,6 +263,7 @@ def _measured(problem: UnitProblem, scores: Scores | None, limit: Limit) -> Judg
 def _evidence(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap, limits: OutputLimits) -> MapEvidence:
     """Look at the unit through its map, the maps it might have had, and maps fitted without a part of it."""
     trials = _trials(problem, fit, chosen)
+    bridge = _crossed(problem, fit)
     # Where the stage position or a common load is known, that tells more than leaving shares out.
     is_measured = bool(trials) or chosen.family == Phase.name
     return gather_evidence(
@@ -233,10 +274,20 @@ def _evidence(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap, limits: 
         resampled=[] if is_measured else _refitted(fit, chosen, problem.source.method),
         limits=limits,
         trials=trials,
-        gain_error=float(chosen.evidence.get("gain_error", 0.0)),
+        gain_error=_gain_error(chosen, problem.source.method),
         is_anchored=problem.anchors is not None,
         line=problem.line,
+        day_rmse=0.0 if bridge is None else bridge.day_rmse,
+        straight=chosen.alternatives.get(LabelShift.name) if chosen.family == Between.name else None,
     )
+
+
+def _gain_error(chosen: ChosenMap, method: Method) -> float:
+    """Return the standard error of log gain; a gain far from the source's is a doubt unless loads were given."""
+    error, gain = float(chosen.evidence.get("gain_error", 0.0)), float(chosen.evidence.get("gain", 1.0))
+    far = abs(float(np.log(gain)))
+    is_doubtful = "anchor_gain" not in chosen.evidence and far > np.log(method.findings.said_stretch)
+    return float(np.hypot(error, far)) if is_doubtful else error
 
 
 def _trials(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap) -> list[Trial]:
@@ -248,14 +299,16 @@ def _trials(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap) -> list[Tr
     if chosen.family != Synchronous.name:
         return []
     source_rows, target_rows = paired_rows(fit.source.unlabelled, fit.target, fit.synchrony, fit.config.synchrony)
+    bridge = _crossed(problem, fit)
+    floor = 0.0 if bridge is None else bridge.floor
     if not np.isfinite(fit.synchrony.until_s):
-        return [Trial(chosen.unit_map, source_rows, target_rows)]
+        return [Trial(chosen.unit_map, fit.source, source_rows, target_rows, floor)]
     parts = problem.source.method.forecast.opening_parts
     part = np.arange(len(target_rows)) * parts // len(target_rows)
     trials = []
     for held in (part == k for k in range(parts)):
         unit_map = fit_pairs(fit, source_rows[~held], target_rows[~held], Synchronous.name)
-        trials.append(Trial(unit_map, source_rows[held], target_rows[held]))
+        trials.append(Trial(unit_map, fit.source, source_rows[held], target_rows[held], floor))
     return trials
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
-from softcal.core.unit.forecast import LINE, gather_evidence
+from softcal.core.unit.forecast import DAY, LINE, gather_evidence
 from softcal.core.unit.method import LEVELS
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.uncertainty import DIRECTIONS
@@ -89,7 +89,7 @@ def contributions(calibration: Calibration) -> dict[str, float]:
     evidence = calibration.evidence
     budget = {name.removeprefix("u_"): float(str(u)) for name, u in evidence.items() if name.startswith("u_")}
     config = calibration.knowledge.config
-    weights = {config.base_term: config.base_factor, **calibration.knowledge.sensitivity, LINE: 1.0}
+    weights = {config.base_term: config.base_factor, **calibration.knowledge.sensitivity, LINE: 1.0, DAY: 1.0}
     # A calibration of an older version may lack a term that came later.
     parts = {name: weight * budget[name] for name, weight in weights.items() if name in budget}
     return dict(sorted(parts.items(), key=lambda item: -item[1]))

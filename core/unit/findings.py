@@ -14,18 +14,24 @@ from softcal.core.words.reason import Reason, reason
 
 def map_findings(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> tuple[Finding, ...]:
     """Say in words what the mapped windows show against the unit, if anything."""
-    reversed_wiring = _reversed(model, target)
     checks = (
-        reversed_wiring,
         _unfamiliar(model, evidence),
-        # Turned upside down, the right programme looks wrong too.
-        _other_use(evidence, model.method.findings) if reversed_wiring is None else None,
+        _other_use(evidence, model.method.findings),
         _uncovered(model, target, evidence),
         _misread(model, evidence) or _restless(model, target, evidence),
         _not_better(model, evidence),
         _stretched(model, target, evidence),
     )
     return tuple(finding for finding in checks if finding is not None)
+
+
+def wiring_findings(model: SourceModel, target: OutputRecording) -> tuple[Finding, ...]:
+    """Return a finding where the unit is wired the wrong way round.
+
+    It is the only one to be told then: upside down a unit at rest looks clipped, and the right programme wrong.
+    """
+    found = _reversed(model, target)
+    return () if found is None else (found,)
 
 
 def opening_findings(evidence: Mapping[str, float | str], config: FindingConfig) -> tuple[Finding, ...]:
@@ -102,19 +108,22 @@ def _other_use(evidence: MapEvidence, config: FindingConfig) -> Finding | None:
 
 
 def _stretched(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> Finding | None:
-    """Return a finding where the unit would have to answer several times less or more than the source.
+    """Return a finding where the unit would have to answer much less or more than the source.
 
     A unit pressed over a small part of the source's range looks like an insensitive one. The stage position or known
-    loads tell them apart; one clock does not.
+    loads tell them apart; one clock does not. A readout that clips looks so, too, and is named for what it is.
     """
-    if evidence.knowledge.kind == "stage" or evidence.knowledge.is_anchored:
+    if evidence.knowledge.kind == "stage" or evidence.knowledge.is_anchored or evidence.budget["clipping"]:
         return None
     raw = model.interval.support.shape(target.windows[evidence.rows])
     spans = [np.subtract(*_reach(shape.level, model.method.forecast.reach)[::-1]) for shape in (evidence.shape, raw)]
-    gain, most = float(spans[0] / max(spans[1], 1e-12)), model.method.findings.stretch
-    if 1 / most <= gain <= most:
+    gain, config = float(spans[0] / max(spans[1], 1e-12)), model.method.findings
+    times = max(gain, 1 / gain)
+    if evidence.knowledge.is_placed:
+        return Finding(reason("stretched", gain=gain)) if times > config.stretch else None
+    if times <= config.said_stretch:
         return None
-    best = Verdict.CONDITIONAL if evidence.knowledge.is_placed else Verdict.RETEST
+    best = Verdict.RETEST if times > config.blind_stretch else Verdict.CONDITIONAL
     return Finding(reason("stretched", gain=gain), best)
 
 

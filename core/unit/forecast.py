@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.maps.interface import UnitMap
-from softcal.core.recording import Array, Indices, OutputRecording
+from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
 from softcal.core.unit.health import OutputLimits, clipped_share
 from softcal.core.unit.knowledge import LoadKnowledge, known_by
 from softcal.core.unit.line_spread import LineSpread
@@ -22,8 +22,8 @@ from softcal.core.unit.stage_check import unit_difference
 from softcal.core.unit.support import WindowShape
 from softcal.core.unit.uncertainty import DIRECTIONS, ErrorForecast
 
-LINE = "line"
-"""Term of the budget for what the line does to the load; it weighs 1 whatever is known of the loads."""
+LINE, DAY = "line", "day"
+"""Terms of the budget for what line and day do to the load; they weigh 1 whatever is known of the loads."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class MapEvidence:
         speed: how fast the unit's fast movements are, over the source's.
         budget: standard uncertainties in the reference unit: `model`, the terms of every kind of knowledge
             (`knowledge.py`), `stage` and `slow` where source and unit carry the stage position, and `line` where the
-            spread of the line was stated.
+            spread of the line was stated, `day` where a golden run measured its day.
         knowledge: how the loads on this unit are known.
     """
 
@@ -70,12 +70,16 @@ class Trial:
 
     Args:
         unit_map: the unit's map, or one fitted without these windows.
-        source_rows, target_rows: full windows of source and unit, equal lengths.
+        source: recording of the source unit that the unit was pressed together with.
+        source_rows, target_rows: full windows of both, equal lengths.
+        floor: RMS error that the reference of these windows does not hold: that of f, where f itself read it.
     """
 
     unit_map: UnitMap
+    source: LabelledRecording
     source_rows: Indices
     target_rows: Indices
+    floor: float = 0.0
 
 
 def gather_evidence(
@@ -89,6 +93,8 @@ def gather_evidence(
     gain_error: float = 0.0,
     is_anchored: bool = False,
     line: LineSpread | None = None,
+    day_rmse: float = 0.0,
+    straight: UnitMap | None = None,
 ) -> MapEvidence:
     """Collect the budget of one unit from its map and from other maps that fit its recording too.
 
@@ -103,6 +109,9 @@ def gather_evidence(
         gain_error: standard error of the logarithm of the map's gain, where it rests on matched levels.
         is_anchored: whether known loads of the unit entered its map.
         line: the line's spread, where somebody stated it.
+        day_rmse: what the day of the recording changes, as a golden run showed it, in the reference unit.
+        straight: a map that was not bent to spend the unit's time as the source's; by default `unit_map`. How the mix
+            of loads differs shows through it alone.
     """
     config = model.method.forecast
     # Evenly spaced rows: every statistic below costs the same however long the recording is.
@@ -117,7 +126,12 @@ def gather_evidence(
     disagreement = _spread(estimate, [network.evaluate(other.apply(raw)) for other in alternatives])
     stability = _spread(estimate, [network.evaluate(part.apply(raw)) for part in resampled])
     cells = interval.direction(shape), interval.column(estimate)
-    overlap, speed = use_overlap(model, shape), _fast(shape, config) / _fast(model.shape, config)
+    unbent = mapped if straight is None else straight.apply(raw)
+    seen_load = estimate if straight is None else network.evaluate(unbent)
+    overlap, speed = (
+        use_overlap(model, interval.support.shape(unbent)),
+        _fast(shape, config) / _fast(model.shape, config),
+    )
     # A map is only as good as the agreement of those that could have been chosen instead (disagreement), and of the
     # same family on other parts of the recording (stability, a delete-a-group jackknife).
     budget = {
@@ -125,7 +139,7 @@ def gather_evidence(
         "disagreement": rms(disagreement),
         "stability": rms(stability),
         "support": interval.sensitivity * rms(distance),
-        "shift": rms(np.quantile(estimate, quantiles) - np.quantile(model.estimate, quantiles)),
+        "shift": rms(np.quantile(seen_load, quantiles) - np.quantile(model.estimate, quantiles)),
         "rest": _rest_spread(model, estimate, shape),
         "resolution": _resolution(model, target, mapped, raw),
         "clipping": _clipping(model, target, limits),
@@ -138,8 +152,11 @@ def gather_evidence(
     }
     if line is not None:
         budget[LINE] = line.share * rms_load(estimate, config)
+    if day_rmse:
+        budget[DAY] = day_rmse
     if trials:
-        budget["paired"] = rms(np.concatenate([_misread(model, target, trial) for trial in trials]))
+        misread = rms(np.concatenate([_misread(model, target, trial) for trial in trials]))
+        budget["paired"] = float(np.hypot(misread, max(trial.floor for trial in trials)))
     unmapped_overlap = use_overlap(model, interval.support.shape(raw))
     return MapEvidence(
         rows,
@@ -159,14 +176,14 @@ def gather_evidence(
 def forecast_error(budget: Mapping[str, float], knowledge: LoadKnowledge) -> ErrorForecast:
     """Combine a budget: u_c^2 = u_base^2 + sum (c_i u_i)^2 (GUM, JCGM 100:2008, eq. 10), with its own uncertainty.
 
-    What the line adds has coefficient 1 whatever is known of the loads: no recording shows it.
+    What line and day add has coefficient 1 whatever is known of the loads: no recording of the unit shows it.
 
     Args:
         budget: standard uncertainties u by term, in the reference unit.
         knowledge: how the loads are known: it names the base term and the sensitivity coefficients c.
     """
-    line = budget.get(LINE, 0.0)
-    rmse = float(np.sqrt(_base(budget, knowledge) ** 2 + _squares(budget, knowledge) + line**2))
+    outside = budget.get(LINE, 0.0) ** 2 + budget.get(DAY, 0.0) ** 2
+    rmse = float(np.sqrt(_base(budget, knowledge) ** 2 + _squares(budget, knowledge) + outside))
     low, high = knowledge.config.log_error
     return ErrorForecast(rmse, rmse * float(np.exp(low)), rmse * float(np.exp(high)))
 
@@ -202,7 +219,7 @@ def variance_table(model: SourceModel, evidence: MapEvidence) -> Array:
     beyond = unseen * _beyond(load_levels(model), evidence.estimate, reach)
     spread_out = map_variance(budget, knowledge) - (unseen * budget["extrapolation"]) ** 2
     line = budget.get(LINE, 0.0) ** 2 * _load_pattern(model, evidence)
-    return knowledge.config.interval_share * spread_out * pattern + beyond**2 + line
+    return knowledge.config.interval_share * spread_out * pattern + beyond**2 + line + budget.get(DAY, 0.0) ** 2
 
 
 def load_levels(model: SourceModel) -> Array:
@@ -315,7 +332,7 @@ def _misread(model: SourceModel, target: OutputRecording, trial: Trial) -> Array
     count = min(model.method.forecast.rows, len(trial.source_rows))
     spread = np.linspace(0, len(trial.source_rows) - 1, count).astype(np.int64)
     estimate = model.network.evaluate(trial.unit_map.apply(target.windows[trial.target_rows[spread]]))
-    return np.asarray(estimate - model.source.window_reference[trial.source_rows[spread]])
+    return np.asarray(estimate - trial.source.window_reference[trial.source_rows[spread]])
 
 
 def _extrapolation(model: SourceModel, estimate: Array) -> float:

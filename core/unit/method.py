@@ -5,13 +5,10 @@ identity of every calibration and is kept with it: another number gives another 
 stale.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
-from functools import cache
+from dataclasses import dataclass, field
 
-from softcal.core.identity import content_sha256
 from softcal.core.maps.config import MapConfig
-from softcal.core.settings import SET, origins, rebuilt, setting
+from softcal.core.settings import SET, NumberedMethod, setting
 from softcal.core.unit.knowledge import KnowledgeTable
 from softcal.core.windows import TAPS
 
@@ -171,6 +168,23 @@ class LineConfig:
 
 
 @dataclass(frozen=True)
+class BridgeConfig:
+    """What a golden run is believed (`bridge.py`).
+
+    Args:
+        rows: windows that gain and zero of its day are fitted to, evenly spaced.
+        stretches: of time, every other of which tests whether that day differs at all.
+        most_misread: share of the SD of its loads that f may misread it by once gain and zero are taken out.
+        most_gain: a day that changes the gain by more than this factor is another unit.
+    """
+
+    rows: int = setting(4_000)
+    stretches: int = setting(16)
+    most_misread: float = setting(0.3)
+    most_gain: float = setting(1.5)
+
+
+@dataclass(frozen=True)
 class FindingConfig:
     """When something seen is worth a word (`findings.py`).
 
@@ -180,6 +194,9 @@ class FindingConfig:
         enough_overlap, speed_factor: of the unit's mix of loads and speeds with the source's.
         meaningless_overlap, meaningless_speed: beyond these no forecast rests on that mix; nearer it is only wider.
         stretch: units of one kind do not differ by this factor in what they answer; loads can.
+        blind_stretch: where nothing but the output's distribution speaks for the loads, a factor of this is as likely
+            a press that ends at half the range; nothing firm can be said.
+        said_stretch: from this factor on the doubt is said, and widens the forecast.
         overlap_gain: where before < after in simulated lots without positions, the map had raised the overlap by less.
         drift_factor: estimates at rest that move or scatter by so many times the source's own error are worth a word.
         drift_explained: share of that scatter a straight line must explain to be called a drift.
@@ -199,6 +216,8 @@ class FindingConfig:
     meaningless_overlap: float = setting(0.35)
     meaningless_speed: float = setting(3.0)
     stretch: float = setting(3.0, "taxels of the insole differ by 2.7 at most; units pressed below half: 4 and more")
+    blind_stretch: float = setting(2.0, f"{SET}: half of the source's range")
+    said_stretch: float = setting(1.8, f"{SET}: a tenth short of blind_stretch")
     overlap_gain: float = setting(0.14, "benchmarks/verdict.py on seeds 1000-1040 (simulated lots)")
     drift_factor: float = setting(2.0)
     drift_explained: float = setting(0.5)
@@ -246,12 +265,14 @@ class ReleaseConfig:
         lasts_days: how long an audit of an earlier lot counts.
         most_audits: audited units that the scale of the intervals is made of.
         least_coverage, most_units: an interval covers at least the first share of the samples of all but the second
-            share of the units.
+            share of the units (`widening.py`).
         least_gains: fewer audited units or golden runs than this show no spread of a line or its days.
         most_gain: audits whose gains differ by this factor contradict one another.
         least_others: an audit is out of line with at least so many others.
         same_rest, other_rest: shares of a unit's span; outputs at rest nearer than the first are one unit's, further
             apart than the second two.
+        stranger_rest, stranger_factor: an audit is of another unit where its rest moved by more than the first share
+            of the span, and by the second times as much as that of any other audit.
     """
 
     risk: float = setting(0.10)
@@ -270,18 +291,20 @@ class ReleaseConfig:
     least_others: int = setting(3)
     same_rest: float = setting(0.01)
     other_rest: float = setting(0.05)
+    stranger_rest: float = setting(0.2)
+    stranger_factor: float = setting(4.0)
 
 
 @dataclass(frozen=True)
-class Method:
+class Method(NumberedMethod):
     """How a unit is calibrated and judged; one configuration for every sensor and data set.
 
     Args:
         version: raised when the code computes otherwise from the same numbers.
         taps, levels, confidence: of windows and intervals.
         range_margin: an estimate further than this share of the source's range beyond it is out of range.
-        map, source, stage_check, health, forecast, knowledge, line, findings, decision, release: a section a
-            module.
+        map, source, stage_check, health, forecast, knowledge, line, bridge, findings, decision, release: a
+            section a module.
     """
 
     version: int = setting(2, "raised by hand")
@@ -296,6 +319,7 @@ class Method:
     forecast: ForecastConfig = field(default_factory=ForecastConfig)
     knowledge: KnowledgeTable = field(default_factory=KnowledgeTable)
     line: LineConfig = field(default_factory=LineConfig)
+    bridge: BridgeConfig = field(default_factory=BridgeConfig)
     findings: FindingConfig = field(default_factory=FindingConfig)
     decision: DecisionConfig = field(default_factory=DecisionConfig)
     release: ReleaseConfig = field(default_factory=ReleaseConfig)
@@ -303,26 +327,3 @@ class Method:
     def __post_init__(self) -> None:
         if (self.taps, self.levels, self.confidence) != (TAPS, LEVELS, CONFIDENCE):
             raise ValueError(f"taps, levels and confidence are {FORMAT}")
-
-    @property
-    def id(self) -> str:
-        """Content hash of every number."""
-        return _id(self)
-
-    def numbers(self) -> Iterator[tuple[str, object, str]]:
-        """Yield (dotted name, value, origin) of every number."""
-        return origins(self)
-
-    def to_json(self) -> Mapping[str, object]:
-        """Return every number as nested JSON values."""
-        return asdict(self)
-
-    @classmethod
-    def of(cls, kept: Mapping[str, object]) -> "Method":
-        """Read what `to_json` wrote; a number that came later has its default."""
-        return rebuilt(cls(), kept)
-
-
-@cache
-def _id(method: Method) -> str:
-    return content_sha256({}, asdict(method))

@@ -4,14 +4,16 @@ It is what noise, clipping and creep leave open with any calibration. Only the f
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 
+from softcal.core.maps.crossing import KEPT
 from softcal.core.maps.ends import output_noise
 from softcal.core.maps.interface import UnitMap
 from softcal.core.network.network import Network
 from softcal.core.recording import OutputRecording
-from softcal.core.unit.forecast import LINE, MapEvidence, forecast_error
+from softcal.core.unit.forecast import DAY, LINE, MapEvidence, forecast_error
 from softcal.core.unit.knowledge import LoadKnowledge
 from softcal.core.unit.source_model import SourceModel
 
@@ -44,11 +46,11 @@ def own_terms(
         evidence: of its map, with the budget of its forecast error.
     """
     network, budget, rows = model.network, evidence.budget, model.method.forecast.own_rows
-    known = model.source.unlabelled
     # Variances subtract: f was trained with the source's noise, so that much is in `floor` already.
-    noise = noise_error(network, target, rows, unit_map) ** 2 - noise_error(network, known, rows) ** 2
+    of_source = _source_noise_error(network, model.source.unlabelled, rows)
+    noise = noise_error(network, target, rows, unit_map) ** 2 - of_source**2
     # The line spreads loads, not outputs: an own calibration sees the loads.
-    forecast = forecast_error({name: u for name, u in budget.items() if name != LINE}, evidence.knowledge)
+    forecast = forecast_error({name: u for name, u in budget.items() if name not in (DAY, LINE)}, evidence.knowledge)
     return {
         "floor": model.held_out_rmse,
         "noise": float(np.sqrt(max(noise, 0.0))),
@@ -56,6 +58,12 @@ def own_terms(
         "rest": budget["rest"],
         "excess": float(np.sqrt(max(forecast.rmse**2 - budget["model"] ** 2, 0.0))),
     }
+
+
+@lru_cache(maxsize=KEPT)
+def _source_noise_error(network: Network, source: OutputRecording, windows: int) -> float:
+    """Every unit of a lot is compared with one and the same source."""
+    return noise_error(network, source, windows)
 
 
 def noise_error(network: Network, recording: OutputRecording, windows: int, unit_map: UnitMap | None = None) -> float:

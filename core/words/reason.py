@@ -53,12 +53,35 @@ ENGLISH: Mapping[str, str] = {
     "part.unqualified": (
         "{audits} audited units of this lot; {why}; audit {missing} more units of this lot, drawn by its audit plan"
     ),
+    "part.unqualified_small": "{audits} audited units of this lot; {why}; {small}",
+    "part.small_lot": (
+        "its {units} units are no more than the {wanted} audits a promise takes: measure every one of them, or audit "
+        "{wanted} units in {least} or more earlier lots of this sensor model"
+    ),
     "part.no_model": "the lot names no sensor_model, so no earlier lot counts for it",
     "part.no_lot": "no earlier lot was audited",
     "part.other_method": "the audits of earlier lots are of another sensor model or method",
     "part.old_audits": "the audits of earlier lots are older than {days:g} days",
     "part.withdrawn": "a failed audit or golden unit withdrew what earlier lots had shown",
     "part.few_lots": "{audits} audited units of {lots} earlier lots are too few ({least} lots are needed)",
+    # The statement on the units of a lot that nobody measured.
+    "release.unqualified": "no unit is released by sample: {why}",
+    "release.none_left": "no unit is left to release by sample: {seen}",
+    "release.poor": (
+        "no unit is released by sample: {seen}; fewer than {part:.0%} of the lot, or of the other {open} units, would "
+        "pass at {factor:.2g} x their forecast"
+    ),
+    "release.promised": (
+        "with {seen}: at most {risk:.0%} of the {released} units released by sample (of {open} unmeasured) are beyond "
+        "{limit:.3g} {unit}, {confidence:.0%} confidence; {any_form}"
+    ),
+    "release.gains": ("the audited units read {centre:.1%} of their loads, with a spread of {spread:.1%} between them"),
+    "release.days": "up to {day:.3g} {unit} is kept for another day, as golden runs show it",
+    "part.audits_beyond": "{audits}, {beyond} of them beyond {limit:.3g} {unit}",
+    "part.any_form": (
+        "whatever form the ratios have, at most {share:.1%} at that confidence and {risk:.1%} on average"
+    ),
+    "part.any_form_mean": "whatever form the ratios have, at most {risk:.1%} on average",
     "sampled.released": (
         "released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
         "within the limit {limit:.3g} {unit}; risk {risk:.0%} at {confidence:.0%} confidence"
@@ -79,6 +102,18 @@ ENGLISH: Mapping[str, str] = {
         "forecast {rmse:.3g} {unit} times {centre:.2f}, the mean of measured over forecast error of {audits}, is above "
         "the limit {limit:.3g} {unit}"
     ),
+    "bridge.measured": (
+        "fitted to the golden run of its sitting; that day changes what the golden unit reads by {day:.3g} {unit} RMS, "
+        "which the forecast holds"
+    ),
+    "bridge.read": (
+        "fitted to the golden run of its sitting, which no load cell measured: what that day does to the golden unit "
+        "itself is not known"
+    ),
+    "bridge.unused": (
+        "the golden run shares no load with the unit at equal time (rank correlation {correlation:.2f}): fitted to the "
+        "source's recording; press golden unit and units by one programme from one start"
+    ),
     "line.stated": (
         "the forecast holds {rmse:.3g} {unit} for the line: it loads units that give the same output {share:.1%} "
         "differently, as was stated for it"
@@ -89,6 +124,9 @@ ENGLISH: Mapping[str, str] = {
     ),
     "trimmed": "trimmed by {loads} known loads: RMSE there {before:.3g}, now {after:.3g}; not measured since",
     "predicted_otherwise": "before the audit it was predicted {verdict}: {why}",
+    # What is wrong with a table that was to audit a unit.
+    "audit.stranger": "the lot has no unit {serial}; call the file by the serial of the unit",
+    "audit.no_reference": "it has no reference; choose the column of the load cell",
     # What the raw output shows.
     "dead.constant": "dead channel: output is constant at {level:.6g} {unit} in all {count} samples; {cure}",
     "dead.noise": "dead channel: output is noise alone (SD {spread:.3g} {unit}); {cure}",

@@ -59,7 +59,21 @@ SENTENCES: Mapping[str, str] = {
         "load cell: at equal depths one press shows {ratio:.2f} times the force of another; check the cell's "
         "amplifier, its mounting and the unit's seat, then press again"
     ),
+    "rig.output_gain": (
+        "sensor readout: at equal depths one press changes the output {ratio:.2f} times as much as another; check "
+        "whether the motor lost steps, the unit's seat and its connector, then press again"
+    ),
+    "rig.contact_at_once": (
+        "contact was found before the stage had moved by {way_mm:g} mm; check the load cell's readings, and whether "
+        "approach_mm is above the unit"
+    ),
+    "rig.follows": (
+        "sensor readout: only {percent:.0f} % of what it shows goes with the depth of the stage; check the unit's "
+        "connector and the motor's supply, then press again"
+    ),
+    "rig.bit": "sensor readout: bit {bit} of its converter never changes; check the converter, then press again",
     "rig.run_ended": "run of {serial}: {end}; press the unit again",
+    "rig.run_facts": "run of {serial}: what it says of itself does not fit its samples; press the unit again",
     "rig.clock": "{device}: its clock is off by {percent:+.1f} %; check its firmware",
     "rig.lost": "{device}: {lost} of {count} samples were lost; check its cable, then record again",
     "rig.gap": "load cell: a gap of {seconds:.2f} s in its samples; check its cable, then record again",
@@ -160,6 +174,31 @@ SENTENCES: Mapping[str, str] = {
     "port.taken": "in use by {owner}; end that program, one process owns a port",
     "port.closed": "cannot be opened: {error}",
     "port.owner": "{name} (process {process})",
+    # What a port said, and what it is taken for.
+    "port.unknown": "answers in no dialect that softcal knows",
+    "port.said": "says '{said}'",
+    "port.esm": "Mark-10 stand without a gauge that answers",
+    "port.esm.gauge": "Mark-10 stand, its gauge in {unit}",
+    "port.grbl": "GRBL controller, {state}",
+    "port.zaber": "Zaber device {device}",
+    "port.mark10": "Mark-10 gauge in {unit}",
+    "port.loadstar": "Loadstar {model}",
+    "port.bridge": (
+        "counts from {smallest} to {largest}: beyond 16 bit or below 0, as a bridge amplifier of a load cell sends them"
+    ),
+    "port.converter": "counts up to {largest}, as the 12-bit converter of a readout sends them",
+    "port.either": "counts up to {largest} at {rate_Hz:.0f} Hz: a load cell or readout; say which in the station file",
+    "port.at": "{port}: {why}",
+    "port.at.none": (
+        "no USB serial port on this machine; looked for a stage (GRBL, Zaber, Mark-10 stand), a load cell (HX711, "
+        "Mark-10, Loadstar, indicator) and a sensor readout; plug them in, or use the simulated rig"
+    ),
+    "port.missing": "not found: {parts}; looked at {ports}",
+    "port.one_of": ("{first} and {second} could each be {part}; name the ports you mean; nothing was written"),
+    "part.stage": "a stage",
+    "part.cell": "a load cell",
+    "part.readout": "a sensor readout",
+    "part.and": "{first} and {rest}",
     # Text lines of a readout or load-cell amplifier.
     "stream.checksum": "a stream line reads {line}; its checksum should be {checksum}",
     "stream.line": "a stream line reads {line}; `ms,value` in whole numbers was expected",
@@ -174,6 +213,7 @@ SENTENCES: Mapping[str, str] = {
     "grbl.lost": "stage: where it is is not known well enough to lift it; home it",
     "grbl.none": "stage ({port}): no GRBL controller answers; check power, cable and baud rate (115200)",
     "grbl.settings": "stage: the settings dump lacks {missing}; is this GRBL 1.1?",
+    "grbl.setting": "{setting}: {cure}",
     "grbl.homing_off": "stage: homing is disabled; send $22=1 once, wire the switch, then try again",
     "grbl.inches": "stage: positions are reported in inches; send $13=0 once, then try again",
     "grbl.refused": "stage: the controller answered {reply}; check the settings of the controller",
@@ -286,6 +326,14 @@ SENTENCES: Mapping[str, str] = {
     "scpi.no_data": "no data",
     "scpi.other": "{device}: {identity} is none of {models}; check port and kind",
     "scpi.settings": "{device}: does not take its settings: {error}; check them in the station file",
+    "labjack.missing": (
+        "{device}: LabJack's library cannot be loaded: {error}; install LJM (labjack.com) and `pip install "
+        "'softcal[labjack]'`"
+    ),
+    "labjack.none": "{device}: no LabJack answers: {error}; check its cable, its serial number or address",
+    "labjack.refused": "{device}: it does not take {name} = {value:g}: {error}; choose another value",
+    "labjack.other": "{device}: {name} was set to {value:g} and reads {found:g}; choose a value this LabJack has",
+    "labjack.reading": "{device}: it gave {values}, which is no voltage; check its inputs",
     "scpi.reading": "{device}: a reading reads {line}; a number was expected",
     "scpi.status": "{device}: {why}; check the unit's connector and the range",
     "scpi.overload": "{device}: overload; check the unit's connector, then choose a larger full_scale",
@@ -347,6 +395,7 @@ SENTENCES: Mapping[str, str] = {
     "check.setting": "setting",
     "check.safe_speed": "safe speed",
     "check.runs_on": "runs on when the host dies",
+    "check.ran_on": "ran on when left alone",
     "found.samples": "{count} samples",
     "found.reading": "{values} {unit}",
     "found.noise": "{noise:.2g} {unit}",
@@ -359,7 +408,11 @@ SENTENCES: Mapping[str, str] = {
         "{free_mm_s:.2g} mm/s where nothing was felt, {unknown_mm_s:.2g} mm/s where the unit was not pressed yet, so "
         "that a stop ends below {ceiling_N:g} N"
     ),
-    "found.runs_on": "at {speed_mm_s:g} mm/s at most {on_s:.2f} s and {way_mm:.2g} mm",
+    "found.runs_on": (
+        "at {speed_mm_s:g} mm/s at most {on_s:.2f} s and {way_mm:.2g} mm, no deeper than the unit was felt; where "
+        "nothing was felt, at {slow_mm_s:.2g} mm/s, at most {slow_mm:.2g} mm and {worst_N:.1f} N"
+    ),
+    "found.ran_on": "{way_mm:.2g} mm at {speed_mm_s:.2g} mm/s, {most_mm:.2g} mm at most",
     "found.rate": "{rate_Hz:.4g} Hz",
     "found.zero": "{zero_N:+.3f} N",
     "found.failed": "failed",
@@ -367,6 +420,7 @@ SENTENCES: Mapping[str, str] = {
     "cure.rate": "{rate_Hz:g} Hz were expected; correct rate_Hz in the station file or the firmware",
     "cure.clock": "clock far off; check its firmware",
     "cure.zero": "at most {allowed_N:g} N; unload the cell, then zero it",
+    "cure.ran_on": "the controller goes further than it was told; do not press with it, check its firmware",
     "cure.return": "it does not come back; check screws, belt and steps per mm",
     # What the gate looks at, and what it says.
     "gate.no_certificate": ("the load cell has no certificate on file; import it or type it in"),

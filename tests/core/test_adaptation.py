@@ -21,6 +21,7 @@ from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.adapter import RECALIBRATE, STATE_FORMAT, UNSETTLED, AdaptConfig, Adapter
+from softcal.core.use.doubt import MISSED, UNCOMPARED
 from softcal.core.use.intake import WRONG_RATE
 from softcal.core.use.method import UseMethod
 from softcal.core.windows import TAPS
@@ -153,6 +154,16 @@ def test_drift_is_followed(make_adapter: Callable[..., Adapter], mode: str) -> N
     assert rmse(followed[last], force_N[last]) < 0.025
 
 
+def test_drift_that_is_followed_raises_no_alarm(make_adapter: Callable[..., Adapter]) -> None:
+    t_s, output_V, force_N = stream(600.0)
+    adapter = make_adapter()
+
+    rows = adapter.advance(t_s, drifted(output_V, gain=1.0))
+
+    assert rmse(rows.estimate, force_N) < 2 * adapter.take_updates()[0].predicted_rmse
+    assert RECALIBRATE not in rows.flag
+
+
 def test_interval_holds_the_truth_under_drift(make_adapter: Callable[..., Adapter]) -> None:
     t_s, output_V, force_N = stream(600.0)
 
@@ -218,6 +229,21 @@ def test_first_use_of_a_unit_without_drift_raises_no_alarm(make_irregular: Calla
     assert rmse(rows.estimate, force_N) <= 1.02 * rmse(make_irregular("none").advance(t_s, output_V).estimate, force_N)
 
 
+def test_first_use_is_said_to_be_unwatched_and_what_moved_in_it_is_alarmed(
+    make_irregular: Callable[..., Adapter],
+) -> None:
+    force_N = irregular_N(1500.0, 7)
+    t_s, output_V = np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 8)
+    adapter = make_irregular()
+
+    adapter.advance(t_s, output_V + 0.4 * np.minimum(1.0, t_s / 700.0))
+
+    verdicts = [update.verdict for update in adapter.take_updates()]
+    assert verdicts[:2] == ["start", "unwatched"]
+    assert verdicts[-1] != "unwatched"
+    assert adapter.current.alarm.startswith(MISSED)
+
+
 def test_use_that_stays_unknown_is_alarmed_after_the_first_day(make_irregular: Callable[..., Adapter]) -> None:
     """A second stream of one-sided ramps, never twice alike, two days long in time stamps of one sample a second."""
     learning = replace(UseMethod().learning, first_use_s=300.0)
@@ -228,7 +254,7 @@ def test_use_that_stays_unknown_is_alarmed_after_the_first_day(make_irregular: C
 
     adapter.advance(np.arange(len(force_N)) / RATE_HZ, read_V(force_N, 10))
 
-    assert "predicted error" in adapter.current.alarm
+    assert adapter.current.alarm.startswith(UNCOMPARED)
     assert (adapter.current.gain, adapter.current.offset) == (1.0, 0.0)
 
 

@@ -12,7 +12,7 @@ from softcal.core.unit.audit_reading import AuditReading
 
 def reading(name, gain=1.0, rest=0.5, audit_rest=None):
     return AuditReading(
-        name, f"loads of {name}", gain, rest, rest if audit_rest is None else audit_rest, 1.0, (0.0, 1.0)
+        name, f"loads of {name}", gain, rest, rest if audit_rest is None else audit_rest, 1.0, (0.0, 1.0), (1.0, 1.0)
     )
 
 
@@ -50,6 +50,22 @@ def test_a_reference_in_another_unit_contradicts_the_others(readings, factor):
 
 def test_a_lot_that_misreads_as_a_whole_does_not_contradict_itself(readings):
     check_audits({s: replace(one, gain=5 * one.gain) for s, one in readings.items()})
+
+
+def test_the_audit_of_a_unit_that_is_not_of_the_lot_is_named(readings):
+    readings["U5"] = replace(readings["U5"], audit_rest=readings["U5"].unit_rest + 0.4)
+    with pytest.raises(InputError, match="audit of U5 rests at 1.2 where its unit rests at 0.8.*nothing was released"):
+        check_audits(readings)
+
+
+def test_audits_that_all_rest_elsewhere_name_nobody(readings, rng):
+    check_audits({s: replace(one, audit_rest=one.audit_rest + 0.3 * rng.normal()) for s, one in readings.items()})
+
+
+def test_what_an_older_version_kept_of_an_audit_is_read_again():
+    assert AuditReading.of({**reading("U1").to_json(), "ratios": [0.0, 1.0]}) is not None
+    older = {name: value for name, value in reading("U1").to_json().items() if name not in ("residual", "half")}
+    assert AuditReading.of({**older, "ratios": [0.0, 1.0]}) is None
 
 
 def test_a_reading_is_kept_as_json(readings):

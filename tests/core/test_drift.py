@@ -9,7 +9,8 @@ from softcal.core.recording import Array, OutputRecording
 from softcal.core.use.activity import CalibratedUse, learn_use
 from softcal.core.use.cycles import Cycle, CycleCutter
 from softcal.core.use.method import UseMethod
-from softcal.core.use.tracker import FOLLOWED, HELD, JUMPED, TRIED, DriftTracker, Observation
+from softcal.core.use.observation import FOLLOWED, HELD, JUMPED, TRIED, Observation
+from softcal.core.use.tracker import DriftTracker
 
 RATE_HZ = 50.0
 PERIOD_S = 4.0
@@ -124,13 +125,13 @@ def test_presses_of_a_person_that_slowly_grow_harder_are_not_taken_for_gain() ->
     tracker = DriftTracker(use, is_improved=True)
     output = presses(1200.0, seed=4, timing=0.04)
     grown = 1 + (output - 1) * np.linspace(1.0, 1.25, len(output))
-    start = tracker.doubt_at(0.0)[1]
+    start = tracker.doubt_at(0.0).growth
 
     seen = observe(tracker, grown, use)
 
     assert error_of(tracker, 1.0, 0.0) < 0.02
     assert "only a reference can tell" in seen[-1].reason
-    assert tracker.doubt_at(1200.0)[1] > start + 0.2
+    assert tracker.doubt_at(1200.0).growth > start + 0.2
 
 
 def test_weaker_presses_of_a_harder_use_do_not_drag_the_gain_after_it() -> None:
@@ -331,7 +332,7 @@ def test_doubt_grows_while_nothing_is_seen() -> None:
     tracker = DriftTracker(use, is_improved=True)
     observe(tracker, presses(200.0, seed=3), use)
 
-    doubts = [tracker.doubt_at(t_s)[0] for t_s in (200.0, 1000.0, 10_000.0)]
+    doubts = [tracker.doubt_at(t_s).widening for t_s in (200.0, 1000.0, 10_000.0)]
 
     assert doubts[0] < doubts[1] < doubts[2]
 
@@ -340,15 +341,15 @@ def test_predicted_error_grows_with_use_that_says_nothing() -> None:
     use = calibrated_use()
     tracker = DriftTracker(use, is_improved=False)
     observe(tracker, presses(200.0, seed=3), use)
-    doubts = [tracker.doubt_at(200.0)[1]]
+    doubts = [tracker.doubt_at(200.0).growth]
 
     for start_s in (200.0, 240.0):
         observe(tracker, presses(40.0, seed=2, power=0.4), use, start_s)
-        doubts.append(tracker.doubt_at(start_s + 40.0)[1])
+        doubts.append(tracker.doubt_at(start_s + 40.0).growth)
 
     assert doubts[0] < doubts[1] < doubts[2]
     observe(tracker, presses(40.0, seed=7), use, 280.0)
-    assert tracker.doubt_at(320.0)[1] < doubts[1]
+    assert tracker.doubt_at(320.0).growth < doubts[1]
 
 
 def test_state_goes_through_json_and_back() -> None:

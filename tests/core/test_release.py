@@ -13,9 +13,12 @@ from softcal.core.quality.acceptance import (
     failing_share,
     tolerance_factor,
 )
-from softcal.core.quality.conformal import least_risk, least_units, pooled_scale, share_beyond, unit_scale, upper_bound
-from softcal.core.quality.qualification import PastAudit, qualify
+from softcal.core.quality.conformal import least_risk, least_units, pooled_scale, share_beyond, upper_bound
+from softcal.core.quality.lot_release import release_lot
+from softcal.core.quality.promises import promise_rows
+from softcal.core.quality.qualification import PastAudit, qualify, small_lot
 from softcal.core.quality.release import AuditedUnit, audited_ratios, least_passing, release
+from softcal.core.quality.widening import AuditedSamples, Widening, fit_widening
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Limit
 
@@ -242,23 +245,51 @@ def test_audits_made_after_a_failure_qualify_again():
     assert qualify([], past, NOW, "EG", "m1", rules=ReleaseConfig()).is_given
 
 
+def _audited(residual, half=1.0):
+    return AuditedSamples(np.abs(residual), np.full(len(residual), half))
+
+
 def test_the_interval_serves_one_more_unit_however_differently_units_were_pressed():
-    rng, served, pooled_served, trials = np.random.default_rng(5), 0, 0, 400
+    rng, served, pooled_served, trials = np.random.default_rng(5), 0, 0, 200
     for _ in range(trials):
         # Each unit misreads its loads by another share; residuals grow with the load.
-        groups = [np.abs(0.3 * rng.normal() + 0.02 * rng.normal(size=200)) * rng.random(200) for _ in range(11)]
-        served += np.mean(groups[-1] <= unit_scale(groups[:-1], 0.9)) >= 0.8
-        pooled_served += np.mean(groups[-1] <= pooled_scale(groups[:-1], 0.9)) >= 0.8
-    # Conformal: one unit in eleven is beyond the widest of ten, five standard deviations for the count of trials.
-    assert served / trials >= 10 / 11 - 5 * np.sqrt(10 / 121 / trials)
+        loads = (0.3 * rng.normal() * rng.random(200) + 0.02 * rng.normal(size=200) for _ in range(11))
+        units = [_audited(residual, half=0.02) for residual in loads]
+        widening = fit_widening(units[:-1], 0.9)
+        served += np.mean(units[-1].ratio(widening) <= 1) >= 0.8
+        pooled = pooled_scale([unit.ratio(Widening()) for unit in units[:-1]], 0.9)
+        pooled_served += np.mean(units[-1].ratio(Widening()) <= pooled) >= 0.8
+    # Nine units in ten, less three standard deviations for the count of trials.
+    assert served / trials >= 0.9 - 3 * np.sqrt(0.09 / trials)
     assert pooled_served < served
 
 
-def test_units_that_are_alike_are_given_no_wider_interval():
+def test_the_widening_follows_its_closed_form():
+    half = np.array([3.0, 4.0])
+    assert np.allclose(Widening(1.0, 4.0)(half), [5.0, np.hypot(4, 4)])
+    assert np.array_equal(Widening()(half), half)
+
+
+def test_units_that_are_alike_get_the_factor_of_their_median_and_nothing_beside_it():
     rng = np.random.default_rng(6)
-    groups = [np.abs(rng.normal(size=2000)) for _ in range(10)]
-    assert unit_scale(groups, 0.9) == pooled_scale(groups, 0.9)
-    assert unit_scale(groups[:3], 0.9) >= pooled_scale(groups[:3], 0.9)
+    units = [_audited(0.5 * rng.normal(size=4000), half=1.645) for _ in range(10)]
+    widening = fit_widening(units, 0.9)
+    # 0.5 x 1.645 is the true 90 % half-width.
+    assert widening.scale == pytest.approx(0.5, rel=0.05) and widening.added < 0.2
+    covered = [np.mean(unit.ratio(widening) <= 1) for unit in units]
+    assert 0.87 < np.median(covered) < 0.94
+
+
+def test_an_interval_that_is_too_narrow_gets_an_error_beside_it():
+    units = [_audited(np.random.default_rng(k).normal(size=500), half=0.1) for k in range(10)]
+    widening = fit_widening(units, 0.9)
+    assert widening.scale == 1.0 and widening.added == pytest.approx(1.645, rel=0.15)
+
+
+def test_one_audited_unit_widens_and_none_is_refused():
+    assert fit_widening([_audited(np.full(50, 2.0))], 0.9).added == pytest.approx(np.sqrt(3.0), rel=0.01)
+    with pytest.raises(InputError, match="no audited unit"):
+        fit_widening([], 0.9)
 
 
 def test_the_few_good_units_of_a_poor_lot_are_not_released():
@@ -268,3 +299,30 @@ def test_the_few_good_units_of_a_poor_lot_are_not_released():
     # 10 audits held and 2 would pass: half of 24 units, but not of 26.
     assert release(forecasts, audits, LIMIT, least=least_passing(24, 10)).released == ("U1", "U2")
     assert release(forecasts, audits, LIMIT, least=least_passing(26, 10)).released == ()
+
+
+@pytest.mark.parametrize(("units", "audited", "left"), [(1, 0, 1), (9, 2, 7), (5, 5, 0)])
+def test_a_lot_with_no_unit_left_after_the_audits_is_told_to_measure_all_of_it(units, audited, left):
+    found = qualify(_here(audited), [], NOW, "EG", "m1", units=units)
+    assert not found.is_given and found.wanted == left
+    said = str(found.reason)
+    assert f"its {units} units are no more than the 9 audits a promise takes" in said and "more units of" not in said
+    assert "in 3 or more earlier lots" in said
+
+
+def test_a_lot_with_a_unit_to_spare_is_told_how_many_to_audit():
+    assert "audit 8 more units" in str(qualify(_here(1), [], NOW, "EG", "m1", units=10).reason)
+
+
+def test_a_small_lot_is_shown_no_promise_it_cannot_have():
+    assert small_lot(9) is not None and small_lot(10) is None
+    assert [row[0] for row in promise_rows(10)] == ["3 audits", "5 audits", "9 audits"]
+    assert len(promise_rows()) > len(promise_rows(10))
+
+
+def test_a_lot_whose_every_unit_was_measured_has_nothing_left_to_promise():
+    audits = [AuditedUnit("A", 0.1, 0.2), AuditedUnit("B", 0.1, 2.0)]
+    decided = release_lot({}, qualify(audits, [], NOW, "EG", "m1", units=2), LIMIT, Promise())
+    assert "no unit is left to release by sample: 2 audited units of this lot, 1 of them beyond 1 N" in str(
+        decided.statement
+    )

@@ -30,6 +30,14 @@ def test_network_learns_a_static_curve_to_a_few_percent(smooth: LabelledRecordin
     assert trained.network.sizes == (15, 120, 70, 35, 1)
 
 
+def test_an_exact_estimate_does_not_depend_on_what_is_estimated_beside_it(smooth: LabelledRecording) -> None:
+    network = fit_network(smooth, QUICK).network
+    together = network.evaluate_exactly(smooth.windows)
+    alone = np.concatenate([network.evaluate_exactly(smooth.windows[k : k + 1]) for k in range(50)])
+    np.testing.assert_allclose(alone, together[:50], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(network.evaluate(smooth.windows), together, atol=1e-5 * np.ptp(together))
+
+
 def test_equal_seeds_give_the_same_network_and_other_seeds_another(smooth: LabelledRecording) -> None:
     first, again = fit_network(smooth, QUICK), fit_network(smooth, QUICK)
     other = fit_network(smooth, NetworkConfig(hidden=(16, 8), max_epochs=12, seed=1))

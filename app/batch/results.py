@@ -1,0 +1,101 @@
+"""The results of a lot as a Parquet table, a row a unit; docs/connect.md describes every column."""
+
+import io
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from softcal.app.files.atomic import write_bytes
+from softcal.core.unit.verdict import Release
+from softcal.db.entries import UnitStanding
+from softcal.db.registry import Registry
+
+SCHEMA_NAME = "softcal.results/1"
+RESULTS = pa.schema(
+    [
+        pa.field("lot", pa.string(), nullable=False),
+        pa.field("serial", pa.string(), nullable=False),
+        pa.field("verdict", pa.string()),
+        pa.field("reasons", pa.list_(pa.string()), nullable=False),
+        pa.field("reason_codes", pa.list_(pa.string()), nullable=False),
+        pa.field("released", pa.bool_(), nullable=False),
+        pa.field("audited", pa.bool_(), nullable=False),
+        pa.field("knowledge", pa.string()),
+        pa.field("revision", pa.int32()),
+        pa.field("map_family", pa.string()),
+        pa.field("map_sha256", pa.string()),
+        pa.field("method_id", pa.string()),
+        pa.field("predicted_rmse", pa.float64()),
+        pa.field("before_rmse", pa.float64()),
+        pa.field("after_rmse", pa.float64()),
+        pa.field("own_rmse", pa.float64()),
+        pa.field("fit_s", pa.float64()),
+        pa.field("made_at", pa.timestamp("us", tz="UTC")),
+    ]
+)
+"""Columns in their order. A unit without a result has null where a result would stand."""
+
+OF_MADE = ("revision", "map_sha256", "method_id", "predicted_rmse", "before_rmse", "after_rmse", "own_rmse", "fit_s")
+
+
+def lot_results(registry: Registry, lot_id: str, release: Release = Release.PASS) -> pa.Table:
+    """Return the results of a lot's target units by serial.
+
+    Args:
+        release: which verdicts release files.
+
+    Raises:
+        InputError: the lot is not in the registry.
+    """
+    lot = registry.lot(lot_id)
+    serials = sorted(unit.serial for unit in registry.units(lot_id) if unit.role == "target")
+    standings = registry.standings(lot_id, serials)
+    rows = [_row(lot_id, serial, standings.get(serial), release) for serial in serials]
+    facts = {
+        "schema": SCHEMA_NAME,
+        "lot": lot_id,
+        "source": lot.source,
+        "reference_unit": lot.reference_unit,
+        "limit_rmse": "" if lot.limit_rmse is None else repr(lot.limit_rmse),
+        "softcal": version("softcal"),
+    }
+    return pa.Table.from_pylist(rows, schema=RESULTS.with_metadata(facts))
+
+
+def _row(lot_id: str, serial: str, standing: UnitStanding | None, release: Release) -> dict[str, Any]:
+    if standing is None:
+        empty = {"reasons": [], "reason_codes": [], "released": False, "audited": False}
+        return {"lot": lot_id, "serial": serial, **empty}
+    made = standing.made
+    return {
+        "lot": lot_id,
+        "serial": serial,
+        "verdict": standing.verdict,
+        "reasons": [str(why) for why in standing.reasons],
+        "reason_codes": [why.code for why in standing.reasons],
+        "released": made is not None and release.releases(standing.verdict),
+        "audited": made is not None and made.is_audited,
+        "knowledge": None if made is None else made.knowledge,
+        "map_family": None if made is None else made.family,
+        "made_at": standing.made_at,
+        **{name: getattr(made, name, None) for name in OF_MADE},
+    }
+
+
+def parquet_bytes(table: pa.Table) -> bytes:
+    """Return a table as a Parquet file."""
+    content = io.BytesIO()
+    pq.write_table(table, content, compression="zstd")
+    return content.getvalue()
+
+
+def write_results(registry: Registry, lot_id: str, path: Path, release: Release) -> None:
+    """Write the results of a lot, whole or not at all.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    write_bytes(path, parquet_bytes(lot_results(registry, lot_id, release)))

@@ -1,0 +1,198 @@
+"""Measured units that were pressed otherwise than their source: eGaIn pair, skin, insole on another day, both ways.
+
+Errors are after / own: own is a network trained on the unit's own labels of the tested sitting. Known loads are taken
+in that sitting too, from rows that are not tested: the zero and nine tenths of the range. f and own networks are
+smaller than the paper's, alike for all, so that hundreds of cases fit in minutes.
+
+python benchmarks/maps_other.py [egain|skin|insole ...] [--every N] [--cache DIR]
+"""
+
+import argparse
+import pickle
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pandas as pd
+from map_methods import DATA, METHODS, egain, insole, print_table, score, summary, taxel, taxels
+from maps_anchors import known_loads
+from maps_insole import SOURCES, split
+
+from softcal.core.identity import content_sha256
+from softcal.core.maps.choose import choose_map
+from softcal.core.maps.config import MapConfig
+from softcal.core.maps.interface import FitProblem
+from softcal.core.maps.nearest import shape_distance
+from softcal.core.metrics import rmse
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.network import Network
+from softcal.core.network.training import fit_network
+from softcal.core.recording import LabelledRecording, OutputRecording
+
+NETWORK = NetworkConfig(hidden=(40, 20), max_epochs=60, batch=128)
+DAYS = ("calibration", "validation_1")
+PLACES = ("left", "middle", "right")
+METHOD_NAMES = ("before (no map)", "label_shift", "monotone", "softcal default", "ot.da.EMDTransport")
+LOADS = (1, 2, 3, 5)
+
+
+Kept = TypeVar("Kept")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One unit behind one source.
+
+    Args:
+        line: of the table it belongs to.
+        source: labelled rows that f is trained on.
+        unit: recording the map is fitted to.
+        use: labelled rows of the tested sitting that are not tested: known loads and own calibration come from them.
+        test: labelled rows that are tested.
+    """
+
+    line: str
+    source: LabelledRecording
+    unit: OutputRecording
+    use: LabelledRecording
+    test: LabelledRecording
+
+
+class Networks:
+    """Networks by the recording they were trained on, and what was measured; kept in a folder between runs."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder, self._known = folder, dict[str, Any]()
+
+    def of(self, recording: LabelledRecording) -> Network:
+        """Return the network of a recording."""
+        return self.kept(recording.sha256, lambda: fit_network(recording, NETWORK).network)
+
+    def kept(self, key: str, make: Callable[[], Kept]) -> Kept:
+        """Return what was made under this key, now or by an earlier run."""
+        path = None if self._folder is None else self._folder / key
+        if key not in self._known and path is not None and path.exists():
+            self._known[key] = pickle.loads(path.read_bytes())
+        if key not in self._known:
+            self._known[key] = make()
+            if path is not None:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(pickle.dumps(self._known[key]))
+        return self._known[key]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sets", nargs="*", default=list(SETS), choices=SETS)
+    parser.add_argument("--every", type=int, default=4, metavar="N", help="every Nth taxel as a unit")
+    parser.add_argument("--cache", type=Path, help="keep trained networks here")
+    options = parser.parse_args()
+    networks = Networks(options.cache)
+    lines: dict[str, list[dict[str, float]]] = {}
+    for name in options.sets:
+        for case in SETS[name](options.every):
+            lines.setdefault(case.line, []).append(ratios(case, networks))
+    shown = (*METHOD_NAMES, *(f"{count} known" for count in LOADS))
+    print("after / own, median (95 %):\n")
+    rows = [
+        (line, len(found), *(_cell([unit[name] for unit in found]) for name in shown)) for line, found in lines.items()
+    ]
+    print_table(("source, units", "cases", *shown), rows)
+    if "insole" in options.sets:
+        print("Five sources at once, each unit behind the one that its output is bent most like:\n")
+        nearest = {
+            name: [ratios(case, networks) for case in cases] for name, cases in nearest_cases(options.every).items()
+        }
+        rows = [
+            (name, len(found), *(_cell([unit[method] for unit in found]) for method in shown))
+            for name, found in nearest.items()
+        ]
+        print_table(("units", "cases", *shown), rows)
+
+
+def nearest_cases(every: int) -> dict[str, list[Case]]:
+    """The insole's units that are no source themselves, by day, each behind the nearest of the five sources."""
+    by_unit: dict[tuple[str, str], list[Case]] = {}
+    for case in insole_cases(every):
+        if case.use.serial not in SOURCES:
+            by_unit.setdefault((case.line.split(",")[0], case.use.serial), []).append(case)
+    found: dict[str, list[Case]] = {}
+    for (day, _), cases in by_unit.items():
+        best = min(cases, key=lambda case: shape_distance(case.source, case.unit, MapConfig()))
+        found.setdefault(day, []).append(best)
+    return found
+
+
+def _cell(values: list[float]) -> str:
+    median, high, _ = summary(values)
+    return f"{median:.2f} ({high:.2f})"
+
+
+def ratios(case: Case, networks: Networks) -> dict[str, float]:
+    """After / own of every method on one unit; kept beside the networks, so that a run that is broken off goes on."""
+    key = content_sha256({}, {"case": [part.sha256 for part in (case.source, case.unit, case.use, case.test)]})
+    return networks.kept(key, lambda: measured(case, networks))
+
+
+def measured(case: Case, networks: Networks) -> dict[str, float]:
+    """After / own of every method on one unit."""
+    network, own = networks.of(case.source), networks.of(case.use)
+    problem = FitProblem(case.source, network, case.unit)
+    found = {name: rmse(METHODS[name](problem, case.test), case.test.window_reference) for name in METHOD_NAMES}
+    for count in LOADS:
+        chosen = choose_map(replace(problem, anchors=known_loads(case.use, count)))
+        found[f"{count} known"] = score(network, chosen.unit_map.apply(case.test.windows), case.test)
+    floor = score(own, np.asarray(case.test.windows), case.test)
+    return {name: error / floor for name, error in found.items()}
+
+
+def egain_cases(every: int) -> Iterator[Case]:
+    """Both directions; rows 0-799 fit, 800-1199 test."""
+    for source, target in (("S1", "S2"), ("S2", "S1")):
+        unit = egain(target).part(0, 800)
+        yield Case(
+            f"eGaIn {source} to {target}",
+            egain(source).part(0, 800),
+            unit.unlabelled,
+            unit,
+            egain(target).part(800, 1200),
+        )
+
+
+def skin_cases(every: int) -> Iterator[Case]:
+    """Every place behind every other; the first 4,200 rows fit, the rest test."""
+    for source in PLACES:
+        for target in PLACES:
+            if source != target:
+                whole = skin(target)
+                unit, test = whole.part(0, 4200), whole.part(4200, len(whole.reference))
+                yield Case(f"skin, source {source}", skin(source).part(0, 4200), unit.unlabelled, unit, test)
+
+
+def insole_cases(every: int) -> Iterator[Case]:
+    """Maps fitted to one day's programme, tested on held-out stretches of the source's day; both ways."""
+    for day, other in (DAYS, DAYS[::-1]):
+        tested, fitted = insole(day), insole(other)
+        train, held = split(len(tested))
+        for source in SOURCES:
+            for name in taxels(tested)[::every]:
+                if name != source:
+                    use, test = (taxel(tested, name, rows) for rows in (train, held))
+                    line = f"insole {day}, source {source}"
+                    yield Case(line, taxel(tested, source, train), taxel(fitted, name).unlabelled, use, test)
+
+
+def skin(place: str) -> LabelledRecording:
+    """One place of the skin, its trials joined."""
+    table = pd.read_parquet(DATA / "skin_places" / f"{place}.parquet")
+    output = OutputRecording(place, np.arange(len(table)) / 50.0, table["output_V"].to_numpy(np.float64), 50.0)
+    return LabelledRecording(output, table["force_N"].to_numpy(np.float64))
+
+
+SETS: dict[str, Callable[[int], Iterator[Case]]] = {"egain": egain_cases, "skin": skin_cases, "insole": insole_cases}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""The golden unit pressed in the units' sitting as a bridge: taxels of the insole fitted on another day's programme.
+
+python benchmarks/trust_golden.py [--quick] [--cache DIR]
+
+Each source is the golden unit of the others: its own run of that day is fitted to, once as its output alone, once with
+the pressure beside it. After / own as in maps_insole.py: own networks were trained on the other day as well, and all
+are tested on held-out stretches of the source's day. What is done is kept in the cache, a file a source.
+"""
+
+import argparse
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from tempfile import gettempdir
+
+import numpy as np
+from map_methods import METHODS, insole, own_error, print_table, taxel, taxels
+from maps_insole import SOURCES, split
+from simulated_cases import NETWORK
+
+from softcal.core.maps.interface import FitProblem
+from softcal.core.metrics import rmse
+from softcal.core.network.training import fit_network
+from softcal.core.unit.bridge import Bridge, make_bridge
+from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.source_model import SourceModel, make_source_model
+
+EVERY = 5
+"""Every fifth taxel is a unit."""
+EMD = "ot.da.EMDTransport"
+WAYS = ("no golden run", "golden run, output alone", "golden run under the load cell", EMD)
+TOLD, FORECAST = (WAYS[0], WAYS[2]), "true / forecast, "
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="one source")
+    parser.add_argument(
+        "--cache", type=Path, default=Path(gettempdir()) / "softcal-trust", help="results are kept here"
+    )
+    options = parser.parse_args()
+    sources = SOURCES[:1] if options.quick else SOURCES
+    ratios = {source: of_source(source, options.cache) for source in sources}
+    rows = []
+    for way in WAYS:
+        pooled = np.array([unit[way] for units in ratios.values() for unit in units])
+        medians = [float(np.median([unit[way] for unit in units])) for units in ratios.values()]
+        rows.append((way, *np.quantile(pooled, (0.5, 0.95)).tolist(), min(medians), max(medians)))
+    count = sum(map(len, ratios.values()))
+    print(f"{len(ratios)} sources, {count} units fitted on the other day and programme, after / own:\n")
+    print_table(("fitted to", "median", "95 %", "best source", "worst source"), rows)
+    units = [unit for of_one in ratios.values() for unit in of_one]
+    rows = [(way, *np.quantile([unit[FORECAST + way] for unit in units], (0.1, 0.5, 0.9)).tolist()) for way in TOLD]
+    print_table(("true / forecast", "10 %", "median", "90 %"), rows)
+
+
+def of_source(source: str, folder: Path) -> list[dict[str, float]]:
+    """Return one record a unit: after / own and true / forecast error by way."""
+    file = folder / f"golden-{source}.json"
+    if not file.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(fit_source(source)))
+    found: list[dict[str, float]] = json.loads(file.read_text())
+    return found
+
+
+def fit_source(source: str) -> list[dict[str, float]]:
+    day, golden = insole("calibration"), taxel(insole("validation_1"), source)
+    recording = taxel(day, source, split(len(day))[0])
+    trained = fit_network(recording, NETWORK)
+    model = make_source_model(recording, trained.network, trained.validation_rows)
+    bridges = {WAYS[0]: None, WAYS[1]: make_bridge(model, golden.unlabelled), WAYS[2]: make_bridge(model, golden)}
+    return [fit_unit(model, bridges, name) for name in taxels(day)[2::EVERY] if name != source]
+
+
+def fit_unit(model: SourceModel, bridges: Mapping[str, Bridge | None], name: str) -> dict[str, float]:
+    day = insole("calibration")
+    unit, test = taxel(insole("validation_1"), name).unlabelled, taxel(day, name, split(len(day))[1])
+    own, told = own_of(name), dict[str, float]()
+    for way, bridge in bridges.items():
+        found = calibrate(UnitProblem(model, unit, bridge=bridge))
+        truth = rmse(model.network.evaluate(found.unit_map.apply(test.windows)), test.window_reference)
+        told |= {way: truth / own, FORECAST + way: truth / (found.predicted_rmse or np.nan)}
+    problem = FitProblem(model.source, model.network, unit)
+    return told | {EMD: rmse(METHODS[EMD](problem, test), test.window_reference) / own}
+
+
+@cache
+def own_of(name: str) -> float:
+    """Error of the unit's own network, trained on the other day."""
+    day = insole("calibration")
+    return own_error(taxel(insole("validation_1"), name), taxel(day, name, split(len(day))[1]), NETWORK)
+
+
+if __name__ == "__main__":
+    main()

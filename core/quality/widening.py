@@ -1,0 +1,105 @@
+"""How audited units widen the 90 % intervals of the others: a factor on what was forecast, and an error beside it.
+
+The factor alone would be a poor answer where units were pressed with different forces: an interval wide enough for nine
+units in ten is then several times what most of them need at high loads, and still too narrow at low ones.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from softcal.core.errors import InputError
+from softcal.core.quality.conformal import pooled_scale
+from softcal.core.recording import Array
+from softcal.core.unit.method import ReleaseConfig
+
+CLOSE = 1e-3
+"""The added error is found to this share of itself."""
+
+
+@dataclass(frozen=True)
+class Widening:
+    """What becomes of an interval's half-width h: sqrt((scale h)^2 + added^2).
+
+    Args:
+        scale: factor on the half-width that was forecast; 1 or less.
+        added: half-width beside it, in the reference unit.
+    """
+
+    scale: float = 1.0
+    added: float = 0.0
+
+    def __call__(self, half: Array) -> Array:
+        """Return half-widths, widened."""
+        return np.hypot(self.scale * half, self.added)
+
+
+@dataclass(frozen=True, eq=False)
+class AuditedSamples:
+    """What the audit of one unit shows of its interval.
+
+    Args:
+        residual: (n,) |estimate - reference|, in the reference unit.
+        half: (n,) half-width of the 90 % interval there, before audits of other units widened it.
+    """
+
+    residual: Array
+    half: Array
+
+    def ratio(self, widening: Widening) -> Array:
+        """Return |residual| over the half-width, widened: (n,)."""
+        return np.asarray(self.residual / np.maximum(widening(self.half), 1e-12))
+
+
+def fit_widening(
+    units: Sequence[AuditedSamples],
+    coverage: float,
+    rules: ReleaseConfig = ReleaseConfig(),  # noqa: B008 - frozen
+) -> Widening:
+    """Return the widening that serves the samples on average and the units one by one.
+
+    The factor is what the median unit asks for where that is less than 1. The added error is the smallest by which the
+    audited units' samples are covered to `coverage`, each unit weighing the same (pooled version of hierarchical
+    conformal prediction; Dunn, Wasserman and Ramdas 2023; Lee, Barber and Willett 2023), and by which one more unit
+    has `rules.least_coverage` of its samples covered, all but a share `rules.most_units` of the times: the prediction
+    limit of the logarithm of the units' own factors (Student's t; Hahn 1970).
+
+    Args:
+        units: audited ones, drawn at random.
+        coverage: share of samples, between 0 and 1.
+
+    Raises:
+        InputError: there is no audited unit.
+    """
+    if not units:
+        raise InputError("no audited unit: to widen intervals takes one at least")
+    median = float(np.median([np.quantile(unit.ratio(Widening()), coverage) for unit in units]))
+    scale, step = min(1.0, median), max(float(np.median(unit.residual)) for unit in units) or CLOSE
+    if _needed(units, Widening(scale), coverage, rules) <= 1:
+        return Widening(scale)
+    low, high = 0.0, step
+    while _needed(units, Widening(scale, high), coverage, rules) > 1:
+        low, high = high, 2 * high
+    while high - low > CLOSE * high:
+        middle = (low + high) / 2
+        is_enough = _needed(units, Widening(scale, middle), coverage, rules) <= 1
+        low, high = (low, middle) if is_enough else (middle, high)
+    return Widening(scale, high)
+
+
+def _needed(units: Sequence[AuditedSamples], widening: Widening, coverage: float, rules: ReleaseConfig) -> float:
+    """Return the factor that the widened intervals would still need."""
+    ratios = [unit.ratio(widening) for unit in units]
+    own = np.log([max(float(np.quantile(ratio, rules.least_coverage)), 1e-12) for ratio in ratios])
+    return max(pooled_scale(ratios, coverage), float(np.exp(_next_unit(own, rules.most_units))))
+
+
+def _next_unit(values: Array, risk: float) -> float:
+    """Return what one more value exceeds with probability `risk` where they are normal; of one, itself."""
+    count = len(values)
+    if count < 2:
+        return float(values[0])
+    spread = float(np.std(values, ddof=1)) * np.sqrt(1 + 1 / count)
+    return float(values.mean() + student.ppf(1 - risk, count - 1) * spread)

@@ -1,0 +1,68 @@
+"""What an alarm counts: not how far a drift has gone, but what of it is not followed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softcal.core.use.doubt import JUMP, LATE, MISSED, OPEN, UNCOMPARED, Evidence, doubt
+from softcal.core.use.method import DoubtConfig
+
+CONFIG = DoubtConfig()
+NOTHING = Evidence(
+    drift=np.zeros(2),
+    applied=np.zeros(2),
+    chance=0.001,
+    walked=0.0,
+    moved=0.0,
+    use_share=0.5,
+    use_doubt=0.0,
+    unseen=0.0,
+    is_learning=False,
+    unresolved=0.0,
+    missed=0.0,
+    lag=0.0,
+)
+
+
+def counted(seen: Evidence) -> float:
+    return float(np.sqrt(sum(doubt(seen, CONFIG).not_followed.values())))
+
+
+def test_a_drift_that_is_applied_in_full_counts_a_small_share_of_its_size() -> None:
+    drift = np.array([0.8, 0.0])
+
+    followed = counted(replace(NOTHING, drift=drift, applied=drift))
+
+    assert followed <= 0.05 * 0.8
+    assert doubt(replace(NOTHING, drift=drift, applied=drift), CONFIG).growth > 3 * followed
+
+
+@pytest.mark.parametrize(
+    ("why", "change"),
+    [
+        (UNCOMPARED, {"unseen": 1.0}),
+        (MISSED, {"missed": 0.3}),
+        (JUMP, {"unresolved": 0.3}),
+        (OPEN, {"drift": np.array([0.0, 0.3])}),
+        (LATE, {"lag": 0.3}),
+    ],
+)
+def test_what_is_not_followed_counts_and_is_named(why: str, change: dict[str, object]) -> None:
+    found = doubt(replace(NOTHING, **change), CONFIG).not_followed  # type: ignore[arg-type]
+
+    assert max(found, key=found.__getitem__) == why
+    assert sum(found.values()) == found[why] > 0.01
+
+
+def test_a_drift_within_chance_counts_nothing() -> None:
+    assert counted(replace(NOTHING, drift=np.array([0.02, 0.02]))) == 0
+
+
+def test_use_not_compared_widens_the_interval_but_counts_only_once_the_first_use_is_over() -> None:
+    learning = doubt(replace(NOTHING, unseen=1.0, is_learning=True), CONFIG)
+    later = doubt(replace(NOTHING, unseen=1.0), CONFIG)
+
+    assert learning.widening == later.widening >= CONFIG.unseen
+    assert (learning.growth, sum(learning.not_followed.values())) == (0.0, 0.0)
+    assert later.growth == pytest.approx(CONFIG.unseen)
