@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from adapt_common import Unit, calibrate, print_markdown
+from numpy.typing import NDArray
 from simulated_gait import RATE_HZ, Sensor, Walk, walk
 
 from softcal.core.metrics import rmse
@@ -23,11 +24,11 @@ Stream = tuple[Array, Array, Array]
 Event = Callable[[Stream, np.random.Generator], Stream]
 
 
-def after(t_s: Array) -> Array:
+def after(t_s: Array) -> NDArray[np.bool_]:
     return t_s >= BEFORE_S
 
 
-def during(t_s: Array) -> Array:
+def during(t_s: Array) -> NDArray[np.bool_]:
     return (t_s >= BEFORE_S) & (t_s < BEFORE_S + FAULT_S)
 
 

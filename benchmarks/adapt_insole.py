@@ -11,6 +11,7 @@ from adapt_common import DATA, calibrate, follow, print_markdown
 
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
+from softcal.core.use.adapter import MapUpdate
 
 RATE_HZ = 48.9
 
@@ -23,9 +24,10 @@ def rows(every: int, files: Sequence[str]) -> Iterator[list[object]]:
     taxels = [name for name in calibration.columns if name.startswith("taxel")]
     reference = stream["pressure_bar"].to_numpy(dtype=float)
     for taxel in taxels[::every]:
-        source = [calibration[name].to_numpy(dtype=float) for name in ("t_s", taxel, "pressure_bar")]
-        unit = calibrate(*source, RATE_HZ, NetworkConfig(hidden=(40, 20), max_epochs=40))
-        errors, updates = {}, []
+        t_s, output, pressure_bar = (calibration[name].to_numpy(dtype=float) for name in ("t_s", taxel, "pressure_bar"))
+        unit = calibrate(t_s, output, pressure_bar, RATE_HZ, NetworkConfig(hidden=(40, 20), max_epochs=40))
+        errors: dict[str, float] = {}
+        updates: list[MapUpdate] = []
         for mode in ("none", "basic", "improved"):
             estimate, updates = follow(unit, mode, stream["t_s"].to_numpy(), stream[taxel].to_numpy(dtype=float))
             errors[mode] = rmse(estimate, reference)

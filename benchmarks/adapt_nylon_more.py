@@ -61,7 +61,8 @@ def ratios(columns: Array, stretch: Stretch) -> list[float]:
     """Return errors, and how they compare, of the later parts; the worst of three equal ones."""
     split = round(stretch.labelled * columns.shape[1])
     config = NetworkConfig(hidden=NETWORK.hidden, max_epochs=NETWORK.max_epochs, seed=stretch.seed)
-    unit = calibrate(*columns[:, :split], RATE_HZ / stretch.every, config)
+    t_s, output, reference = columns[:, :split]
+    unit = calibrate(t_s, output, reference, RATE_HZ / stretch.every, config)
     own = own_error(unit.network, columns[1, :split], columns[2, :split])
     t_s, output, reference = columns[:, split:]
     none, basic, improved = (

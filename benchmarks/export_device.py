@@ -58,10 +58,25 @@ class Board:
 def run_on_board(  # type: ignore[no-untyped-def]
     network_file, unit: DeviceUnit, codes: np.ndarray, board: str, optimise: str
 ) -> Board:
-    """Build the example firmware and run it."""
+    """Build the example firmware, run it, and hold it against the NumPy reference."""
+    told, found = run_program(network_file, unit.file, codes, board, optimise)
+    per_tick = told["per_1000_ticks"] / 1000
+    return Board(
+        told["estimate_ticks"] * per_tick,
+        told["open_ticks"] * per_tick,
+        told["ram_bytes"],
+        told["stack_bytes"],
+        bool(np.array_equal(found, reference(network_file, unit, codes))),
+    )
+
+
+def run_program(  # type: ignore[no-untyped-def]
+    network_file, unit_file, codes: np.ndarray, board: str, optimise: str
+) -> tuple[dict[str, int], np.ndarray]:
+    """Return what the example firmware tells of itself, and (n, 4) value, lower, upper and flags of its samples."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "network.h").write_text(network_header(network_file))
-        (Path(folder) / "unit.h").write_text(unit_header(unit.file))
+        (Path(folder) / "unit.h").write_text(unit_header(unit_file))
         listed = ",".join(map(str, codes))
         (Path(folder) / "codes.h").write_text(f"static const uint16_t SS_TABLE codes[] = {{{listed}}};\n")
         settings = [f"BOARD={board}", f"HEADERS={folder}", f"OUT={folder}/f.elf", f"OPTIMISE={optimise}"]
@@ -71,14 +86,7 @@ def run_on_board(  # type: ignore[no-untyped-def]
     lines = [line.split() for line in text.splitlines() if line]
     told = {row[0]: int(row[1]) for row in lines if len(row) == 2 and row[0] != "e"}
     found = np.array([row[1:] for row in lines if row[0] == "e"], dtype=int)
-    per_tick = told["per_1000_ticks"] / 1000
-    return Board(
-        told["estimate_ticks"] * per_tick,
-        told["open_ticks"] * per_tick,
-        told["ram_bytes"],
-        told["stack_bytes"],
-        bool(np.array_equal(found, reference(network_file, unit, codes))),
-    )
+    return told, found
 
 
 def reference(network_file, unit: DeviceUnit, codes: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]

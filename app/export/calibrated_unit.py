@@ -133,10 +133,14 @@ class CalibratedUnit:
         record = self.stored.record
         if not self.options.releases(record.verdict):
             why = record.reasons[0] if record.reasons else "no reason is stored"
-            asked = "--release conditional" if record.verdict == Verdict.CONDITIONAL else "--failed-too"
+            asked = (
+                "conditional units are released"
+                if record.verdict == Verdict.CONDITIONAL
+                else "those of failed units are asked for"
+            )
             raise UnitRefused(
                 f"unit {self.serial} has the verdict {record.verdict} ({why}); its device files are not written "
-                f"unless {asked} is given"
+                f"unless {asked}"
             )
 
     @cached_property

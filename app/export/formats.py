@@ -62,7 +62,7 @@ def calibration_values(unit: CalibratedUnit) -> dict[str, object]:
     return {
         "serial": record.serial,
         "lot": unit.lot.id,
-        "source": unit.lot.source,
+        "source": unit.shared.source.unlabelled.serial,
         "revision": unit.stored.revision,
         "made_at": unit.stored.made_at.isoformat(),
         "verdict": record.verdict,

@@ -93,12 +93,13 @@ class Lesson:
     Args:
         activity: None where the cycles are no steady activity.
         reason: why not, in words.
-        trend: (2,) change of level and log scale over the cycles.
+        trend, trend_sd: (2,) change of level and log scale over the cycles, and its standard deviation.
     """
 
     activity: Activity | None
     reason: str
     trend: Array
+    trend_sd: Array = field(default_factory=lambda: np.zeros(2))
 
 
 def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, config: ActivityConfig) -> Lesson:
@@ -151,7 +152,8 @@ def learn_activity(cycles: Sequence[Cycle], rest_is_low: bool, config: ActivityC
     drifts = np.array([blank.drift_of(cycle, rest_is_low) for cycle in cycles])
     noise = _covariance(drifts, config.few) + np.diag(floor[:2] ** 2)
     activity = replace(blank, bias=drifts.mean(axis=0), noise=noise, doubt=noise / len(cycles))
-    return Lesson(activity, "", trend)
+    # Of a least squares slope over an index from -1/2 to 1/2.
+    return Lesson(activity, "", trend, scatter * np.sqrt(12 / len(cycles)))
 
 
 def _covariance(values: Array, few: float) -> Array:

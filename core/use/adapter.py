@@ -6,7 +6,7 @@ row (the estimate is causal), single samples and whole arrays give the same rows
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -19,13 +19,15 @@ from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import FLAG_TYPE, SATURATED, STUCK, Estimate, EstimateRow, Flags, check_fits, judge
 from softcal.core.unit.uncertainty import NORMAL_90
-from softcal.core.use.activity import CalibratedUse, learn_use
+from softcal.core.use.activity import CalibratedUse
 from softcal.core.use.cycles import CycleCutter
+from softcal.core.use.doubt import CALIBRATE, Doubt, due
 from softcal.core.use.intake import WRONG_RATE, Intake, RowMask
 from softcal.core.use.kept import restored
-from softcal.core.use.method import DoubtConfig, UseMethod
-from softcal.core.use.tracker import DriftTracker, Observation
-from softcal.core.windows import resting
+from softcal.core.use.method import UseMethod
+from softcal.core.use.observation import Observation
+from softcal.core.use.sensitivity import calibrated_rmse, learn_sensitivity
+from softcal.core.use.tracker import DriftTracker
 
 MODES = ("none", "basic", "improved")
 RECALIBRATE = "recalibrate"
@@ -34,7 +36,7 @@ RECALIBRATE = "recalibrate"
 UNSETTLED = "unsettled"
 """Flag of rows that would be trusted, were it not for a sudden change that more cycles must explain."""
 
-STATE_FORMAT = 3
+STATE_FORMAT = 4
 """Of what `Adapter.state` returns; raised whenever a state kept before could not be gone on from."""
 
 NOT_EVIDENCE = (STUCK, SATURATED, WRONG_RATE)
@@ -73,7 +75,7 @@ class MapUpdate:
         shift, log_gain: drift of the output in scales of the calibrated use.
         shift_sd, log_gain_sd: their standard deviations.
         predicted_rmse: predicted error of the estimates, in the reference unit.
-        verdict: `start`, `followed`, `held`, `tried` or `jumped`.
+        verdict: `start`, `followed`, `held`, `tried`, `jumped`, or `unwatched` while the first use is being learnt.
         reason: why it was held, or what was tried or jumped.
         alarm: why a calibration with a reference is due; empty while it is not.
     """
@@ -115,12 +117,12 @@ class Adapter:
         check_fits(network, calibration, recording.output_unit)
         self._network, self._calibration, self._config = network, calibration, config
         method = self._method = config.method
-        self._use, self._error_per_scale = _learn(network, calibration, recording, method)
-        self._calibrated_rmse = _calibrated_rmse(calibration)
+        self._use, self._error_per_scale = learn_sensitivity(network, calibration, recording, method)
+        self._calibrated_rmse = calibrated_rmse(calibration)
         self._sample_rate_Hz = recording.sample_rate_Hz
         self._intake, self._cutter, self._tracker = self._parts()
         self._evidence: list[tuple[float, float] | None] = []
-        self._row, self._silent_batches, self._doubt = 0, 0, 0.0
+        self._row, self._silent_batches, self._due_batches, self._doubt = 0, 0, 0, 0.0
         self._current = self._start()
         self._updates = deque([self._current], maxlen=MOST_UPDATES)
 
@@ -215,8 +217,9 @@ class Adapter:
         if self._intake.last_s is not None:
             self._tracker.expire(self._intake.last_s)
         # After the trial may have ended: its shift is part of the doubt.
-        self._doubt, growth = self._drift_errors(self._intake.last_s)
-        proposed = self._proposed(last, growth)
+        found = self._drift_doubt(self._intake.last_s)
+        self._doubt = self._error_per_scale * found.widening
+        proposed = self._proposed(last, found)
         if self._is_news(proposed):
             self._updates.append(proposed)
             self._current = proposed
@@ -237,7 +240,7 @@ class Adapter:
             self._cutter.join(self._tracker.least_s * self._sample_rate_Hz)
         return observations
 
-    def _proposed(self, last: Observation | None, growth: float) -> MapUpdate:
+    def _proposed(self, last: Observation | None, found: Doubt) -> MapUpdate:
         """Return what holds from the next row on."""
         gain, offset = self._tracker.correction()
         ends = np.array([self._use.low, self._use.high])
@@ -245,7 +248,6 @@ class Adapter:
         # Below this size a new correction is not worth a row of the record.
         if np.max(np.abs(moved)) < self._method.doubt.swap * self._use.scale:
             gain, offset = self._current.gain, self._current.offset
-        predicted_rmse = self._predicted_rmse(growth)
         seen = self._current if last is None else last
         return MapUpdate(
             row=self._row,
@@ -256,27 +258,26 @@ class Adapter:
             log_gain=seen.log_gain,
             shift_sd=seen.shift_sd,
             log_gain_sd=seen.log_gain_sd,
-            predicted_rmse=predicted_rmse,
+            predicted_rmse=self._predicted_rmse(found.growth),
             verdict=seen.verdict,
             reason=seen.reason,
-            alarm=self._alarm(predicted_rmse),
+            alarm=self._alarm(found.not_followed),
         )
 
     def _is_news(self, proposed: MapUpdate) -> bool:
         names = ("gain", "offset", "verdict", "reason", "alarm")
         return any(getattr(proposed, name) != getattr(self._current, name) for name in names)
 
-    def _drift_errors(self, now_s: float | None) -> tuple[float, float]:
-        """Return what doubt about the drift adds to intervals and to the predicted error, in the reference unit."""
+    def _drift_doubt(self, now_s: float | None) -> Doubt:
+        """Return what is in doubt about the drift."""
         if self._config.mode == "none" or now_s is None:
-            return 0.0, 0.0
-        widening, growth = self._tracker.doubt_at(now_s)
-        return self._error_per_scale * widening, self._error_per_scale * growth
+            return Doubt(0.0, 0.0, {})
+        return self._tracker.doubt_at(now_s)
 
-    def _predicted_rmse(self, drift_error: float) -> float:
-        return float(np.hypot(self._calibrated_rmse, drift_error))
+    def _predicted_rmse(self, doubt: float) -> float:
+        return float(np.hypot(self._calibrated_rmse, self._error_per_scale * doubt))
 
-    def _alarm(self, predicted_rmse: float) -> str:
+    def _alarm(self, not_followed: Mapping[str, float]) -> str:
         if self._silent_batches >= self._method.intake.silent_batches:
             return "the sensor gives no usable samples; check sensor and cable"
         if self._tracker.alarm:
@@ -284,9 +285,16 @@ class Adapter:
         # An open jump makes the predicted error large for two cycles; that alone is no reason to calibrate.
         if self._tracker.is_unsettled:
             return self._current.alarm
-        if predicted_rmse > self._method.doubt.alarm_ratio * self._calibrated_rmse:
-            return "the predicted error has grown past the limit; calibrate against a reference"
-        return ""
+        config, standing = self._method.doubt, self._current.alarm
+        ratio = self._predicted_rmse(sum(not_followed.values()) ** 0.5) / self._calibrated_rmse
+        self._due_batches = self._due_batches + 1 if ratio > config.alarm_ratio else 0
+        is_due = self._due_batches * self._method.intake.batch > config.alarm_cycles * self._use.usual
+        # Two thresholds: what hovers about one would call and take back the alarm again and again.
+        if not is_due and not (standing and ratio > config.clear_ratio):
+            return ""
+        if standing.endswith(CALIBRATE):
+            return standing
+        return due(max(not_followed, key=not_followed.__getitem__))
 
     def _start(self) -> MapUpdate:
         start = self._tracker.start()
@@ -320,6 +328,7 @@ class Adapter:
             "row": self._row,
             "doubt": self._doubt,
             "silent_batches": self._silent_batches,
+            "due_batches": self._due_batches,
             "evidence": [None if pair is None else list(pair) for pair in self._evidence],
             "current": asdict(self._current),
             "intake": self._intake.state(),
@@ -339,8 +348,7 @@ class Adapter:
         # The first states named no format.
         if (found := state.get("format", 1)) != STATE_FORMAT:
             raise InputError(f"its state has format {found}, this version goes on from format {STATE_FORMAT} alone")
-        names = {"format", "method", "row", "doubt", "silent_batches", "evidence", "current", "intake", "cutter"}
-        if wrong := {*names, "tracker"} ^ set(state):
+        if wrong := set(self.state()) ^ set(state):
             raise InputError(f"its state does not fit this version: {min(wrong)} is missing or unknown")
         current = restored(MapUpdate, state["current"])
         # All of it is read before any of it counts: a state that does not fit changes nothing.
@@ -350,7 +358,7 @@ class Adapter:
         tracker.restore(state["tracker"])
         self._intake, self._cutter, self._tracker, self._current = intake, cutter, tracker, current
         self._row, self._doubt = int(state["row"]), float(state["doubt"])
-        self._silent_batches = int(state["silent_batches"])
+        self._silent_batches, self._due_batches = int(state["silent_batches"]), int(state["due_batches"])
         self._evidence = [None if pair is None else (pair[0], pair[1]) for pair in state["evidence"]]
         self._updates.clear()
         return self._method.changes(UseMethod.of(state["method"]))
@@ -369,43 +377,3 @@ def _stretches(evidence: list[tuple[float, float] | None]) -> list[Array | None]
             pending = []
         stretches.append(None)
     return stretches[:-1]
-
-
-def _learn(
-    network: Network, calibration: Calibration, recording: OutputRecording, method: UseMethod
-) -> tuple[CalibratedUse, float]:
-    """Return the calibrated use, and by how much an estimate moves (RMS) when the output moves by one scale of it."""
-    config = method.doubt
-    windows = recording.windows[:: max(1, len(recording) // config.slope_rows)]
-
-    def estimates(moved: Array) -> Array:
-        return network.evaluate(calibration.unit_map.apply(moved))
-
-    is_rising = np.cov(windows[:, -1], estimates(windows))[0, 1] >= 0
-    zero_output = _zero_load_output(recording, estimates, method.cycle.swing, config)
-    use = learn_use(recording, bool(is_rising), zero_output, method)
-    # A difference over a finite step, not the derivative: f is piecewise linear with kinks close together.
-    step = config.slope_step * use.scale
-    rise = (estimates(windows + step) - estimates(windows - step)) / (2 * config.slope_step)
-    return use, float(np.sqrt(np.mean(rise**2)))
-
-
-def _zero_load_output(
-    recording: OutputRecording, estimates: Callable[[Array], Array], swing: tuple[float, float], config: DoubtConfig
-) -> float | None:
-    """Return the constant output that is estimated as zero, up to a swing beyond the recording; None without one."""
-    low, high = np.quantile(recording.output, swing)
-    levels = np.linspace(2 * low - high, 2 * high - low, config.zero_levels)
-    values = estimates(resting(levels))
-    crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)
-    if not len(crossings):
-        return None
-    # f may cross zero more than once outside what it was trained on: the crossing next to the unloaded end counts.
-    unloaded = low if values[-1] > values[0] else high
-    return float(levels[crossings[np.argmin(np.abs(levels[crossings] - unloaded))]])
-
-
-def _calibrated_rmse(calibration: Calibration) -> float:
-    if calibration.predicted_rmse is not None:
-        return calibration.predicted_rmse
-    return float(np.sqrt(np.mean(calibration.interval.half_width**2))) / NORMAL_90

@@ -4,15 +4,12 @@ A number that decides stands here, nowhere else in this folder. The whole is kep
 that an upgrade that changes a number shows in the record of the stream (`changes`).
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
-from functools import cache
+from dataclasses import dataclass, field
 
-from softcal.core.identity import content_sha256
-from softcal.core.settings import origins, rebuilt, setting
+from softcal.core.settings import NumberedMethod, setting
 from softcal.core.windows import TAPS
 
-HARM = "benchmarks/adapt_harm.py: activities gait and pump, three of the four curves, seeds that docs do not report"
+HARM = "benchmarks/adapt_harm.py --seed 0, which docs do not report"
 """Origin of what was chosen on simulated streams; docs/long-term.md reports other seeds."""
 
 JOINED = "benchmarks/adapt_station.py --seeds 1 4: single random presses differ too much, means over eight do not"
@@ -213,7 +210,13 @@ class DoubtConfig:
         correction: share of an applied correction that stays in doubt: drift is neither affine nor all of it seen.
         way: the same for the whole way the rest has gone: a moving sensor is followed late.
         unseen: drift in scales that may have come in use as long as the calibration recording that was not compared.
-        alarm_ratio: recalibration is due when the predicted error exceeds this many times that of the calibration.
+        far: of an applied correction this share counts as not followed.
+        vouched: of the square of a gain that was applied and may have been use, this share.
+        certain: a drift that is seen and not applied, and a mean innovation, count where their squares exceed so many
+            times what chance makes of them.
+        alarm_ratio, clear_ratio: recalibration is due when what is not followed brings the error to the first number of
+            times that of the calibration, until it is below the second.
+        alarm_cycles: for so many usual cycles on end, so that one odd cycle raises no alarm.
         swap: a new correction replaces the old one when it moves an extreme of the output by this share of its scale.
         slope_rows, slope_step: windows, and step in scales, over which the mean slope of the estimate is taken.
         zero_levels: constant outputs at which the level of zero load is searched.
@@ -222,7 +225,12 @@ class DoubtConfig:
     correction: float = setting(0.2, HARM)
     way: float = setting(0.12, HARM)
     unseen: float = setting(0.15, HARM)
+    far: float = setting(0.03, HARM)
+    vouched: float = setting(0.1, HARM)
+    certain: float = setting(6.0, HARM)
     alarm_ratio: float = setting(2.0)
+    clear_ratio: float = setting(1.5, HARM)
+    alarm_cycles: float = setting(3.0, HARM)
     swap: float = setting(0.005)
     slope_rows: int = setting(4000)
     slope_step: float = setting(0.05)
@@ -235,16 +243,13 @@ class TrimConfig:
 
     Args:
         most_gain: a gain that changes by more than this factor is another unit, or other units of load.
-        firm_paired, firm_stage: standard deviation of a map's gain that pairs in time, or by stage position, leave.
     """
 
     most_gain: float = setting(2.0)
-    firm_paired: float = setting(0.02)
-    firm_stage: float = setting(0.05)
 
 
 @dataclass(frozen=True)
-class UseMethod:
+class UseMethod(NumberedMethod):
     """How a unit in use is followed and trimmed; one configuration for every sensor.
 
     Args:
@@ -263,30 +268,7 @@ class UseMethod:
     doubt: DoubtConfig = field(default_factory=DoubtConfig)
     trim: TrimConfig = field(default_factory=TrimConfig)
 
-    @property
-    def id(self) -> str:
-        """Content hash of every number."""
-        return _id(self)
-
-    def numbers(self) -> Iterator[tuple[str, object, str]]:
-        """Yield (dotted name, value, origin) of every number."""
-        return origins(self)
-
-    def to_json(self) -> dict[str, object]:
-        """Return every number as nested JSON values."""
-        return asdict(self)
-
-    @classmethod
-    def of(cls, kept: Mapping[str, object]) -> "UseMethod":
-        """Read what `to_json` wrote; a number that came later has its default."""
-        return rebuilt(cls(), kept)
-
     def changes(self, earlier: "UseMethod") -> list[str]:
         """Return `name: earlier value, now value` for every number that differs."""
         before = {name: value for name, value, _ in earlier.numbers()}
         return [f"{name}: {before[name]}, now {value}" for name, value, _ in self.numbers() if value != before[name]]
-
-
-@cache
-def _id(method: UseMethod) -> str:
-    return content_sha256({}, method.to_json())

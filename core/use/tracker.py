@@ -15,89 +15,32 @@ activities; their scatter within an activity is the measurement noise. Three cha
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.use.activity import Activity, CalibratedUse, learn_activity
+from softcal.core.use.activity import Activity, CalibratedUse, Lesson, learn_activity
 from softcal.core.use.cycles import Cycle
+from softcal.core.use.doubt import Doubt, Evidence, doubt
 from softcal.core.use.filter import DriftFilter
-from softcal.core.use.kept import array, part, parts, restored, state_of
+from softcal.core.use.kept import restored, state_of
 from softcal.core.use.method import UseMethod
+from softcal.core.use.observation import (
+    FOLLOWED,
+    HELD,
+    JUMPED,
+    NOT_WATCHED,
+    REST_MOVED,
+    TRIED,
+    UNWATCHED,
+    USE_OR_GAIN,
+    Observation,
+    TrackerState,
+)
 from softcal.core.use.reseating import is_like_but_for_shape, rest_step
 from softcal.core.use.trust import Trust, movement
-
-FOLLOWED, HELD, TRIED, JUMPED = "followed", "held", "tried", "jumped"
-REST_MOVED = "the rest moved at once; the next cycles decide what it is"
-USE_OR_GAIN = "the cycles changed in size about a rest that stands: use or gain, which only a reference can tell"
-
-
-@dataclass(frozen=True)
-class Observation:
-    """What one cycle said.
-
-    Args:
-        t_s: end of the cycle.
-        verdict: `followed`, `held`, `tried` or `jumped`.
-        reason: why, in words; empty where the drift was followed.
-        shift, log_gain: drift after it, in scales of the calibrated use.
-        shift_sd, log_gain_sd: their standard deviations.
-        activity: index of the activity it belongs to, -1 for none.
-    """
-
-    t_s: float
-    verdict: str
-    reason: str
-    shift: float
-    log_gain: float
-    shift_sd: float
-    log_gain_sd: float
-    activity: int
-
-
-@dataclass
-class TrackerState:
-    """What a restart needs besides the calibrated use.
-
-    Args:
-        filter: drift and biases of the activities.
-        trust: what decides which part of the drift is applied.
-        activities: known ones, the calibrated one first.
-        to_settle: cycles left before the estimate is applied; `carried`, (2,), is applied until then.
-        trend: (2,) exponential mean of the innovations.
-        latest: index of the activity of the latest cycle.
-        last_s: end of the latest cycle; None before the first.
-        strangers: cycles in a row of no known activity.
-        jumps: like cycles since a jump that is not yet explained.
-        trial: shift that is applied on trial until the next cycle.
-        was_known: whether the latest cycle belonged to a known activity.
-        unseen_s: seconds of use since the drift was last measured.
-        alarm: why a calibration with a reference is due; else empty.
-        unresolved: size of an unexplained jump, in scales; 0 where there is none.
-        joined, single_s: usual cycles that are taken together as one, and the duration of a single one.
-        first_s: end of the first cycle; None before it.
-    """
-
-    filter: DriftFilter = field(metadata=part(DriftFilter))
-    trust: Trust = field(metadata=part(Trust))
-    activities: list[Activity] = field(metadata=parts(Activity))
-    to_settle: int
-    trend: Array = field(metadata=array(2))
-    carried: Array = field(metadata=array(2))
-    strangers: list[Cycle] = field(metadata=parts(Cycle))
-    jumps: list[Cycle] = field(metadata=parts(Cycle))
-    latest: int = 0
-    last_s: float | None = None
-    trial: float = 0.0
-    was_known: bool = False
-    unseen_s: float = 0.0
-    alarm: str = ""
-    unresolved: float = 0.0
-    joined: int = 1
-    single_s: float = 0.0
-    first_s: float | None = None
 
 
 class DriftTracker:
@@ -203,31 +146,35 @@ class DriftTracker:
         gain = float(np.exp(-log_gain))
         return gain, self._use.mean - gain * float(self._use.mean + self._use.scale * shift)
 
-    def doubt_at(self, t_s: float) -> tuple[float, float]:
-        """Return two standard deviations of the drift left in the corrected output, in scales of the calibrated use.
+    def doubt_at(self, t_s: float) -> Doubt:
+        """Return how wrong the corrected output may be at a time."""
+        now, drift, applied = self._now, self._now.filter.drift, self._applied()
+        return doubt(
+            Evidence(
+                drift=drift,
+                applied=applied,
+                chance=float(np.trace(now.filter.doubt())),
+                walked=float(np.trace(self._walked(t_s))),
+                moved=now.trust.moved,
+                use_share=now.trust.use_share,
+                use_doubt=now.trust.use_doubt(drift, applied),
+                unseen=min(1.0, now.unseen_s / self._use.duration_s),
+                is_learning=self._is_learning(t_s),
+                unresolved=now.unresolved,
+                missed=now.missed,
+                lag=self._lag(),
+            ),
+            self._method.doubt,
+        )
 
-        The first is for intervals, the second for the predicted error. Both are sums of squares of: the error of the
-        applied correction (its variance, a share of its size, a share of the whole way of the rest, and that its gain
-        may have been use), what may have come since the last cycle or in use that was not compared, and an unexplained
-        jump. The first adds all of the estimated drift that was not applied. The second adds of it only what exceeds
-        chance, and of that the part that is as likely drift as use. It leaves out use that was not compared while the
-        unit's first use is still being learnt.
-        """
-        now, config = self._now, self._method.doubt
-        drift, applied = now.filter.drift, self._applied()
-        chance = float(np.trace(now.filter.doubt()))
-        left = float(np.sum((drift - applied) ** 2))
-        # What was not applied cannot be wrong by chance: the variance counts as far as the correction goes.
-        share = float(np.linalg.norm(applied)) / max(float(np.linalg.norm(drift)), 1e-12)
-        known = share**2 * chance + config.correction**2 * float(applied @ applied)
-        known += (config.way * now.trust.moved) ** 2 + now.trust.use_doubt(drift, applied)
-        unseen = config.unseen * min(1.0, now.unseen_s / self._use.duration_s)
-        known += float(np.trace(self._walked(t_s)))
-        beyond = (1 - now.trust.use_share) * max(0.0, left - chance)
-        counted = 0.0 if self._is_learning(t_s) else unseen
-        widening = known + unseen**2 + now.unresolved**2 + left
-        growth = known + counted**2 + now.unresolved**2 + beyond
-        return float(np.sqrt(widening)), float(np.sqrt(growth))
+    def _lag(self) -> float:
+        """Return the mean innovation beyond chance: how far the filter is behind a drift."""
+        now, weight = self._now, self._method.drift.trend_weight
+        if not now.activities:
+            return 0.0
+        expected = self._seen() + now.activities[now.latest].noise
+        chance = weight / (2 - weight) * float(np.trace(expected))
+        return math.sqrt(max(0.0, float(now.trend @ now.trend) - self._method.doubt.certain * chance))
 
     def _is_learning(self, t_s: float) -> bool:
         """Return whether no use is known yet, and the time in which one may be learnt is not over."""
@@ -440,6 +387,7 @@ class DriftTracker:
         if more:
             if now.joined == 1:
                 now.single_s = float(np.median([cycle.duration_s for cycle in now.strangers]))
+                now.opening, now.opening_sd = _mean_level(now.strangers)
             now.joined = more[0]
             now.strangers.clear()
 
@@ -449,9 +397,12 @@ class DriftTracker:
         shift, gain = float(now.filter.drift[0]), float(np.exp(now.filter.drift[1]))
         # The drift known now is taken out first, or it would become part of what the activity is compared with.
         calibrated = [c.standardised(shift, gain) for c in cycles]
-        activity = learn_activity(calibrated, self._use.rest_is_low, self._method.activity).activity
+        lesson = learn_activity(calibrated, self._use.rest_is_low, self._method.activity)
+        activity = lesson.activity
         if activity is None:
             return False
+        if not now.activities:
+            now.missed = self._moved_meanwhile(lesson, activity)
         # The calibrated activity is never forgotten: it alone knows the zero of the drift.
         if len(now.activities) == self._method.learning.activities:
             oldest = 1 if self._has_calibrated else 0
@@ -462,8 +413,20 @@ class DriftTracker:
         now.latest = len(now.activities) - 1
         return True
 
+    def _moved_meanwhile(self, lesson: Lesson, activity: Activity) -> float:
+        """Return how far level and scale surely moved until a first activity was learnt, in scales."""
+        now = self._now
+        during = now.trust.sure_size(lesson.trend, lesson.trend_sd)
+        if not now.opening_sd:
+            return during
+        since = np.array([activity.level - now.opening])
+        sd = np.array([math.hypot(now.opening_sd, math.sqrt(activity.doubt[0, 0]))])
+        return math.hypot(during, now.trust.sure_size(since, sd))
+
     def _held(self, cycle: Cycle, reason: str, index: int = -1) -> Observation:
         self._now.unseen_s += cycle.duration_s
+        if self._is_learning(cycle.end_s):
+            return self._observation(cycle, UNWATCHED, NOT_WATCHED, index)
         return self._observation(cycle, HELD, reason, index)
 
     def _observation(self, cycle: Cycle, verdict: str, reason: str, index: int) -> Observation:
@@ -484,3 +447,11 @@ class DriftTracker:
         found = restored(TrackerState, state)
         # The thresholds are this method's, not those the state was taken with.
         self._now = replace(found, trust=replace(found.trust, config=self._method.trust))
+
+
+def _mean_level(cycles: list[Cycle]) -> tuple[float, float]:
+    """Return the mean level over the time of cycles, and its standard deviation."""
+    levels, weights = np.array([c.level for c in cycles]), np.array([c.duration_s for c in cycles])
+    mean = float(np.average(levels, weights=weights))
+    variance = float(np.average((levels - mean) ** 2, weights=weights))
+    return mean, math.sqrt(variance / len(cycles))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.maps.anchors import AnchoredMap, check_loads, refine
+from softcal.core.maps.anchors import AnchoredMap, check_loads, firmness, refine
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
@@ -21,10 +21,14 @@ class Trimmed:
 
     Args:
         unit_map: the map with the new gain and offset behind it.
+        gain_error: standard uncertainty of the gain, as a share of it.
+        rest_error: the same of the level at rest, in the source's output unit.
         before_rmse, after_rmse: error of the estimates at the loads, without and with the trim, in the reference unit.
     """
 
     unit_map: AnchoredMap
+    gain_error: float
+    rest_error: float
     before_rmse: float
     after_rmse: float
 
@@ -33,6 +37,7 @@ def trim(
     problem: FitProblem,
     unit_map: UnitMap,
     loads: Anchors,
+    kind: str = "",
     config: TrimConfig = TrimConfig(),  # noqa: B008 - frozen
 ) -> Trimmed:
     """Re-anchor a map by known loads at the place of use.
@@ -41,6 +46,7 @@ def trim(
         problem: source, network and recording of the unit the map was fitted with.
         unit_map: in use now; an earlier trim of it is trimmed further, not stacked.
         loads: outputs at rest under known loads, at least two different ones.
+        kind: how the loads behind the map were known (`LoadKnowledge.kind`): two loads do not outvote many pairs.
         config: which loads, and which gain, can be of this unit.
 
     Raises:
@@ -51,20 +57,21 @@ def trim(
     check_loads(problem.source, loads, NOTHING, problem.config.anchors)
     network = problem.network
     before = _error(network, unit_map, loads)
-    found = refine(problem, unit_map, loads)
-    if not 1 / config.most_gain <= found.gain <= config.most_gain:
+    anchors = problem.config.anchors
+    found = refine(problem, unit_map, loads, firmness(kind, anchors))
+    gain = found.unit_map.gain
+    if not 1 / config.most_gain <= gain <= config.most_gain:
         raise InputError(
-            f"the loads ask for {found.gain:.2g} x the gain of unit {problem.target.serial}; that is another unit, or "
+            f"the loads ask for {gain:.2g} x the gain of unit {problem.target.serial}; that is another unit, or "
             f"other units of load or output; {NOTHING}"
         )
-    # The fit shrinks towards no change; loads that contradict one another can leave it worse than nothing.
-    after = _error(network, found, loads)
-    if after > before:
+    if found.misfit > anchors.most_misfit:
         raise InputError(
-            f"no gain and offset read these loads better: RMSE {before:.3g}, then {after:.3g} "
-            f"{network.reference_unit}; they contradict one another or are of another unit; {NOTHING}"
+            f"no gain and offset read these loads as the source reads its own: {found.misfit:.2g} standard "
+            f"uncertainties are left; they contradict one another or are of another unit; {NOTHING}"
         )
-    return Trimmed(_joined(found), before, after)
+    after = _error(network, found.unit_map, loads)
+    return Trimmed(_joined(found.unit_map), found.gain_error, found.rest_error, before, after)
 
 
 def _error(network: Network, unit_map: UnitMap, loads: Anchors) -> float:

@@ -182,6 +182,11 @@ class Trust:
         moved = movement(drift, level)
         return moved * self._sure_share(moved, float(slope @ covariance @ slope))
 
+    def sure_size(self, values: Array, sd: Array) -> float:
+        """Return the size of (n,) values with standard deviations (n,), each shrunk by the chance that it is none."""
+        sure = [v * self._sure_share(v, d**2) for v, d in zip(values.tolist(), sd.tolist(), strict=True)]
+        return float(np.linalg.norm(sure))
+
     def _sure_share(self, value: float, variance: float) -> float:
         """Return the soft threshold of a value: 0 where it may be chance, 1 where it surely is not."""
         none, full = self.config.shrink

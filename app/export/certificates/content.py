@@ -33,6 +33,10 @@ METHODS: Mapping[str, tuple[str, str]] = {
         "monotone transport",
         "Equal quantiles of both outputs were matched (one-dimensional optimal transport)",
     ),
+    "between": (
+        "half way between rest and peak, and equal quantiles",
+        "The line through rest and peak of both outputs was averaged with the curve through their equal quantiles",
+    ),
     "synchronous": (
         "pairs at equal time",
         "Unit and source were pressed by one load at once; the map was fitted to the pairs of their windows",
@@ -228,7 +232,7 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         revision=unit.stored.revision,
         lot=lot.id,
         sensor_model=lot.sensor_model,
-        source=lot.source,
+        source=unit.shared.source.unlabelled.serial,
         quantity=lot.reference_quantity,
         output_unit=lot.output_unit,
         reference_unit=lot.reference_unit,

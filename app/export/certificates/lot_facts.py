@@ -27,7 +27,7 @@ def lot_statement_facts(registry: Registry, lot_id: str, decided: LotRelease) ->
         quantity=lot.reference_quantity,
         reference_unit=lot.reference_unit,
         limit_rmse=decided.limit.maximum_rmse,
-        limit_origin=str(decided.limit.origin),
+        limit_origin=decided.limit.origin,
         network_id=record.network_id,
         method_id=record.method_id,
         made_on=now.date(),
@@ -36,7 +36,7 @@ def lot_statement_facts(registry: Registry, lot_id: str, decided: LotRelease) ->
         risk=decided.promise.risk,
         confidence=decided.promise.confidence,
         factor=found.factor if found is not None and has_factor else None,
-        any_form=any_form(found) if found is not None and decided.released else "",
+        any_form=any_form(found) if found is not None and decided.released else None,
         audits=_rows(decided, lot_id),
         drawn=_drawn(registry, lot_id),
         released=decided.released,
@@ -58,14 +58,12 @@ def _rows(decided: LotRelease, lot_id: str) -> tuple[StatementRow, ...]:
             a.lot_id or lot_id,
             a.forecast_rmse,
             a.measured_rmse,
-            "within" if a.measured_rmse <= decided.limit.maximum_rmse else "beyond",
+            a.measured_rmse <= decided.limit.maximum_rmse,
         )
         for a in audits
     )
 
 
-def _drawn(registry: Registry, lot_id: str) -> str:
+def _drawn(registry: Registry, lot_id: str) -> tuple[int, int] | None:
     plan = lot_audit(registry, lot_id)
-    if plan is None:
-        return "no draw was written down; the audited units are taken as a random draw"
-    return f"{len(plan.plan.random)} units at random of {plan.plan.population}, written down before they were measured"
+    return None if plan is None else (len(plan.plan.random), plan.plan.population)

@@ -3,12 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
+from functools import partial
 
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 
 from softcal.app.export.certificates.archival import archival
-from softcal.app.export.certificates.fonts import BOLD, marked_up
+from softcal.app.export.certificates.fonts import BOLD, PLAIN, has_all, marked_up
 from softcal.app.export.certificates.parts import (
     WIDTH,
     Document,
@@ -20,34 +21,26 @@ from softcal.app.export.certificates.parts import (
     section,
     style,
 )
+from softcal.app.texts.catalogue import text
+from softcal.app.texts.reasons import Words, said
+from softcal.core.words.reason import Reason
 
 GIVEN, NOT_GIVEN = "#1b7f3b", "#b3261e"
 MOST_AUDITS, MOST_SERIALS = 14, 30
 """Rows and serials that fit one page; the rest stand in the registry, and the page says how many."""
 
-MEANING = (
-    "Audited units were compared with a reference; each is decided on its own measurement. A unit that was not audited "
-    "is released where its forecast error times the factor above is within the limit. The factor is the larger of the "
-    "largest measured / forecast error among the audited units and the upper tolerance bound of that ratio "
-    "(ISO 16269-6, the method of ISO 3951 for acceptance by variables); where only a part of the units is released, "
-    "the bound is taken at the smaller risk which that part allows."
-)
-ASSUMES = (
-    "The audited units are a random draw of the units decided on. Audits were made as the units are used: what a later "
-    "day or another use does to a unit shows in no audit made before. The tolerance bound takes the ratios as near "
-    "log-normal; without that, the line `of any form` holds."
-)
+ENGLISH: Words = partial(text, "en")
 
 
 @dataclass(frozen=True)
 class StatementRow:
-    """One audited unit: forecast and measured RMSE in the reference unit, and its word."""
+    """One audited unit: forecast and measured RMSE in the reference unit, and whether it is within the limit."""
 
     serial: str
     lot: str
     forecast_rmse: float
     measured_rmse: float
-    word: str
+    is_within: bool
 
 
 @dataclass(frozen=True)
@@ -59,12 +52,12 @@ class LotStatementFacts:
         limit_rmse, limit_origin: largest acceptable RMSE, and where it comes from.
         network_id, method_id: content hashes of the shared network and of the method.
         made_on, software: when and by what the statement was made.
-        statement: the promise, or why there is none, in a sentence.
+        statement: the promise, or why there is none.
         risk, confidence: of the promise.
         factor: measured / forecast error reckoned with; None where nothing is promised.
-        any_form: the same promise without assuming a form of the ratios; empty where there is none.
+        any_form: the same promise without assuming a form of the ratios; None where there is none.
         audits: audited units, worst ratio first.
-        drawn: how the audited units were chosen.
+        drawn: how many units were drawn at random of how many; None where no draw was written down.
         released: serials released on the audits of others.
         counts: units of the lot by verdict.
         identifier: of the statement.
@@ -77,18 +70,18 @@ class LotStatementFacts:
     quantity: str
     reference_unit: str
     limit_rmse: float
-    limit_origin: str
+    limit_origin: Reason
     network_id: str
     method_id: str
     made_on: date
     software: str
-    statement: str
+    statement: Reason
     risk: float
     confidence: float
     factor: float | None
-    any_form: str
+    any_form: Reason | None
     audits: tuple[StatementRow, ...]
-    drawn: str
+    drawn: tuple[int, int] | None
     released: tuple[str, ...]
     counts: Mapping[str, int]
     identifier: str
@@ -100,87 +93,104 @@ class LotStatementFacts:
         return bool(self.released)
 
 
-def lot_statement_pdf(facts: LotStatementFacts) -> bytes:
-    """Return the page: the same bytes for the same facts."""
+def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes:
+    """Return the page in the language of `words`: the same bytes for the same facts."""
     page = Document(
-        title=f"Statement on lot {facts.lot}",
+        title=words("paper.title", lot=facts.lot),
         author="",
         software=facts.software,
         footer=f"{facts.identifier}   {facts.software}",
         made_on=facts.made_on,
-        across="SIMULATED" if facts.is_simulated else "",
+        across=words("paper.simulated") if facts.is_simulated else "",
     )
-    return archival(document_pdf(_story(facts), page), page)
+    return archival(document_pdf(_story(facts, words), page), page)
 
 
-def _story(facts: LotStatementFacts) -> list[Flowable]:
+def _story(facts: LotStatementFacts, words: Words) -> list[Flowable]:
     return [
-        Paragraph(marked_up(f"Statement on lot {facts.lot}"), style(18, BOLD)),
+        Paragraph(marked_up(words("paper.title", lot=facts.lot)), style(18, BOLD)),
         Spacer(1, 4 * mm),
-        _promise(facts),
-        *section("Lot", facts_table(_lot_rows(facts))),
-        *section("Evidence", facts_table(_evidence_rows(facts))),
-        *section("Audited units", _audit_table(facts)),
-        *section("Released on these audits", paragraph(_serials(facts.released), 7)),
-        *section("What it means", paragraph(MEANING, 7)),
-        *section("What it takes for granted", paragraph(ASSUMES, 7)),
+        _promise(facts, words),
+        *section(words("paper.lot"), facts_table(_lot_rows(facts, words))),
+        *section(words("paper.evidence"), facts_table(_evidence_rows(facts, words))),
+        *section(words("paper.audited"), _audit_table(facts, words)),
+        *section(words("paper.released"), paragraph(_serials(facts.released, words), 7)),
+        *section(words("paper.means"), paragraph(words("paper.means.is"), 7)),
+        *section(words("paper.assumes"), paragraph(words("paper.assumes.is"), 7)),
     ]
 
 
-def _promise(facts: LotStatementFacts) -> Flowable:
-    colour, word = (GIVEN, "RELEASED BY SAMPLE") if facts.is_given else (NOT_GIVEN, "NO RELEASE BY SAMPLE")
-    lines = [Paragraph(f'<font color="{colour}">{word}</font>', style(13, BOLD)), paragraph(facts.statement, 10)]
+def _promise(facts: LotStatementFacts, words: Words) -> Flowable:
+    colour, word = (GIVEN, "paper.given") if facts.is_given else (NOT_GIVEN, "paper.not_given")
+    lines = [
+        Paragraph(f'<font color="{colour}">{marked_up(words(word))}</font>', style(13, BOLD)),
+        paragraph(said(facts.statement, words), 10),
+    ]
     return Table([[lines]], colWidths=[WIDTH], style=marked(colour))
 
 
-def _lot_rows(facts: LotStatementFacts) -> list[tuple[str, str]]:
-    counts = ", ".join(f"{count} {word}" for word, count in facts.counts.items() if count) or "none"
+def _lot_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
+    counts = [f"{words(f'verdict.{word}')} {count}" for word, count in facts.counts.items() if count]
+    model = facts.sensor_model or words("paper.no_model")
+    origin, unit = said(facts.limit_origin, words), facts.reference_unit
+    made = {"network": facts.network_id[:12], "method": facts.method_id[:12], "day": facts.made_on.isoformat()}
     return [
-        ("Lot", f"{facts.lot}, {facts.sensor_model or 'sensor model not stated'}, source unit {facts.source}"),
-        ("Quantity", f"{facts.quantity} in {facts.reference_unit}"),
-        ("Limit", f"RMSE {facts.limit_rmse:.3g} {facts.reference_unit} ({facts.limit_origin})"),
-        ("Units by verdict", counts),
-        ("Made on", f"{facts.made_on.isoformat()}; network {facts.network_id[:12]}, method {facts.method_id[:12]}"),
+        (words("paper.lot"), words("paper.lot.is", lot=facts.lot, model=model, source=facts.source)),
+        (words("paper.quantity"), words("paper.quantity.is", quantity=facts.quantity, unit=unit)),
+        (words("paper.limit"), words("paper.limit.is", limit=facts.limit_rmse, unit=unit, origin=origin)),
+        (words("paper.counts"), ", ".join(counts) or words("paper.none")),
+        (words("paper.made"), words("paper.made.is", **made)),
     ]
 
 
-def _evidence_rows(facts: LotStatementFacts) -> list[tuple[str, str]]:
-    lots = sorted({audit.lot for audit in facts.audits})
-    of_lots = "of this lot" if lots in ([], [facts.lot]) else f"of lots {', '.join(lots)}"
-    beyond = sum(audit.measured_rmse > facts.limit_rmse for audit in facts.audits)
+def _evidence_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
     rows = [
-        ("Audits", f"{len(facts.audits)} units {of_lots}, {beyond} of them beyond the limit"),
-        ("Drawn", facts.drawn),
-        ("Promise asked for", f"risk {facts.risk:g}, confidence {facts.confidence:g}"),
+        (words("paper.audits"), _audited(facts, words)),
+        (words("paper.drawn"), _drawn(facts.drawn, words)),
+        (words("paper.promise"), words("paper.promise.is", risk=facts.risk, confidence=facts.confidence)),
     ]
     if facts.factor is not None:
-        rows.append(("Factor", f"true error reckoned with: {facts.factor:.3g} x the forecast"))
-    return [*rows, ("Of any form", facts.any_form)] if facts.any_form else rows
+        rows.append((words("paper.factor"), words("paper.factor.is", factor=facts.factor)))
+    return rows if facts.any_form is None else [*rows, (words("paper.any_form"), said(facts.any_form, words))]
 
 
-def _audit_table(facts: LotStatementFacts) -> Flowable:
+def _audited(facts: LotStatementFacts, words: Words) -> str:
+    lots = sorted({audit.lot for audit in facts.audits})
+    counts = {"audits": len(facts.audits), "beyond": sum(not audit.is_within for audit in facts.audits)}
+    if lots in ([], [facts.lot]):
+        return words("paper.audits.here", **counts)
+    return words("paper.audits.lots", lots=", ".join(lots), **counts)
+
+
+def _drawn(drawn: tuple[int, int] | None, words: Words) -> str:
+    if drawn is None:
+        return words("paper.drawn.not")
+    return words("paper.drawn.is", drawn=drawn[0], population=drawn[1])
+
+
+def _audit_table(facts: LotStatementFacts, words: Words) -> Flowable:
     if not facts.audits:
-        return paragraph("None.")
+        return paragraph(words("paper.none"))
     unit, shown = facts.reference_unit, facts.audits[:MOST_AUDITS]
-    head = ["unit", "lot", f"forecast, {unit}", f"measured, {unit}", "measured / forecast", "verdict"]
-    rows = [
-        [
-            a.serial,
-            a.lot,
-            f"{a.forecast_rmse:.3g}",
-            f"{a.measured_rmse:.3g}",
-            f"{a.measured_rmse / a.forecast_rmse:.2f}",
-            a.word,
-        ]
-        for a in shown
-    ]
+    names = ("unit", "lot", "forecast", "measured", "ratio", "verdict")
+    rows = [[words(f"paper.column.{name}", unit=unit) for name in names]]
+    for a in shown:
+        numbers = f"{a.forecast_rmse:.3g}", f"{a.measured_rmse:.3g}", f"{a.measured_rmse / a.forecast_rmse:.2f}"
+        rows.append([a.serial, a.lot, *numbers, words("paper.within" if a.is_within else "paper.beyond")])
     if len(facts.audits) > len(shown):
-        rows.append([f"and {len(facts.audits) - len(shown)} more", "", "", "", "", ""])
-    return Table([head, *rows], colWidths=[WIDTH / 6] * 6, style=grid(7))
+        rows.append([words("paper.more", count=len(facts.audits) - len(shown)), *[""] * 5])
+    return Table([[_cell(text) for text in row] for row in rows], colWidths=[WIDTH / 6] * 6, style=grid(7))
 
 
-def _serials(serials: tuple[str, ...]) -> str:
+def _cell(text: str) -> str | Flowable:
+    """Return a text as it stands, which is lower than a paragraph, where the page's own font has its letters."""
+    return text if has_all(PLAIN, text) else paragraph(text, 7)
+
+
+def _serials(serials: tuple[str, ...], words: Words) -> str:
     if not serials:
-        return "None."
-    more = f" and {len(serials) - MOST_SERIALS} more, listed in the registry" if len(serials) > MOST_SERIALS else ""
-    return f"{len(serials)} units: {', '.join(serials[:MOST_SERIALS])}{more}"
+        return words("paper.none")
+    values = {"count": len(serials), "serials": ", ".join(serials[:MOST_SERIALS])}
+    if len(serials) > MOST_SERIALS:
+        return words("paper.released.more", more=len(serials) - MOST_SERIALS, **values)
+    return words("paper.released.are", **values)

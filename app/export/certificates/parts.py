@@ -12,7 +12,7 @@ from reportlab.lib.units import mm
 from reportlab.pdfgen.canvas import Canvas
 from reportlab.platypus import Flowable, KeepTogether, Paragraph, SimpleDocTemplate, Spacer, Table, TableStyle
 
-from softcal.app.export.certificates.fonts import BOLD, PLAIN, marked_up, register
+from softcal.app.export.certificates.fonts import BOLD, PLAIN, font_for, marked_up, register
 
 MARGIN = 18 * mm
 WIDTH = A4[0] - 2 * MARGIN
@@ -30,6 +30,7 @@ class Document:
         footer: at the foot of every page.
         made_on: day it was made.
         across: word written across every page; empty for none.
+        numbering: of the pages, at the foot.
     """
 
     title: str
@@ -38,6 +39,7 @@ class Document:
     footer: str
     made_on: date
     across: str = ""
+    numbering: str = "Page {number} of {count}"
 
 
 def document_pdf(story: Sequence[Flowable], page: Document) -> bytes:
@@ -83,10 +85,12 @@ class _NumberedCanvas(Canvas):  # type: ignore[misc]
         pages = self._pages
         for number, page in enumerate(pages, 1):
             self.__dict__.update(page)
-            self.setFont(PLAIN, 7)
+            said = self._page.numbering.format(number=number, count=len(pages))
             self.setFillColor(QUIET)
+            self.setFont(font_for(self._page.footer), 7)
             self.drawString(MARGIN, 12 * mm, self._page.footer)
-            self.drawRightString(A4[0] - MARGIN, 12 * mm, f"Page {number} of {len(pages)}")
+            self.setFont(font_for(said), 7)
+            self.drawRightString(A4[0] - MARGIN, 12 * mm, said)
             super().showPage()
         super().save()
 

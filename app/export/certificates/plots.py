@@ -1,7 +1,9 @@
-"""The two plots of a certificate as vector drawings: axes, curves and bands, nothing else."""
+"""The plots of certificates and reports as vector drawings: axes, curves, bars and bands, nothing else."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from reportlab.graphics.shapes import Drawing, Line, Polygon, PolyLine, String
@@ -13,6 +15,7 @@ from softcal.core.recording import Array
 
 SIZE = 7
 AXIS, CURVE, BAND = colors.HexColor("#5a6472"), colors.HexColor("#0b5cad"), colors.HexColor("#bcd6f2")
+DECIDES = colors.HexColor("#b3261e")
 LEFT, RIGHT, BOTTOM, TOP = 46.0, 8.0, 26.0, 8.0
 HEIGHT = 112.0
 SHOWN_S = 20.0
@@ -20,6 +23,13 @@ SHOWN_S = 20.0
 
 MOST_POINTS = 1200
 """A curve is thinned to this many points: more cannot be told apart on paper."""
+
+
+class Level(NamedTuple):
+    """A line that decides: where it lies, and its name."""
+
+    at: float
+    name: str
 
 
 def estimate_plot(facts: Certificate, width: float) -> Drawing:
@@ -47,6 +57,52 @@ def map_plot(facts: Certificate, width: float) -> Drawing:
     return drawing
 
 
+def bars_plot(edges: Array, counts: Array, limit: Level | None, labels: tuple[str, str], width: float) -> Drawing:
+    """Draw a histogram with the limit that its values are held to.
+
+    Args:
+        edges: (n + 1,) of the bars.
+        counts: (n,) of each bar.
+        limit: value and name; None draws none.
+        labels: of the axes.
+        width: on paper, in points.
+    """
+    most = max(float(counts.max(initial=0.0)), 1.0)
+    across = edges if limit is None else np.append(edges, 1.05 * limit.at)
+    axes = _Axes((float(across.min()), float(across.max())), (0.0, 1.15 * most), width, HEIGHT, labels)
+    drawing = axes.drawing(is_whole=True)
+    for left, right, count in zip(edges[:-1], edges[1:], counts, strict=True):
+        if count:
+            corners = axes.points(np.array([left, left, right, right]), np.array([0.0, count, count, 0.0]))
+            drawing.add(Polygon(corners, fillColor=CURVE, strokeColor=colors.white, strokeWidth=0.3))
+    if limit is not None:
+        ends = axes.points(np.full(2, limit.at), np.array(axes.y))
+        drawing.add(Line(*ends, strokeColor=DECIDES, strokeWidth=1))
+        drawing.add(_label(ends[2] - 3, ends[3] - 6, limit.name, "end", DECIDES))
+    return drawing
+
+
+def course_plot(values: Array, levels: Sequence[Level], labels: tuple[str, str], width: float) -> Drawing:
+    """Draw values in their order with the lines they are held to, each with its name.
+
+    Args:
+        values: (n,).
+        levels: value and name of each line.
+        labels: of the axes.
+        width: on paper, in points.
+    """
+    at = np.arange(1, len(values) + 1, dtype=float)
+    heights = np.append(values, [level.at for level in levels])
+    axes = _Axes.around(at, heights, width, HEIGHT, labels)
+    drawing = axes.drawing()
+    for level in levels:
+        ends = axes.points(np.array(axes.x), np.full(2, level.at))
+        drawing.add(Line(*ends, strokeColor=DECIDES, strokeWidth=0.7, strokeDashArray=[3, 2]))
+        drawing.add(_label(ends[2], ends[3] + 2, level.name, "end", DECIDES))
+    drawing.add(PolyLine(axes.points(at, values), strokeColor=CURVE, strokeWidth=0.8))
+    return drawing
+
+
 @dataclass(frozen=True)
 class _Axes:
     """A rectangle of data on a rectangle of paper."""
@@ -68,8 +124,8 @@ class _Axes:
         flat: list[float] = np.round(np.stack([across, up], axis=1).ravel(), 2).tolist()
         return flat
 
-    def drawing(self) -> Drawing:
-        """Return the empty plot: two axes with ticks and labels."""
+    def drawing(self, is_whole: bool = False) -> Drawing:
+        """Return the empty plot: two axes with ticks and labels; upright ones at whole numbers where it counts."""
         drawing = Drawing(self.width, self.height)
         right, top = self.width - RIGHT, self.height - TOP
         drawing.add(Line(LEFT, BOTTOM, right, BOTTOM, strokeColor=AXIS, strokeWidth=0.5))
@@ -78,7 +134,8 @@ class _Axes:
             at = self.points(np.array([value]), np.array([self.y[0]]))[0]
             drawing.add(Line(at, BOTTOM, at, BOTTOM - 2, strokeColor=AXIS, strokeWidth=0.5))
             drawing.add(_label(at, BOTTOM - 10, f"{value:g}", "middle"))
-        for value in _ticks(*self.y):
+        upright = _ticks(*self.y)
+        for value in [tick for tick in upright if not is_whole or tick == round(tick)]:
             at = self.points(np.array([self.x[0]]), np.array([value]))[1]
             drawing.add(Line(LEFT, at, LEFT - 2, at, strokeColor=AXIS, strokeWidth=0.5))
             drawing.add(_label(LEFT - 4, at - 2.5, f"{value:g}", "end"))
@@ -87,8 +144,8 @@ class _Axes:
         return drawing
 
 
-def _label(x: float, y: float, text: str, anchor: str) -> String:
-    return String(x, y, text, fontName=font_for(text), fontSize=SIZE, fillColor=AXIS, textAnchor=anchor)
+def _label(x: float, y: float, text: str, anchor: str, colour: colors.Color = AXIS) -> String:
+    return String(x, y, text, fontName=font_for(text), fontSize=SIZE, fillColor=colour, textAnchor=anchor)
 
 
 def _padded(values: Array, share: float) -> tuple[float, float]:

@@ -1,0 +1,234 @@
+"""Streams of use drawn at random, of eighteen kinds: a sensor, an activity, what drifts and how the use changes.
+
+Everything of a stream follows from its number and a seed. No code of softcal's twin is in it.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from simulated_use import ACTIVITIES, CURVES, Activity, Style, cycles, read, station
+
+from softcal.app.use.adapt import source_calibration
+from softcal.core.network.config import NetworkConfig
+from softcal.core.network.network import Network
+from softcal.core.network.training import fit_network
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.calibration import Calibration
+
+SAMPLES = 12_000
+CALIBRATION = 5_000
+BEGINS = 0.2
+"""Drift begins after this share of a stream, where the kind does not say otherwise."""
+
+Random = np.random.Generator
+Drift = Callable[[Array, Random], tuple[Array, Array]]
+"""From (n,) 0 to 1 over the stream to (n,) gain and (n,) shift, the shift in shares of the sensor's span."""
+
+Use = Callable[[Activity, int, Random], Array]
+
+
+def stands(x: Array, rng: Random) -> tuple[Array, Array]:
+    return np.ones_like(x), np.zeros_like(x)
+
+
+def level_creeps(x: Array, rng: Random) -> tuple[Array, Array]:
+    return np.ones_like(x), _sign(rng) * rng.uniform(0.05, 0.3) * np.log1p(9 * _late(x)) / np.log(10)
+
+
+def level_drifts(x: Array, rng: Random) -> tuple[Array, Array]:
+    return np.ones_like(x), _sign(rng) * rng.uniform(0.05, 0.3) * _late(x)
+
+
+def gain_drifts(x: Array, rng: Random) -> tuple[Array, Array]:
+    return 1 + _sign(rng) * rng.uniform(0.05, 0.2) * _late(x), np.zeros_like(x)
+
+
+def ages(x: Array, rng: Random) -> tuple[Array, Array]:
+    return 1 + _sign(rng) * rng.uniform(0.05, 0.2) * _late(x), rng.normal(0, 0.15) * np.log1p(5 * _late(x))
+
+
+def drifts_at_once(x: Array, rng: Random) -> tuple[Array, Array]:
+    """From the first row on, and all of it in the first third."""
+    early = np.minimum(1.0, 3 * x)
+    return 1 + _sign(rng) * rng.uniform(0.05, 0.2) * early, _sign(rng) * rng.uniform(0.05, 0.2) * early
+
+
+def seasons(x: Array, rng: Random) -> tuple[Array, Array]:
+    """There and back, as temperature does."""
+    wave = np.sin(2 * np.pi * (x * rng.uniform(0.5, 3.0) + rng.random()))
+    size = rng.uniform(0.3, 1.0)
+    return 1 + 0.05 * size * (wave - wave[0]), 0.1 * size * (wave - wave[0])
+
+
+def steps(x: Array, rng: Random) -> tuple[Array, Array]:
+    """The level steps one to four times."""
+    shift = np.zeros_like(x)
+    for start in rng.uniform(BEGINS, 1, rng.integers(1, 5)):
+        shift += np.where(x > start, rng.normal(0, 0.12), 0.0)
+    return np.ones_like(x), shift
+
+
+def is_reseated(x: Array, rng: Random) -> tuple[Array, Array]:
+    is_after = x > rng.uniform(0.3, 0.7)
+    return np.where(is_after, 1 + rng.normal(0, 0.05), 1.0), np.where(is_after, rng.normal(0, 0.15), 0.0)
+
+
+def _late(x: Array) -> Array:
+    return np.maximum(0.0, x - BEGINS) / (1 - BEGINS)
+
+
+def _sign(rng: Random) -> float:
+    return float(rng.choice([-1.0, 1.0]))
+
+
+def same(activity: Activity, n: int, rng: Random) -> Array:
+    return cycles(activity, n, rng)
+
+
+def irregular(activity: Activity, n: int, rng: Random) -> Array:
+    return cycles(activity, n, rng, Style(scatter=rng.uniform(0.08, 0.15)))
+
+
+def changes(activity: Activity, n: int, rng: Random) -> Array:
+    """Another load, another pace, or both, from somewhere in the middle on."""
+    at = int(rng.uniform(0.25, 0.6) * n)
+    style = Style(rng.uniform(0.7, 1.3), rng.uniform(0.7, 1.5), 0.06)
+    return np.concatenate([cycles(activity, at, rng), cycles(activity, n - at, rng, style)])
+
+
+def is_replaced(activity: Activity, n: int, rng: Random) -> Array:
+    at = int(rng.uniform(0.25, 0.6) * n)
+    return np.concatenate([same(activity, at, rng), other(activity, n - at, rng)])
+
+
+def slowly_harder(activity: Activity, n: int, rng: Random) -> Array:
+    return cycles(activity, n, rng) * np.linspace(1.0, rng.uniform(1.1, 1.3), n)
+
+
+def other(activity: Activity, n: int, rng: Random) -> Array:
+    """The wave of the next activity, at the rate and pace of this one."""
+    waves = [one.wave for one in ACTIVITIES.values()]
+    wave = waves[(waves.index(activity.wave) + 1) % len(waves)]
+    return cycles(Activity(wave, activity.cycle_s, activity.rate_Hz), n, rng)
+
+
+def sways(activity: Activity, n: int, rng: Random) -> Array:
+    """A constant load with a little sway."""
+    return np.asarray(0.5 + 0.2 * np.convolve(rng.normal(size=n + 99), np.ones(100) / 100, mode="valid"))
+
+
+def rests(activity: Activity, n: int, rng: Random) -> Array:
+    return np.zeros(n)
+
+
+def runs(activity: Activity, n: int, rng: Random) -> Array:
+    return cycles(activity, n, rng, Style(1.3, 1.5, 0.06))
+
+
+def day(activity: Activity, n: int, rng: Random) -> Array:
+    """Several uses in turn, the calibrated one most often."""
+    parts: list[Array] = []
+    while sum(map(len, parts)) < n:
+        use = [same, sways, same, runs, rests, other][int(rng.integers(6))]
+        parts.append(use(activity, int(rng.uniform(0.02, 0.15) * n), rng))
+    return np.concatenate(parts)[:n]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a stream is of: the drift, the use, and by how much the characteristic bends, in shares of its span."""
+
+    drift: Drift
+    use: Use
+    bend: float = 0.0
+
+
+KINDS: Mapping[str, Kind] = {
+    "no drift": Kind(stands, same),
+    "no drift, irregular use": Kind(stands, irregular),
+    "no drift, the use changes": Kind(stands, changes),
+    "no drift, another activity": Kind(stands, is_replaced),
+    "no drift, use grows slowly": Kind(stands, slowly_harder),
+    "level creeps": Kind(level_creeps, same),
+    "level drifts": Kind(level_drifts, same),
+    "gain drifts": Kind(gain_drifts, same),
+    "level and gain age": Kind(ages, same),
+    "age, and the use changes": Kind(ages, changes),
+    "age, irregular use": Kind(ages, irregular),
+    "seasons": Kind(seasons, same),
+    "seasons, a day of several uses": Kind(seasons, day),
+    "level steps": Kind(steps, same),
+    "re-seated": Kind(is_reseated, same),
+    "re-seated, and the use changes": Kind(is_reseated, changes),
+    "drift while the first use is learnt": Kind(drifts_at_once, same),
+    "the characteristic bends": Kind(ages, same, 0.3),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """A kind of sensor whose f knows the whole range of loads."""
+
+    network: Network
+    calibration: Calibration
+    source: LabelledRecording
+
+
+@cache
+def bench(curve: str, rate_Hz: float) -> Bench:
+    """Train f on every activity and on the station's profile."""
+    rng = np.random.default_rng(5)
+    uses = [
+        cycles(Activity(a.wave, a.cycle_s, rate_Hz), 1500, rng, Style(1.1, scatter=0.2)) for a in ACTIVITIES.values()
+    ]
+    load = np.concatenate([station(4000, rate_Hz, rng), *uses])
+    source = LabelledRecording(_recording("source", read(curve, load, rate_Hz, rng), rate_Hz), load)
+    network = fit_network(source, NetworkConfig(hidden=(32, 16), max_epochs=40)).network
+    return Bench(network, source_calibration(source, network), source)
+
+
+def _recording(serial: str, output: Array, rate_Hz: float) -> OutputRecording:
+    return OutputRecording(serial, np.arange(len(output)) / rate_Hz, output, rate_Hz)
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """One stream: its unit, what it was calibrated with, and the true load under its output."""
+
+    kind: str
+    activity: str
+    curve: str
+    is_on_station: bool
+    bench: Bench
+    calibrated: OutputRecording
+    used: OutputRecording
+    load: Array
+
+    @property
+    def cycle(self) -> int:
+        """Samples of a usual cycle."""
+        activity = ACTIVITIES[self.activity]
+        return round(activity.cycle_s * activity.rate_Hz)
+
+
+def draw(number: int, seed: int) -> Stream:
+    """Draw the stream of a number: the kinds in turn, everything else at random."""
+    rng = np.random.default_rng([seed, number])
+    kind = list(KINDS)[number % len(KINDS)]
+    name, curve = (str(rng.choice(list(names))) for names in (ACTIVITIES, CURVES))
+    activity, of = ACTIVITIES[name], KINDS[kind]
+    # Every third unit was calibrated on the station, under another programme than its use.
+    is_on_station = bool(rng.random() < 1 / 3) or of.drift is drifts_at_once
+    load = of.use(activity, SAMPLES, rng)
+    x = np.linspace(0, 1, SAMPLES)
+    gain, shift = of.drift(x, rng)
+    output = read(curve, load, activity.rate_Hz, rng, gain, shift)
+    ends = CURVES[curve](np.array([0.0, 1.0]))
+    share = (output - ends[0]) / (ends[1] - ends[0])
+    output = output + of.bend * _late(x) * (ends[1] - ends[0]) * share * (1 - share)
+    profile = station(CALIBRATION, activity.rate_Hz, rng) if is_on_station else cycles(activity, CALIBRATION, rng)
+    calibrated = _recording("unit", read(curve, profile, activity.rate_Hz, rng), activity.rate_Hz)
+    used = _recording("unit", output, activity.rate_Hz)
+    return Stream(kind, name, curve, is_on_station, bench(curve, activity.rate_Hz), calibrated, used, load)

@@ -1,0 +1,117 @@
+"""How wrong the estimates of a unit in use may be: for its interval, its predicted error, and its alarm.
+
+All numbers are standard deviations or their squares in scales of the calibrated use, and independent: squares add up.
+The alarm counts something else than the predicted error: not how far a drift has gone, but what of it is not followed.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.recording import Array
+from softcal.core.use.method import DoubtConfig
+
+UNCOMPARED = "much of the use could not be compared with any that is known"
+MISSED = "the use moved while it was learnt: sensor or use"
+OPEN = "a drift is seen that is not followed, for a change of use would look the same"
+LATE = "the drift is faster than it is followed"
+JUMP = "a sudden change is not explained"
+FAR = "what was corrected is so much that the rest of it counts"
+"""Why estimates may be wrong: what an alarm names."""
+
+CAUSES = (UNCOMPARED, MISSED, JUMP, OPEN, LATE, FAR)
+CALIBRATE = "calibrate against a reference"
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What is known of a drift when its doubt is asked for.
+
+    Args:
+        drift, applied: (2,) shift and log gain, estimated and applied.
+        chance: variance of the estimated drift.
+        walked: variance that may have come since the last cycle.
+        moved: how far the rest has gone in all.
+        use_share: prior probability that a change of amplitude is use.
+        use_doubt: expected square of the error of a gain that may have been use.
+        unseen: use that could not be compared, in lengths of the calibration recording, 1 at most.
+        is_learning: whether that is the unit's first use, which is still being learnt.
+        unresolved: size of an unexplained jump.
+        missed: how far level or scale moved while the first use was learnt.
+        lag: how far the filter is behind, beyond chance.
+    """
+
+    drift: Array
+    applied: Array
+    chance: float
+    walked: float
+    moved: float
+    use_share: float
+    use_doubt: float
+    unseen: float
+    is_learning: bool
+    unresolved: float
+    missed: float
+    lag: float
+
+    @property
+    def left(self) -> float:
+        """Square of the drift that is estimated and not applied."""
+        return float(np.sum((self.drift - self.applied) ** 2))
+
+    @property
+    def size(self) -> float:
+        """Square of the correction."""
+        return float(self.applied @ self.applied)
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """How wrong the corrected output may be.
+
+    Args:
+        widening: for intervals.
+        growth: for the predicted error.
+        not_followed: squares of what an alarm counts, by why.
+    """
+
+    widening: float
+    growth: float
+    not_followed: Mapping[str, float]
+
+
+def due(why: str) -> str:
+    """Return the words of an alarm."""
+    return f"{why}; {CALIBRATE}"
+
+
+def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
+    """Add up what is in doubt.
+
+    Interval and predicted error hold: the error of the applied correction (its variance, a share of its size, a share
+    of the whole way of the rest, and that its gain may have been use), what may have come since the last cycle or in
+    use that was not compared, and what was not explained. The interval adds all of the estimated drift that was not
+    applied. The predicted error adds of it only what exceeds chance, and of that the part that is as likely drift as
+    use; it leaves out use that was not compared while the first use is still being learnt.
+    """
+    # What was not applied cannot be wrong by chance: the variance counts as far as the correction goes.
+    share = seen.size / max(float(seen.drift @ seen.drift), 1e-24)
+    known = share * seen.chance + config.correction**2 * seen.size
+    known += (config.way * seen.moved) ** 2 + seen.use_doubt + seen.walked
+    open_ends = seen.unresolved**2 + seen.missed**2
+    unseen = (config.unseen * seen.unseen) ** 2
+    counted = 0.0 if seen.is_learning else unseen
+    beyond = max(0.0, seen.left - seen.chance)
+    return Doubt(
+        widening=float(np.sqrt(known + unseen + open_ends + seen.left)),
+        growth=float(np.sqrt(known + counted + open_ends + (1 - seen.use_share) * beyond)),
+        not_followed={
+            UNCOMPARED: counted,
+            MISSED: seen.missed**2,
+            JUMP: seen.unresolved**2,
+            OPEN: max(0.0, seen.left - config.certain * seen.chance),
+            LATE: seen.lag**2,
+            FAR: config.far**2 * seen.size + config.vouched * seen.use_doubt,
+        },
+    )

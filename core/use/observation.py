@@ -1,0 +1,86 @@
+"""What a tracker says of each cycle, and all that it keeps."""
+
+from dataclasses import dataclass, field
+
+from softcal.core.recording import Array
+from softcal.core.use.activity import Activity
+from softcal.core.use.cycles import Cycle
+from softcal.core.use.filter import DriftFilter
+from softcal.core.use.kept import array, part, parts
+from softcal.core.use.trust import Trust
+
+FOLLOWED, HELD, TRIED, JUMPED, UNWATCHED = "followed", "held", "tried", "jumped", "unwatched"
+REST_MOVED = "the rest moved at once; the next cycles decide what it is"
+USE_OR_GAIN = "the cycles changed in size about a rest that stands: use or gain, which only a reference can tell"
+NOT_WATCHED = "not watched yet: the first use is still being learnt, and a drift before that is not seen"
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What one cycle said.
+
+    Args:
+        t_s: end of the cycle.
+        verdict: `followed`, `held`, `tried`, `jumped`, or `unwatched` while the first use is being learnt.
+        reason: why, in words; empty where the drift was followed.
+        shift, log_gain: drift after it, in scales of the calibrated use.
+        shift_sd, log_gain_sd: their standard deviations.
+        activity: index of the activity it belongs to, -1 for none.
+    """
+
+    t_s: float
+    verdict: str
+    reason: str
+    shift: float
+    log_gain: float
+    shift_sd: float
+    log_gain_sd: float
+    activity: int
+
+
+@dataclass
+class TrackerState:
+    """What a restart needs besides the calibrated use.
+
+    Args:
+        filter: drift and biases of the activities.
+        trust: what decides which part of the drift is applied.
+        activities: known ones, the calibrated one first.
+        to_settle: cycles left before the estimate is applied; `carried`, (2,), is applied until then.
+        trend: (2,) exponential mean of the innovations.
+        latest: index of the activity of the latest cycle.
+        last_s: end of the latest cycle; None before the first.
+        strangers: cycles in a row of no known activity.
+        jumps: like cycles since a jump that is not yet explained.
+        trial: shift that is applied on trial until the next cycle.
+        was_known: whether the latest cycle belonged to a known activity.
+        unseen_s: seconds of use since the drift was last measured.
+        alarm: why a calibration with a reference is due; else empty.
+        unresolved: size of an unexplained jump, in scales; 0 where there is none.
+        joined, single_s: usual cycles that are taken together as one, and the duration of a single one.
+        first_s: end of the first cycle; None before it.
+        missed: how far level and scale moved while the first use was learnt, in scales; 0 where that may be chance.
+        opening, opening_sd: level over the first cycles, in scales; 0 and 0 while single cycles are compared.
+    """
+
+    filter: DriftFilter = field(metadata=part(DriftFilter))
+    trust: Trust = field(metadata=part(Trust))
+    activities: list[Activity] = field(metadata=parts(Activity))
+    to_settle: int
+    trend: Array = field(metadata=array(2))
+    carried: Array = field(metadata=array(2))
+    strangers: list[Cycle] = field(metadata=parts(Cycle))
+    jumps: list[Cycle] = field(metadata=parts(Cycle))
+    latest: int = 0
+    last_s: float | None = None
+    trial: float = 0.0
+    was_known: bool = False
+    unseen_s: float = 0.0
+    alarm: str = ""
+    unresolved: float = 0.0
+    joined: int = 1
+    single_s: float = 0.0
+    first_s: float | None = None
+    missed: float = 0.0
+    opening: float = 0.0
+    opening_sd: float = 0.0

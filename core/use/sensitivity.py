@@ -1,0 +1,54 @@
+"""What one unit's calibration says about its errors: how far an estimate moves when its output drifts."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from softcal.core.network.network import Network
+from softcal.core.recording import Array, OutputRecording
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.uncertainty import NORMAL_90
+from softcal.core.use.activity import CalibratedUse, learn_use
+from softcal.core.use.method import DoubtConfig, UseMethod
+from softcal.core.windows import resting
+
+
+def learn_sensitivity(
+    network: Network, calibration: Calibration, recording: OutputRecording, method: UseMethod
+) -> tuple[CalibratedUse, float]:
+    """Return the calibrated use, and by how much an estimate moves (RMS) when the output moves by one scale of it."""
+    config = method.doubt
+    windows = recording.windows[:: max(1, len(recording) // config.slope_rows)]
+
+    def estimates(moved: Array) -> Array:
+        return network.evaluate(calibration.unit_map.apply(moved))
+
+    is_rising = np.cov(windows[:, -1], estimates(windows))[0, 1] >= 0
+    zero_output = _zero_load_output(recording, estimates, method.cycle.swing, config)
+    use = learn_use(recording, bool(is_rising), zero_output, method)
+    # A difference over a finite step, not the derivative: f is piecewise linear with kinks close together.
+    step = config.slope_step * use.scale
+    rise = (estimates(windows + step) - estimates(windows - step)) / (2 * config.slope_step)
+    return use, float(np.sqrt(np.mean(rise**2)))
+
+
+def _zero_load_output(
+    recording: OutputRecording, estimates: Callable[[Array], Array], swing: tuple[float, float], config: DoubtConfig
+) -> float | None:
+    """Return the constant output that is estimated as zero, up to a swing beyond the recording; None without one."""
+    low, high = np.quantile(recording.output, swing)
+    levels = np.linspace(2 * low - high, 2 * high - low, config.zero_levels)
+    values = estimates(resting(levels))
+    crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)
+    if not len(crossings):
+        return None
+    # f may cross zero more than once outside what it was trained on: the crossing next to the unloaded end counts.
+    unloaded = low if values[-1] > values[0] else high
+    return float(levels[crossings[np.argmin(np.abs(levels[crossings] - unloaded))]])
+
+
+def calibrated_rmse(calibration: Calibration) -> float:
+    """Return the error a calibration promises, in the reference unit."""
+    if calibration.predicted_rmse is not None:
+        return calibration.predicted_rmse
+    return float(np.sqrt(np.mean(calibration.interval.half_width**2))) / NORMAL_90
