@@ -42,4 +42,4 @@ def make_lot(folder: Path, units: int, source_s: float = 100.0, seed: int = 0) -
 def _varied(rng: np.random.Generator, output_V: np.ndarray) -> np.ndarray:
     middle_V = output_V.mean()
     gain, offset_V = rng.normal(1.0, 0.1), rng.normal(0.0, 0.02)
-    return middle_V + offset_V + gain * (output_V - middle_V) + rng.normal(0.0, 2e-4, len(output_V))
+    return np.asarray(middle_V + offset_V + gain * (output_V - middle_V) + rng.normal(0.0, 2e-4, len(output_V)))

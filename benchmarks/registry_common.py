@@ -3,7 +3,7 @@
 import os
 import tempfile
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
 from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.words.reason import Reason
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 
@@ -54,7 +55,18 @@ def record(serial: str, number: int, network_id: str) -> CalibrationRecord:
     arrays = {"map.knots": np.linspace(0.0, 1.0 + number, 64), "interval.bands": np.full((6, 64), float(number))}
     sha256 = content_sha256(arrays, {"serial": serial})
     return CalibrationRecord(
-        serial, network_id, "monotone", sha256, arrays, {"map": {}}, 0.1, "pass", ("fine",), sha256, sha256, fit_s=0.01
+        serial,
+        network_id,
+        "monotone",
+        sha256,
+        arrays,
+        {"map": {}},
+        0.1,
+        "pass",
+        (Reason("forecast_only"),),
+        sha256,
+        sha256,
+        fit_s=0.01,
     )
 
 
@@ -65,7 +77,7 @@ def database_of(kind: str) -> str:
         return f"{kind} {str(connection.execute(text(query)).scalar_one()).split()[0]}"
 
 
-def print_markdown(header: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> None:
+def print_markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Print a Markdown table, each row as soon as it is known."""
     print("| " + " | ".join(header) + " |")
     print("|" + "---|" * len(header), flush=True)

@@ -15,6 +15,7 @@ import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 from batch_lot import make_lot
@@ -39,6 +40,11 @@ UNITS_PER_KILL = 8
 PRESS_S = 6.0
 
 
+def acknowledge(pipe: int, line: str) -> None:
+    """Write one line down a pipe."""
+    os.write(pipe, f"{line}\n".encode())
+
+
 def killed(
     work: Callable[[Acknowledge], None], moments: random.Random, within_s: float, has_many: bool = True
 ) -> list[str]:
@@ -52,7 +58,7 @@ def killed(
     if not child:
         os.close(reading)
         with contextlib.redirect_stderr(None), contextlib.suppress(BaseException):
-            work(lambda line: os.write(writing, f"{line}\n".encode()) and None)
+            work(partial(acknowledge, writing))
         os._exit(0)
     os.close(writing)
     with os.fdopen(reading) as pipe:
@@ -82,9 +88,7 @@ def kill_writers(kind: str, kills: int, moments: random.Random) -> tuple[object,
             network_id = begin_lot(registry)
         for turn in range(kills):
             start = turn * 1_000_000
-            acknowledged |= set(
-                killed(lambda tell, start=start: write_forever(url, network_id, start, tell), moments, 0.4)
-            )
+            acknowledged |= set(killed(partial(write_forever, url, network_id, start), moments, 0.4))
         with open_registry(url, create=False) as registry:
             trail, kept, faults = registry.audit_rows(), revisions(registry), registry.verify()
     halves = sum(row.action == "calibrate" for row in trail) - sum(row.action == "export" for row in trail)
@@ -146,7 +150,7 @@ def kill_stations(kills: int, moments: random.Random) -> tuple[object, ...]:
         press(root, 0, acknowledged.append)
         run_s = time.monotonic() - start_s
         for turn in range(1, kills + 1):
-            acknowledged += killed(lambda tell, turn=turn: press(root, turn, tell), moments, 1.1 * run_s, False)
+            acknowledged += killed(partial(press, root, turn), moments, 1.1 * run_s, False)
         rows = {path.name: len(read_recording(path, path.stem, 50.0)) for path in root.glob("*.csv")}
         recovered = recover(root / "spool", root / "recovered")
         spools = len(list((root / "spool").glob("*.spool")))

@@ -32,6 +32,9 @@ HEADER = (
 )
 
 
+_together: Barrier
+
+
 def start_together(barrier: Barrier) -> None:
     """Keep the barrier that all writers pass at once."""
     global _together

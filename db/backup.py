@@ -13,11 +13,12 @@ from softcal.db.adoption import Adoption
 from softcal.db.database import Database, check_schema, open_database, schema_of
 from softcal.db.maintenance import faults, migrate
 from softcal.db.registry_base import RegistrySettings
-from softcal.db.tables import SCHEMA, heartbeats, metadata, registry_info, work_items
+from softcal.db.tables import SCHEMA, heartbeats, metadata, registry_info, tokens, work_items
 
 ROWS_AT_ONCE = 200
-PASSING = (work_items, heartbeats)
-"""Work under way and signs of life: they tell of programs that run here, and would be false elsewhere."""
+PASSING = (work_items, heartbeats, tokens)
+"""Work under way and signs of life: they tell of programs that run here, and would be false elsewhere. A token that was
+withdrawn since the backup must not come to life again."""
 
 
 def back_up(database: Database, path: Path) -> None:

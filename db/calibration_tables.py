@@ -242,7 +242,7 @@ class CalibrationTables(InUseTable):
         self._known_serial(connection, serial)
         lots = lots_of(connection, serial)
         if lot_id is None and len(lots) > 1:
-            raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which with --lot")
+            raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which lot")
         if lot_id is not None and lot_id not in lots:
             self._lot_row(connection, lot_id)
             raise InputError(f"serial {serial!r} is not in lot {lot_id!r}; it is in {', '.join(map(repr, lots))}")
@@ -268,7 +268,7 @@ class CalibrationTables(InUseTable):
         if len(rows) > 1:
             names = ", ".join(f"{row['origin']} ({row['made_at']:%Y-%m-%d %H:%M:%S} UTC)" for row in rows)
             raise InputError(
-                f"revision {revision} of serial {serial!r} was made by the registries {names}; say which with --origin"
+                f"revision {revision} of serial {serial!r} was made by the registries {names}; say which origin"
             )
         self._check_row(connection, calibrations, rows[0])
         return rows[0]

@@ -3,14 +3,30 @@
 import hashlib
 from collections.abc import Iterator
 
-from sqlalchemy import Connection, and_, func, inspect, select, text
+from sqlalchemy import Boolean, Connection, Date, and_, func, inspect, select, text, type_coerce
 from sqlalchemy.exc import DBAPIError
+from sqlalchemy.types import NullType
 
 from softcal.db import append_only, history
 from softcal.db.people import people_as_told
-from softcal.db.tables import APPEND_ONLY, AUDITED, audit, canonical_json, metadata, registry_info, users
+from softcal.db.tables import (
+    APPEND_ONLY,
+    AUDITED,
+    CanonicalJson,
+    UtcTime,
+    audit,
+    canonical_json,
+    metadata,
+    registry_info,
+    tokens,
+    users,
+)
+from softcal.db.tokens import token_as_told
 
 ROWS_OF_QUICK = 200
+IN_WORDS = (UtcTime, CanonicalJson, Boolean, Date)
+"""Types that a database may keep in more than one form."""
+
 TOLD_OF_PEOPLE = ("set_user", "state")
 
 
@@ -48,6 +64,31 @@ def reference_faults(connection: Connection) -> Iterator[str]:
             count = connection.execute(lost).scalar_one()
             if count:
                 yield f"{table.name}: {count} rows refer to {constraint.referred_table.name} that are not there"
+
+
+def form_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every value in other words than softcal's: it reads as the same and is sorted as another.
+
+    Times, JSON and truth values are kept as text and numbers that Python reads in more than one form.
+    """
+    dialect = connection.dialect
+    for table in (*(metadata.tables[name] for name in AUDITED), audit, users):
+        read = [column for column in table.columns if isinstance(column.type, IN_WORDS)]
+        key = list(table.primary_key.columns)
+        writers = [column.type.dialect_impl(dialect).bind_processor(dialect) or _as_it_is for column in read]
+        in_order = {"yield_per": 1000}
+        stored = select(*key, *(type_coerce(column, NullType()) for column in read)).order_by(*key)
+        values = connection.execute(select(*read).order_by(*key), execution_options=in_order)
+        for row, found in zip(connection.execute(stored, execution_options=in_order), values, strict=True):
+            for column, kept, write, value in zip(read, row[len(key) :], writers, found, strict=True):
+                if kept != write(value):
+                    named = history.row_key(table, {part.name: row[k] for k, part in enumerate(key)})
+                    shown = f"{column.name} is not as softcal writes it: {str(kept)[:60]!r}"
+                    yield f"{table.name} {canonical_json(named)}: {shown}"
+
+
+def _as_it_is(value: object) -> object:
+    return value
 
 
 def schema_faults(connection: Connection) -> Iterator[str]:
@@ -120,6 +161,18 @@ def people_faults(connection: Connection, origin: str) -> Iterator[str]:
             yield f"users {key}: role, PIN or rights were changed behind the audit trail"
     for key in told:
         yield f"users {key}: is in the audit trail but was removed"
+
+
+def token_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every token whose row is not what the audit trail told of last."""
+    query = select(audit.c.key, audit.c.after).where(audit.c.entity == "tokens").order_by(audit.c.at, audit.c.seq)
+    told = {key: after for key, after in connection.execute(query)}
+    for row in connection.execute(select(tokens)).mappings():
+        key = canonical_json((row["token_id"],))
+        if key not in told:
+            yield f"tokens {key}: was put in without an entry in the audit trail"
+        elif told[key] != canonical_json(history.plain(token_as_told(row))):
+            yield f"tokens {key}: account, purpose, end or secret were changed behind the audit trail"
 
 
 def count_faults(connection: Connection) -> Iterator[str]:

@@ -263,7 +263,8 @@ def check_schema(database: Database, schema: str) -> None:
 def _parse(url: str) -> URL:
     try:
         parsed = make_url(url)
-    except ArgumentError as error:
+    # A port that is no number is a plain ValueError.
+    except (ArgumentError, ValueError) as error:
         raise RegistryError(
             "the registry URL cannot be read; expected sqlite:///FILE or postgresql://USER@HOST/DATABASE"
         ) from error

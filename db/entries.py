@@ -352,3 +352,27 @@ class User:
     role: str
     is_active: bool
     version: int
+
+
+@dataclass(frozen=True)
+class Token:
+    """What a program signs in with, without the secret itself.
+
+    Args:
+        token_id: its name in commands and in the audit trail.
+        account: whose role says what it may.
+        purpose: what it is for.
+        created, ends_at: from when until when it holds, UTC.
+        is_withdrawn: whether it was taken back.
+    """
+
+    token_id: str
+    account: str
+    purpose: str
+    created: datetime
+    ends_at: datetime
+    is_withdrawn: bool
+
+    def holds(self, now: datetime) -> bool:
+        """Whether a program may sign in with it now, as far as the token itself says."""
+        return not self.is_withdrawn and self.created <= now < self.ends_at

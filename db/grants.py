@@ -16,6 +16,7 @@ CHANGING = {
     "run_signals": "INSERT, DELETE",
     "jobs": "INSERT, UPDATE",
     "line_places": "INSERT, UPDATE",
+    "deliveries": "INSERT, UPDATE",
 }
 """Tables whose rows change at the line, and how. Of people it may count wrong PINs and pause, nothing else."""
 
@@ -42,7 +43,7 @@ def grant_statements(line: str, reader: str, manager: str) -> list[str]:
     names = ["alembic_version", *(table.name for table in metadata.sorted_tables)]
     # PINs are hashed, yet a hash of four digits is soon guessed: readers do not see them.
     grown = [name for name in APPEND_ONLY if name not in DECIDED_ELSEWHERE]
-    shown = [name for name in names if name != "users"]
+    shown = [name for name in names if name not in ("users", "tokens")]
     return [
         f"REVOKE ALL ON {', '.join(names)} FROM PUBLIC, {line}, {manager}, {reader};",
         f"REVOKE UPDATE (failures, locked_until) ON users FROM {line}, {manager};",
@@ -51,6 +52,6 @@ def grant_statements(line: str, reader: str, manager: str) -> list[str]:
         f"GRANT INSERT ON {', '.join(grown)} TO {line};",
         f"GRANT INSERT ON {', '.join(APPEND_ONLY)} TO {manager};",
         *(f"GRANT {rights} ON {name} TO {line}, {manager};" for name, rights in CHANGING.items()),
-        f"GRANT INSERT, UPDATE ON users TO {manager};",
+        f"GRANT INSERT, UPDATE ON users, tokens TO {manager};",
         f"GRANT USAGE ON SEQUENCE work_items_id_seq TO {line}, {manager};",
     ]

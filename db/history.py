@@ -7,6 +7,8 @@ or put in between is found (after Schneier and Kelsey 1999, Secure audit logs, s
 import hashlib
 from collections.abc import Iterator, Mapping
 from datetime import date, datetime
+from heapq import merge
+from itertools import islice
 
 from sqlalchemy import Connection, Table, bindparam, insert, select
 
@@ -90,6 +92,23 @@ def rows(
         query = query.where(audit.c.origin == origin)
     for row in connection.execute(query, execution_options={"yield_per": 1000}):
         yield AuditRow(**row._mapping)
+
+
+def after(connection: Connection, cursor: Mapping[str, int], count: int) -> list[AuditRow]:
+    """Return up to `count` rows behind a cursor; the order of each chain is kept, between chains the older is first.
+
+    Args:
+        cursor: number of the last row already taken of each chain; a chain it does not name begins at its first row.
+    """
+    chains = [list(rows(connection, origin, cursor.get(origin, 0), count)) for origin in origins(connection)]
+    # A clock that was set back must not put a row before the one it follows.
+    return list(islice(merge(*chains, key=lambda row: row.at), count))
+
+
+def of_kind(connection: Connection, entity: str) -> list[AuditRow]:
+    """Return the rows of all entities of one kind from every chain, in time order."""
+    query = select(audit).where(audit.c.entity == entity).order_by(audit.c.at, audit.c.origin, audit.c.seq)
+    return [AuditRow(**row._mapping) for row in connection.execute(query)]
 
 
 def newest(connection: Connection, count: int) -> list[AuditRow]:

@@ -11,7 +11,6 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, RowMapping, Select, Text, and_, func, or_, select, type_coerce
 
 from softcal.core.errors import InputError
-from softcal.core.unit.method import Method
 from softcal.core.words.reason import Reason, plain
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, MadeCalibration, UnitStanding
@@ -265,8 +264,8 @@ def conflict_line(connection: Connection, lot_id: str, serial: str) -> str:
         for head in heads_of(connection, lot_id, serial)
     ]
     return (
-        f"unit {serial} of lot {lot_id}: two registries put different maps into use: {', '.join(sides)}; decide with "
-        f"`softcal registry rollback --serial {serial} --lot '{lot_id}' --to REVISION --origin REGISTRY --reason TEXT`"
+        f"unit {serial} of lot {lot_id}: two registries put different maps into use: {', '.join(sides)}; decide "
+        "by a rollback to one of them, with the reason"
     )
 
 
@@ -341,4 +340,7 @@ def of_this_method() -> ColumnElement[bool]:
 
     The settings are canonical JSON text: the hash of today's method stands in it or it does not.
     """
+    # Whoever lists units needs none of the method's numbers.
+    from softcal.core.unit.method import Method
+
     return type_coerce(calibrations.c.settings, Text).contains(f'"method_id":"{Method().id}"')

@@ -79,13 +79,18 @@ class JobBoard(OncePerCut):
     def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
         self.database, self._clock = database, clock
 
-    def place(self, kind: str, request: Mapping[str, Any], actor: str) -> str:
-        """Ask for a computation and return its id."""
-        now, job_id = self._clock(), uuid.uuid4().hex
+    def place(self, kind: str, request: Mapping[str, Any], actor: str, job_id: str | None = None) -> str:
+        """Ask for a computation and return its id.
+
+        Args:
+            job_id: 32 characters of whoever asks: asking twice makes one job; None makes an id.
+        """
+        now, job_id = self._clock(), job_id or uuid.uuid4().hex
         values = {"job_id": job_id, "kind": kind, "request": dict(request), "actor": actor, "created": now}
         fresh = {"state": RunState.QUEUED, "fraction": 0.0, "message": "", "trace": {}, "result": {}}
         with self.database.writing(in_turn=False) as connection:
-            connection.execute(insert(jobs).values(**values, **fresh, is_cancel_wanted=False, beaten_at=now))
+            if connection.execute(select(jobs.c.job_id).where(jobs.c.job_id == job_id)).first() is None:
+                connection.execute(insert(jobs).values(**values, **fresh, is_cancel_wanted=False, beaten_at=now))
         return job_id
 
     def take(self, job_id: str) -> Job:
@@ -141,11 +146,16 @@ class JobBoard(OncePerCut):
         Raises:
             InputError: there is none of this id.
         """
+        found = self.find(job_id)
+        if found is None:
+            raise InputError(f"job {job_id!r} is not in the registry")
+        return found
+
+    def find(self, job_id: str) -> Job | None:
+        """Return one job with its trace and result, None where there is none of this id."""
         with self.database.reading() as connection:
             row = connection.execute(select(jobs).where(jobs.c.job_id == job_id)).mappings().first()
-        if row is None:
-            raise InputError(f"job {job_id!r} is not in the registry")
-        return _job(row)
+        return None if row is None else _job(row)
 
     def jobs(self, kind: str | None = None, count: int = 20) -> list[Job]:
         """Return the newest jobs, newest first, without traces and results."""

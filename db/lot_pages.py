@@ -19,6 +19,9 @@ ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
 MADE_FIELDS = ("revision", "family", "map_sha256", *ERRORS)
 
+MOST_SERIALS = 30_000
+"""A question takes no more values than that in SQLite (32,766 since 3.32)."""
+
 
 @cache
 def _severities() -> dict[str, int]:
@@ -38,16 +41,20 @@ class UnitFilter:
         text: serials that hold this text, in any case.
         sort: one of `SORTABLE`, or `severity`: the worst verdict first, then the largest predicted error.
         is_descending: largest first; units without a value stand last either way.
+        serials: of these units only; None takes all.
     """
 
     verdicts: tuple[str, ...] = ()
     text: str = ""
     sort: str = "serial"
     is_descending: bool = False
+    serials: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.sort not in (*SORTABLE, "severity"):
             raise InputError(f"units cannot be sorted by {self.sort!r}; known: severity, {', '.join(SORTABLE)}")
+        if len(self.serials or ()) > MOST_SERIALS:
+            raise InputError(f"{len(self.serials or ())} units at once; choose fewer than {MOST_SERIALS}, by days")
 
 
 @dataclass(frozen=True)
@@ -187,6 +194,8 @@ def _condition(table: Subquery, wanted: UnitFilter) -> ColumnElement[bool]:
         parts.append(func.coalesce(table.c.verdict, "none").in_(wanted.verdicts))
     if wanted.text:
         parts.append(func.lower(table.c.serial).contains(wanted.text.lower(), autoescape=True))
+    if wanted.serials is not None:
+        parts.append(table.c.serial.in_(wanted.serials))
     return and_(True, *parts)
 
 

@@ -1,6 +1,7 @@
 """Lots, their limits and their units."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from sqlalchemy import Connection, RowMapping, Select, func, select
@@ -93,17 +94,24 @@ class LotTables(RegistryBase):
     def runs(self, lot_id: str, serial: str | None = None) -> list[RunEntry]:
         """Return every result of a lot's units, or of one of them, in time order, with units that got no map.
 
-        Rollbacks are left out.
+        One press is one result, with the newest verdict on its recording: an audit of other units, or a batch, may
+        decide anew on it. Rollbacks are left out.
         """
         c, r = calibrations.c, refusals.c
-        made = _of(select(c.serial, c.made_at, c.verdict, c.reasons, c.predicted_rmse), calibrations, lot_id, serial)
+        columns = (c.serial, c.made_at, c.verdict, c.reasons, c.predicted_rmse, c.recording_sha256)
+        made = _of(select(*columns), calibrations, lot_id, serial)
         refused = _of(select(r.serial, r.made_at, r.verdict, r.reasons), refusals, lot_id, serial)
         queries = (made.where(c.rolled_back_to.is_(None)), refused)
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
             rows = [dict(row) for query in queries for row in connection.execute(query).mappings()]
-        runs = [RunEntry(**row | {"reasons": tuple(map(Reason.of, row["reasons"]))}) for row in rows]
-        return sorted(runs, key=lambda run: (run.made_at, run.serial))
+        presses: dict[object, RunEntry] = {}
+        for number, row in enumerate(sorted(rows, key=lambda row: (row["made_at"], row["serial"]))):
+            press = (row["serial"], row.pop("recording_sha256", number))
+            run = RunEntry(**row | {"reasons": tuple(map(Reason.of, row["reasons"]))})
+            first = presses.get(press)
+            presses[press] = run if first is None else replace(run, made_at=first.made_at)
+        return list(presses.values())
 
     def limit(self, lot_id: str) -> LimitEntry | None:
         """Return the newest version of a lot's limit, or None where none was ever stated."""

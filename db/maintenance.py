@@ -99,6 +99,7 @@ def _checks(connection: Connection, is_quick: bool, anchors: Sequence[Anchor]) -
     yield "triggers", checks.trigger_faults(connection)
     yield "origin", checks.origin_faults(connection)
     yield "people", checks.people_faults(connection, origin)
+    yield "tokens", checks.token_faults(connection)
     for anchor in anchors:
         yield "what was written down elsewhere", checks.anchor_faults(connection, anchor.heads, anchor.where)
     if is_quick:
@@ -108,6 +109,7 @@ def _checks(connection: Connection, is_quick: bool, anchors: Sequence[Anchor]) -
     yield "references", checks.reference_faults(connection)
     yield "audit trail", history.chain_faults(history.rows(connection))
     yield "rows", _row_faults(connection)
+    yield "values", checks.form_faults(connection)
     yield "recordings, networks and maps", _blob_faults(connection)
 
 

@@ -7,7 +7,7 @@ there. One run at a time per station is a unique index of the database, not a ru
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from datetime import datetime, timedelta
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import Connection, RowMapping, Select, delete, insert, select, update
 from sqlalchemy.exc import IntegrityError
@@ -29,6 +29,16 @@ ORDER_FIELDS = ("order_id", "station", "kind", "serial", "lot_id", "actor", "rea
 PROGRESS_FIELDS = tuple(field.name for field in fields(Progress) if field.name != "signal")
 SIGNAL_FIELDS = ("t_s", "output", "stage_mm", "force_N")
 RUNS = tuple(kind for kind in OrderKind if kind.is_run)
+
+
+class Pressed(NamedTuple):
+    """One press of a unit at the line: where, by whom, and from when until when (UTC)."""
+
+    serial: str
+    station: str
+    actor: str
+    begun: datetime
+    ended: datetime
 
 
 class OrderQueue(OncePerCut):
@@ -55,9 +65,14 @@ class OrderQueue(OncePerCut):
             except IntegrityError as error:
                 raise InputError(self._busy(connection, order.station)) from error
 
-    def take(self, station: str) -> Order | None:
-        """Return the station's next order and mark it running; what is no run (STOP) comes before everything else."""
+    def take(self, station: str, only: OrderKind | None = None) -> Order | None:
+        """Return the station's next order and mark it running; what is no run (STOP) comes before everything else.
+
+        Args:
+            only: take orders of this kind alone.
+        """
         query = select(orders).where(orders.c.station == station, orders.c.state == RunState.QUEUED)
+        query = query if only is None else query.where(orders.c.kind == only)
         with self.database.writing(in_turn=False) as connection:
             found = connection.execute(query.order_by(orders.c.created, orders.c.order_id)).mappings().all()
             if not found:
@@ -66,6 +81,12 @@ class OrderQueue(OncePerCut):
             running = {"state": RunState.RUNNING, "changed_at": self._clock()}
             connection.execute(update(orders).where(orders.c.order_id == row["order_id"]).values(**running))
             return _order(row)
+
+    def has_stop(self, station: str) -> bool:
+        """Return whether somebody said stop and was not answered yet. It only reads."""
+        waiting = (orders.c.station == station, orders.c.state == RunState.QUEUED, orders.c.kind == OrderKind.STOP)
+        with self.database.reading() as connection:
+            return connection.execute(select(orders.c.order_id).where(*waiting).limit(1)).first() is not None
 
     def report(self, progress: Progress) -> None:
         """Write how far an order is. An order that is over stays as it ended."""
@@ -98,6 +119,14 @@ class OrderQueue(OncePerCut):
         with self.database.reading() as connection:
             rows = connection.execute(query).mappings()
             return [(_order(row), _progress(row, Signal())) for row in rows]
+
+    def pressed(self, lot_id: str) -> list[Pressed]:
+        """Return which units of a lot were pressed where and by whom, in time order; broken runs are left out."""
+        o = orders.c
+        query = select(o.serial, o.station, o.actor, o.created, o.changed_at)
+        ended = query.where(o.lot_id == lot_id, o.kind == OrderKind.UNIT, o.state == RunState.DONE)
+        with self.database.reading() as connection:
+            return [Pressed(*row) for row in connection.execute(ended.order_by(o.created, o.order_id))]
 
     def active(self, station: str) -> tuple[Order, Progress] | None:
         """Return the run that occupies a station, or None."""

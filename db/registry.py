@@ -21,8 +21,10 @@ from softcal.db.lot_pages import LotPages
 from softcal.db.lot_tables import LotTables
 from softcal.db.network_release import NetworkReleases
 from softcal.db.order_queue import OrderQueue
+from softcal.db.outbox import Outbox
 from softcal.db.people import People
 from softcal.db.station_tables import StationTables
+from softcal.db.tokens import TokenTable
 from softcal.db.work_queue import WorkQueue
 
 
@@ -35,6 +37,7 @@ class Registry(
     AdaptationTables,
     StationTables,
     People,
+    TokenTable,
 ):
     """An open registry, used as a context manager and made by `open_registry`."""
 
@@ -91,6 +94,11 @@ class Registry(
         """Long computations that pages ask for."""
         return JobBoard(self.database, self.settings.clock)
 
+    @property
+    def outbox(self) -> Outbox:
+        """How far each destination outside is in the audit trail."""
+        return Outbox(self.database, self.settings.clock)
+
     def add_event(
         self,
         action: str,
@@ -110,6 +118,11 @@ class Registry(
         """Return what the audit trail tells of one entity, in time order, whichever registry wrote it."""
         with self.database.reading() as connection:
             return history.of_entity(connection, entity, key)
+
+    def events_of_kind(self, entity: str) -> list[AuditRow]:
+        """Return what the audit trail tells of all entities of a kind, in time order."""
+        with self.database.reading() as connection:
+            return history.of_kind(connection, entity)
 
     def audit_rows(self, origin: str | None = None) -> list[AuditRow]:
         """Return the audit trail of one registry, or of all that were synchronised, oldest first per origin."""

@@ -28,7 +28,7 @@ from sqlalchemy.types import TypeDecorator
 
 from softcal.core.errors import RegistryError
 
-SCHEMA = "0007"
+SCHEMA = "0008"
 """Revision of the newest migration: what a registry must have to be used by this version."""
 
 metadata = MetaData(
@@ -76,7 +76,19 @@ class UtcTime(TypeDecorator[datetime]):
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
 
     def result_processor(self, dialect: Dialect, coltype: object) -> Any:
-        return _read_or_damaged(super().result_processor(dialect, coltype))
+        return _read_or_damaged(_of_text(super().result_processor(dialect, coltype)))
+
+
+def _of_text(process: Any) -> Any:
+    """Refuse an instant that SQLite keeps in other words: it would read as the same and sort as another one."""
+
+    def read(value: Any) -> Any:
+        instant = process(value)
+        if isinstance(value, str) and value != instant.strftime("%Y-%m-%d %H:%M:%S.%f"):
+            raise ValueError(value)
+        return instant
+
+    return read
 
 
 class CanonicalJson(TypeDecorator[Any]):
@@ -460,6 +472,31 @@ jobs = Table(
     Column("beaten_at", UtcTime, nullable=False),
     CheckConstraint("state IN ('queued', 'running', 'done', 'error', 'cancelled')", name="state"),
     Index("ix_jobs_kind", "kind", "created"),
+)
+
+tokens = Table(
+    "tokens",
+    metadata,
+    Column("token_id", String(32), primary_key=True),
+    sha256_column("sha256", nullable=False),
+    Column("account", ForeignKey("users.name"), nullable=False),
+    Column("purpose", Text, nullable=False),
+    Column("created", UtcTime, nullable=False),
+    Column("ends_at", UtcTime, nullable=False),
+    Column("is_withdrawn", Boolean, nullable=False),
+    Index("uq_tokens_sha256", "sha256", unique=True),
+)
+
+deliveries = Table(
+    "deliveries",
+    metadata,
+    Column("destination", String(64), primary_key=True),
+    Column("cursor", CanonicalJson, nullable=False),
+    Column("delivered", BigInteger, nullable=False),
+    Column("failures", Integer, nullable=False),
+    Column("not_before", UtcTime),
+    Column("error", Text, nullable=False),
+    Column("changed_at", UtcTime, nullable=False),
 )
 
 AUDITED = (

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softcal.app.files.atomic import whole_folder
+from softcal.app.files.bounded_table import MOST_CELLS
 from softcal.app.files.lot_folder import same_recording, write_lot_toml
-from softcal.app.files.recording_file import MOST_CELLS, column, naming, read_table, write_columns
+from softcal.app.files.recording_file import SUFFIXES, column, naming, read_table, write_columns
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -42,6 +43,12 @@ class Columns:
         """Whether one table holds a column per unit."""
         return any(c in self.output for c in "*?[")
 
+    def asks_for(self, name: str) -> bool:
+        """Whether a column of this name is needed; the others are not read where the format allows."""
+        return name in (self.reference, self.time, self.stage) or (
+            fnmatch.fnmatchcase(name, self.output) if self.is_wide else name == self.output
+        )
+
 
 @dataclass(frozen=True)
 class ImportPlan:
@@ -58,6 +65,7 @@ class ImportPlan:
         serials: serial of each file in order; None takes the file names.
         most_cells: a table with more is refused before it is read.
         without: serials that are left out.
+        more_sources: serials of further sources beside the lot's own.
     """
 
     files: Sequence[Path]
@@ -70,6 +78,12 @@ class ImportPlan:
     serials: Sequence[str] | None = None
     most_cells: int = MOST_CELLS
     without: frozenset[str] = frozenset()
+    more_sources: Sequence[str] = ()
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Serials of the units whose references train a network, the lot's own source first."""
+        return (self.lot.source, *self.more_sources)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +104,22 @@ class ImportedUnit:
         return ImportedUnit(self.recording.part(start, stop), reference)
 
 
+def tables_of(path: Path) -> list[Path]:
+    """Return a file as it is, and of a folder its tables; a lot folder's lie in source/ and units/.
+
+    Raises:
+        InputError: a folder without a table.
+    """
+    if not path.is_dir():
+        return [path]
+    folders = [path, path / "source", path / "units"]
+    found = [file for folder in folders if folder.is_dir() for file in sorted(folder.iterdir())]
+    tables = [file for file in found if file.suffix.lower() in SUFFIXES and not file.name.startswith(".")]
+    if not tables:
+        raise InputError(f"{path}: there is no table in this folder; {', '.join(sorted(SUFFIXES))} were looked for")
+    return tables
+
+
 def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] = lambda line: None) -> list[str]:
     """Write a lot folder, whole or not at all, and return the serials of its target units.
 
@@ -103,16 +133,17 @@ def import_lot(plan: ImportPlan, folder: Path, on_remark: Callable[[str], None] 
             not among the units or has no reference.
     """
     units = _read_units(plan)
-    source = units.get(plan.lot.source)
-    if source is None:
-        raise InputError(f"source {plan.lot.source!r} is none of the units {', '.join(list(units)[:8])}")
-    if source.reference is None:
-        raise InputError(f"source {plan.lot.source!r} has no reference; name its column with --reference-column")
+    for serial in plan.sources:
+        source = units.get(serial)
+        if source is None:
+            raise InputError(f"source {serial!r} is none of the units {', '.join(list(units)[:8])}")
+        if source.reference is None:
+            raise InputError(f"source {serial!r} has no reference; name its column")
     with whole_folder(folder) as part:
         _write(part, plan, units)
     for serials in _alike(units):
         on_remark(same_recording(serials))
-    return [serial for serial in units if serial != plan.lot.source]
+    return [serial for serial in units if serial not in plan.sources]
 
 
 def _alike(units: Mapping[str, ImportedUnit]) -> list[list[str]]:
@@ -124,10 +155,10 @@ def _alike(units: Mapping[str, ImportedUnit]) -> list[list[str]]:
 
 
 def _write(folder: Path, plan: ImportPlan, units: dict[str, ImportedUnit]) -> None:
-    write_lot_toml(folder, plan.lot)
+    write_lot_toml(folder, plan.lot, more_sources=plan.more_sources)
     for serial, unit in units.items():
         fit = unit.part(plan.fit_rows)
-        if serial == plan.lot.source:
+        if serial in plan.sources:
             # The check of both columns together happens here, so that a lot folder never holds a broken source.
             LabelledRecording(fit.recording, _present(fit.reference))
             _write_unit(folder / "source" / f"{serial}.csv", fit)
@@ -178,7 +209,7 @@ def look_through(plan: ImportPlan) -> list[LookedAt]:
     taken: set[str] = set()
     for k, path in enumerate(plan.files):
         try:
-            table = read_table(path, plan.sheet, most_cells=plan.most_cells)
+            table = read_table(path, plan.sheet, most_cells=plan.most_cells, wanted=plan.columns.asks_for)
             outputs = _outputs(plan, table, path)
         except InputError as error:
             found.append(LookedAt(path.name, "", None, _without_folder(error, path)))
@@ -229,13 +260,11 @@ def _read_units(plan: ImportPlan) -> dict[str, ImportedUnit]:
     if not plan.files:
         raise InputError("no file to import; name at least one CSV, Excel or Parquet file")
     if plan.serials is not None and (plan.columns.is_wide or len(plan.serials) != len(plan.files)):
-        raise InputError(
-            f"{len(plan.serials)} serials for {len(plan.files)} files; give one --serial per file, in order"
-        )
+        raise InputError(f"{len(plan.serials)} serials for {len(plan.files)} files; give one serial per file, in order")
     units: dict[str, ImportedUnit] = {}
     taken: set[str] = set()
     for k, path in enumerate(plan.files):
-        table = read_table(path, plan.sheet, most_cells=plan.most_cells)
+        table = read_table(path, plan.sheet, most_cells=plan.most_cells, wanted=plan.columns.asks_for)
         for output in _outputs(plan, table, path):
             serial = _serial(plan, k, path, output)
             if serial in plan.without:
@@ -250,7 +279,7 @@ def _read_unit(table: "pd.DataFrame", path: Path, output: str, serial: str, plan
     t_s = np.arange(len(values)) / rate_Hz if columns.time is None else column(table, columns.time, path)
     stage_mm = None if columns.stage is None else column(table, columns.stage, path)
     reference = None
-    if columns.reference is not None and (serial == plan.lot.source or columns.reference in table.columns):
+    if columns.reference is not None and (serial in plan.sources or columns.reference in table.columns):
         reference = column(table, columns.reference, path)
     return ImportedUnit(OutputRecording(serial, t_s, values, rate_Hz, plan.lot.output_unit, stage_mm), reference)
 
@@ -271,16 +300,16 @@ def median_rate_Hz(path: Path, time_column: str, sheet: str | None = None, most_
     if found := OTHER_TIMES.search(time_column):
         raise InputError(
             f"{path}: column {time_column!r} is in {found[1]} by its name, not in s; convert it, or leave out "
-            "--time-column and give --sample-rate"
+            "the time column and give the sample rate"
         )
-    t_s = column(read_table(path, sheet, most_cells=most_cells), time_column, path)
+    t_s = column(read_table(path, sheet, most_cells=most_cells, wanted=time_column.__eq__), time_column, path)
     steps = np.diff(t_s)
     if not np.any(steps > 0):
-        raise InputError(f"{path}: column {time_column!r} never advances; give --sample-rate or another --time-column")
+        raise InputError(f"{path}: column {time_column!r} never advances; give the sample rate, or another time column")
     rate_Hz = float(f"{1 / np.median(steps[steps > 0]):.5g}")
     if rate_Hz < SLOWEST_HZ:
         raise InputError(
             f"{path}: column {time_column!r} shows {rate_Hz:g} Hz if it is in s; is it in ms? convert it, or give "
-            "--sample-rate and leave out --time-column"
+            "the sample rate and leave out the time column"
         )
     return rate_Hz

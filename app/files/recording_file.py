@@ -1,33 +1,21 @@
 """Tables on disk (CSV, Parquet, Excel) into columns of numbers; every error names file, line and column."""
 
-import csv
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
-from zipfile import BadZipFile, ZipFile
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from softcal.app.files.bounded_table import CSV, EXCEL, MOST_CELLS, NAMES, PARQUET, Wanted, parsed
 from softcal.core.errors import InputError
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 
 if TYPE_CHECKING:
     import pandas as pd
 
-CSV, PARQUET, EXCEL = {".csv", ".txt", ".tsv"}, {".parquet", ".pq"}, {".xlsx", ".xlsm"}
 SUFFIXES = CSV | PARQUET | EXCEL
-
-MOST_CELLS = 20_000_000
-"""A table with more cells is refused before it is read: a few kB of Parquet can hold them. As text they take 1.5 GB."""
-
-EXCEL_BYTES_PER_CELL = 20
-"""Fewer bytes no cell of a sheet's XML takes; a usual one takes 40."""
-
-EXCEL_CELLS_SHARE = 0.1
-"""Excel cells cost ten times as long to read as others: as many are allowed fewer."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +41,21 @@ class ColumnNames:
 
 
 PLAIN = ColumnNames()
+STAGE = "stage_mm"
 
 
 def read_table(
-    path: Path, sheet: str | None = None, content: bytes | None = None, most_cells: int = MOST_CELLS
+    path: Path,
+    sheet: str | None = None,
+    content: bytes | None = None,
+    most_cells: int = MOST_CELLS,
+    wanted: Wanted | None = None,
 ) -> "pd.DataFrame":
-    """Read a whole table without interpreting it further than the file format does.
+    """Read a table without interpreting it further than the file format does.
 
     Args:
+        wanted: tells by its name whether a column is asked for: others of Parquet and Excel are not read. None asks
+            for all.
         most_cells: a table with more is refused before it is read.
         sheet: of an Excel file; None takes the first.
         content: the bytes of the file where somebody has read them already, maybe on another machine.
@@ -77,7 +72,7 @@ def read_table(
         raise InputError(f"{path}: the file is empty")
     try:
         with path.open("rb") if content is None else BytesIO(content) as file:
-            table = _parsed(file, path, sheet, most_cells)
+            table = parsed(file, path, sheet, most_cells, wanted)
     except InputError:
         raise
     except UnicodeDecodeError as error:
@@ -93,78 +88,6 @@ def read_table(
     return table
 
 
-def _parsed(file: BinaryIO, path: Path, sheet: str | None, most_cells: int) -> "pd.DataFrame":
-    import pandas as pd
-
-    suffix = path.suffix.lower()
-    if suffix in PARQUET:
-        _check_parquet_size(file, path, most_cells)
-        return pd.read_parquet(file, page_checksum_verification=True)
-    if suffix in EXCEL:
-        _check_unpacked_size(file, path, most_cells)
-        sheet_name = sheet if sheet is not None else 0
-        _check_names(pd.read_excel(file, sheet_name=sheet_name, header=None, nrows=1).iloc[0].astype(str), path)
-        return pd.read_excel(file, sheet_name=sheet_name)
-    _check_text(file, path)
-    separator = "\t" if suffix == ".tsv" else ","
-    _check_names(_header(file, separator), path)
-    table = pd.read_csv(file, sep=separator, low_memory=False)
-    # Where rows have a cell more than the header pandas takes the first one for a name, and columns shift.
-    if not isinstance(table.index, pd.RangeIndex):
-        raise InputError(f"{path}: the rows have more cells than the header; give every column a name")
-    return table
-
-
-def _header(file: BinaryIO, separator: str) -> list[str]:
-    """Return the names of the first line that is not empty, and go back to the beginning."""
-    line = next((line for line in file if line.strip()), b"").splitlines()
-    file.seek(0)
-    return next(csv.reader([line[0].decode("utf-8-sig")], delimiter=separator), []) if line else []
-
-
-def _check_names(names: Iterable[str], path: Path) -> None:
-    """Refuse a name that stands twice: readers would call the second one `output.1` and go on."""
-    for name, count in Counter(names).items():
-        if count > 1 and name not in ("", "nan"):
-            raise InputError(f"{path}: more than one column is named {name!r}; rename or remove one")
-
-
-def _check_parquet_size(file: BinaryIO, path: Path, most_cells: int) -> None:
-    import pyarrow.parquet
-
-    facts = pyarrow.parquet.ParquetFile(file).metadata
-    # The footer may lie: the row groups say it again, and what a page really holds pyarrow checks against them.
-    groups = [facts.row_group(k) for k in range(facts.num_row_groups)]
-    rows = max(facts.num_rows, sum(group.num_rows for group in groups))
-    _refuse_large(path, rows * facts.num_columns, most_cells)
-    _refuse_large(path, sum(group.total_byte_size for group in groups) // 8, most_cells)
-    file.seek(0)
-
-
-def _check_text(file: BinaryIO, path: Path) -> None:
-    if b"\0" in file.read(4096):
-        raise InputError(f"{path}: not a text file; export it as CSV again")
-    file.seek(0)
-
-
-def _check_unpacked_size(file: BinaryIO, path: Path, most_cells: int) -> None:
-    try:
-        with ZipFile(file) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-    except BadZipFile as error:
-        raise InputError(f"{path}: not an Excel file; save it as .xlsx again") from error
-    _refuse_large(path, size // EXCEL_BYTES_PER_CELL, int(most_cells * EXCEL_CELLS_SHARE))
-    file.seek(0)
-
-
-def _refuse_large(path: Path, cells: int, most_cells: int) -> None:
-    if cells > most_cells:
-        raise InputError(
-            f"{path}: unpacks to about {cells / 1e6:.3g} million cells, more than {most_cells / 1e6:g} million; split "
-            "it, or raise the limit of `softcal import` with --most-cells"
-        )
-
-
 def named_column(table: "pd.DataFrame", name: str, path: Path) -> "pd.Series[Any]":
     """Return one column as it stands in the file.
 
@@ -173,7 +96,8 @@ def named_column(table: "pd.DataFrame", name: str, path: Path) -> "pd.Series[Any
     """
     names = [str(c) for c in table.columns]
     if names.count(name) != 1:
-        seen = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+        there = table.attrs.get(NAMES, names)
+        seen = ", ".join(there[:12]) + (", ..." if len(there) > 12 else "")
         problem = "there is no column" if name not in names else "more than one column is named"
         raise InputError(f"{path}: {problem} {name!r}; the file has: {seen}")
     return table.iloc[:, names.index(name)]
@@ -226,7 +150,9 @@ def read_recording(
         content: the bytes of the file where somebody has read them already.
         names: of the columns, where they are called otherwise.
     """
-    return _recording(read_table(path, content=content), path, serial, sample_rate_Hz, output_unit, names)
+    asked = {names.output, names.time, STAGE}
+    table = read_table(path, content=content, wanted=asked.__contains__)
+    return _recording(table, path, serial, sample_rate_Hz, output_unit, names)
 
 
 def read_labelled(
@@ -244,7 +170,8 @@ def read_labelled(
         content: the bytes of the file where somebody has read them already.
     """
     output_unit, reference_unit = units
-    table = read_table(path, content=content)
+    asked = {PLAIN.output, PLAIN.time, "reference", STAGE}
+    table = read_table(path, content=content, wanted=asked.__contains__)
     unlabelled = _recording(table, path, serial, sample_rate_Hz, output_unit)
     return LabelledRecording(unlabelled, column(table, "reference", path), reference_unit)
 
@@ -259,7 +186,7 @@ def _recording(
 ) -> OutputRecording:
     output = column(table, names.output, path)
     t_s = np.arange(len(output)) / (names.rate_Hz or 1.0) if names.time is None else column(table, names.time, path)
-    stage_mm = column(table, "stage_mm", path) if "stage_mm" in table.columns else None
+    stage_mm = column(table, STAGE, path) if STAGE in table.columns else None
     with naming(path):
         return OutputRecording(serial, t_s, output, sample_rate_Hz or _median_rate_Hz(t_s), output_unit, stage_mm)
 

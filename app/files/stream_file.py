@@ -9,7 +9,8 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from softcal.app.files.atomic import whole_file
-from softcal.app.files.recording_file import CSV, PARQUET, PLAIN, ColumnNames, named_column, read_table, shown
+from softcal.app.files.bounded_table import CSV, PARQUET
+from softcal.app.files.recording_file import PLAIN, ColumnNames, named_column, read_table, shown
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
 from softcal.core.unit.estimate import Estimate

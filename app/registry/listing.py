@@ -64,7 +64,7 @@ def only_lot(serial: str, lots: Sequence[str], wanted: str | None) -> str:
     if not lots:
         raise InputError(f"serial {serial!r} is not in lot {wanted!r}")
     if len(lots) > 1:
-        raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which with --lot")
+        raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which lot")
     return lots[0]
 
 

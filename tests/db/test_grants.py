@@ -86,6 +86,7 @@ NEEDED_BY_THE_LINE = {
     "adaptations": {"INSERT"}, "golden_runs": {"INSERT"}, "work_items": {"INSERT", "UPDATE", "DELETE"},
     "orders": {"INSERT", "UPDATE"}, "heartbeats": {"INSERT", "UPDATE"}, "run_signals": {"INSERT", "DELETE"},
     "jobs": {"INSERT", "UPDATE"}, "line_places": {"INSERT", "UPDATE"},
+    "deliveries": {"INSERT", "UPDATE"},
 }  # fmt: skip
 """Written down by hand: what a line does. Everything else must be refused."""
 

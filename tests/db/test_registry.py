@@ -167,9 +167,9 @@ def test_a_serial_that_stands_in_two_lots_is_asked_for_with_its_lot(factory, mak
     factory.calibrate("A1", 1)
     other = make_factory(factory.registry, "L2")
     assert other.calibrate("A1", 2) == 2
-    with pytest.raises(InputError, match="'L1', 'L2'.*--lot"):
+    with pytest.raises(InputError, match="'L1', 'L2'.*which lot"):
         factory.registry.calibration("A1")
-    with pytest.raises(InputError, match="'L1', 'L2'.*--lot"):
+    with pytest.raises(InputError, match="'L1', 'L2'.*which lot"):
         factory.registry.rollback("A1", 1, reason="x")
     assert [factory.registry.calibration("A1", lot_id=lot).revision for lot in ("L1", "L2")] == [1, 2]
     assert [c.is_current for c in factory.registry.history("A1")] == [True, True]

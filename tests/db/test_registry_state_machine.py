@@ -1,36 +1,108 @@
 """The registry behaves like a plain dictionary with a memory, whatever is done to it in whatever order."""
 
+import itertools
+import os
 import shutil
+import sqlite3
 import tempfile
+import uuid
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
-from hypothesis import HealthCheck, settings
+import pytest
+from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+from sqlalchemy import Engine, create_engine, insert, text
+from sqlalchemy.exc import OperationalError
 
-from softcal.core.errors import InputError
+from softcal.app.registry.maintenance import upgrade
+from softcal.core.errors import InputError, SoftcalError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.words.reason import plain
+from softcal.db import history, in_use
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
+from softcal.db.database import open_database
+from softcal.db.maintenance import migrate
+from softcal.db.registry import Registry
+from softcal.db.tables import audit
 
+ADMIN_URL = os.environ.get("SOFTCAL_TEST_POSTGRESQL", "postgresql+psycopg://postgres@127.0.0.1:5432/postgres")
+BEFORE = "0006"
+"""The last schema that stated neither what is in use nor which network is released."""
+
+STATED_SINCE = ("in_use", "network_releases")
 SERIALS = st.sampled_from(["A1", "A2", "A3"])
 LOTS = st.sampled_from(["L1", "L2"])
 NUMBERS = st.integers(0, 3)
 
 
+@cache
+def server() -> Engine | None:
+    """A server that makes and drops databases; None where none answers."""
+    engine = create_engine(ADMIN_URL, isolation_level="AUTOCOMMIT")
+    try:
+        engine.connect().close()
+    except OperationalError:
+        return None
+    return engine
+
+
+def as_before(path: Path, older: Path) -> None:
+    """Write what a registry holds as the version before would have: tables, columns and audit trail of its own."""
+    registry = open_registry(f"sqlite:///{path}", create=False)
+    with registry.database.reading() as connection:
+        trail = [row for row in history.rows(connection) if row.entity not in STATED_SINCE]
+    registry.close()
+    migrate(database := open_database(f"sqlite:///{older}"), BEFORE)
+    database.close()
+    with sqlite3.connect(older) as raw:
+        raw.execute("ATTACH ? AS newer", (str(path),))
+        known = [name for (name,) in raw.execute("SELECT name FROM main.sqlite_master WHERE type = 'table'")]
+        for table in (name for name in known if name not in ("audit", "alembic_version", "registry_info")):
+            columns = ", ".join(f'"{row[1]}"' for row in raw.execute(f"PRAGMA main.table_info({table})"))
+            raw.execute(f"INSERT INTO main.{table} ({columns}) SELECT {columns} FROM newer.{table}")
+        origin = "SELECT value FROM newer.registry_info WHERE key = 'origin'"
+        raw.execute(f"UPDATE main.registry_info SET value = ({origin}) WHERE key = 'origin'")
+        raw.execute("DELETE FROM main.registry_info WHERE key <> 'origin'")
+    raw.close()
+    database = open_database(f"sqlite:///{older}")
+    with database.writing() as connection:
+        for _, chain in itertools.groupby(trail, key=lambda row: row.origin):
+            seq, sha256 = 0, history.FIRST_HASH
+            for row in chain:
+                seq, again = seq + 1, replace(row, seq=seq + 1, prev_hash=sha256)
+                sha256 = history.row_hash(again)
+                connection.execute(insert(audit), vars(replace(again, hash=sha256)))
+    database.close()
+
+
 class RegistryMachine(RuleBasedStateMachine):
     """Every rule is done to the registry and to `self.history`: per serial the numbers of its revisions."""
+
+    moves = True
+    """Whether it goes to other files, databases and versions, which takes seconds."""
 
     def __init__(self) -> None:
         super().__init__()
         self.folder = Path(tempfile.mkdtemp(prefix="softcal-machine-"))
-        self.registry = open_registry(f"sqlite:///{self.folder / 'registry.db'}")
+        self.url, self.numbers = f"sqlite:///{self.folder / 'registry.db'}", itertools.count()
+        self.registry = open_registry(self.url)
+        self.databases: list[str] = []
         self.history: dict[str, list[int]] = {}
         self.units: dict[str, set[str]] = {}
         self.verdicts: dict[tuple[str, str], str] = {}
@@ -103,16 +175,40 @@ class RegistryMachine(RuleBasedStateMachine):
     @rule()
     def open_again(self) -> None:
         self.registry.close()
-        self.registry = open_registry(f"sqlite:///{self.folder / 'registry.db'}", create=False)
+        self.registry = open_registry(self.url, create=False)
 
-    @precondition(lambda self: not (self.folder / "backup.db").exists())
+    def new_file(self) -> Path:
+        return self.folder / f"{next(self.numbers)}.db"
+
+    @precondition(lambda self: self.moves)
     @rule()
     def back_up_and_restore(self) -> None:
-        back_up(self.registry.database, self.folder / "backup.db")
+        self.move_to(f"sqlite:///{self.new_file()}")
+
+    @precondition(lambda self: self.moves and not self.databases and server() is not None)
+    @rule()
+    def move_to_postgresql(self) -> None:
+        self.databases.append(f"softcal_test_{uuid.uuid4().hex[:12]}")
+        with server().connect() as connection:
+            connection.execute(text(f"CREATE DATABASE {self.databases[-1]}"))
+        self.move_to(server().url.set(database=self.databases[-1]).render_as_string(hide_password=False))
+
+    def move_to(self, url: str) -> None:
+        backup = self.new_file()
+        back_up(self.registry.database, backup)
         self.registry.close()
-        (self.folder / "registry.db").unlink()
-        restore(self.folder / "backup.db", f"sqlite:///{self.folder / 'registry.db'}")
-        self.registry = open_registry(f"sqlite:///{self.folder / 'registry.db'}", create=False)
+        restore(backup, url)
+        self.url, self.registry = url, open_registry(url, create=False)
+
+    @precondition(lambda self: self.moves and self.url.startswith("sqlite"))
+    @rule()
+    def come_from_the_version_before(self) -> None:
+        self.registry.close()
+        older = self.new_file()
+        as_before(Path(self.url.removeprefix("sqlite:///")), older)
+        self.url = f"sqlite:///{older}"
+        assert upgrade(self.url).before == BEFORE
+        self.registry = open_registry(self.url, create=False)
 
     @invariant()
     def the_history_is_the_model_s(self) -> None:
@@ -129,12 +225,51 @@ class RegistryMachine(RuleBasedStateMachine):
             assert found == {serial: self.verdicts.get((lot_id, serial)) for serial in serials}
 
     def teardown(self) -> None:
-        assert self.registry.verify() == []
-        self.registry.close()
-        shutil.rmtree(self.folder)
+        try:
+            assert self.registry.verify() == []
+        finally:
+            self.registry.close()
+            shutil.rmtree(self.folder)
+            for name in self.databases:
+                with server().connect() as connection:
+                    connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
 
 
 TestRegistryMachine = RegistryMachine.TestCase
 TestRegistryMachine.settings = settings(
     max_examples=12, stateful_step_count=20, deadline=None, suppress_health_check=list(HealthCheck)
 )
+
+
+class StayingMachine(RegistryMachine):
+    """The same without what takes seconds, for many examples."""
+
+    moves = False
+
+
+def _no_rollback(self, serial, to, **_):
+    return self.history(serial)[-1].revision
+
+
+def _first_one_stays(self, connection, lot_id, serial, *rest):
+    known = in_use.InUseTable._in_use(self, connection, lot_id, serial)
+    return None if known is not None else STATE(self, connection, lot_id, serial, *rest)
+
+
+STATE = in_use.InUseTable._state
+MUTANTS = {
+    "a rollback does nothing": ("rollback", _no_rollback),
+    "the first map stays in use": ("_state", _first_one_stays),
+    "a refusal is forgotten": ("add_refusal", lambda *_, **__: None),
+}
+
+
+@pytest.mark.parametrize("mutant", MUTANTS)
+def test_the_machine_finds_a_registry_that_does_otherwise(mutant: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Registry, *MUTANTS[mutant])
+    quick = settings(
+        max_examples=40, stateful_step_count=12, deadline=None, database=None, derandomize=True,
+        phases=[Phase.generate], suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
+    with pytest.raises((AssertionError, SoftcalError, KeyError)):
+        run_state_machine_as_test(StayingMachine, settings=quick)

@@ -57,9 +57,11 @@ def fill(registry: Registry) -> None:
 
 def rows_touched(registry: Registry, question: Callable[[], object]) -> int:
     """Ask, then explain every statement that was sent, and add up the rows their scans looked at."""
-    engine, sent = registry.database.engine, []
+    engine, sent, settings = registry.database.engine, [], ["SELECT 1;"]
 
     def remember(connection, cursor, statement, parameters, context, executemany):
+        if statement.startswith("SET LOCAL"):
+            settings.append(f"{statement};")
         if statement.lstrip()[:6] in ("SELECT", "UPDATE", "DELETE") and not executemany:
             sent.append((statement, parameters))
 
@@ -71,6 +73,7 @@ def rows_touched(registry: Registry, question: Callable[[], object]) -> int:
     total = 0
     for statement, parameters in sent:
         with engine.connect() as connection:
+            connection.exec_driver_sql("".join(settings))
             explained = f"EXPLAIN (ANALYZE, FORMAT JSON) {statement}"
             total += _scanned(connection.exec_driver_sql(explained, parameters).scalar_one()[0]["Plan"])
             connection.rollback()

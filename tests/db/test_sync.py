@@ -70,7 +70,7 @@ def test_of_two_results_for_one_serial_a_person_decides(station, registry, make_
         assert unit == page and unit.is_conflict and (unit.verdict, unit.revision) == ("retest", None)
         assert side.verdict_counts("L1")["retest"] == 1
         assert side.verify() == []
-        with pytest.raises(InputError, match="--origin"):
+        with pytest.raises(InputError, match="origin"):
             side.rollback("A1", 2, reason="which?")
     assert registry.rollback("A1", 2, origin=mine, reason="the other was not seated") == 3
     assert synchronise(station.registry, registry).conflicts == ()

@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,12 @@ from sqlalchemy import create_engine, text
 from sqlalchemy.pool import NullPool
 
 from softcal.app.cli.main import main
-from softcal.core.errors import SoftcalError
+from softcal.core.errors import RegistryError, SoftcalError
 from softcal.core.recording import OutputRecording
 from softcal.core.words.reason import plain
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
-from softcal.db.entries import Anchor
+from softcal.db.entries import Anchor, GoldenRun
 from softcal.db.lot_pages import UnitFilter
 from softcal.db.tables import AUDITED, metadata
 
@@ -167,6 +168,33 @@ def edits(registry) -> list[str]:
             made.append(f'UPDATE {name} SET "{column.name}" = {change} WHERE rowid = (SELECT max(rowid) FROM {name})')
         made.append(f"DELETE FROM {name} WHERE rowid = (SELECT max(rowid) FROM {name})")
     return made
+
+
+@pytest.mark.parametrize(
+    ("statement", "said", "is_told_at_use"),
+    [
+        # The same instant to Python, and behind every other one to the database.
+        ("UPDATE refusals SET made_at = replace(made_at, ' ', 'T')", "made_at", True),
+        ("UPDATE lots SET added_at = replace(added_at, ' ', '1')", "added_at", True),
+        ("UPDATE audit SET at = replace(at, ' ', 'T') WHERE seq = 2", "damaged", False),
+        ("UPDATE calibrations SET settings = replace(settings, ':', ': ')", "settings", False),
+        ("UPDATE golden_runs SET passed = 2", "passed", False),
+    ],
+)
+def test_a_value_in_other_words_is_found(file_registry, make_factory, statement, said, is_told_at_use):
+    factory = make_factory(file_registry)
+    factory.calibrate("A1", 1)
+    file_registry.add_refusal("L1", "A1", "fail", (plain("constant"),))
+    file_registry.add_golden_run(GoldenRun("s1", "G1", datetime(2026, 5, 4, tzinfo=UTC), 0.01, "N", True))
+    table = statement.split()[1]
+    behind(file_registry, f"DROP TRIGGER {table}_no_update", statement)
+    lines = [line for line in file_registry.verify() if not line.startswith("trigger ")]
+    assert lines and all(table in line or line.startswith(("values", "audit trail", "rows")) for line in lines)
+    if is_told_at_use:
+        with pytest.raises(RegistryError, match="damaged"):
+            file_registry.units("L1"), file_registry.lots()
+    else:
+        assert any(said in line for line in lines)
 
 
 PASSING = ("failures", "locked_until", "changed_at")

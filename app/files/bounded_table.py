@@ -1,0 +1,218 @@
+"""Tables of CSV, Parquet and Excel, no larger than allowed: counted before they are read, only the columns asked for.
+
+A few kB can unpack to more than any memory holds: repeated values of Parquet, a spreadsheet whose only cell stands in
+its last row. What is counted is what the reader would have to make, never what the file says of itself alone.
+"""
+
+import csv
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+from zipfile import BadZipFile, ZipFile
+
+from softcal.core.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+CSV, PARQUET, EXCEL = {".csv", ".txt", ".tsv"}, {".parquet", ".pq"}, {".xlsx", ".xlsm"}
+
+MOST_CELLS = 20_000_000
+"""A table with more cells is refused before it is read: a few kB of Parquet can hold them. As text they take 1.5 GB."""
+
+CSV_BYTES_PER_CELL = 25
+"""More bytes no number takes as text, with what parts it from the next one."""
+
+EXCEL_BYTES_PER_CELL = 20
+"""Fewer bytes no cell of a sheet's XML takes; a usual one takes 40."""
+
+EXCEL_CELLS_SHARE = 0.1
+"""Excel cells cost ten times as long to read as others: as many are allowed fewer."""
+
+BYTES_AT_ONCE = 1 << 20
+NAMES = "names"
+"""Attribute of a table that holds the names of all columns of its file."""
+
+Wanted = Callable[[str], bool]
+
+
+def parsed(file: BinaryIO, path: Path, sheet: str | None, most_cells: int, wanted: Wanted | None) -> "pd.DataFrame":
+    """Return the wanted columns of a table; of a CSV all. Where none is wanted the first one stands for the rows.
+
+    Args:
+        sheet: of an Excel file; None takes the first.
+        most_cells: a table with more is refused.
+        wanted: tells by its name whether a column is asked for; None asks for all.
+
+    Raises:
+        InputError: the table is too large, or a name stands twice. The readers raise what they like for a broken file.
+    """
+    suffix = path.suffix.lower()
+    if suffix in PARQUET:
+        return _parquet(file, path, most_cells, wanted)
+    if suffix in EXCEL:
+        return _excel(file, path, sheet, most_cells, wanted)
+    return _csv(file, path, most_cells)
+
+
+def _csv(file: BinaryIO, path: Path, most_cells: int) -> "pd.DataFrame":
+    import pandas as pd
+
+    separator = "\t" if path.suffix.lower() == ".tsv" else ","
+    _check_text(file, path, separator.encode(), most_cells)
+    _check_names(_header(file, separator), path)
+    table = pd.read_csv(file, sep=separator, low_memory=False)
+    # Where rows have a cell more than the header pandas takes the first one for a name, and columns shift.
+    if not isinstance(table.index, pd.RangeIndex):
+        raise InputError(f"{path}: the rows have more cells than the header; give every column a name")
+    return table
+
+
+def _check_text(file: BinaryIO, path: Path, separator: bytes, most_cells: int) -> None:
+    size = cells = 0
+    while part := file.read(BYTES_AT_ONCE):
+        if not size and b"\0" in part[:4096]:
+            raise InputError(f"{path}: not a text file; export it as CSV again")
+        size += len(part)
+        cells += part.count(separator) + max(part.count(b"\n"), part.count(b"\r"))
+        refuse_large(path, max(cells, size // CSV_BYTES_PER_CELL), most_cells)
+    file.seek(0)
+
+
+def _header(file: BinaryIO, separator: str) -> list[str]:
+    """Return the names of the first line that is not empty, and go back to the beginning."""
+    line = next((line for line in file if line.strip()), b"").splitlines()
+    file.seek(0)
+    return next(csv.reader([line[0].decode("utf-8-sig")], delimiter=separator), []) if line else []
+
+
+def _parquet(file: BinaryIO, path: Path, most_cells: int, wanted: Wanted | None) -> "pd.DataFrame":
+    import pyarrow.parquet as pq
+
+    schema = pq.read_schema(file)
+    _check_names(schema.names, path)
+    names = _asked(schema.names, wanted)
+    text = [name for name in names if _is_text(schema.field(name).type)]
+    file.seek(0)
+    # Equal texts stay one text: a column of them may otherwise unpack to any size.
+    opened = pq.ParquetFile(file, page_checksum_verification=True, read_dictionary=text)
+    rows = _parquet_rows(opened.metadata)
+    refuse_large(path, rows * sum(_cells_of(schema.field(name), path) for name in names), most_cells)
+    refuse_large(path, _parquet_bytes(opened.metadata, set(names)) // 8, most_cells)
+    table = opened.read(columns=names)
+    for name in text:
+        refuse_large(path, _text_bytes(table[name]) // 8, most_cells)
+    whole: pd.DataFrame = table.to_pandas(ignore_metadata=True)
+    for name in text:
+        whole[name] = whole[name].astype(object)
+    whole.attrs[NAMES] = list(schema.names)
+    return whole
+
+
+def _is_text(kind: "pa.DataType") -> bool:
+    import pyarrow as pa
+
+    return any(is_such(kind) for is_such in (pa.types.is_string, pa.types.is_binary))
+
+
+def _cells_of(field: "pa.Field", path: Path) -> int:
+    """Return how many cells' room a value of a column takes."""
+    import pyarrow as pa
+
+    if pa.types.is_nested(field.type):
+        raise InputError(f"{path}: column {field.name!r} holds lists or records where numbers were expected")
+    return 1 if _is_text(field.type) or not _has_width(field.type) else max(1, field.type.bit_width // 64)
+
+
+def _has_width(kind: "pa.DataType") -> bool:
+    try:
+        return bool(kind.bit_width)
+    except ValueError:
+        return False
+
+
+def _parquet_rows(facts: Any) -> int:
+    # The footer may lie: the row groups say it again, and what a page really holds pyarrow checks against them.
+    groups = [int(facts.row_group(k).num_rows) for k in range(facts.num_row_groups)]
+    return max(int(facts.num_rows), sum(groups))
+
+
+def _parquet_bytes(facts: Any, names: set[str]) -> int:
+    groups = (facts.row_group(k) for k in range(facts.num_row_groups))
+    columns = (group.column(j) for group in groups for j in range(group.num_columns))
+    return sum(int(column.total_uncompressed_size) for column in columns if column.path_in_schema in names)
+
+
+def _text_bytes(column: "pa.ChunkedArray") -> int:
+    """Return the bytes that the texts of a column would take one after another."""
+    import pyarrow.compute as pc
+
+    return sum(
+        int(pc.sum(pc.take(pc.binary_length(chunk.dictionary), chunk.indices)).as_py() or 0) for chunk in column.chunks
+    )
+
+
+def _excel(file: BinaryIO, path: Path, sheet: str | None, most_cells: int, wanted: Wanted | None) -> "pd.DataFrame":
+    import pandas as pd
+    from openpyxl import load_workbook
+
+    most_cells = int(most_cells * EXCEL_CELLS_SHARE)
+    refuse_large(path, _unpacked_bytes(file, path) // EXCEL_BYTES_PER_CELL, most_cells)
+    workbook = load_workbook(file, read_only=True, data_only=True)
+    found = workbook.worksheets[0] if sheet is None else workbook[sheet]
+    # What the sheet says of its own size is not asked: it makes the reader fill up every row.
+    found.reset_dimensions()
+    rows = _counted(found.iter_rows(values_only=True), path, most_cells)
+    header = ["" if name is None else str(name) for name in next(rows, ())]
+    _check_names(header, path)
+    names = _asked(header, wanted)
+    places = [header.index(name) for name in names]
+    kept = [[row[k] if k < len(row) else None for k in places] for row in rows]
+    while kept and all(cell is None for cell in kept[-1]):
+        kept.pop()
+    table = pd.DataFrame(kept, columns=names)
+    table.attrs[NAMES] = header
+    return table
+
+
+def _counted(rows: Iterator[tuple[Any, ...]], path: Path, most_cells: int) -> Iterator[tuple[Any, ...]]:
+    cells = 0
+    for row in rows:
+        cells += max(1, len(row))
+        refuse_large(path, cells, most_cells)
+        yield row
+
+
+def _unpacked_bytes(file: BinaryIO, path: Path) -> int:
+    try:
+        # Nothing reads more of an entry than it says here.
+        with ZipFile(file) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+    except BadZipFile as error:
+        raise InputError(f"{path}: not an Excel file; save it as .xlsx again") from error
+    file.seek(0)
+    return size
+
+
+def _asked(names: Sequence[str], wanted: Wanted | None) -> list[str]:
+    asked = [name for name in names if name and (wanted is None or wanted(name))]
+    return asked or list(islice(names, 1))
+
+
+def _check_names(names: Sequence[str], path: Path) -> None:
+    """Refuse a name that stands twice: readers would call the second one `output.1` and go on."""
+    for name, count in Counter(names).items():
+        if count > 1 and name not in ("", "nan"):
+            raise InputError(f"{path}: more than one column is named {name!r}; rename or remove one")
+
+
+def refuse_large(path: Path, cells: int, most_cells: int) -> None:
+    """Refuse a table with more cells than allowed."""
+    if cells > most_cells:
+        raise InputError(
+            f"{path}: unpacks to about {cells / 1e6:.3g} million cells, more than {most_cells / 1e6:g} million; split "
+            "it, or raise the limit of the import (most cells)"
+        )

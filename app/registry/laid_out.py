@@ -1,0 +1,43 @@
+"""A lot of the registry as a lot folder: what a station recorded for orders, in files that people and `batch` take."""
+
+from pathlib import Path
+
+from softcal.app.files.atomic import whole_folder
+from softcal.app.files.lot_folder import write_lot_toml
+from softcal.app.files.recording_file import write_columns
+from softcal.app.registry.reference import lot_reference
+from softcal.core.errors import InputError
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.db.registry import Registry
+
+FOLDER_OF = {"source": "source", "unit": "units", "audit": "audit"}
+"""Part of a lot folder by the kind of recording."""
+
+
+def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str, list[str]]:
+    """Write the newest recording of each unit and kind, whole or not at all; return the serials by part.
+
+    Raises:
+        InputError: no such lot, its source has no recording, or the folder exists and is not empty.
+    """
+    lot = registry.lot(lot_id)
+    newest = {(entry.kind, entry.serial): entry.sha256 for entry in registry.recordings(lot_id)}
+    if ("source", lot.source) not in newest:
+        raise InputError(f"lot {lot_id!r}: its source {lot.source} has no recording yet; press it first")
+    written: dict[str, list[str]] = {part: [] for part in FOLDER_OF.values()}
+    with whole_folder(folder) as part:
+        write_lot_toml(part, lot, lot_reference(registry, lot_id))
+        for (kind, serial), sha256 in newest.items():
+            write_columns(part / FOLDER_OF[kind] / f"{serial}.csv", _columns(registry.recording(sha256)))
+            written[FOLDER_OF[kind]].append(serial)
+    return written
+
+
+def _columns(recording: OutputRecording | LabelledRecording) -> list[tuple[str, Array]]:
+    output = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
+    columns = [("t_s", output.t_s), ("output", output.output)]
+    if isinstance(recording, LabelledRecording):
+        columns.append(("reference", recording.reference))
+    if output.stage_mm is not None:
+        columns.append(("stage_mm", output.stage_mm))
+    return columns
