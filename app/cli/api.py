@@ -1,0 +1,135 @@
+"""`softcal api`: the REST interface, and the tokens by which programs sign in to it."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of
+from softcal.app.output import print_table, say, write_json
+
+if TYPE_CHECKING:
+    from softcal.db.entries import Token
+
+DONE = 0
+EXAMPLES = """examples:
+  softcal api token create --account MES --purpose "MES of hall 3" --days 365
+  softcal api serve
+  softcal api serve --host 0.0.0.0 --name softcal.plant --cert server.pem --key server.key
+  softcal api token list
+  softcal api token withdraw 3f2a9c0b1d4e --reason "MES was replaced"
+  softcal api openapi --out openapi.json
+
+A token may do what the role of its account may; people with the role quality make accounts, on the page People.
+"""
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal api`."""
+    parser = commands.add_parser(
+        "api",
+        help="the REST interface for other programs, and their tokens",
+        description="Units, verdicts, files, lots, jobs and events for other programs, over HTTP.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    serve = actions.add_parser("serve", help="serve the REST interface until Ctrl-C")
+    add_registry(serve)
+    serve.add_argument("--host", default="127.0.0.1", help="address to listen at; default: this machine only")
+    serve.add_argument("--port", type=int, default=8600, help="default 8600")
+    serve.add_argument(
+        "--name", action="append", default=[], help="another name under which programs reach this server; repeatable"
+    )
+    serve.add_argument("--cert", type=Path, metavar="FILE", help="certificate of the server, PEM")
+    serve.add_argument("--key", type=Path, metavar="FILE", help="its private key, PEM")
+    serve.set_defaults(run=_serve)
+    openapi = actions.add_parser("openapi", help="write the OpenAPI document")
+    openapi.add_argument("--out", type=Path, required=True, metavar="FILE")
+    openapi.set_defaults(run=_openapi)
+    _add_token(actions)
+
+
+def _add_token(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    token = actions.add_parser("token", help="make, list and withdraw tokens")
+    kinds = token.add_subparsers(title="actions", metavar="ACTION", required=True)
+    create = kinds.add_parser("create", help="make a token; it is shown once")
+    create.add_argument("--account", required=True, metavar="NAME", help="whose role says what it may")
+    create.add_argument("--purpose", required=True, metavar="TEXT", help="which program it is for")
+    create.add_argument("--days", type=int, default=365, metavar="N", help="how long it holds; default 365")
+    create.set_defaults(run=_create)
+    listing = kinds.add_parser("list", help="all tokens, without their secrets")
+    add_csv(listing)
+    listing.set_defaults(run=_list)
+    withdraw = kinds.add_parser("withdraw", help="make a token useless from now on")
+    withdraw.add_argument("token", metavar="ID")
+    withdraw.add_argument("--reason", required=True, help="lands in the audit trail")
+    withdraw.set_defaults(run=_withdraw)
+    for each in (create, listing, withdraw):
+        add_registry(each)
+        add_json(each)
+
+
+def _serve(options: argparse.Namespace) -> int:
+    from softcal.app.connect.serving import ServingOptions, serve_api
+
+    serving = ServingOptions(
+        options.registry, options.host, options.port, tuple(options.name), options.cert, options.key
+    )
+    scheme = "http" if options.cert is None else "https"
+    say(f"the REST interface is at {scheme}://{options.host}:{options.port}/v1; Ctrl-C ends it")
+    serve_api(serving)
+    return DONE
+
+
+def _openapi(options: argparse.Namespace) -> int:
+    from softcal.app.bootstrap import open_chosen_registry
+    from softcal.app.connect.rest import openapi_document, rest_app
+
+    with open_chosen_registry("sqlite://") as registry:
+        write_json(str(options.out), openapi_document(rest_app(registry)))
+    return DONE
+
+
+def _create(options: argparse.Namespace) -> int:
+    with registry_of(options, create=False) as registry:
+        token, secret = registry.add_token(options.account, options.purpose, options.days)
+    if options.json:
+        write_json(options.json, {"schema": "softcal.api.token/1", **_token_json(token), "token": secret})
+    if options.json != "-":
+        print(secret)
+        say(f"token {token.token_id} of {token.account} holds until {token.ends_at:%Y-%m-%d}; it is not shown again")
+    return DONE
+
+
+def _list(options: argparse.Namespace) -> int:
+    with registry_of(options, create=False) as registry:
+        tokens, now = registry.tokens(), registry.settings.clock()
+    if options.json:
+        write_json(options.json, {"schema": "softcal.api.tokens/1", "tokens": [_token_json(each) for each in tokens]})
+    rows = [
+        [
+            t.token_id,
+            t.account,
+            t.purpose,
+            f"{t.created:%Y-%m-%d}",
+            f"{t.ends_at:%Y-%m-%d}",
+            "yes" if t.holds(now) else "no",
+        ]
+        for t in tokens
+    ]
+    print_table(("token", "account", "purpose", "made", "until", "holds"), rows)
+    return DONE
+
+
+def _withdraw(options: argparse.Namespace) -> int:
+    with registry_of(options, create=False) as registry:
+        registry.withdraw_token(options.token, reason=options.reason)
+    if options.json:
+        write_json(options.json, {"schema": "softcal.api.withdrawn/1", "token_id": options.token})
+    if options.json != "-":
+        print(f"token {options.token} was withdrawn; what it was used for until now stands in the audit trail")
+    return DONE
+
+
+def _token_json(token: "Token") -> dict[str, object]:
+    return vars(token) | {"created": token.created.isoformat(), "ends_at": token.ends_at.isoformat()}

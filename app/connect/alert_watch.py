@@ -1,0 +1,72 @@
+"""Writes into the audit trail when an alert begins and when it is over, so that each is an event like any other."""
+
+import json
+from datetime import datetime
+from typing import Any
+
+from softcal.app.connect.events import ALERTS, lots_judged_since
+from softcal.app.texts.catalogue import LANGUAGES, text
+from softcal.app.views.alerts import Alert, lot_alerts, plant_alerts
+from softcal.app.views.lot import lot_view
+from softcal.db.outbox import Cursor
+from softcal.db.registry import Registry
+
+WATCHER = "softcal connect"
+"""Who stands in the audit trail."""
+
+ABOUT = ("station", "cell")
+"""Values of an alert that say which one is meant, beside its kind and lot."""
+
+AlertKey = tuple[str, str, str]
+"""Kind, lot and what it is about; "" where it has none."""
+
+
+class AlertWatch:
+    """Compares what should be looked at with what was told; the open alerts are those the audit trail left open."""
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        self._cursor: Cursor | None = None
+        self._found: dict[str, list[Alert]] = {}
+
+    def look(self, now: datetime) -> int:
+        """Raise what is new, clear what is over; return how many events that made."""
+        changed, self._cursor = lots_judged_since(self._registry, self._cursor)
+        for lot_id in changed:
+            self._found[lot_id] = lot_alerts(lot_view(self._registry, lot_id))
+        found = {alert_key(alert, ""): (alert, "") for alert in plant_alerts(self._registry, now)}
+        for lot_id, alerts in self._found.items():
+            found |= {alert_key(alert, lot_id): (alert, lot_id) for alert in alerts}
+        known = open_alerts(self._registry)
+        for key in found.keys() - known.keys():
+            self._registry.add_event("raise", "alerts", key, told(*found[key]), actor=WATCHER)
+        for key in known.keys() - found.keys():
+            self._registry.add_event("clear", "alerts", key, known[key], actor=WATCHER)
+        return len(found.keys() ^ known.keys())
+
+
+def open_alerts(registry: Registry) -> dict[AlertKey, dict[str, Any]]:
+    """Return the alerts that were raised and not cleared, by key, as they were told."""
+    found: dict[AlertKey, dict[str, Any]] = {}
+    for row in registry.events_of_kind(ALERTS):
+        kind, lot_id, about = json.loads(row.key)
+        found.pop((kind, lot_id, about), None)
+        if row.action == "raise":
+            found[kind, lot_id, about] = json.loads(row.after or "{}") | {"since": row.at.isoformat()}
+    return found
+
+
+def alert_key(alert: Alert, lot_id: str) -> AlertKey:
+    """Return by what an alert is known while it lasts, whatever its numbers are."""
+    return alert.kind, lot_id, next((str(alert.values[name]) for name in ABOUT if name in alert.values), "")
+
+
+def told(alert: Alert, lot_id: str) -> dict[str, Any]:
+    """Return an alert as JSON values, with its sentence in every language."""
+    return {
+        "kind": alert.kind,
+        "lot": lot_id or None,
+        "is_urgent": alert.is_urgent,
+        "values": dict(alert.values),
+        "text": {language: text(language, f"alert.{alert.kind}", **alert.values) for language in LANGUAGES},
+    }

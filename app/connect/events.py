@@ -1,0 +1,171 @@
+"""The one source of events: rows of the audit trail, told so that a program outside can act on them.
+
+An event is written in the transaction of the change it tells of, so none is lost and none is made up. Its id is the
+place of its row in the trail: who gets it twice knows it by that.
+"""
+
+import json
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+from urllib.parse import quote
+
+from softcal.core.words.reason import Reason
+from softcal.db.entries import AuditRow
+from softcal.db.outbox import Cursor
+from softcal.db.registry import Registry
+
+VERDICT, RAISED, CLEARED, CHANGE = "verdict", "alert.raised", "alert.cleared", "change"
+KINDS = (VERDICT, "alert", CHANGE)
+"""What a destination may ask for; `alert` takes both that one was raised and that it is over."""
+
+FOR_ALL = (VERDICT, "alert")
+"""What everybody may read who may look; the rest of the audit trail is for who may read that."""
+
+ALERTS = "alerts"
+"""What the audit trail calls the entity of an alert."""
+
+ROWS_AT_ONCE = 500
+MOST_ROWS = 20_000
+"""So many rows are looked at for one page of events; who asks again goes on where it ended."""
+
+ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
+
+
+@dataclass(frozen=True)
+class RegistryEvent:
+    """One thing that happened.
+
+    Args:
+        event_id: `ORIGIN:SEQ`, the row of the audit trail; the same for ever and everywhere.
+        kind: verdict, alert.raised, alert.cleared, or change for everything else.
+        at: when, UTC.
+        subject: what it is about, as a path.
+        data: JSON values.
+        after: cursor behind this event.
+    """
+
+    event_id: str
+    kind: str
+    at: datetime
+    subject: str
+    data: Mapping[str, Any]
+    after: Cursor
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the event as CloudEvents 1.0 writes it in JSON (CNCF, CloudEvents JSON format, section 3)."""
+        return {
+            "specversion": "1.0",
+            "id": self.event_id,
+            "source": f"/softcal/{self.event_id.partition(':')[0]}",
+            "type": f"softcal.{self.kind}",
+            "time": self.at.isoformat(),
+            "subject": self.subject,
+            "datacontenttype": "application/json",
+            "data": dict(self.data),
+        }
+
+
+@dataclass(frozen=True)
+class EventPage:
+    """Events in order, the cursor behind all that was looked at, and whether there is nothing more now."""
+
+    events: tuple[RegistryEvent, ...]
+    cursor: Cursor
+    is_end: bool
+
+
+def events_after(registry: Registry, cursor: Cursor, count: int, kinds: Collection[str] = KINDS) -> EventPage:
+    """Return the next events of some kinds behind a cursor, at most `count`."""
+    found: list[RegistryEvent] = []
+    place, looked = dict(cursor), 0
+    while looked < MOST_ROWS:
+        rows = registry.outbox.after(place, ROWS_AT_ONCE)
+        for row in rows:
+            place[row.origin] = row.seq
+            if kind_of(row).partition(".")[0] in kinds:
+                found.append(_event(registry, row, dict(place)))
+                if len(found) == count:
+                    return EventPage(tuple(found), place, False)
+        looked += len(rows)
+        if len(rows) < ROWS_AT_ONCE:
+            return EventPage(tuple(found), place, True)
+    return EventPage(tuple(found), place, False)
+
+
+def lots_judged_since(registry: Registry, cursor: Cursor | None) -> tuple[set[str], Cursor]:
+    """Return the lots with a new verdict behind a cursor, and the cursor now; None takes all lots."""
+    if cursor is None:
+        now = registry.outbox.end()
+        return set(registry.lot_ids()), now
+    lots, place = set(), dict(cursor)
+    while rows := registry.outbox.after(place, ROWS_AT_ONCE):
+        lots |= {json.loads(row.after or "{}")["lot_id"] for row in rows if kind_of(row) == VERDICT}
+        place |= {row.origin: row.seq for row in rows}
+    return lots, place
+
+
+def kind_of(row: AuditRow) -> str:
+    """Return what kind of event a row of the audit trail is."""
+    if row.entity in ("in_use", "refusals"):
+        return VERDICT
+    if row.entity == ALERTS:
+        return RAISED if row.action == "raise" else CLEARED
+    return CHANGE
+
+
+def _event(registry: Registry, row: AuditRow, after: Cursor) -> RegistryEvent:
+    kind = kind_of(row)
+    key, told = json.loads(row.key), json.loads(row.after or "{}")
+    about = {"actor": row.actor, "reason": row.reason}
+    if kind == VERDICT:
+        data = _verdict(registry, row.entity, told) | about
+        subject = f"lots/{path_part(data['lot'])}/units/{path_part(data['serial'])}"
+    elif kind == CHANGE:
+        before = json.loads(row.before or "null")
+        data = {"action": row.action, "entity": row.entity, "key": key, "before": before, "after": told} | about
+        subject = "/".join([row.entity, *(path_part(str(part)) for part in key)])
+    else:
+        data, subject = dict(told), f"{ALERTS}/{path_part(str(told['kind']))}"
+    return RegistryEvent(f"{row.origin}:{row.seq}", kind, row.at, subject, data, after)
+
+
+def _verdict(registry: Registry, entity: str, told: Mapping[str, Any]) -> dict[str, Any]:
+    lot_id, serial = told["lot_id"], told["serial"]
+    made, revision = dict(told), None
+    if entity == "in_use":
+        revision = told["revision"]
+        rows = registry.events("calibrations", (serial, revision, told["made_by"]))
+        made = json.loads(rows[0].after or "{}")
+    reasons = [Reason.of(kept) for kept in made["reasons"]]
+    data = {
+        "lot": lot_id,
+        "serial": serial,
+        "verdict": made["verdict"],
+        "reasons": [str(why) for why in reasons],
+        "reason_codes": [why.code for why in reasons],
+        "revision": revision,
+        "family": made.get("family"),
+        "map_sha256": made.get("map_sha256"),
+        **{name: made.get(name) for name in ERRORS},
+        "decided_by": told.get("decided_by", "batch"),
+        "is_conflict": False,
+    }
+    return data | _undecided(registry, lot_id, serial)
+
+
+def _undecided(registry: Registry, lot_id: str, serial: str) -> dict[str, Any]:
+    """Return what stands against a verdict: two registries that put different maps into use."""
+    if len(registry.outbox.end()) < 2:
+        return {}
+    now = next((unit for unit in registry.units(lot_id, serial) if unit.is_conflict), None)
+    if now is None:
+        return {}
+    reasons = {"reasons": [str(why) for why in now.reasons], "reason_codes": [why.code for why in now.reasons]}
+    return {"verdict": now.verdict, "is_conflict": True, **reasons}
+
+
+def path_part(name: str) -> str:
+    """Return a name so that it is one part of a path or topic, whatever characters it holds."""
+    return quote(name, safe="")

@@ -1,0 +1,127 @@
+"""Brings every event to every destination at least once: what is not confirmed stays, and is tried again later."""
+
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Protocol
+
+from softcal.app.connect.events import RegistryEvent, events_after
+from softcal.app.connect.settings import DestinationSettings
+from softcal.core.errors import SoftcalError
+from softcal.db.registry import Registry
+
+FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 900.0
+"""A try that failed is repeated after 1 s, then after twice as long each time, up to a quarter of an hour."""
+
+
+class NotDelivered(SoftcalError):
+    """A destination did not confirm that it has the events; they stay where they are.
+
+    Args:
+        delivered: how many of them it confirmed before.
+    """
+
+    def __init__(self, said: str, delivered: int = 0) -> None:
+        super().__init__(said)
+        self.delivered = delivered
+
+
+class Sender(Protocol):
+    """Brings events to one destination."""
+
+    most: int
+    """Events it takes at once."""
+
+    def send(self, events: Sequence[RegistryEvent]) -> None:
+        """Bring events in their order; returns when the destination has confirmed them all.
+
+        Raises:
+            NotDelivered: it has not confirmed them all.
+        """
+
+
+OpenSender = Callable[[], AbstractContextManager[Sender]]
+
+
+@dataclass(frozen=True)
+class Destination:
+    """A destination with what opens its sender; a sender that failed is closed and opened anew."""
+
+    settings: DestinationSettings
+    open_sender: OpenSender
+
+
+def delay_s(failures: int) -> float:
+    """Return the seconds until the next try after so many failures in a row (1, 2, ...)."""
+    return min(LONGEST_DELAY_S, FIRST_DELAY_S * 2.0 ** min(failures - 1, 30))
+
+
+class Forwarder:
+    """Brings events to one destination; its place is in the registry, so that a restart goes on where it was."""
+
+    def __init__(self, registry: Registry, destination: Destination, clock: Callable[[], datetime]) -> None:
+        self._registry, self._destination, self._clock = registry, destination, clock
+        self._opened: AbstractContextManager[Sender] | None = None
+        self._sender: Sender | None = None
+
+    def __enter__(self) -> "Forwarder":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the sender, if it is open."""
+        opened, self._opened, self._sender = self._opened, None, None
+        if opened is not None:
+            opened.__exit__(None, None, None)
+
+    def step(self) -> bool:
+        """Bring the next events, if there are any and no delay holds; return whether more may wait."""
+        outbox, settings = self._registry.outbox, self._destination.settings
+        place = outbox.begin(settings.name, outbox.end() if settings.begin == "now" else {})
+        if place.not_before is not None and self._clock() < place.not_before:
+            return False
+        try:
+            sender = self._open()
+            page = events_after(self._registry, place.cursor, sender.most, settings.events)
+            sender.send(page.events)
+        except NotDelivered as error:
+            if error.delivered:
+                outbox.moved(settings.name, page.events[error.delivered - 1].after, error.delivered)
+            wait = timedelta(seconds=delay_s(1 if error.delivered else place.failures + 1))
+            outbox.failed(settings.name, str(error), self._clock() + wait)
+            self.close()
+            return False
+        if page.cursor != place.cursor or place.failures:
+            outbox.moved(settings.name, page.cursor, len(page.events))
+        return not page.is_end
+
+    def _open(self) -> Sender:
+        if self._sender is None:
+            opened = self._destination.open_sender()
+            self._sender = opened.__enter__()
+            self._opened = opened
+        return self._sender
+
+
+def forward(
+    registry: Registry,
+    destination: Destination,
+    clock: Callable[[], datetime],
+    over: threading.Event,
+    every_s: float,
+    on_trouble: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Bring events to a destination until `over` is set; a registry that is away for a moment is asked again."""
+    with Forwarder(registry, destination, clock) as forwarder:
+        while not over.is_set():
+            try:
+                has_more = forwarder.step()
+            except SoftcalError as error:
+                on_trouble(f"{destination.settings.name}: {error}")
+                has_more = False
+            if not has_more:
+                over.wait(every_s)

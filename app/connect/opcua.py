@@ -1,0 +1,194 @@
+"""An OPC UA server over the registry: what every station and lot shows now, and every event, whoever was away.
+
+A client that was away loses nothing: it keeps the cursor that `Events/Read` gave last and reads on from there, across
+restarts of this server, too. `Events/Cursor` changes with every event; a subscription to it says when to read.
+"""
+
+import asyncio
+import json
+import logging
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+from asyncua import Node, Server, ua, uamethod
+from asyncua.crypto.permission_rules import User as Peer
+from asyncua.crypto.permission_rules import UserRole
+
+from softcal.app.connect.events import FOR_ALL, events_after, lots_judged_since, path_part
+from softcal.app.connect.settings import OpcUaSettings
+from softcal.app.connect.stations import station_json
+from softcal.core.errors import InputError, SoftcalError
+from softcal.db.outbox import Cursor, cursor_of, cursor_text
+from softcal.db.people import may
+from softcal.db.registry import Registry
+
+NAMESPACE, APPLICATION = "urn:softcal:registry", "urn:softcal:server"
+MOST_EVENTS = 500
+"""Events of one call of `Read` at most."""
+
+TEXT, COUNT = ua.VariantType.String, ua.VariantType.Int64
+STATION = {
+    "State": "state",
+    "Serial": "serial",
+    "LastSerial": "last_serial",
+    "LastVerdict": "last_verdict",
+    "Lot": "lot",
+}
+"""Variable of a station's node → what of `station_json` it shows; "" where there is nothing."""
+
+VERDICTS = {"Pass": "pass", "Conditional": "conditional", "Fail": "fail", "Retest": "retest", "Open": "none"}
+"""Variable → units of the lot with this verdict."""
+
+
+class _Accounts:
+    """Lets in who signs in with an account and its token; on this machine alone, everybody. Nobody may write."""
+
+    def __init__(self, registry: Registry, is_open: bool) -> None:
+        self._registry, self._is_open = registry, is_open
+
+    def get_user(
+        self, iserver: Any, username: str | None = None, password: str | None = None, certificate: Any = None
+    ) -> Peer | None:
+        if self._is_open:
+            return Peer(role=UserRole.User)
+        try:
+            user = self._registry.user_of_token(password or "")
+        except SoftcalError:
+            return None
+        return Peer(role=UserRole.User, name=user.name) if user.name == username and may(user, "look") else None
+
+
+class OpcUaServer:
+    """The nodes of a running server and how they follow the registry."""
+
+    def __init__(self, server: Server, registry: Registry, index: int) -> None:
+        self._server, self._registry, self._index = server, registry, index
+        self._nodes: dict[str, Node] = {}
+        self._shown: dict[str, Any] = {}
+        self._cursor: Cursor | None = None
+
+    async def build(self) -> None:
+        """Make the folders and the method of the events."""
+        root = await self._folder(self._server.nodes.objects, "Softcal", "Softcal")
+        for name in ("Stations", "Lots", "Events"):
+            await self._folder(root, name, name)
+        await self._show("Events", "Cursor", "", TEXT)
+        read = uamethod(self._read)
+        await self._nodes["Events"].add_method(
+            ua.NodeId("Events/Read", self._index),
+            ua.QualifiedName("Read", self._index),
+            read,
+            [TEXT, COUNT],
+            [TEXT, TEXT],
+        )
+
+    async def follow(self) -> None:
+        """Show what the registry holds now; nodes of stations and lots appear with them."""
+        cursor, stations, lots = await asyncio.to_thread(self._look)
+        for station in stations:
+            place = f"Stations/{path_part(station['station'])}"
+            await self._object("Stations", place, station["station"])
+            for name, key in STATION.items():
+                await self._show(place, name, station[key] or "", TEXT)
+            await self._counts(place, station["counts"])
+        for lot_id, counts in lots.items():
+            place = f"Lots/{path_part(lot_id)}"
+            await self._object("Lots", place, lot_id)
+            await self._counts(place, counts)
+        # Last, so that who is told of it finds everything else as it is now.
+        await self._show("Events", "Cursor", cursor, TEXT)
+
+    def _look(self) -> tuple[str, list[dict[str, Any]], dict[str, dict[str, int]]]:
+        registry = self._registry
+        changed, self._cursor = lots_judged_since(registry, self._cursor)
+        stations = [station_json(registry, beat) for beat in registry.order_queue.stations()]
+        return cursor_text(self._cursor), stations, {lot_id: registry.verdict_counts(lot_id) for lot_id in changed}
+
+    async def _counts(self, place: str, counts: dict[str, int]) -> None:
+        for name, verdict in VERDICTS.items():
+            await self._show(place, name, counts.get(verdict, 0), COUNT)
+
+    async def _read(self, parent: ua.NodeId, after: str, count: int) -> Any:
+        try:
+            wanted = max(1, min(count, MOST_EVENTS))
+            page = await asyncio.to_thread(events_after, self._registry, cursor_of(after or ""), wanted, FOR_ALL)
+        except InputError as error:
+            logging.getLogger(__name__).info("refused: %s", error)
+            return ua.StatusCode(ua.StatusCodes.BadInvalidArgument)
+        return cursor_text(page.cursor), json.dumps([event.to_json() for event in page.events], ensure_ascii=False)
+
+    async def _folder(self, parent: Node, place: str, name: str) -> Node:
+        made = await parent.add_folder(ua.NodeId(place, self._index), ua.QualifiedName(name, self._index))
+        self._nodes[place] = made
+        return made
+
+    async def _object(self, parent: str, place: str, name: str) -> None:
+        if place not in self._nodes:
+            self._nodes[place] = await self._nodes[parent].add_object(
+                ua.NodeId(place, self._index), ua.QualifiedName(name, self._index)
+            )
+
+    async def _show(self, place: str, name: str, value: Any, kind: ua.VariantType) -> None:
+        path = f"{place}/{name}"
+        if path not in self._nodes:
+            self._nodes[path] = await self._nodes[place].add_variable(
+                ua.NodeId(path, self._index), ua.QualifiedName(name, self._index), value, kind
+            )
+        elif self._shown.get(path) != value:
+            await self._nodes[path].write_value(value, kind)
+        self._shown[path] = value
+
+
+@asynccontextmanager
+async def opcua_server(registry: Registry, settings: OpcUaSettings) -> AsyncIterator[OpcUaServer]:
+    """Serve inside the block.
+
+    Raises:
+        InputError: nobody can listen there, or the certificate cannot be read.
+    """
+    is_open = settings.cert_file is None
+    server = Server(user_manager=_Accounts(registry, is_open))  # type: ignore[arg-type]
+    await server.init()
+    server.set_endpoint(settings.endpoint)
+    server.set_server_name("softcal")
+    await server.set_application_uri(APPLICATION)
+    if settings.cert_file is None or settings.key_file is None:
+        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        server.set_identity_tokens([ua.AnonymousIdentityToken])
+    else:
+        server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
+        server.set_identity_tokens([ua.UserNameIdentityToken])
+        try:
+            await server.load_certificate(str(settings.cert_file))
+            await server.load_private_key(str(settings.key_file))
+        except (OSError, ValueError) as error:
+            raise InputError(f"certificate {settings.cert_file} cannot be read: {error}") from error
+    followed = OpcUaServer(server, registry, await server.register_namespace(NAMESPACE))
+    await followed.build()
+    await followed.follow()
+    try:
+        await server.start()
+    except OSError as error:
+        raise InputError(f"nobody can listen at {settings.endpoint}: {error.strerror or error}") from error
+    try:
+        yield followed
+    finally:
+        await server.stop()
+
+
+async def serve_opcua(
+    registry: Registry, settings: OpcUaSettings, is_over: Callable[[], bool], on_trouble: Callable[[str], None]
+) -> None:
+    """Serve until `is_over`; a registry that is away for a moment is asked again."""
+    async with opcua_server(registry, settings) as followed:
+        while not is_over():
+            await _tried(followed.follow, on_trouble)
+            await asyncio.sleep(settings.every_s)
+
+
+async def _tried(action: Callable[[], Awaitable[None]], on_trouble: Callable[[str], None]) -> None:
+    try:
+        await action()
+    except SoftcalError as error:
+        on_trouble(f"OPC UA: {error}")

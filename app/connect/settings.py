@@ -1,0 +1,325 @@
+"""Where events go: the destinations of one TOML file. Secrets stand in files of their own, never in it."""
+
+import ipaddress
+import tomllib
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from difflib import get_close_matches
+from pathlib import Path
+from types import UnionType
+from typing import Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
+from urllib.parse import SplitResult, urlsplit
+
+from softcal.app.connect.events import KINDS
+from softcal.app.texts.catalogue import LANGUAGES
+from softcal.core.errors import InputError
+
+BEGINNINGS = ("now", "first")
+"""Where a destination that is new begins: with what happens from now on, or with the first event there is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DestinationSettings:
+    """What every destination says.
+
+    Args:
+        name: under which it is known; its place in the events is kept under this name.
+        events: which kinds it gets: verdict, alert, change.
+        begin: `now` or `first`: where it begins when it is new.
+    """
+
+    name: str
+    events: tuple[str, ...] = ("verdict", "alert")
+    begin: str = "now"
+
+    section: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        if not 0 < len(self.name) <= 64 or not self.name.isprintable():
+            raise InputError("name must have 1 to 64 printable characters")
+        _check_known("events", self.events, KINDS)
+        _check_known("begin", (self.begin,), BEGINNINGS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WebhookSettings(DestinationSettings):
+    """An HTTP address that gets each event as a signed POST.
+
+    Args:
+        url: https://..., or http://... on this machine.
+        secret_file: holds the secret of the signature, as `softcal connect secret` writes it.
+        ca_file: certificates to trust in place of the system's.
+        timeout_s: how long one answer may take.
+    """
+
+    url: str
+    secret_file: Path
+    ca_file: Path | None = None
+    timeout_s: float = 10.0
+
+    section = "webhook"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_address("url", self.url, ("https",), ("http",))
+        _check_positive("timeout_s", self.timeout_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MailSettings(DestinationSettings):
+    """A mail server that sends events to people, what waits together as one mail.
+
+    Args:
+        server: smtps://USER@HOST:465, smtp+starttls://USER@HOST:587, or smtp://HOST:25 on this machine.
+        password_file: holds the password of USER.
+        sender, to: addresses.
+        language: of the mails: en or ko.
+        ca_file: certificates to trust in place of the system's.
+        timeout_s: how long one answer may take.
+    """
+
+    server: str
+    sender: str
+    to: tuple[str, ...]
+    events: tuple[str, ...] = ("alert",)
+    password_file: Path | None = None
+    language: str = "en"
+    ca_file: Path | None = None
+    timeout_s: float = 30.0
+
+    section = "mail"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_address("server", self.server, ("smtps", "smtp+starttls"), ("smtp",))
+        _check_known("language", (self.language,), tuple(LANGUAGES))
+        for address in (self.sender, *self.to):
+            if address.count("@") != 1 or not address.isprintable() or any(c in address for c in " <>,;"):
+                raise InputError(f"{address!r} is no mail address")
+        if not self.to:
+            raise InputError("to names nobody")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MqttSettings(DestinationSettings):
+    """A broker that gets events, the state of every unit and station, and live estimates.
+
+    Args:
+        broker: mqtts://USER@HOST:8883, or mqtt://HOST:1883 on this machine.
+        topic: what all topics begin with.
+        password_file: holds the password of USER.
+        ca_file: certificates to trust in place of the system's.
+        cert_file, key_file: of this client, where the broker asks for one.
+        timeout_s: how long the broker may take to say that it has something.
+    """
+
+    broker: str
+    topic: str = "softcal"
+    password_file: Path | None = None
+    ca_file: Path | None = None
+    cert_file: Path | None = None
+    key_file: Path | None = None
+    timeout_s: float = 20.0
+
+    section = "mqtt"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_address("broker", self.broker, ("mqtts",), ("mqtt",))
+        if not self.topic or any(c in self.topic for c in "+#\0") or self.topic.startswith(("/", "$")):
+            raise InputError(f"topic {self.topic!r}: a plain topic such as plant-1/softcal was expected")
+        if (self.cert_file is None) != (self.key_file is None):
+            raise InputError("cert_file and key_file belong together")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpcUaSettings:
+    """The OPC UA server.
+
+    Args:
+        endpoint: opc.tcp://HOST:PORT/PATH; other machines than this one reach it only with a certificate.
+        cert_file, key_file: of the server; with them clients sign in with an account and its token.
+        every_s: seconds between two looks at the registry.
+    """
+
+    endpoint: str = "opc.tcp://127.0.0.1:4840/softcal"
+    cert_file: Path | None = None
+    key_file: Path | None = None
+    every_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        parts = split_address("endpoint", self.endpoint)
+        if parts.scheme != "opc.tcp" or not parts.port:
+            raise InputError(f"endpoint {self.endpoint!r}: opc.tcp://HOST:PORT/PATH was expected")
+        if (self.cert_file is None) != (self.key_file is None):
+            raise InputError("cert_file and key_file belong together")
+        if self.cert_file is None and not is_here(parts.hostname or ""):
+            raise InputError(
+                f"endpoint {self.endpoint}: other machines would reach it without sign-in; give cert_file and "
+                "key_file, or 127.0.0.1"
+            )
+        _check_positive("every_s", self.every_s)
+
+
+@dataclass(frozen=True)
+class ConnectSettings:
+    """All destinations of a file.
+
+    Args:
+        opcua: the OPC UA server; None for none.
+        alerts_every_s: seconds between two looks for alerts; 0 for none.
+    """
+
+    webhooks: tuple[WebhookSettings, ...] = ()
+    mails: tuple[MailSettings, ...] = ()
+    mqtts: tuple[MqttSettings, ...] = ()
+    opcua: OpcUaSettings | None = None
+    alerts_every_s: float = 30.0
+
+
+Section = TypeVar("Section")
+
+
+def read_settings(path: Path) -> ConnectSettings:
+    """Read a file of destinations.
+
+    Raises:
+        InputError: it cannot be read, names something unknown, or two destinations have one name.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is no TOML: {error}") from error
+    _check_known(f"{path}: section", content, ("webhook", "mail", "mqtt", "opcua", "alerts"))
+    opcua = _table(path, "opcua", content.get("opcua"))
+    alerts = _table(path, "alerts", content.get("alerts")) or {}
+    _check_known(f"{path}: [alerts]", alerts, ("every_s",))
+    every_s = alerts.get("every_s", 30.0)
+    if not isinstance(every_s, int | float) or isinstance(every_s, bool) or not 0 <= every_s < 1e6:
+        raise InputError(f"{path}: [alerts] every_s: seconds were expected, 0 for no alerts")
+    settings = ConnectSettings(
+        tuple(_sections(path, WebhookSettings, content)),
+        tuple(_sections(path, MailSettings, content)),
+        tuple(_sections(path, MqttSettings, content)),
+        None if opcua is None else _section(path, "opcua", OpcUaSettings, opcua),
+        float(every_s),
+    )
+    names = [one.name for one in (*settings.webhooks, *settings.mails, *settings.mqtts)]
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise InputError(f"{path}: two destinations are called {min(twice)!r}; each needs a name of its own")
+    return settings
+
+
+def _sections(path: Path, kind: type[Section], content: Mapping[str, Any]) -> list[Section]:
+    name = str(getattr(kind, "section", ""))
+    tables = content.get(name, [])
+    if not isinstance(tables, list):
+        raise InputError(f"{path}: write [[{name}]] with two brackets: there may be several")
+    return [_section(path, name, kind, _table(path, name, table) or {}) for table in tables]
+
+
+def _table(path: Path, name: str, value: object) -> dict[str, Any] | None:
+    if value is not None and not isinstance(value, dict):
+        raise InputError(f"{path}: {name} must be a section, [{name}]")
+    return value
+
+
+def _section(path: Path, name: str, kind: type[Section], table: Mapping[str, Any]) -> Section:
+    where = f"{path}: [{name}]"
+    known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
+    _check_known(where, table, tuple(known))
+    if missing := [n for n, f in known.items() if f.default is MISSING and n not in table]:
+        raise InputError(f"{where} lacks {missing[0]}")
+    hints = get_type_hints(kind)
+    try:
+        return kind(**{key: _typed(key, hints[key], value, path.parent) for key, value in table.items()})
+    except InputError as error:
+        raise InputError(f"{where} {error}") from error
+
+
+def _typed(key: str, hint: Any, value: object, folder: Path) -> Any:
+    """Return a value of TOML as its field wants it; a file is looked for beside the file that names it."""
+    wanted = next(part for part in get_args(hint) if part is not type(None)) if isinstance(hint, UnionType) else hint
+    if get_origin(wanted) is tuple:
+        if isinstance(value, list) and all(isinstance(part, str) for part in value):
+            return tuple(value)
+        raise InputError(f"{key}: a list of texts was expected")
+    if wanted is Path and isinstance(value, str):
+        return folder / value
+    if wanted is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if wanted is str and isinstance(value, str):
+        return value
+    raise InputError(f"{key}: {'a number' if wanted is float else 'a text'} was expected, not {value!r}")
+
+
+def _check_known(where: str, names: Any, known: tuple[str, ...]) -> None:
+    for name in names:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise InputError(f"{where}: {name!r} is unknown; known: {', '.join(known)}{hint}")
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not 0 < value < 1e6:
+        raise InputError(f"{name}: seconds above 0 were expected, not {value:g}")
+
+
+def split_address(name: str, address: str) -> SplitResult:
+    """Return the parts of an address.
+
+    Raises:
+        InputError: it is none, or holds a password.
+    """
+    try:
+        parts = urlsplit(address)
+        _ = parts.port
+    except ValueError as error:
+        raise InputError(f"{name}: no address: {error}") from error
+    if not parts.hostname:
+        raise InputError(f"{name} {address!r}: SCHEME://HOST:PORT was expected")
+    if parts.password is not None:
+        raise InputError(f"{name}: an address holds no password; write it into a file and name that")
+    return parts
+
+
+def check_address(name: str, address: str, safe: tuple[str, ...], plain: tuple[str, ...]) -> None:
+    """Check that an address is encrypted, or does not leave this machine.
+
+    Raises:
+        InputError: it is not.
+    """
+    parts = split_address(name, address)
+    if parts.scheme not in (*safe, *plain):
+        raise InputError(f"{name} {address!r} must begin with {' or '.join(f'{scheme}://' for scheme in safe)}")
+    if parts.scheme in plain and not is_here(parts.hostname or ""):
+        raise InputError(
+            f"{name}: {parts.scheme}:// would send everything readable for all; use {safe[0]}://, or an address "
+            "of this machine"
+        )
+
+
+def is_here(host: str) -> bool:
+    """Whether an address cannot be reached from another machine."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def read_secret(path: Path) -> str:
+    """Return the first line of a file that holds a secret.
+
+    Raises:
+        InputError: it cannot be read, or is empty.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"secret {path} cannot be read: {error}") from error
+    if not lines or not lines[0].strip():
+        raise InputError(f"secret {path} is empty; its first line is taken")
+    return lines[0].strip()

@@ -1,0 +1,57 @@
+"""What stations say of themselves, as JSON values: one answer for REST, MQTT and OPC UA."""
+
+from typing import Any
+
+from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, StationState
+from softcal.db.registry import Registry
+
+NEWEST = 20
+"""So many of a station's newest orders are looked through for the last unit it judged."""
+
+SILENT = "silent"
+"""State of a station that gives no sign of life and did not end in good order."""
+
+
+def station_json(registry: Registry, beat: Heartbeat) -> dict[str, Any]:
+    """Return a station: its state, the unit it presses, the last unit it judged, and where the lot of it stands."""
+    queue = registry.order_queue
+    is_there = queue.is_answering(beat.station) or beat.state is StationState.OFF
+    active = queue.active(beat.station)
+    judged = next((o for o, p in queue.runs(beat.station, NEWEST) if o.kind is OrderKind.UNIT and p.verdict), None)
+    lot_id = active[0].lot_id if active else judged.lot_id if judged else ""
+    return {
+        "station": beat.station,
+        "state": str(beat.state) if is_there else SILENT,
+        "at": beat.at.isoformat(),
+        "reasons": [str(why) for why in beat.reasons],
+        "serial": active[0].serial if active else None,
+        "last_serial": judged.serial if judged else None,
+        "last_verdict": _verdict_now(registry, judged) if judged else None,
+        "lot": lot_id or None,
+        "counts": registry.verdict_counts(lot_id) if lot_id in registry.lot_ids() else {},
+    }
+
+
+def _verdict_now(registry: Registry, order: Order) -> str | None:
+    """Return the verdict as every page says it now; the run keeps what was decided when the unit was pressed."""
+    standing = registry.standings(order.lot_id, [order.serial]).get(order.serial)
+    return None if standing is None else standing.verdict
+
+
+def order_json(order: Order, progress: Progress) -> dict[str, Any]:
+    """Return an order and how far it is."""
+    return {
+        "order_id": order.order_id,
+        "station": order.station,
+        "kind": str(order.kind),
+        "serial": order.serial or None,
+        "lot": order.lot_id or None,
+        "actor": order.actor,
+        "created": order.created.isoformat() if order.created else None,
+        "state": str(progress.state),
+        "phase": progress.phase,
+        "fraction": progress.fraction,
+        "code": progress.code,
+        "message": progress.text,
+        "verdict": progress.verdict or None,
+    }

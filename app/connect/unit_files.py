@@ -1,0 +1,39 @@
+"""The calibration files of one unit as one archive, made when a program asks for them."""
+
+import io
+import zipfile
+
+from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.certificates.laboratory import kept_laboratory
+from softcal.app.export.formats import writer_of
+from softcal.core.errors import UnitRefused
+from softcal.core.unit.verdict import Release
+from softcal.core.words.reason import joined
+from softcal.db.registry import Registry
+
+
+def unit_archive(
+    registry: Registry, lot_id: str, serial: str, file_format: str, with_conditional: bool, actor: str
+) -> bytes:
+    """Return the files of a format as a ZIP archive; who took them lands in the audit trail.
+
+    Args:
+        with_conditional: whether conditional units have their files, too.
+
+    Raises:
+        InputError: no such format, or no calibration.
+        UnitRefused: the newest verdict of the unit, or its map, allows no such file.
+    """
+    standing = registry.standings(lot_id, [serial]).get(serial)
+    if standing is not None and standing.made is None:
+        # The map in use is older than what was found last: nobody may be given it as if it were the answer.
+        raise UnitRefused(f"unit {serial} of lot {lot_id} is {standing.verdict}: {joined(standing.reasons)}")
+    release = Release.CONDITIONAL if with_conditional else Release.PASS
+    options = ExportOptions(release=release, lot_id=lot_id, laboratory=kept_laboratory())
+    contents = writer_of(file_format)(UnitLoader(registry, options).load(serial))
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in contents.items():
+            archive.writestr(zipfile.ZipInfo(name), content)
+    registry.add_event("export", "units", (serial,), {"lot_id": lot_id, "formats": [file_format]}, actor=actor)
+    return packed.getvalue()

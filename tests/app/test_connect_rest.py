@@ -1,0 +1,332 @@
+"""The REST interface: the answers of the commands, roles, pages, keys, and one clear line for every error."""
+
+import importlib.util
+import io
+import json
+import re
+import shlex
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import httpx2
+import pyarrow.parquet as pq
+import pytest
+from fastapi.testclient import TestClient
+
+from softcal.app.batch.results import RESULTS
+from softcal.app.cli.main import main
+from softcal.app.connect.rest import openapi_document, rest_app
+from softcal.app.connect.rest_models import UnitAnswer
+from softcal.app.connect.rest_routes import MOST
+from softcal.app.registry.listing import unit_json
+from softcal.core.lot import Lot
+from softcal.core.words.reason import plain
+from softcal.db.connection import open_registry
+from softcal.db.entries import UnitEntry
+from softcal.db.registry import Registry
+
+pytestmark = pytest.mark.usefixtures("own_data")
+EXAMPLES = 10
+ACCOUNTS = {"operator": "Oh", "engineer": "Erin", "quality": "Quinn"}
+
+
+@pytest.fixture
+def registry(calibrated: str, add_everybody, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registry]:
+    add_everybody(calibrated)
+    monkeypatch.setenv("SOFTCAL_REGISTRY", calibrated)
+    with open_registry(calibrated) as opened:
+        yield opened
+
+
+@pytest.fixture
+def client_of(registry: Registry) -> Callable[[str], httpx2.Client]:
+    """`client_of(role)` asks as a program whose account has that role."""
+
+    def signed_in(role: str) -> httpx2.Client:
+        secret = registry.add_token(ACCOUNTS[role], "a test", 1)[1]
+        return TestClient(rest_app(registry), headers={"Authorization": f"Bearer {secret}"})
+
+    return signed_in
+
+
+@pytest.fixture
+def client(client_of) -> httpx2.Client:
+    return client_of("engineer")
+
+
+def listed(url: str, tmp_path: Path) -> list[dict[str, object]]:
+    """What `softcal registry list --json` says of the target units."""
+    assert main(["registry", "list", "--registry", url, "--json", str(tmp_path / "list.json")]) == 0
+    return [unit for unit in json.loads((tmp_path / "list.json").read_text())["units"] if unit["role"] == "target"]
+
+
+def test_units_are_what_the_command_says_page_by_page(client, calibrated, tmp_path):
+    (lot,) = [found["lot"] for found in client.get("/v1/lots").json()["lots"]]
+    wanted, found, page = listed(calibrated, tmp_path), [], 1
+    while page:
+        answer = client.get(f"/v1/lots/{lot}/units", params={"limit": 2, "page": page}).json()
+        assert answer["total"] == len(wanted)
+        found += answer["units"]
+        page = answer["next"]
+    assert found == wanted
+    one = wanted[0]["serial"]
+    assert client.get(f"/v1/lots/{lot}/units/{one}").json() == wanted[0]
+    assert client.get(f"/v1/units/{one}").json() == {"units": [wanted[0]]}
+
+
+def test_a_filter_lets_through_what_it_names(client, calibrated, tmp_path):
+    lot = client.get("/v1/lots").json()["lots"][0]
+    failed = [unit["serial"] for unit in listed(calibrated, tmp_path) if unit["verdict"] == "fail"]
+    answer = client.get(f"/v1/lots/{lot['lot']}/units", params={"verdict": "fail"}).json()
+    assert [unit["serial"] for unit in answer["units"]] == failed == ["A4"]
+    assert lot["counts"]["fail"] == 1
+
+
+def test_revisions_are_what_the_command_says(client, calibrated, tmp_path):
+    lot = client.get("/v1/lots").json()["lots"][0]["lot"]
+    path = str(tmp_path / "h.json")
+    assert main(["registry", "history", "--serial", "A1", "--registry", calibrated, "--json", path]) == 0
+    said = json.loads(Path(path).read_text())
+    answer = client.get(f"/v1/lots/{lot}/units/A1/revisions").json()
+    assert {"schema": said["schema"], **answer} == said
+
+
+def test_lots_come_a_page_at_a_time(client, registry):
+    for number in range(5):
+        registry.add_lot(Lot(f"X{number}", "S0", 50.0))
+    found, after = [], ""
+    while after is not None:
+        answer = client.get("/v1/lots", params={"limit": 2, "after": after}).json()
+        found += [lot["lot"] for lot in answer["lots"]]
+        after = answer["next"]
+    assert found == registry.lot_ids() and len(found) == 6
+
+
+def test_files_are_those_of_the_export_and_who_took_them_is_kept(client, registry, calibrated, tmp_path):
+    lot = client.get("/v1/lots").json()["lots"][0]["lot"]
+    answer = client.get(f"/v1/lots/{lot}/units/A1/files/blob")
+    assert answer.status_code == 200, answer.text
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        given = {name: archive.read(name) for name in archive.namelist()}
+    options = ["--serial", "A1", "--format", "blob", "--out", str(tmp_path / "out")]
+    assert main(["export", "--registry", calibrated, *options]) == 0
+    assert given and given == {name: (tmp_path / "out" / name).read_bytes() for name in given}
+    assert [row.actor for row in registry.events("units", ("A1",)) if row.action == "export"][0] == "Erin"
+
+
+def test_files_of_a_unit_that_is_no_longer_released_are_refused_with_the_reason(client, registry):
+    lot = client.get("/v1/lots").json()["lots"][0]["lot"]
+    registry.add_refusal(lot, "A1", "fail", (plain("its cable broke"),))
+    answer = client.get(f"/v1/lots/{lot}/units/A1/files/blob")
+    assert (answer.status_code, answer.headers["content-type"]) == (409, "application/problem+json")
+    assert "fail" in answer.json()["detail"]
+
+
+def test_results_as_parquet_are_those_of_the_lot(client, calibrated, tmp_path):
+    lot = client.get("/v1/lots").json()["lots"][0]["lot"]
+    table = pq.read_table(io.BytesIO(client.get(f"/v1/lots/{lot}/results.parquet").content))
+    assert table.schema.equals(RESULTS)
+    units = listed(calibrated, tmp_path)
+    for column in ("serial", "verdict", "predicted_rmse", "revision", "reasons"):
+        assert table[column].to_pylist() == [unit[column] for unit in units]
+
+
+@pytest.mark.usefixtures("jobs_at_once")
+def test_a_job_calibrates_and_the_same_key_is_the_same_job(client):
+    lot = client.get("/v1/lots").json()["lots"][0]["lot"]
+    key = {"Idempotency-Key": "order-4711"}
+    first = client.post("/v1/jobs", json={"lot": lot}, headers=key)
+    assert first.status_code == 202, first.text
+    again = client.post("/v1/jobs", json={"lot": lot}, headers=key)
+    assert again.json()["job_id"] == first.json()["job_id"]
+    done = client.get(first.headers["location"]).json()
+    assert done["state"] == "done", done["message"]
+    assert done["result"]["lot"] == lot and done["actor"] == "Erin"
+    assert len(client.get("/v1/jobs").json()["jobs"]) == 1
+
+
+def test_a_key_belongs_to_one_request_and_one_account(client, client_of, registry, monkeypatch):
+    launched = []
+    monkeypatch.setattr("softcal.app.jobs.process.launch", launched.append)
+    lot = client.get("/v1/lots").json()["lots"][0]["lot"]
+    registry.add_lot(Lot("other", "S0", 50.0))
+    key = {"Idempotency-Key": "k"}
+    mine = client.post("/v1/jobs", json={"lot": lot}, headers=key).json()["job_id"]
+    refused = client.post("/v1/jobs", json={"lot": "other"}, headers=key)
+    assert refused.status_code == 409 and "nothing was done" in refused.json()["detail"]
+    others = client_of("operator").post("/v1/jobs", json={"lot": "other"}, headers=key).json()["job_id"]
+    assert launched == [mine, others] and mine != others
+    assert client.post(f"/v1/jobs/{mine}/cancel").json()["state"] == "cancelled"
+
+
+def test_events_are_read_on_from_where_the_last_answer_ended(client, registry):
+    whole = client.get("/v1/events", params={"limit": MOST}).json()
+    assert whole["is_end"] and {event["type"] for event in whole["events"]} == {"softcal.verdict"}
+    found, after = [], ""
+    while True:
+        answer = client.get("/v1/events", params={"limit": 1, "after": after}).json()
+        found, after = found + answer["events"], answer["next"]
+        if answer["is_end"]:
+            break
+    assert found == whole["events"]
+    lot = whole["events"][0]["data"]["lot"]
+    registry.add_refusal(lot, "A1", "fail", (plain("broken"),))
+    (new,) = client.get("/v1/events", params={"after": after}).json()["events"]
+    assert (new["data"]["serial"], new["data"]["verdict"], new["data"]["reasons"]) == ("A1", "fail", ["broken"])
+
+
+@pytest.mark.parametrize(
+    ("role", "method", "path", "status"),
+    [
+        ("quality", "POST", "/v1/jobs", 403),
+        ("operator", "GET", "/v1/events?kind=change", 403),
+        ("engineer", "GET", "/v1/events?kind=change", 403),
+        ("quality", "GET", "/v1/events?kind=change", 200),
+        ("operator", "GET", "/v1/lots", 200),
+    ],
+)
+def test_a_token_may_what_the_role_of_its_account_may(client_of, role, method, path, status):
+    answer = client_of(role).request(method, path, json={"lot": "L"} if method == "POST" else None)
+    assert answer.status_code == status, answer.text
+
+
+def test_who_does_not_sign_in_sees_nothing(registry):
+    app = rest_app(registry)
+    operations = [(m, p) for p, ops in openapi_document(app)["paths"].items() for m in ops]
+    assert len(operations) > 15
+    for headers in ({}, {"Authorization": "Bearer softcal_wrong"}, {"Authorization": "Basic Zm9v"}):
+        stranger = TestClient(app, headers=headers)
+        for method, path in operations:
+            answer = stranger.request(method, path.replace("{job_id}", "0" * 32), json={"lot": "L"})
+            assert answer.status_code == 401, (method, path, answer.text)
+            assert answer.headers["content-type"] == "application/problem+json"
+    assert stranger.get("/health").json() == {"status": "ok"}
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "said"),
+    [
+        ("/v1/lots/none", 404, "is not in the registry; it holds"),
+        ("/v1/lots/none/units", 404, "is not in the registry; it holds"),
+        ("/v1/units/none", 404, "is not in the registry; it holds"),
+        (f"/v1/jobs/{'0' * 32}", 404, "is not in the registry"),
+        ("/v1/events?after=nonsense", 400, "cursor"),
+        ("/v1/lots?limit=0", 422, "query.limit"),
+        ("/v1/nothing", 404, "Not Found"),
+    ],
+)
+def test_an_error_is_one_line(client, path, status, said):
+    answer = client.get(path)
+    assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
+    told = answer.json()
+    assert said in told["detail"] and "\n" not in told["detail"] and told["status"] == status
+
+
+def test_another_name_of_the_server_is_refused(client):
+    assert client.get("/v1/me", headers={"Host": "evil.example"}).status_code == 400
+
+
+def test_the_model_of_a_unit_has_every_field_of_the_command():
+    assert set(UnitAnswer.model_fields) == set(unit_json(UnitEntry("L", "A", "target")))
+
+
+def test_the_document_is_valid_openapi(registry, tmp_path):
+    from openapi_spec_validator import validate
+
+    document = openapi_document(rest_app(registry))
+    validate(document)
+    assert main(["api", "openapi", "--out", str(tmp_path / "openapi.json")]) == 0
+    assert json.loads((tmp_path / "openapi.json").read_text()) == document
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("mode", ["positive", "negative"])
+def test_no_request_that_a_fuzzer_finds_is_a_defect(registry, require, monkeypatch, mode):
+    """Schemathesis over every operation: valid and invalid requests, and none ends in a server error."""
+    require(importlib.util.find_spec("schemathesis"), "no schemathesis")
+    import hypothesis
+    import schemathesis
+    from hypothesis import strategies
+    from schemathesis import GenerationMode, checks
+    from schemathesis.specs.openapi import checks as of_openapi
+
+    monkeypatch.setattr("softcal.app.jobs.process.launch", lambda job_id: None)
+    token = registry.add_token("Erin", "fuzz", 1)[1]
+    known = {"lot": registry.lot_ids()[0], "serial": "A1", "format": "json", "job_id": start_job(registry)}
+    schema = schemathesis.openapi.from_asgi("/openapi.json", rest_app(registry))
+    wanted = [
+        checks.not_a_server_error,
+        of_openapi.status_code_conformance,
+        of_openapi.content_type_conformance,
+        of_openapi.response_schema_conformance,
+    ]
+    asked = []
+    for result in schema.get_all_operations():
+        operation = result.ok()
+        try:
+            cases = operation.as_strategy(generation_mode=GenerationMode(mode))
+        except schemathesis.errors.SchemathesisError:
+            continue  # Nothing of it can be invalid.
+
+        @hypothesis.settings(
+            max_examples=EXAMPLES, deadline=None, database=None, derandomize=True,
+            suppress_health_check=list(hypothesis.HealthCheck), phases=[hypothesis.Phase.generate],
+        )  # fmt: skip
+        @hypothesis.given(case=cases, is_known=strategies.booleans())
+        def ask(case, is_known):
+            if is_known and mode == "positive":
+                case.path_parameters = {name: known[name] for name in case.path_parameters or {}}
+                if isinstance(case.body, dict):
+                    case.body["lot"] = known["lot"]
+            answer = case.call(headers={"Authorization": f"Bearer {token}"})
+            asked.append((case.operation.label, answer.status_code))
+            case.validate_response(answer, checks=wanted)
+
+        ask()
+    statuses = {status for _, status in asked}
+    assert max(statuses) < 500
+    assert ({200, 202, 404} if mode == "positive" else {422}) <= statuses
+    assert len({label for label, _ in asked}) > (15 if mode == "positive" else 10)
+
+
+def start_job(registry: Registry) -> str:
+    return registry.job_board.place("calibrate", {"lot": registry.lot_ids()[0]}, "Erin")
+
+
+CONNECT = (Path(__file__).parents[2] / "docs" / "connect.md").read_text(encoding="utf-8")
+
+PARAMETERS = {"LOT": "{lot}", "SERIAL": "{serial}", "FORMAT": "{format}", "ID": "{job_id}"}
+
+
+def requests_of_the_page() -> list[list[str]]:
+    """The calls of curl on the page, a list of words each."""
+    fenced = re.findall(r"^```(\w*)\n(.*?)^```$", CONNECT, re.MULTILINE | re.DOTALL)
+    blocks = "\n".join(text for language, text in fenced if not language).replace("\\\n", " ")
+    return [shlex.split(line) for line in blocks.splitlines() if line.startswith("curl ")]
+
+
+@pytest.mark.usefixtures("jobs_at_once")
+def test_every_request_of_the_page_is_answered(client):
+    asked = requests_of_the_page()
+    assert len(asked) == 4
+    for words in asked:
+        headers = dict(words[k + 1].split(": ", 1) for k, word in enumerate(words) if word == "-H")
+        assert headers.pop("Authorization") == "Bearer $TOKEN"
+        body = words[words.index("-d") + 1].replace("lot-1", "small") if "-d" in words else None
+        (address,) = [word for word in words if word.startswith("http://")]
+        path = address.removeprefix("http://127.0.0.1:8600").replace("lot-1", "small")
+        answer = client.request("POST" if body else "GET", path, content=body, headers=headers)
+        assert answer.status_code in (200, 202), (address, answer.text)
+
+
+def test_every_path_of_the_page_is_in_the_document_and_the_other_way_round(registry):
+    table = CONNECT.split("## REST")[1].split("\n- **Document**")[0]
+    found = set()
+    for cell in [line.split("|")[1] for line in table.splitlines() if re.match(r"\| `(GET|POST)", line)]:
+        for part in re.findall(r"`([^`]+)`", cell):
+            method, _, path = part.rpartition(" ")
+            path = re.sub(r"[A-Z]+", lambda match: PARAMETERS[match[0]], path)
+            found.add((method or "GET", f"/v1{path}"))
+    paths = openapi_document(rest_app(registry))["paths"]
+    assert found == {(method.upper(), path) for path, methods in paths.items() for method in methods}
