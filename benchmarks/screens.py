@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import Browser, Page
 from registry_common import print_markdown
-from screens_common import chromium, served, served_by
+from screens_common import chromium, served, served_by, stated
 from screenshots_desk import NAME, PIN, QUALITY, QUALITY_PIN, sign_in
 
 from softcal.app.views.lot import lot_view
@@ -90,16 +90,11 @@ def fill(registry: Registry, units: int) -> None:
 def result(known: CalibrationRecord, number: int, error: float) -> CalibrationRecord:
     """Return the result of one unit: its error decides its verdict."""
     serial = f"U{number:06d}"
-    relation = {"pass": "within", "conditional": "within, but closer than its uncertainty to", "fail": "above"}
+    relation = {"pass": "within", "conditional": "within_close", "fail": "above"}
     verdict = "pass" if error < 0.1 else "conditional" if error < 0.105 else "fail"
-    reason = (
-        f"predicted RMSE {error:.3g} N (95 %: {error - 0.02:.3g} to {error + 0.02:.3g}) is {relation[verdict]} "
-        "the limit 0.12 N (stated for the lot)"
-    )
+    says = (stated(error, error - 0.02, error + 0.02, relation[verdict]),)
     input_sha256 = content_sha256({}, {"serial": serial})
-    return replace(
-        known, serial=serial, predicted_rmse=error, verdict=verdict, reasons=(reason,), input_sha256=input_sha256
-    )
+    return replace(known, serial=serial, predicted_rmse=error, verdict=verdict, reasons=says, input_sha256=input_sha256)
 
 
 def add_simulated_unit(registry: Registry) -> CalibrationRecord:

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import IO, Literal
 
 import numpy as np
 from PIL import Image
@@ -26,26 +26,33 @@ from softcal.core.network.network import Network
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.simulated_lot import LotDesign, simulate_lot
-from softcal.core.words.reason import Reason, packed, reason
+from softcal.core.words.reason import Reason, Value, reason
 from softcal.db.registry import Registry
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking"]
 STATION, LOT = "line-1", "EG-2411"
 Theme = Literal["light", "dark"]
 THEMES: tuple[Theme, ...] = ("light", "dark")
+
+
+def seen(name: str, fact: str, is_good: bool = True, **values: Value) -> Condition:
+    """Return one thing the gate looked at: the name and the fact are codes of the gate."""
+    return Condition(reason(f"gate.name.{name}"), is_good, reason(f"gate.{fact}", **values))
+
+
 GOOD = (
-    Condition("certificate", True, "DKD-K-0417, valid until 2027-02-28"),
-    Condition("force range", True, "the profile reaches 12 N, the certificate ends at 20 N"),
-    Condition("warm-up", True, "the load cell is on for 184 min"),
-    Condition("zero return", True, "+0.004 N over the newest run, 0.2 N is allowed"),
-    Condition("homing", True, "homed"),
-    Condition("golden unit", True, "G-03 within its limits at 06:12 UTC"),
+    seen("certificate", "valid", number="DKD-K-0417", day="2027-02-28"),
+    seen("force_range", "reaches", force_N=12.0, most_N=20.0),
+    seen("warm_up", "warm", minutes=184),
+    seen("zero_return", "zero", moved_N=0.004, limit_N=0.2),
+    seen("homing", "homed"),
+    seen("golden", "golden", serial="G-03", at="06:12"),
 )
 
 
 def stated(rmse: float, lower: float, upper: float, relation: str) -> Reason:
     """Return the statement on a forecast against the limit of the lot."""
-    numbers = {"rmse": rmse, "lower": lower, "upper": upper, "limit": 0.12, "unit": "N"}
+    numbers: dict[str, Value] = {"rmse": rmse, "lower": lower, "upper": upper, "limit": 0.12, "unit": "N"}
     phrases = {"source": "part.predicted", "relation": f"part.{relation}", "origin": "part.stated"}
     return reason("statement", **numbers, **{name: Reason(code) for name, code in phrases.items()})
 
@@ -65,10 +72,10 @@ class PlayedLine:
         self._count = 0
 
     def beat(
-        self, state: StationState = StationState.READY, gate: tuple[Condition, ...] = GOOD, reason: str = ""
+        self, state: StationState = StationState.READY, gate: tuple[Condition, ...] = GOOD, why: Reason | None = None
     ) -> None:
         """Say that the station is there, and go on saying so every second."""
-        reasons = (reason,) if reason else tuple(c.says for c in gate if not c.is_good)
+        reasons = (why,) if why else tuple(c.says for c in gate if not c.is_good)
         self._says = Heartbeat(STATION, state, datetime.now(UTC), reasons, "rig:1", gate=gate)
         self.queue.beat(self._says)
 
@@ -100,7 +107,12 @@ class PlayedLine:
         return order
 
     def end(
-        self, order: Order, verdict: str, reasons: tuple[Reason, ...] = WITHIN, code: str = "", message: str = ""
+        self,
+        order: Order,
+        verdict: str,
+        reasons: tuple[Reason, ...] = WITHIN,
+        code: str = "",
+        message: Reason | None = None,
     ) -> None:
         """End a run and store its result."""
         state = RunState.ERROR if code else RunState.DONE
@@ -108,11 +120,16 @@ class PlayedLine:
             result = record(order.serial, self._count, self.network_id)
             result = replace(result, verdict=verdict, reasons=reasons, predicted_rmse=0.071)
             self.registry.add_calibration(LOT, result)
-        told = message or packed(reasons)
+        told = (message,) if message else reasons
         self.queue.report(Progress(order.order_id, state, "done", 1.0, code=code, message=told, verdict=verdict))
 
     def press(
-        self, serial: str, verdict: str, reasons: tuple[Reason, ...] = WITHIN, code: str = "", message: str = ""
+        self,
+        serial: str,
+        verdict: str,
+        reasons: tuple[Reason, ...] = WITHIN,
+        code: str = "",
+        message: Reason | None = None,
     ) -> None:
         """Press one unit from order to end."""
         self.end(self.place(serial), verdict, reasons, code, message)
@@ -121,6 +138,8 @@ class PlayedLine:
 def pressed_signal(seconds: float = 38.0) -> Signal:
     """Return the live signal of a simulated unit, ten points a second."""
     recording = simulate_lot(3, LotDesign(good=1, has_stage=True)).units[0].recording
+    if recording.stage_mm is None:
+        raise ValueError("the lot was drawn with the stage's position and has none")
     step = slice(0, int(seconds * 50), 5)
     columns = (recording.t_s[step], recording.output[step], recording.stage_mm[step])
     t_s, output, stage_mm = (tuple(column.tolist()) for column in columns)
@@ -136,15 +155,14 @@ def served(url: str) -> Iterator[tuple[str, int]]:
 
 
 @contextmanager
-def served_by(command: list[str], environment: dict[str, str]) -> Iterator[tuple[str, int]]:
-    """Run a Streamlit server at a free port; give its address and the id of its process."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    server = subprocess.Popen([*command, f"--server.port={port}"], env=environment, **quiet)
+def served_by(
+    command: list[str], environment: dict[str, str], out: IO[str] | int = subprocess.DEVNULL
+) -> Iterator[tuple[str, int]]:
+    """Run a Streamlit server at a free port; give its address and the id of its process. `out` gets what it prints."""
+    port = free_port()
+    server = subprocess.Popen([*command, f"--server.port={port}"], env=environment, stdout=out, stderr=out)
     try:
-        while not _is_healthy(f"http://127.0.0.1:{port}/_stcore/health"):
+        while not is_healthy(f"http://127.0.0.1:{port}/_stcore/health"):
             time.sleep(0.2)
         yield f"http://127.0.0.1:{port}", server.pid
     finally:
@@ -168,7 +186,15 @@ def keep_picture(page: Page, path: Path) -> None:
     print(f"{path}: {path.stat().st_size / 1024:.0f} KiB", flush=True)
 
 
-def _is_healthy(url: str) -> bool:
+def free_port() -> int:
+    """Return a TCP port nobody listens at."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def is_healthy(url: str) -> bool:
+    """Whether a server answers at an address."""
     try:
         urllib.request.urlopen(url, timeout=2).close()
     except (urllib.error.URLError, OSError):

@@ -13,7 +13,7 @@ from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, ViewportSize
 from screens_common import THEMES, Theme, keep_picture, served
 
 from softcal.app.cli.main import main as softcal
@@ -22,11 +22,12 @@ from softcal.app.gap.desk import practise
 from softcal.app.jobs.jobs import run_job
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.simulated_lot import LotDesign, simulate_lot
+from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.registry import Registry
 
-SIZE = {"width": 1280, "height": 1000}
+SIZE = ViewportSize(width=1280, height=1000)
 LOT = "2026-47"
 NAME, PIN = "Erin", "2580"
 QUALITY, QUALITY_PIN = "Quinn", "7777"
@@ -36,6 +37,10 @@ SETTLE_MS = 1500
 PAGES = {
     "lot": f"lot?lot={LOT}",
     "unit": "unit?unit=U025",
+    "compare": "compare?kind=lots",
+    "audit": f"audit?lot={LOT}",
+    "release": f"release?lot={LOT}",
+    "wall": f"wall?lot={LOT}",
     "long-term": "long_term?unit=U005",
     "source": f"source?lot={LOT}",
     "networks": f"networks?lot={LOT}",
@@ -89,7 +94,7 @@ def fill(url: str, folder: Path) -> None:
         networks = [entry.id for entry in registry.networks()]
         request = {"lot": LOT, "networks": networks, "families": ["auto", "affine", "monotone"], "units": 8}
         run_job(registry, registry.job_board.place("compare", request, NAME), on_cancel=lambda: None)
-        check = {"ports": [], "file": None, "simulated": 0, "may_move": True}
+        check: dict[str, object] = {"ports": [], "file": None, "simulated": 0, "may_move": True}
         run_job(registry, registry.job_board.place("station_check", check, NAME), on_cancel=lambda: None)
 
 
@@ -120,7 +125,8 @@ def add_golden_runs(registry: Registry) -> None:
     for k in range(16):
         is_good, value = k != 12, 0.09 if k == 12 else float(0.062 + 0.003 * rng.normal())
         at = datetime.now(UTC) - timedelta(hours=12 * (16 - k))
-        reasons = () if is_good else ("error 0.09 N is above its control limit, 0.0742 N",)
+        above = reason("golden.error", error=value, unit="N", what=reason("golden.own_limit"), limit=0.0742)
+        reasons = () if is_good else (above,)
         registry.add_golden_run(GoldenRun("line-1", "U001", at, value, "N", is_good, reasons, "Oh"))
 
 
@@ -149,8 +155,8 @@ def step(k: int, shift: float, drift: float) -> dict[str, object]:
 def station_served(url: str) -> Iterator[None]:
     """Serve a simulated station beside the application."""
     command = [str(Path(sys.executable).with_name("softcal")), "station", "serve", "--simulated", "--name", "line-1"]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    station = subprocess.Popen([*command, "--registry", url], **quiet)
+    quiet = subprocess.DEVNULL
+    station = subprocess.Popen([*command, "--registry", url], stdout=quiet, stderr=quiet)
     try:
         yield
     finally:
@@ -162,13 +168,18 @@ def take(page: Page, address: str, pages: Mapping[str, str], theme: Theme, out: 
     """Take the picture of some pages in one theme."""
     for name, path in pages.items():
         page.goto(f"{address}/{path}")
-        page.get_by_role("main").wait_for(timeout=60_000)
-        page.locator("[data-testid=stApp][data-test-script-state=notRunning]").wait_for(timeout=60_000)
-        page.wait_for_timeout(SETTLE_MS)
-        page.locator("[data-testid=stSkeleton]").first.wait_for(state="detached", timeout=60_000)
-        page.locator("[data-testid=stApp][data-test-script-state=notRunning]").wait_for(timeout=60_000)
-        page.wait_for_timeout(SETTLE_MS)
+        settle(page)
         keep_picture(page, out / f"desk-{name}-{theme}.png")
+
+
+def settle(page: Page) -> None:
+    """Wait until a page is drawn to its end."""
+    page.get_by_role("main").wait_for(timeout=60_000)
+    page.locator("[data-testid=stApp][data-test-script-state=notRunning]").wait_for(timeout=60_000)
+    page.wait_for_timeout(SETTLE_MS)
+    page.locator("[data-testid=stSkeleton]").first.wait_for(state="detached", timeout=60_000)
+    page.locator("[data-testid=stApp][data-test-script-state=notRunning]").wait_for(timeout=60_000)
+    page.wait_for_timeout(SETTLE_MS)
 
 
 def sign_in(page: Page, address: str, name: str, pin: str) -> None:

@@ -7,17 +7,27 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from playwright.sync_api import Browser, Page
-from screens_common import GOOD, LOT, STATION, THEMES, PlayedLine, keep_picture, pressed_signal, served, stated
+from playwright.sync_api import Browser, Page, ViewportSize
+from screens_common import (
+    GOOD,
+    LOT,
+    STATION,
+    THEMES,
+    PlayedLine,
+    Theme,
+    keep_picture,
+    pressed_signal,
+    seen,
+    served,
+    stated,
+)
 
-from softcal.core.orders import Condition, Progress, RunState, StationState
+from softcal.core.orders import Progress, RunState, StationState
 from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 
-SIZE = {"width": 1280, "height": 800}
-UNPLUGGED = (
-    "sensor readout (/dev/ttyACM1): the device is gone (unplugged or switched off); the stage was stopped and lifted"
-)
+SIZE = ViewportSize(width=1280, height=800)
+UNPLUGGED = reason("rig.silent.between", device="sensor readout (/dev/ttyACM1)", seconds=2.0)
 CLIPPED = (
     reason("saturated", level=reason("part.level", level=1.62, unit="V"), share=0.081),
     stated(0.31, 0.22, 0.41, "above"),
@@ -50,12 +60,11 @@ def end_run(line: PlayedLine) -> None:
 
 def stop(line: PlayedLine) -> None:
     line.press(serial(45), "", (), "E-SILENT", UNPLUGGED)
-    line.beat(StationState.STOPPED, reason=UNPLUGGED)
+    line.beat(StationState.STOPPED, why=UNPLUGGED)
 
 
 def close(line: PlayedLine) -> None:
-    missing = Condition("golden unit", False, "no golden unit was pressed in this shift; press one")
-    line.beat(StationState.CLOSED, gate=(*GOOD[:-1], missing))
+    line.beat(StationState.CLOSED, gate=(*GOOD[:-1], seen("golden", "no_golden", is_good=False)))
 
 
 STATES: dict[str, tuple[str, Callable[[PlayedLine], None], str]] = {
@@ -73,7 +82,7 @@ STATES: dict[str, tuple[str, Callable[[PlayedLine], None], str]] = {
 """Name of the picture → state of the screen, what the station does before, and what is scanned."""
 
 
-def opened(browser: Browser, address: str, theme: str) -> Page:
+def opened(browser: Browser, address: str, theme: Theme) -> Page:
     """Open the screen in one theme, with an operator's badge."""
     page = browser.new_context(viewport=SIZE, color_scheme=theme).new_page()
     page.goto(address)

@@ -1,13 +1,16 @@
 """A lot into Plotly figures: predicted errors, audited scores, the control chart, why units did not pass."""
 
+from unicodedata import east_asian_width
+
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import Words, coloured, level_line, limit_line, nice_step, styled, whole_numbers
-from softcal.app.texts.reasons import said
-from softcal.app.views.lot import LotView, ProcessView, reason_kind
+from softcal.app.charts.style import HEIGHT, Words, coloured, level_line, limit_line, nice_step, styled, whole_numbers
+from softcal.app.texts.reasons import plainly
+from softcal.app.views.common import far_end
+from softcal.app.views.lot import LotView, ProcessView
 from softcal.core.quality.control_chart import FORBIDDING, ControlChart
 from softcal.core.recording import Array, Indices
 
@@ -25,7 +28,7 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
     """Draw how many units have which predicted error, by verdict, with the lot's limit; far outliers are counted."""
     every = view.predicted()
     figure = go.Figure()
-    top = _far_end(every, view.lot.limit_rmse)
+    top = far_end(every, view.lot.limit_rmse)
     edges = np.linspace(0.0, top, BINS + 1)
     for verdict, colour in colours.verdict.items():
         counts, _ = np.histogram(view.predicted(verdict), edges)
@@ -44,14 +47,6 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
         where = {"xref": "paper", "yref": "paper", "x": 1, "y": 0.98, "showarrow": False, "xanchor": "right"}
         figure.add_annotation(text=text, **where)
     return styled(figure, colours, f"{words('column.predicted')} [{view.lot.reference_unit}]", words("chart.count"))
-
-
-def _far_end(values: Array, limit: float | None) -> float:
-    """Return where the axis ends: at the largest value, unless a few of them would squeeze all others together."""
-    if not len(values):
-        return 1.0
-    most = 2.5 * float(np.quantile(values, 0.8))
-    return max(min(1.02 * float(values.max()), most), 1.2 * (limit or 0.0))
 
 
 def audit_scores(view: LotView, colours: Palette, words: Words) -> go.Figure:
@@ -143,7 +138,7 @@ def reasons_pareto(view: LotView, colours: Palette, words: Words) -> go.Figure:
     counts = np.array([count for _, count in shown], dtype=float)
     every = sum(count for _, count in view.reasons)
     running = np.cumsum(counts) / every
-    names = [_wrapped(reason_kind(said(reason, words))) for reason, _ in shown]
+    names = [_wrapped(plainly(reason, words)) for reason, _ in shown]
     labels = [f"{count:.0f}  ({share:.0%})" for count, share in zip(counts, running, strict=True)]
     figure = go.Figure(
         go.Bar(
@@ -157,16 +152,22 @@ def reasons_pareto(view: LotView, colours: Palette, words: Words) -> go.Figure:
         )
     )
     figure.update_yaxes(autorange="reversed")
-    figure.update_xaxes(range=[0, 1.3 * counts.max()], tickformat="d", dtick=max(1, nice_step(counts.max())))
-    return styled(figure, colours, words("chart.count_running"), "").update_layout(showlegend=False)
+    figure.update_xaxes(range=[0, 2.2 * counts.max()], tickformat="d", dtick=max(1, nice_step(counts.max())))
+    height = max(HEIGHT, 100 + sum(18 * (2 + name.count("<br>")) for name in names))
+    return styled(figure, colours, words("chart.count_running"), "", height).update_layout(showlegend=False)
 
 
-def _wrapped(reason: str, width: int = 38) -> str:
+def _wrapped(reason: str, width: int = 30) -> str:
+    """Break a sentence into lines of so many Latin letters; a Korean one is as wide as two."""
     lines, line = [], ""
     for word in reason.split():
-        if line and len(line) + 1 + len(word) > width:
+        if line and _wide(f"{line} {word}") > width:
             lines.append(line)
             line = word
         else:
             line = f"{line} {word}".strip()
-    return "<br>".join([*lines, line][:3])
+    return "<br>".join([*lines, line])
+
+
+def _wide(said: str) -> int:
+    return sum(2 if east_asian_width(letter) in "WF" else 1 for letter in said)

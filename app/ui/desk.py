@@ -75,7 +75,10 @@ def readable() -> None:
         "[data-testid=stPagination] [aria-current]",
     )
     chosen = ", ".join(f"{place}, {place} *" for place in places)
-    st.html(f"<style>{pale} {chosen} {{ color: {colours().chosen} !important }}</style>")
+    # A section follows the title at once, so that no level is left out; it is drawn smaller than Streamlit would.
+    section = ":is([data-testid=stHeading], [data-testid=stMarkdownContainer]) h2"
+    small = f"{section} {{ font-size: 1.5rem !important; padding: 0.4rem 0 0.6rem !important }}"
+    st.html(f"<style>{pale} {small} {chosen} {{ color: {colours().chosen} !important }}</style>")
 
 
 def choose_language() -> None:
@@ -106,7 +109,7 @@ def errors_in_words() -> Iterator[None]:
         st.error(log_crash(error, "ui"), icon=":material/report:", title=words()("error.defect"))
 
 
-def ask_reason(key: str, label: str, action: str) -> str | None:
+def ask_reason(key: str, label: str, action: str, fields: Callable[[], None] = lambda: None) -> str | None:
     """Ask for the reason of a change; return it in the run in which the button was pressed, else None.
 
     The caller passes the reason and `identity.actor()` on to the function of the registry that makes the change and
@@ -116,6 +119,8 @@ def ask_reason(key: str, label: str, action: str) -> str | None:
         key: unique on the page.
         label: of the button: what will be done.
         action: of `PERMISSIONS`; a role without it sees why there is no button.
+        fields: draws what is sent with the reason. A PIN belongs there: outside a form the browser keeps it to itself
+            when a person leaves its field with the Tab key.
 
     Raises:
         InputError: the role lost the permission meanwhile.
@@ -125,6 +130,7 @@ def ask_reason(key: str, label: str, action: str) -> str | None:
         st.caption(say("reason.not_allowed", role=say(f"role.{person().role}")))
         return None
     with st.form(f"reason-{key}", border=False):
+        fields()
         reason = str(st.text_input(say("reason.label"), placeholder=say("reason.example"), key=f"reason-text-{key}"))
         if not st.form_submit_button(label, type="primary"):
             return None

@@ -3,21 +3,22 @@
 import streamlit as st
 
 from softcal.app.ui.registry_of_server import registry
-from softcal.app.views.lot import LotView, lot_view
+from softcal.app.views.lot import EVERY_RUN, LotView, lot_view
+from softcal.app.views.lot_runs import LotFilter
 
 LOTS = 16
 
 
-def remembered_lot_view(lot_id: str) -> LotView:
+def remembered_lot_view(lot_id: str, wanted: LotFilter = EVERY_RUN) -> LotView:
     """Return a lot at a glance, read once per change; nobody may write into it, since every page gets the same one.
 
     Raises:
         InputError: the lot is not in the registry.
     """
-    return _view(str(registry().database.name), lot_id, registry().change_marker(lot_id))
+    return _view(str(registry().database.name), lot_id, registry().change_marker(lot_id), wanted)
 
 
 # Not cache_data: it would copy ten thousand rows at every look.
 @st.cache_resource(max_entries=LOTS, show_spinner=False)
-def _view(registry_name: str, lot_id: str, marker: str) -> LotView:
-    return lot_view(registry(), lot_id)
+def _view(registry_name: str, lot_id: str, marker: str, wanted: LotFilter) -> LotView:
+    return lot_view(registry(), lot_id, wanted)

@@ -47,7 +47,7 @@ def numbers(cells: Sequence[tuple[str, str, str | None]], narrowest_px: int = NA
 
 def figure_under(title: str, figure: Any, key: str) -> None:
     """Draw a static chart under its heading."""
-    st.subheader(words()(title))
+    st.header(words()(title))
     show_figure(figure, key)
 
 

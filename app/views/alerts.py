@@ -1,4 +1,4 @@
-"""What somebody should look at now, beside the units themselves: said on the page of the lot. No Streamlit."""
+"""What somebody should look at now, beside the units themselves: said on the page of the lot and sent. No Streamlit."""
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -32,18 +32,23 @@ class Alert:
 
 def alerts(registry: Registry, view: LotView, now: datetime) -> tuple[Alert, ...]:
     """Return what should be looked at now, the urgent first."""
+    found = [*lot_alerts(view), *plant_alerts(registry, now)]
+    return tuple(sorted(found, key=lambda alert: not alert.is_urgent))
+
+
+def plant_alerts(registry: Registry, now: datetime) -> list[Alert]:
+    """Return what should be looked at now, whichever lot is made."""
     due = [unit.serial for unit in registry.adapted_units() if unit.entry.get("alarm")]
-    found = [
-        *_of_process(view),
+    return [
         *_golden(registry.golden_runs()),
         *(alert for beat in registry.order_queue.stations() if (alert := _silent(beat, now))),
         *_certificates(registry.certificates(), now),
         *([Alert("units_due", {"count": len(due), "first": due[0]})] if due else []),
     ]
-    return tuple(sorted(found, key=lambda alert: not alert.is_urgent))
 
 
-def _of_process(view: LotView) -> list[Alert]:
+def lot_alerts(view: LotView) -> list[Alert]:
+    """Return what should be looked at in one lot."""
     found = []
     if view.drop is not None:
         drop = view.drop

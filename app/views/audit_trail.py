@@ -34,6 +34,8 @@ SECTIONS = {
     "station": "station",
     "station_gate": "station",
     "laboratory": "papers",
+    "tokens": "people",
+    "alerts": "station",
 }
 """What a row is about → the heading an auditor looks under; files that were taken stand under `papers`."""
 
@@ -66,6 +68,10 @@ FIELDS = (
     "sensor_model",
     "source",
     "rig",
+    "account",
+    "purpose",
+    "ends_at",
+    "is_withdrawn",
 )
 """What of a row is said; everything else is for who asks for the row itself."""
 

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 from datetime import datetime
 
+import numpy as np
+
 from softcal.app.texts.reasons import phrase
 from softcal.core.recording import Array
 
@@ -44,3 +46,11 @@ def instant(at: datetime | None) -> str:
 def thinned(values: Sequence[object] | Array, most: int = POINTS) -> slice:
     """Return the slice that leaves about so many points of a long series for a chart."""
     return slice(None, None, max(1, len(values) // most))
+
+
+def far_end(values: Array, limit: float | None) -> float:
+    """Return where the axis ends: at the largest value, unless a few of them would squeeze all others together."""
+    if not len(values):
+        return 1.0
+    most = 2.5 * float(np.quantile(values, 0.8))
+    return max(min(1.02 * float(values.max()), most), 1.2 * (limit or 0.0))

@@ -1,6 +1,6 @@
 """A lot at a glance: yields, errors, the process behind them and the units that need a look. No Streamlit."""
 
-import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
@@ -8,11 +8,13 @@ from statistics import median
 import numpy as np
 from scipy.stats import fisher_exact
 
+from softcal.app.views.lot_runs import LotFilter, YieldAt, lot_runs, yield_over
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.control_chart import Capability, ControlChart, capability, control_chart
 from softcal.core.quality.yields import UnitRun, Yields, yields
 from softcal.core.recording import Array
+from softcal.core.unit.verdict import VERDICTS
 from softcal.core.words.reason import Reason
 from softcal.db.entries import RunEntry, UnitEntry
 from softcal.db.lot_pages import UnitErrors, UnitFilter
@@ -27,6 +29,7 @@ NEWEST_OF_YIELD = 20
 DROP_CHANCE = 0.005
 """A drop that chance alone shows more often is none; set, not fitted: looked at after every unit."""
 
+EVERY_RUN = LotFilter()
 NEEDS_A_LOOK = ("fail", "retest", "conditional")
 
 
@@ -93,6 +96,9 @@ class LotView:
         process: the errors in time order.
         looks: the worst units.
         drop: of the first-pass yield; None where there is none beyond chance.
+        days, stations, operators: first-pass yield over each of them.
+        chosen: serials that a filter leaves; None without a filter.
+        every_station, every_operator: what a filter can choose from.
     """
 
     lot: Lot
@@ -103,6 +109,12 @@ class LotView:
     process: ProcessView
     looks: tuple[UnitEntry, ...]
     drop: YieldDrop | None = None
+    days: tuple[YieldAt, ...] = ()
+    stations: tuple[YieldAt, ...] = ()
+    operators: tuple[YieldAt, ...] = ()
+    chosen: tuple[str, ...] | None = None
+    every_station: tuple[str, ...] = ()
+    every_operator: tuple[str, ...] = ()
 
     @property
     def total(self) -> int:
@@ -142,26 +154,47 @@ class LotView:
         return median(ratios) if ratios else None
 
 
-def lot_view(registry: Registry, lot_id: str) -> LotView:
-    """Read a lot at a glance.
+def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> LotView:
+    """Read a lot at a glance, or what a filter leaves of it.
 
     Raises:
         InputError: the lot is not in the registry.
     """
-    lot, runs = registry.lot(lot_id), registry.runs(lot_id)
+    lot, every = registry.lot(lot_id), lot_runs(registry, lot_id)
+    placed_runs = [run for run in every if wanted.takes(run)]
+    runs = [one.run for one in placed_runs]
+    chosen = None if wanted.is_open else tuple(sorted({run.serial for run in runs}))
     golden = {run.serial for run in registry.golden_runs()}
     found = yields(_by_unit(runs), golden)
-    looks = registry.unit_page(lot_id, UnitFilter(NEEDS_A_LOOK, sort="severity"), size=LOOKS)
+    errors = registry.lot_errors(lot_id)
+    if chosen is not None:
+        kept = frozenset(chosen)
+        errors = [row for row in errors if row.serial in kept]
+    looks = registry.unit_page(lot_id, UnitFilter(NEEDS_A_LOOK, sort="severity", serials=chosen), size=LOOKS)
+    of_units = [one for one in placed_runs if one.run.serial not in golden]
     return LotView(
         lot,
-        registry.verdict_counts(lot_id),
-        tuple(registry.lot_errors(lot_id)),
+        registry.verdict_counts(lot_id) if chosen is None else _counts(errors, runs),
+        tuple(errors),
         found,
         found.reasons,
         process_view(runs, lot.limit_rmse),
         looks.units,
         yield_drop(runs),
+        yield_over(of_units, lambda run: run.day.isoformat()),
+        yield_over(of_units, lambda run: run.station),
+        yield_over(of_units, lambda run: run.operator),
+        chosen,
+        tuple(sorted({run.station for run in every})),
+        tuple(sorted({run.operator for run in every})),
     )
+
+
+def _counts(errors: Sequence[UnitErrors], runs: Sequence[RunEntry]) -> dict[str, int]:
+    """Count the units of some runs by the verdict of their map in use, of those without one by their newest run."""
+    standing = {run.serial: run.verdict for run in runs} | {row.serial: row.verdict for row in errors}
+    found = Counter(standing.values())
+    return {word: found[word] for word in (*reversed(VERDICTS), "none")}
 
 
 def yield_drop(runs: Sequence[RunEntry]) -> YieldDrop | None:
@@ -195,12 +228,6 @@ def process_view(runs: Sequence[RunEntry], limit_rmse: float | None) -> ProcessV
         return ProcessView(serials, chart, broken, capability(chart, None, limit_rmse), None)
     except InputError as error:
         return ProcessView(serials, chart, broken, None, error.reason)
-
-
-def reason_kind(reason: str) -> str:
-    """Return a reason without its numbers, so that units with the same trouble are counted together."""
-    head = re.sub(r"\s*\([^)]*\)", "", reason).split(":")[0]
-    return re.sub(r"\s*-?\d[\d.,]*(e[+-]?\d+)?(\s*(N|V|%|mm|s|Hz)\b)?", "", head).strip()
 
 
 def _by_unit(runs: Sequence[RunEntry]) -> dict[str, list[UnitRun]]:

@@ -148,6 +148,7 @@ def test_core_alone_exports_what_the_estimate_used(bare: Path, calibrated: Path)
     ("arguments", "extra"),
     [
         (("ui", "--no-browser"), "ui"),
+        (("api", "openapi", "--out", "o.json"), "connect"),
         (("station", "check", "--simulated"), "station"),
         (("export", "--serial", "S1", "--format", "onnx", "--out", "o", "--failed-too"), "documents"),
         (("batch", "lot", "--registry", "postgresql://softcal@127.0.0.1/none"), "postgresql"),

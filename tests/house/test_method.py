@@ -15,7 +15,8 @@ CORE = Path(__file__).parents[2] / "core"
 ROOMS = ("unit", "maps", "use")
 NO_DECISION = {
     "core/unit/method.py": {"CONFIDENCE", "LEVELS"},  # parts of the file formats, and fields of `Method`
-    "core/unit/audit_reading.py": {"SHARES"},  # quantiles of the stored reading
+    "core/unit/audit_reading.py": {"KEPT"},  # instants of the stored reading
+    "core/unit/bridge.py": {"SAME_DAY"},  # the identity
     "core/unit/line_spread.py": {"MOST_SPREAD"},  # 1, the end of what a share can be
     "core/unit/uncertainty.py": {"NORMAL_90"},  # a quantile of the normal distribution
     "core/unit/explanation.py": {"DENSITY_BINS"},  # bars of a figure
@@ -57,6 +58,7 @@ EXPLAINED = {
         "6": "variance of a second difference over that of the samples",
         "12": "variance of a uniform variable over its squared width",
     },
+    "core/use/activity.py": {"12": "one over the variance of a uniform index from -1/2 to 1/2"},
     "core/maps/label_shift.py": {"5": "a third of a window"},
     "core/maps/paired.py": {"1.5": "exponent of the integral of a squared second difference"},
     "core/maps/plan.py": {"2000000": "iterations of the exact solver: it refuses beyond them, nothing else changes"},

@@ -1,41 +1,81 @@
-"""Two units side by side: what each got and why, and their maps in one picture."""
+"""Side by side: two units with their maps in one picture, or lots with their yields and errors."""
 
 import streamlit as st
 
 from softcal.app.charts.compare import maps_together, predicted_over_load
+from softcal.app.charts.lots import errors_of_lots
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.desk import colours, empty, errors_in_words, registry, show_figure, verdict_badge, words
 from softcal.app.ui.first_paint import rest_may_follow
+from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import heading, table
 from softcal.app.views.common import instant, number
+from softcal.app.views.lots import MOST_LOTS, lot_rows
 from softcal.app.views.unit import UnitView, unit_view
 
 PLACES = ("a", "b")
+KINDS = ("units", "lots")
 
 
 def render() -> None:
     """Draw the page."""
     say = words()
     with errors_in_words():
-        heading("compare")
-        chosen = [_choose(place, column) for place, column in zip(PLACES, st.columns(2), strict=True)]
-        if not all(chosen):
-            empty(say("empty.units"), say("empty.units.how"))
-            return
-        left, right = (unit_view(registry(), str(serial)) for serial in chosen)
-        for column, view in zip(st.columns(2), (left, right), strict=True):
-            with column:
-                verdict_badge(view.stored.record.verdict)
-        table(_rows(left, right))
-        if not rest_may_follow():
-            return
-        first, second = st.columns(2)
-        with first:
-            st.subheader(say("unit.map"))
-            show_figure(maps_together((left, right), colours(), say), "compare-maps")
-        with second:
-            st.subheader(say("compare.interval"))
-            show_figure(predicted_over_load((left, right), colours(), say), "compare-interval")
+        with heading("compare"):
+            kinds = {kind: say(f"compare.{kind}") for kind in KINDS}
+            asked = str(st.query_params.get("kind", KINDS[0]))
+            kind = st.segmented_control(
+                say("compare.what"),
+                KINDS,
+                default=asked if asked in KINDS else KINDS[0],
+                format_func=kinds.__getitem__,
+                key="compare-kind",
+                label_visibility="collapsed",
+            )
+        if kind == "lots":
+            _lots()
+        else:
+            _units()
+
+
+def _units() -> None:
+    say = words()
+    chosen = [_choose(place, column) for place, column in zip(PLACES, st.columns(2), strict=True)]
+    if not all(chosen):
+        empty(say("empty.units"), say("empty.units.how"))
+        return
+    left, right = (unit_view(registry(), str(serial)) for serial in chosen)
+    for column, view in zip(st.columns(2), (left, right), strict=True):
+        with column:
+            verdict_badge(view.stored.record.verdict)
+    table(_rows(left, right))
+    if not rest_may_follow():
+        return
+    first, second = st.columns(2)
+    with first:
+        st.header(say("unit.map"))
+        show_figure(maps_together((left, right), colours(), say), "compare-maps")
+    with second:
+        st.header(say("compare.interval"))
+        show_figure(predicted_over_load((left, right), colours(), say), "compare-interval")
+
+
+def _lots() -> None:
+    say, known = words(), registry().lot_ids()
+    if not known:
+        empty(say("empty.lots"), say("empty.lots.how"))
+        return
+    asked = [lot for lot in st.query_params.get_all("lot") if lot in known]
+    chosen = st.multiselect(
+        say("compare.lots"), known, asked or known[-2:], max_selections=MOST_LOTS, key="compare-lots"
+    )
+    if not chosen:
+        return
+    views = [remembered_lot_view(lot) for lot in chosen]
+    table(lot_rows(views, say))
+    if rest_may_follow():
+        st.header(say("lot.distribution"))
+        show_figure(errors_of_lots(views, colours(), say), "compare-errors")
 
 
 def _choose(place: str, column: st.delta_generator.DeltaGenerator) -> str | None:

@@ -32,7 +32,7 @@ def render() -> None:
             return
         with right:
             figure_under("lot.distribution", charts_lot.predicted_errors(view, colours(), say), "limit-distribution")
-        st.subheader(say("limits.versions"))
+        st.header(say("limits.versions"))
         if versions:
             table([_row(entry, view.lot.reference_unit) for entry in reversed(versions)])
         else:

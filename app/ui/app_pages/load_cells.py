@@ -32,7 +32,7 @@ def render() -> None:
             empty(say("cells.none"), say("cells.none.how"))
         if may(person(), "set_up"):
             certificate_form()
-        st.subheader(say("golden.title"))
+        st.header(say("golden.title"))
         if rest_may_follow():
             _golden()
 

@@ -26,7 +26,7 @@ def render() -> None:
         streams = registry().streams(serial)
         stream = streams[0] if len(streams) == 1 else str(st.selectbox(say("long_term.stream"), streams))
         found = course(registry(), serial, stream)
-        st.subheader(say("long_term.course", serial=serial))
+        st.header(say("long_term.course", serial=serial))
         if found.alarm:
             st.warning(
                 phrase("adapt", found.alarm, say), icon=":material/notification_important:", title=say("long_term.due")

@@ -1,19 +1,19 @@
 """The lot at a glance: yields, errors, the process behind them, the units that need a look, the table."""
 
-from datetime import UTC, datetime
-
 import streamlit as st
 
 from softcal.app.charts import lot as charts_lot
+from softcal.app.ui.components.alerts_panel import alerts_panel
+from softcal.app.ui.components.audited_panel import audited_panel
 from softcal.app.ui.components.calibrate_again import calibrate_again
 from softcal.app.ui.components.looks import looks
-from softcal.app.ui.components.process_panel import capability_panel, control_panel, reasons_panel
+from softcal.app.ui.components.lot_filter import chosen_lot_view
+from softcal.app.ui.components.lot_report import lot_report
+from softcal.app.ui.components.process_panel import capability_panel, control_panel, reasons_panel, yield_panel
 from softcal.app.ui.components.unit_table import unit_table
 from softcal.app.ui.desk import colours, empty, errors_in_words, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import figure_under, lot_heading, numbers
-from softcal.app.views.alerts import alerts
 from softcal.app.views.common import number, percent
 from softcal.app.views.lot import LotView
 
@@ -26,25 +26,20 @@ def render() -> None:
         if lot_id is None:
             return
         calibrate_again(lot_id)
-        view = remembered_lot_view(lot_id)
+        view = chosen_lot_view(lot_id)
         if not view.judged:
             empty(say("empty.units"), say("empty.units.how"))
             return
-        _alerts(view)
+        alerts_panel(view)
         _numbers(view)
         if not rest_may_follow():
             return
         _figures(view)
+        audited_panel(view)
         looks(view)
-        st.subheader(say("lot.table"))
-        unit_table(view.lot)
-
-
-def _alerts(view: LotView) -> None:
-    say = words()
-    for alert in alerts(registry(), view, datetime.now(UTC)):
-        draw, icon = (st.error, "report") if alert.is_urgent else (st.warning, "notifications")
-        draw(say(f"alert.{alert.kind}", **alert.values), icon=f":material/{icon}:")
+        st.header(say("lot.table"))
+        unit_table(view.lot, view.chosen)
+        lot_report(view)
 
 
 def _numbers(view: LotView) -> None:
@@ -82,6 +77,7 @@ def _figures(view: LotView) -> None:
             figure_under("lot.scores", charts_lot.audit_scores(view, colours(), words()), "scores")
         else:
             reasons_panel(view)
+    yield_panel(view)
     control_panel(view.process, view.lot)
     left, right = st.columns(2)
     with left:

@@ -73,7 +73,7 @@ def render() -> None:
 
 def _step(number: int) -> st.delta_generator.DeltaGenerator:
     box = st.container(border=True)
-    box.markdown(f"#### {number} · {words()(f'new_lot.step.{number}')}")
+    box.markdown(f"## {number} · {words()(f'new_lot.step.{number}')}")
     return box
 
 

@@ -48,13 +48,17 @@ def _change(people: list[User]) -> None:
     role = st.selectbox(
         say("people.role"), ROLES, ROLES.index(user.role), lambda role: say(f"role.{role}"), key=f"people-role-{mark}"
     )
-    pin_label = say("sign_in.new_pin") if user is NEW else say("people.pin")
-    pin = st.text_input(pin_label, type="password", key=f"people-pin-{mark}", autocomplete="new-password")
-    again = st.text_input(
-        say("sign_in.pin_again"), type="password", key=f"people-again-{mark}", autocomplete="new-password"
-    )
     is_active = st.checkbox(say("people.may_sign_in"), user.is_active, key=f"people-active-{mark}")
-    reason = ask_reason(f"people-{mark}", say("people.save"), "people")
+    pin = again = ""
+
+    def pins() -> None:
+        nonlocal pin, again
+        label = say("sign_in.new_pin") if user is NEW else say("people.pin")
+        pin = st.text_input(label, type="password", key=f"people-pin-{mark}", autocomplete="new-password")
+        label = say("sign_in.pin_again")
+        again = st.text_input(label, type="password", key=f"people-again-{mark}", autocomplete="new-password")
+
+    reason = ask_reason(f"people-{mark}", say("people.save"), "people", pins)
     if reason is None:
         return
     try:

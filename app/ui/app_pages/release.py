@@ -46,7 +46,7 @@ def render() -> None:
 
 def _statement(lot_id: str) -> None:
     say = words()
-    st.markdown(f"#### {say('release.statement')}")
+    st.markdown(f"## {say('release.statement')}")
     decided = decide_release(registry(), lot_id, datetime.now(UTC))
     if decided is None:
         st.caption(say("release.none"))
@@ -64,7 +64,7 @@ def _statement(lot_id: str) -> None:
     facts = lot_statement_facts(registry(), lot_id, decided)
     st.download_button(
         say("release.pdf"),
-        data=lambda: lot_statement_pdf(facts),
+        data=lambda: lot_statement_pdf(facts, say),
         file_name=f"{lot_id}-statement.pdf",
         mime="application/pdf",
         icon=":material/download:",
@@ -100,7 +100,7 @@ def _tell_statement(lot_id: str) -> None:
 
 def _archive(lot_id: str) -> None:
     say = words()
-    st.markdown(f"#### {say('release.archive')}")
+    st.markdown(f"## {say('release.archive')}")
     formats = st.multiselect(
         say("unit.files.format"), FORMATS, USUAL_FORMATS, format_func=lambda name: say(f"format.{name}")
     )

@@ -39,7 +39,7 @@ def render() -> None:
 
 def _step(number: int) -> st.delta_generator.DeltaGenerator:
     box = st.container(border=True)
-    box.markdown(f"#### {number} · {words()(f'source.step.{number}')}")
+    box.markdown(f"## {number} · {words()(f'source.step.{number}')}")
     return box
 
 

@@ -7,6 +7,7 @@ from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.desk import errors_in_words, registry, words
 from softcal.app.ui.panels import go_to, heading
+from softcal.core.orders import RunState
 from softcal.db.people import may
 
 UNITS = 4
@@ -30,11 +31,13 @@ def render() -> None:
 
 def _demo() -> None:
     say = words()
-    st.markdown(f"#### :material/science: {say('start.demo')}")
+    st.markdown(f"## :material/science: {say('start.demo')}")
     st.markdown(say("start.demo.how", units=UNITS))
     job = newest_job("demo")
     is_busy = job is not None and job.state.is_active
     if "demo" in registry().lot_ids() and not is_busy:
+        if job is not None and job.state is RunState.DONE:
+            _landed(job.job_id)
         if st.button(say("start.demo.open"), type="primary", width="stretch", key="demo-open"):
             go_to("lot", lot="demo")
         return
@@ -42,8 +45,8 @@ def _demo() -> None:
         permit("calibrate")
         st.session_state["demo-asked"] = start_job(registry(), "demo", {"units": UNITS}, actor())
         st.rerun()
-    if job is not None and job_panel(job):
-        _landed(job.job_id)
+    if job is not None:
+        job_panel(job)
 
 
 def _landed(job_id: str) -> None:
@@ -55,7 +58,7 @@ def _landed(job_id: str) -> None:
 def _way(name: str, page: str, icon: str) -> None:
     """Draw one other way to begin; who may not take it is led to the sign-in."""
     say = words()
-    st.markdown(f"#### :material/{icon}: {say(f'start.{name}')}")
+    st.markdown(f"## :material/{icon}: {say(f'start.{name}')}")
     st.markdown(say(f"start.{name}.how"))
     if may(person(), "set_up"):
         if st.button(say(f"start.{name}.do"), width="stretch", key=f"start-{name}"):

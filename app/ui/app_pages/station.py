@@ -31,7 +31,7 @@ def render() -> None:
             if not rest_may_follow():
                 return
             _runs(station)
-        st.subheader(say("station.setup"))
+        st.header(say("station.setup"))
         rig_setup()
 
 
@@ -54,7 +54,12 @@ def _state(station: str) -> None:
         rows = [
             (marks[condition.is_good], in_words(condition.name), in_words(condition.says)) for condition in beat.gate
         ]
-        table([{"": mark, say("station.condition"): name, say("station.fact"): says} for mark, name, says in rows])
+        table(
+            [
+                {say("station.good"): mark, say("station.condition"): name, say("station.fact"): says}
+                for mark, name, says in rows
+            ]
+        )
 
 
 def _actions(station: str) -> None:
@@ -95,7 +100,7 @@ def _runs(station: str) -> None:
         }
         for order, progress in registry().order_queue.runs(station, RUNS)
     ]
-    st.subheader(say("station.runs"))
+    st.header(say("station.runs"))
     if rows:
         table(rows)
     else:

@@ -59,7 +59,7 @@ def gap_report(job: Job, case: Path) -> None:
 
 def _headline(report: Report) -> None:
     say = words()
-    st.subheader(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
+    st.header(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
     for found in report.get("data", ()):
         evidence, repair = (said(Reason.of(one), say) for one in found["reasons"])
         runs = say("gap.data.all") if found["runs"] == "all" else ", ".join(map(str, found["runs"]))
@@ -84,7 +84,7 @@ def _headline(report: Report) -> None:
 
 def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
     say = words()
-    st.subheader(say("gap.where"))
+    st.header(say("gap.where"))
     # The picture has a light ground of its own: its shades of red would not be read on a dark one.
     picture = chain_svg(report).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" ', 1)
     st.image(picture, width="stretch")
@@ -97,7 +97,7 @@ def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
 
 def _why(report: Report) -> None:
     say = words()
-    st.subheader(say("gap.why"))
+    st.header(say("gap.why"))
     _rows(cause_rows(report), "gap.why.none")
     for group in ambiguous_groups(report):
         st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
@@ -108,11 +108,11 @@ def _gain(report: Report) -> None:
     say = words()
     left, right = st.columns(2)
     with left:
-        st.subheader(say("gap.gain"))
+        st.header(say("gap.gain"))
         _figure(gap_figures.gain_figure(report), "gain")
     figure = gap_figures.hidden_figure(report)
     with right:
-        st.subheader(say("gap.sure"))
+        st.header(say("gap.sure"))
         if hidden := hidden_effects(report):
             st.caption(say("gap.hidden", effects=", ".join(hidden)))
         if figure is not None:
@@ -121,7 +121,7 @@ def _gain(report: Report) -> None:
 
 def _next(report: Report, case: Path) -> None:
     say, proposed = words(), next_experiment(report)
-    st.subheader(say("gap.next"))
+    st.header(say("gap.next"))
     with st.container(border=True):
         if proposed is None:
             st.markdown(say("gap.next.none"))

@@ -34,6 +34,11 @@ export default function ({ data }) {
   const isLeftBehind = () =>
     document.querySelector(".st-key-scan-field, .st-key-line-actions") &&
     Date.now() - (document.softcalDrawn ?? Date.now()) > LEFT_BEHIND_MS
+  // Streamlit calls the field of files a decoration and gives it a name: a reader that is told both leaves it out.
+  const named = () => {
+    for (const field of document.querySelectorAll("[data-testid=stFileUploaderDropzone][role=presentation]"))
+      field.removeAttribute("role")
+  }
   const look = async () => {
     let answers = true
     try {
@@ -44,6 +49,7 @@ export default function ({ data }) {
     } catch {
       answers = false
     }
+    named()
     show(!answers || !isConnected() ? "server" : isLeftBehind() ? "late" : "")
     timer = setTimeout(look, LOOK_MS)
   }

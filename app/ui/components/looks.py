@@ -15,7 +15,7 @@ from softcal.db.entries import UnitEntry
 def looks(view: LotView) -> None:
     """Draw the worst units and the plot of the one that is chosen, the worst at first."""
     say = words()
-    st.subheader(say("lot.look"))
+    st.header(say("lot.look"))
     if not view.looks:
         st.caption(say("lot.look.none"))
         return
@@ -47,9 +47,11 @@ def _row(unit: UnitEntry, reference_unit: str) -> dict[str, object]:
 
 def _plot(unit: UnitEntry) -> None:
     say = words()
-    left, right = st.columns([3, 2], vertical_alignment="center")
-    left.markdown(f"**{unit.serial}** · {say(f'verdict.{unit.verdict}')}")
-    if right.button(say("lot.look.open"), key="open-look", icon=":material/arrow_forward:", width="stretch"):
+    # What does not fit beside the name goes below it; a label is never cut.
+    with st.container(horizontal=True, horizontal_alignment="distribute", vertical_alignment="center"):
+        st.markdown(f"**{unit.serial}** · {say(f'verdict.{unit.verdict}')}", width="content")
+        is_chosen = st.button(say("lot.look.open"), key="open-look", icon=":material/arrow_forward:")
+    if is_chosen:
         go_to("unit", unit=unit.serial)
     if unit.revision is None:
         st.caption(say("empty.calibration"))

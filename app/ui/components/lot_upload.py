@@ -17,7 +17,9 @@ from softcal.core.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-FOLDER = "new-lot-folder"
+NEW_LOT = "new-lot"
+"""Which field of files is meant, where a page has one of its own."""
+
 ROWS = 5
 NAMES = {
     "output": ("output", "output_v", "out", "v", "voltage"),
@@ -28,12 +30,14 @@ NAMES = {
 """Names that tables often have for a column; what fits first is offered."""
 
 
-def dropped_files() -> list[Path]:
+def dropped_files(field: str = NEW_LOT) -> list[Path]:
     """Draw the field for files and return where they lie now; the same name dropped twice is one file."""
     say = words()
     kinds = sorted(suffix[1:] for suffix in SUFFIXES)
-    dropped = st.file_uploader(say("new_lot.files"), type=kinds, accept_multiple_files=True, key="new-lot-files")
-    folder = Path(st.session_state.setdefault(FOLDER, tempfile.mkdtemp(prefix="softcal-upload-")))
+    # A field that was forgotten is another one afterwards, so that it is empty.
+    key = f"{field}-files-{st.session_state.get(f'{field}-forgotten', 0)}"
+    dropped = st.file_uploader(say("new_lot.files"), type=kinds, accept_multiple_files=True, key=key)
+    folder = Path(st.session_state.setdefault(_folder(field), tempfile.mkdtemp(prefix="softcal-upload-")))
     folder.mkdir(exist_ok=True)
     wanted: dict[str, Path] = {}
     for file in dropped or []:
@@ -47,9 +51,14 @@ def dropped_files() -> list[Path]:
     return [wanted[name] for name in sorted(wanted)]
 
 
-def forget_files() -> None:
-    """Remove what was dropped; it lies in the lot's folder now."""
-    shutil.rmtree(st.session_state.pop(FOLDER, ""), ignore_errors=True)
+def forget_files(field: str = NEW_LOT) -> None:
+    """Remove what was dropped; it is kept elsewhere now."""
+    shutil.rmtree(st.session_state.pop(_folder(field), ""), ignore_errors=True)
+    st.session_state[f"{field}-forgotten"] = st.session_state.get(f"{field}-forgotten", 0) + 1
+
+
+def _folder(field: str) -> str:
+    return f"{field}-folder"
 
 
 def first_readable(files: Sequence[Path]) -> "tuple[Path, pd.DataFrame] | None":

@@ -27,7 +27,7 @@ MOST_UNITS = 200
 def training(lot: Lot) -> None:
     """Draw the form beside the newest training of the lot."""
     say = words()
-    st.subheader(say("networks.train"))
+    st.header(say("networks.train"))
     left, right = st.columns([2, 3])
     job = newest_job("train", lot=lot.id)
     with left:
@@ -76,7 +76,7 @@ def _loss(job: Job, lot: Lot) -> None:
 def comparison(lot: Lot, rows: Sequence[NetworkRow]) -> None:
     """Draw the choice of what to compare and the newest comparison."""
     say = words()
-    st.subheader(say("networks.compare"))
+    st.header(say("networks.compare"))
     st.caption(say("networks.compare.how"))
     job = newest_job("compare", lot=lot.id)
     if may(person(), "set_up"):

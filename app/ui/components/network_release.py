@@ -18,7 +18,7 @@ DONE = "network-decided"
 def release(lot: Lot, rows: Sequence[NetworkRow]) -> None:
     """Draw which network the line uses, and the two decisions on the others."""
     say = words()
-    st.subheader(say("networks.release"))
+    st.header(say("networks.release"))
     used = next((row for row in rows if row.is_in_use), None)
     st.caption(say("networks.release.how", network=used.id[:12]) if used else say("networks.release.none"))
     if done := st.session_state.pop(DONE, ""):

@@ -3,6 +3,7 @@
 import streamlit as st
 
 from softcal.app.charts import lot as charts_lot
+from softcal.app.charts.lot_yield import yield_figure
 from softcal.app.ui.desk import colours, in_words, words
 from softcal.app.ui.panels import figure_under, numbers
 from softcal.app.views.common import number
@@ -13,7 +14,7 @@ from softcal.core.lot import Lot
 def control_panel(process: ProcessView, lot: Lot) -> None:
     """Draw the control chart, or why there is none."""
     if process.chart is None:
-        st.subheader(words()("lot.process"))
+        st.header(words()("lot.process"))
         st.caption(in_words(process.refusal or ""))
         return
     figure = charts_lot.control_chart_figure(process, lot.reference_unit, colours(), words())
@@ -25,7 +26,7 @@ def capability_panel(process: ProcessView, lot: Lot) -> None:
     say, found = words(), process.capability
     if process.chart is None:
         return
-    st.subheader(say("lot.capability"))
+    st.header(say("lot.capability"))
     if lot.limit_rmse is None:
         st.caption(say("lot.capability.no_limit"))
     elif found is None:
@@ -41,6 +42,18 @@ def reasons_panel(view: LotView) -> None:
     """Draw why units did not pass, the most frequent reason first."""
     if view.reasons:
         figure_under("lot.reasons", charts_lot.reasons_pareto(view, colours(), words()), "reasons")
+
+
+def yield_panel(view: LotView) -> None:
+    """Draw the first-pass yield over days beside that over stations, and over operators where there are several."""
+    say = words()
+    places = [("days", view.days), ("stations", view.stations)]
+    if len(view.operators) > 1:
+        places.append(("operators", view.operators))
+    for column, (name, found) in zip(st.columns(len(places)), places, strict=True):
+        with column:
+            figure = yield_figure(found, say(f"lot.yield.{name}.axis"), colours(), say)
+            figure_under(f"lot.yield.{name}", figure, f"yield-{name}")
 
 
 def _rules(process: ProcessView) -> None:

@@ -21,7 +21,7 @@ MOST_UNITS, MOST_RETESTS = 10_000_000, 99
 def rules_form(lot: Lot) -> None:
     """Draw the rules that hold, what to set instead, and every version."""
     say = words()
-    st.subheader(say("rules.title"))
+    st.header(say("rules.title"))
     if done := st.session_state.pop("rules-done", ""):
         st.success(done, icon=":material/check:")
     versions = registry().line_rules_versions(lot.id)

@@ -1,5 +1,6 @@
 """The units of a lot as a table: filtered, sorted and paged in SQL, and exported as a whole."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -20,15 +21,20 @@ WORDS = (*reversed(VERDICTS), "none")
 
 SORTS = ("severity", "serial", "predicted_rmse", "after_rmse", "made_at")
 NUMBERS = ("predicted", "before", "after", "own")
+Serials = tuple[str, ...] | None
 EXCEL = "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet"
 
 
 @st.fragment
 @errors_in_words()
-def unit_table(lot: Lot) -> None:
-    """Draw the table of a lot; a fragment of its own, so that filtering draws nothing else again."""
+def unit_table(lot: Lot, serials: Serials = None) -> None:
+    """Draw the table of a lot; a fragment of its own, so that filtering draws nothing else again.
+
+    Args:
+        serials: of these units only; None takes all.
+    """
     say = words()
-    wanted = _filter(lot.id)
+    wanted = replace(_filter(lot.id), serials=serials)
     place = f"units-page-{lot.id}"
     found = registry().unit_page(lot.id, wanted, int(st.session_state.get(place, 1)), SIZE)
     if found.total and not found.units:
@@ -46,7 +52,7 @@ def unit_table(lot: Lot) -> None:
         st.pagination(max(1, -(-found.total // SIZE)), key=place)
         st.caption(say("lot.table.count", shown=len(units), count=found.total))
     with right, st.container(horizontal=True, horizontal_alignment="right"):
-        _export(lot)
+        _export(lot, serials)
     if chosen is not None:
         go_to("unit", unit=units[chosen].serial)
 
@@ -66,14 +72,14 @@ def row(unit: UnitEntry) -> dict[str, object]:
 
 def _filter(lot_id: str) -> UnitFilter:
     say = words()
-    left, middle, right = st.columns([3, 2, 2], vertical_alignment="bottom")
-    verdicts = left.pills(
+    verdicts = st.pills(
         say("column.verdict"),
         WORDS,
         selection_mode="multi",
         format_func=lambda word: say(f"verdict.{word}"),
         key=f"units-verdicts-{lot_id}",
     )
+    middle, right = st.columns([3, 2], vertical_alignment="bottom")
     text = middle.text_input(say("lot.table.find"), key=f"units-find-{lot_id}", icon=":material/search:")
     sort = right.selectbox(
         say("lot.table.sort"), SORTS, format_func=lambda name: say(f"sort.{name}"), key=f"units-sort-{lot_id}"
@@ -87,14 +93,14 @@ def _error_column(name: str, unit: str) -> Any:
     return st.column_config.NumberColumn(f"{words()(f'column.{name}')} [{unit}]", format="%.4g")
 
 
-def _export(lot: Lot) -> None:
+def _export(lot: Lot, serials: Serials) -> None:
     """Offer the whole table; its bytes are made when somebody takes them."""
     say = words()
     forms = ((".csv", "text/csv", _csv), (".xlsx", EXCEL, _excel))
     for suffix, mime, make in forms:
         st.download_button(
             say(f"lot.export{suffix}"),
-            data=partial(make, lot),
+            data=partial(make, lot, serials),
             file_name=f"{lot.id}{suffix}",
             mime=mime,
             key=f"export{suffix}",
@@ -103,17 +109,20 @@ def _export(lot: Lot) -> None:
         )
 
 
-def _table(lot: Lot) -> tuple[list[str], list[tuple[object, ...]]]:
-    units = [unit for unit in registry().units(lot.id) if unit.role == "target"]
+def _table(lot: Lot, serials: Serials) -> tuple[list[str], list[tuple[object, ...]]]:
+    kept = None if serials is None else frozenset(serials)
+    units = [
+        unit for unit in registry().units(lot.id) if unit.role == "target" and (kept is None or unit.serial in kept)
+    ]
     rows = [row(unit) for unit in units]
     header = list(rows[0]) if rows else []
     return header, [tuple(values.values()) for values in rows]
 
 
-def _csv(lot: Lot) -> bytes:
+def _csv(lot: Lot, serials: Serials) -> bytes:
     # The mark tells Excel that these bytes are UTF-8; without it Korean headings are garbled.
-    return csv_text(*_table(lot)).encode("utf-8-sig")
+    return csv_text(*_table(lot, serials)).encode("utf-8-sig")
 
 
-def _excel(lot: Lot) -> bytes:
-    return excel_bytes(*_table(lot))
+def _excel(lot: Lot, serials: Serials) -> bytes:
+    return excel_bytes(*_table(lot, serials))

@@ -1,0 +1,70 @@
+"""Audited units into Plotly figures: estimate against reference, and the error over the load with its limit."""
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from softcal.app.charts.palette import Palette
+from softcal.app.charts.style import Words, level_line, styled
+from softcal.app.views.audited import AuditedView
+from softcal.app.views.common import thinned
+
+POINTS = 400
+"""Dots of one unit; more cost the browser and show nothing."""
+
+
+def estimate_over_reference(view: AuditedView, colours: Palette, words: Words) -> go.Figure:
+    """Draw every unit's estimates over the reference, the line of equality, and the limit to both sides of it."""
+    figure, unit = go.Figure(), view.lot.reference_unit
+    ends = np.array([view.edges[0], view.edges[-1]])
+    for k, one in enumerate(view.units):
+        at = thinned(one.reference, POINTS)
+        figure.add_scatter(
+            x=one.reference[at],
+            y=one.estimate[at],
+            mode="markers",
+            marker={"color": colours.mapped, "size": 3, "opacity": 0.45},
+            name=words("chart.audited"),
+            legendgroup="units",
+            showlegend=k == 0,
+            hovertemplate=f"{one.serial}: %{{x:.3g}} → %{{y:.3g}} {unit}<extra></extra>",
+        )
+    line = {"color": colours.text, "width": 1.5}
+    figure.add_scatter(x=ends, y=ends, mode="lines", line=line, name=words("chart.equal"))
+    limit = view.lot.limit_rmse
+    for k, sign in enumerate((1.0, -1.0) if limit else ()):
+        dashed = {"color": colours.limit, "width": 1.5, "dash": "dash"}
+        name = words("chart.limit.both", limit=f"{limit:.3g} {unit}")
+        figure.add_scatter(
+            x=ends, y=ends + sign * (limit or 0.0), mode="lines", line=dashed, name=name, legendgroup="l",
+            showlegend=k == 0,
+        )  # fmt: skip
+    figure.update_layout(legend_itemsizing="constant")
+    quantity = view.lot.reference_quantity
+    return styled(
+        figure, colours, f"{words('chart.reference')}: {quantity} [{unit}]", f"{words('chart.estimate')} [{unit}]"
+    )
+
+
+def error_over_load(view: AuditedView, colours: Palette, words: Words) -> go.Figure:
+    """Draw the RMSE of every unit in each load band, the largest unit by name, and the limit of the lot."""
+    figure, unit = make_subplots(), view.lot.reference_unit
+    for k, one in enumerate(view.units):
+        is_worst = k == 0
+        figure.add_scatter(
+            x=view.middles,
+            y=view.band_errors(one),
+            mode="lines+markers",
+            connectgaps=False,
+            line={"color": colours.raw if is_worst else colours.mapped, "width": 2.5 if is_worst else 1},
+            marker_size=6 if is_worst else 3,
+            name=words("chart.largest", serial=one.serial) if is_worst else words("chart.others"),
+            legendgroup="worst" if is_worst else "others",
+            showlegend=k <= 1,
+            hovertemplate=f"{one.serial}: %{{y:.3g}} {unit}<extra></extra>",
+        )
+    if view.lot.limit_rmse is not None:
+        named = words("chart.limit.named", limit=f"{view.lot.limit_rmse:.3g} {unit}")
+        level_line(figure, view.lot.limit_rmse, colours.limit, named, dash="dash")
+    figure.update_yaxes(rangemode="tozero")
+    return styled(figure, colours, f"{view.lot.reference_quantity} [{unit}]", f"RMSE [{unit}]")

@@ -1,0 +1,99 @@
+"""The audited units of a lot: estimate against reference, and the error over the load. No Streamlit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.lot import Lot
+from softcal.core.metrics import rmse
+from softcal.core.recording import Array, LabelledRecording
+from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.method import DecisionConfig
+from softcal.db.lot_pages import UnitErrors
+from softcal.db.registry import Registry
+
+MOST_UNITS = 12
+"""So many audited units are drawn, the largest errors first; each is read and estimated anew."""
+
+BANDS = 8
+"""Load bands of equal width over what the audits were pressed to."""
+
+LEAST_IN_BAND = 10
+"""A band of fewer samples has no error of its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class AuditTrace:
+    """The stretch of one audit that no fit has seen.
+
+    Args:
+        serial: the unit.
+        reference, estimate: (n,) in the reference unit.
+    """
+
+    serial: str
+    reference: Array
+    estimate: Array
+
+    @property
+    def error(self) -> Array:
+        """(n,) estimate − reference."""
+        return self.estimate - self.reference
+
+
+@dataclass(frozen=True, eq=False)
+class AuditedView:
+    """Audited units of a lot.
+
+    Args:
+        lot: its facts, with the limit.
+        units: the largest errors first.
+        of: how many audited units the lot has.
+        edges: (BANDS + 1,) of the load bands, in the reference unit.
+    """
+
+    lot: Lot
+    units: tuple[AuditTrace, ...]
+    of: int
+    edges: Array
+
+    def band_errors(self, unit: AuditTrace) -> Array:
+        """Return (BANDS,) RMSE of a unit in each load band; NaN where it has too few samples."""
+        band = np.clip(np.digitize(unit.reference, self.edges) - 1, 0, BANDS - 1)
+        inside = [band == k for k in range(BANDS)]
+        return np.array(
+            [
+                rmse(unit.estimate[rows], unit.reference[rows]) if rows.sum() >= LEAST_IN_BAND else np.nan
+                for rows in inside
+            ]
+        )
+
+    @property
+    def middles(self) -> Array:
+        """(BANDS,) middle of each load band."""
+        return (self.edges[:-1] + self.edges[1:]) / 2
+
+
+def audited_view(registry: Registry, lot: Lot, audited: tuple[UnitErrors, ...]) -> AuditedView | None:
+    """Estimate the newest audits of a lot's units with the maps in use; None where no audit was kept."""
+    worst = sorted(audited, key=lambda row: -(row.after_rmse or 0.0))[:MOST_UNITS]
+    units = tuple(unit for row in worst if (unit := _unit(registry, lot.id, row.serial)) is not None)
+    if not units:
+        return None
+    loads = np.concatenate([unit.reference for unit in units])
+    low, high = float(loads.min()), float(loads.max())
+    return AuditedView(lot, units, len(audited), np.linspace(low, high if high > low else low + 1.0, BANDS + 1))
+
+
+def _unit(registry: Registry, lot_id: str, serial: str) -> AuditTrace | None:
+    entries = registry.recordings(lot_id, serial, "audit")
+    audit = registry.recording(entries[-1].sha256) if entries else None
+    if not isinstance(audit, LabelledRecording):
+        return None
+    record = registry.calibration(serial, lot_id=lot_id).record
+    calibration = Calibration.from_record(record)
+    # The stretch that the error of the unit is stated on.
+    config = calibration.method.decision if calibration.method else DecisionConfig()
+    test = audit.part(round(len(audit) * (1 - config.test_share)), len(audit))
+    estimate = registry.network(record.network_id).evaluate(calibration.unit_map.apply(test.windows))
+    return AuditTrace(serial, test.window_reference, estimate)

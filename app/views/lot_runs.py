@@ -1,0 +1,98 @@
+"""The runs of a lot with day, station and operator, and its first-pass yield over each of them. No Streamlit."""
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date
+
+from softcal.core.quality.yields import GOOD, Share
+from softcal.db.entries import RunEntry
+from softcal.db.order_queue import Pressed
+from softcal.db.registry import Registry
+
+DESK = ""
+"""Station and operator of a result whose recording came as a file."""
+
+
+@dataclass(frozen=True)
+class PlacedRun:
+    """One result of one unit: when it was made, where its recording was pressed and by whom."""
+
+    run: RunEntry
+    station: str = DESK
+    operator: str = DESK
+
+    @property
+    def day(self) -> date:
+        """Day of the result, UTC."""
+        return self.run.made_at.astimezone(UTC).date()
+
+
+@dataclass(frozen=True)
+class LotFilter:
+    """Which runs of a lot; what is empty takes all.
+
+    Args:
+        since, until: days, both included, UTC.
+        stations, operators: names; `DESK` for results of files.
+    """
+
+    since: date | None = None
+    until: date | None = None
+    stations: tuple[str, ...] = ()
+    operators: tuple[str, ...] = ()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it takes every run."""
+        return self == LotFilter()
+
+    def takes(self, run: PlacedRun) -> bool:
+        """Whether a run is among them."""
+        return (
+            (self.since is None or run.day >= self.since)
+            and (self.until is None or run.day <= self.until)
+            and (not self.stations or run.station in self.stations)
+            and (not self.operators or run.operator in self.operators)
+        )
+
+
+def lot_runs(registry: Registry, lot_id: str) -> tuple[PlacedRun, ...]:
+    """Return every result of a lot in time order with where its recording was pressed.
+
+    Raises:
+        InputError: the lot is not in the registry.
+    """
+    return placed(registry.runs(lot_id), registry.order_queue.pressed(lot_id))
+
+
+def placed(runs: Sequence[RunEntry], pressed: Sequence[Pressed]) -> tuple[PlacedRun, ...]:
+    """Return runs with the press of their unit that began last before the result; a later batch keeps that place."""
+    by_serial: dict[str, list[Pressed]] = {}
+    for one in sorted(pressed, key=lambda press: press.begun):
+        by_serial.setdefault(one.serial, []).append(one)
+    found = []
+    for run in runs:
+        known = by_serial.get(run.serial, [])
+        at = bisect_right([press.begun for press in known], run.made_at)
+        found.append(PlacedRun(run, known[at - 1].station, known[at - 1].actor) if at else PlacedRun(run))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class YieldAt:
+    """First-pass yield of the units whose first run was on one day, at one station or by one operator."""
+
+    name: str
+    share: Share
+
+
+def yield_over(runs: Sequence[PlacedRun], place: Callable[[PlacedRun], str]) -> tuple[YieldAt, ...]:
+    """Return the first-pass yield by the place of each unit's first run, in the order of the names."""
+    firsts: dict[str, PlacedRun] = {}
+    for run in runs:
+        firsts.setdefault(run.run.serial, run)
+    groups: dict[str, list[bool]] = {}
+    for run in firsts.values():
+        groups.setdefault(place(run), []).append(run.run.verdict in GOOD)
+    return tuple(YieldAt(name, Share(sum(group), len(group))) for name, group in sorted(groups.items()))

@@ -1,0 +1,120 @@
+"""What the wall board shows: a lot at one glance, read from across the hall. No Streamlit."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from softcal.app.views.alerts import Alert
+from softcal.app.views.common import number, percent
+from softcal.app.views.line import TONES, Chip
+from softcal.app.views.lot import LotView
+from softcal.core.orders import Heartbeat, StationState
+from softcal.core.quality.yields import Share
+from softcal.db.entries import UnitStanding
+from softcal.db.order_queue import SILENT_AFTER
+from softcal.db.registry import Registry
+
+Words = Callable[..., str]
+
+LAST_UNITS = 12
+MOST_ALERTS = 3
+"""So many sentences are read from afar; the page of the lot has all."""
+
+
+@dataclass(frozen=True)
+class StationTile:
+    """One station: its name, what it does in words, and whether that is well."""
+
+    name: str
+    word: str
+    is_well: bool
+
+
+@dataclass(frozen=True)
+class WallView:
+    """The wall board.
+
+    Args:
+        lot: its name.
+        tiles: (label, value, what stands below it), the largest first.
+        verdicts: (verdict, word, number of units).
+        stations: every station that did not say goodbye.
+        chips: the last units, newest first.
+        alerts: sentences with whether each is urgent.
+        drawn: when it was read.
+    """
+
+    lot: str
+    tiles: tuple[tuple[str, str, str], ...]
+    verdicts: tuple[tuple[str, str, int], ...]
+    stations: tuple[StationTile, ...]
+    chips: tuple[Chip, ...]
+    alerts: tuple[tuple[str, bool], ...]
+    drawn: str
+
+
+def wall_view(
+    registry: Registry, view: LotView, found: Sequence[Alert], words: Words, now: datetime | None = None
+) -> WallView:
+    """Read what the wall board shows of a lot.
+
+    Args:
+        found: what somebody should look at, the urgent first.
+    """
+    now = now or datetime.now(UTC)
+    target = registry.line_rules(view.lot).target or view.total
+    today = next((day.share for day in view.days if day.name == now.date().isoformat()), Share(0, 0))
+    first = view.yields.first_pass
+    low, high = (percent(end) for end in first.interval)
+    limit = view.lot.limit_rmse
+    tiles = (
+        (words("wall.done"), f"{view.judged} / {target}", words("lot.units")),
+        (words("lot.first_pass"), percent(first.value), f"{low} – {high}" if first.of else ""),
+        (words("wall.today"), str(today.of), words("wall.today.good", good=today.count, of=today.of)),
+        (
+            words("lot.predicted"),
+            number(view.median_predicted, view.lot.reference_unit),
+            "" if limit is None else words("chart.limit.named", limit=number(limit, view.lot.reference_unit)),
+        ),
+    )
+    verdicts = tuple((word, words(f"verdict.{word}"), count) for word, count in view.counts.items() if word != "none")
+    stations = tuple(tile for beat in registry.order_queue.stations() if (tile := _station(beat, now, words)))
+    return WallView(
+        view.lot.id,
+        tiles,
+        verdicts,
+        stations,
+        _chips(registry, view.lot.id, words),
+        _alerts(found, words),
+        words("wall.drawn", at=f"{now.astimezone(UTC):%H:%M:%S}"),
+    )
+
+
+def _alerts(found: Sequence[Alert], words: Words) -> tuple[tuple[str, bool], ...]:
+    said = [(words(f"alert.{alert.kind}", **alert.values), alert.is_urgent) for alert in found[:MOST_ALERTS]]
+    if len(found) > MOST_ALERTS:
+        said.append((words("wall.more", count=len(found) - MOST_ALERTS), False))
+    return tuple(said)
+
+
+def _station(beat: Heartbeat, now: datetime, words: Words) -> StationTile | None:
+    if beat.state is StationState.OFF:
+        return None
+    is_there = now - beat.at <= SILENT_AFTER
+    state = str(beat.state) if is_there else "silent"
+    is_well = is_there and beat.state in (StationState.READY, StationState.RUNNING)
+    return StationTile(beat.station, words(f"station.state.{state}"), is_well)
+
+
+def _chips(registry: Registry, lot_id: str, words: Words) -> tuple[Chip, ...]:
+    last: dict[str, None] = {}
+    for run in reversed(registry.runs(lot_id)):
+        last.setdefault(run.serial, None)
+        if len(last) == LAST_UNITS:
+            break
+    standings = registry.standings(lot_id, list(last))
+    return tuple(_chip(standings[serial], words) for serial in last if serial in standings)
+
+
+def _chip(standing: UnitStanding, words: Words) -> Chip:
+    return Chip(standing.serial, TONES[standing.verdict], words(f"verdict.{standing.verdict}"))
