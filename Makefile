@@ -26,7 +26,12 @@ check: $(STAMP)
 	$(BIN)/ruff check .
 	mkdir -p .links && ln -sfn .. .links/softcal
 	MYPYPATH=.links $(BIN)/mypy --explicit-package-bases -p softcal.core -p softcal.db -p softcal.station -p softcal.app
+	MYPYPATH=.links:benchmarks $(BIN)/mypy $(LOOSE) benchmarks/*.py
 	PYTHONPATH=.links $(BIN)/lint-imports
+
+# Benchmarks run for hours and seldom: their calls are checked against what they call, not their own style.
+LOOSE := --config-file= --explicit-package-bases --check-untyped-defs --no-strict-optional --ignore-missing-imports \
+  --follow-imports=silent --cache-dir=.mypy_cache/benchmarks
 
 # The site with API pages, in site/. --strict: a warning is a failure.
 docs: $(STAMP)
@@ -65,7 +70,7 @@ lock:
 	echo 'setuptools>=77' | $(UV) pip compile $(LOCKED) --extra station --constraint requirements.lock \
 	  --output-file requirements-demo.lock pyproject.toml -
 	echo 'setuptools>=77' | $(UV) pip compile $(LOCKED) --extra ui --extra station --extra documents --extra postgresql \
-	  --constraint requirements.lock --output-file requirements-image.lock pyproject.toml -
+	  --extra connect --constraint requirements.lock --output-file requirements-image.lock pyproject.toml -
 LOCKED := --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --custom-compile-command 'make lock'
 
 # What runs beside softcal, as CycloneDX: names, versions, hashes.

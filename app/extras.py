@@ -7,6 +7,8 @@ EXTRA_OF = {
     "serial": "station",
     "pyvisa": "visa",
     "pyvisa_py": "visa",
+    "bleak": "ble",
+    "labjack": "labjack",
     "onnx": "documents",
     "reportlab": "documents",
     "pikepdf": "documents",
@@ -15,6 +17,11 @@ EXTRA_OF = {
     "distributed": "cluster",
     "dask": "cluster",
     "sklearn": "sklearn",
+    "asyncua": "connect",
+    "fastapi": "connect",
+    "httpx2": "connect",
+    "paho": "connect",
+    "uvicorn": "connect",
 }
 """Extra by the name of the module that is imported."""
 

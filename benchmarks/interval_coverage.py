@@ -26,7 +26,7 @@ def main() -> None:
     options = parser.parse_args()
     first, last = (0, 4) if options.quick else options.seeds
     good = [c for c in cases(range(first, last), faults=(), has_own=False) if c.kind == GOOD and c.result is not None]
-    groups = {"all": good, "stage known": [], "stage unknown": []}
+    groups: dict[str, list[Case]] = {"all": good, "stage known": [], "stage unknown": []}
     for case in good:
         groups["stage known" if case.has_stage else "stage unknown"].append(case)
     for name, group in groups.items():

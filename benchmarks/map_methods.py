@@ -44,7 +44,7 @@ def insole(name: str) -> pd.DataFrame:
 
 def taxels(table: pd.DataFrame) -> list[str]:
     """Names of the taxels."""
-    return [column for column in table if column.startswith("taxel")]
+    return [column for column in map(str, table) if column.startswith("taxel")]
 
 
 def taxel(table: pd.DataFrame, name: str, rows: Array | None = None) -> LabelledRecording:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
+from playwright.sync_api import ViewportSize
 from plotly.subplots import make_subplots
 from screens_common import chromium
 
@@ -27,7 +28,7 @@ FAMILIES = {
     "label_shift": "rest and peak (label_shift)",
     "phase": "pairs (phase)",
 }
-SIZE = {"width": 1100, "height": 430}
+SIZE = ViewportSize(width=1100, height=430)
 
 
 def main() -> None:
@@ -57,7 +58,8 @@ def families(problem: FitProblem, unit: SimulatedUnit) -> go.Figure:
     for recording, name in ((problem.source.unlabelled, "source"), (unit.recording, "unit")):
         rows = recording.t_s - recording.t_s[0] < SHOWN_S
         figure.add_scatter(x=recording.t_s[rows] - recording.t_s[0], y=recording.output[rows], name=name, row=1, col=1)
-    levels = np.linspace(*np.quantile(unit.audit.unlabelled.output, (0.002, 0.998)), 60)
+    lowest, highest = np.quantile(unit.audit.unlabelled.output, (0.002, 0.998))
+    levels = np.linspace(lowest, highest, 60)
     for name, label in FAMILIES.items():
         figure.add_scatter(x=levels, y=at_rest(family(name).fit(problem), levels), name=label, row=1, col=2)
     ours, theirs = truth(unit.audit, problem.source)

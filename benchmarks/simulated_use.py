@@ -39,16 +39,16 @@ def gait(phase: Array, height: Array) -> Array:
 
 def press(phase: Array, height: Array) -> Array:
     """Rest, ramp up, hold, ramp down."""
-    return height * np.interp(phase, [0.0, 0.25, 0.4, 0.7, 0.85, 1.0], [0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
+    return np.asarray(height * np.interp(phase, [0.0, 0.25, 0.4, 0.7, 0.85, 1.0], [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]))
 
 
 def strain(phase: Array, height: Array) -> Array:
     """A triangle that turns at a preload."""
-    return 0.2 + 0.8 * height * (1 - np.abs(2 * phase - 1))
+    return np.asarray(0.2 + 0.8 * height * (1 - np.abs(2 * phase - 1)))
 
 
 def pump(phase: Array, height: Array) -> Array:
-    return height * np.sin(np.pi * phase) ** 2
+    return np.asarray(height * np.sin(np.pi * phase) ** 2)
 
 
 Wave = Callable[[Array, Array], Array]

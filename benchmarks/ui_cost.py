@@ -139,8 +139,9 @@ def main() -> None:
                 print(flush=True)
                 with pressing(line):
                     rows = (live_row(browser, address, process, n, options.seconds) for n in options.clients)
-                    header = ("clients", "updates/s each", "server CPU ms per update", "of a core", "server MB")
-                    print_markdown(header, rows)
+                    print_markdown(
+                        ("clients", "updates/s each", "server CPU ms per update", "of a core", "server MB"), rows
+                    )
 
 
 if __name__ == "__main__":

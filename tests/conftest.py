@@ -29,6 +29,7 @@ def data_of_the_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[No
     """What fixtures of a whole file write down stays out of the data of the person who runs them, too."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_DATA_HOME", str(tmp_path_factory.mktemp("data")))
+        patch.setenv("XDG_CONFIG_HOME", str(tmp_path_factory.mktemp("config")))
         yield
 
 

@@ -68,7 +68,7 @@ class NetworkRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def predict(self, X: Any) -> Array:  # noqa: N803
         """Estimate the reference of (n, p) rows: (n,)."""
         check_is_fitted(self)
-        return self.network_.evaluate(validate_data(self, X, dtype=np.float64, reset=False))
+        return self.network_.evaluate_exactly(validate_data(self, X, dtype=np.float64, reset=False))
 
 
 class MapTransformer(TransformerMixin, BaseEstimator):  # type: ignore[misc]

@@ -4,6 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
+from softcal.app.cli.configuration import files_in_use
 from softcal.app.cli.options import add_csv, add_json, add_registry
 from softcal.app.output import print_table, say, write_json
 
@@ -37,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.registry.doctor import collect, examine
 
     facts, problems = examine(options.registry)
+    facts["configuration"] = [str(path) for path in files_in_use()] or "none"
     report = {"schema": "softcal.doctor/1", **facts, "problems": problems}
     if options.out:
         logs = collect(options.out, json.dumps(report, indent=2))

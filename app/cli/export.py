@@ -82,7 +82,7 @@ def _add_device_options(parser: argparse.ArgumentParser) -> None:
         "--unit-bytes", type=int, choices=(256, 512, 1024), help="most a unit file may take; default: as little as does"
     )
     device.add_argument(
-        "--adapt-offset", type=float, default=0.1, metavar="SHARE", help="of the span, that firmware may follow (0.1)"
+        "--adapt-offset", type=float, default=0.0, metavar="SHARE", help="of the span, that firmware may follow (0)"
     )
     device.add_argument(
         "--adapt-gain", type=float, default=0.0, metavar="SHARE", help="of the gain, that firmware may follow (0)"

@@ -27,9 +27,15 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="CSV, .xlsx or Parquet")
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="CSV, .xlsx or Parquet; of a folder, all")
     parser.add_argument("--out", required=True, type=Path, help="lot folder to make; must not exist yet")
-    parser.add_argument("--source", required=True, metavar="SERIAL", help="unit with the reference that trains f")
+    parser.add_argument(
+        "--source",
+        required=True,
+        action="append",
+        metavar="SERIAL",
+        help="unit with the reference that trains f; again for further sources: each unit takes the nearest",
+    )
     parser.add_argument("--lot-id", help="default: the name of the lot folder")
     parser.add_argument("--sensor-model", default="")
     parser.add_argument("--output-column", default="output", help="column of the output; with * one unit per column")
@@ -64,19 +70,21 @@ def _rows(text: str) -> tuple[int, int]:
 
 def run(options: argparse.Namespace) -> int:
     """Import, and say what was made."""
-    from softcal.app.files.importing import Columns, ImportPlan, import_lot, median_rate_Hz
+    from softcal.app.files.importing import Columns, ImportPlan, import_lot, median_rate_Hz, tables_of
     from softcal.core.lot import Lot
 
     if options.sample_rate is None and options.time_column is None:
         raise InputError(
             "neither --sample-rate nor --time-column is given; one of them must say when samples were taken"
         )
-    rate_Hz = options.sample_rate or median_rate_Hz(
-        options.files[0], options.time_column, options.sheet, options.most_cells
-    )
+    files = [file for path in options.files for file in tables_of(path)]
+    rate_Hz = options.sample_rate or median_rate_Hz(files[0], options.time_column, options.sheet, options.most_cells)
+    first, *more = options.source
+    if len(set(options.source)) < len(options.source):
+        raise InputError(f"--source {' --source '.join(options.source)}: give each source once")
     lot = Lot(
         id=options.lot_id or options.out.name,
-        source=options.source,
+        source=first,
         sample_rate_Hz=rate_Hz,
         sensor_model=options.sensor_model,
         reference_quantity=options.reference_quantity,
@@ -86,11 +94,11 @@ def run(options: argparse.Namespace) -> int:
     )
     columns = Columns(options.output_column, options.reference_column, options.time_column, options.stage_column)
     plan = ImportPlan(
-        options.files, columns, lot, options.audit, options.rows, options.audit_rows, options.sheet, options.serial,
-        options.most_cells,
+        files, columns, lot, options.audit, options.rows, options.audit_rows, options.sheet, options.serial,
+        options.most_cells, more_sources=more,
     )  # fmt: skip
     units = import_lot(plan, options.out, lambda remark: say(f"note: {remark}"))
-    say(f"{options.out}: lot {lot.id!r}, source {lot.source}, {len(units)} target units, {rate_Hz:g} Hz")
+    say(f"{options.out}: lot {lot.id!r}, source {', '.join(options.source)}, {len(units)} target units, {rate_Hz:g} Hz")
     if options.json:
         write_json(options.json, {"schema": "softcal.import/1", "lot": lot.id, "source": lot.source, "units": units})
     return 0

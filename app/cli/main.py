@@ -6,6 +6,7 @@ import sys
 from importlib.metadata import version
 from typing import Any
 
+from softcal.app.cli.configuration import configure
 from softcal.app.cli.parser import Parser
 from softcal.app.extras import missing_extra
 from softcal.app.output import answering
@@ -15,6 +16,7 @@ DONE, SOME_UNIT_NOT_PASSED, WRONG_USE, RIG_FAILED, REGISTRY_FAILED = 0, 1, 2, 3,
 
 COMMANDS = (
     "demo",
+    "init",
     "import_",
     "train",
     "batch",
@@ -31,12 +33,14 @@ COMMANDS = (
     "gap",
     "report",
     "ui",
+    "api",
+    "connect",
     "doctor",
     "completion",
 )
 """Modules of `softcal.app.cli`, in the order of `softcal --help`; each has `add_parser` and sets `run`."""
 
-LOGGED = ("demo", "import_", "train", "batch", "trim", "adapt", "station", "lot", "ui")
+LOGGED = ("demo", "import_", "train", "batch", "trim", "adapt", "station", "lot", "ui", "api", "connect")
 """Commands whose runs are in the log: with what they were called, what they did, how they ended."""
 
 
@@ -45,7 +49,13 @@ def main(arguments: list[str] | None = None) -> int:
 
     A defect of softcal itself is one line for the person, too; its traceback goes to the log.
     """
-    options = command_parser().parse_args(arguments)
+    parser = command_parser()
+    try:
+        configure(parser)
+    except InputError as error:
+        print(f"softcal: {error}", file=sys.stderr)
+        return WRONG_USE
+    options = parser.parse_args(arguments)
     log = _log_of(options, sys.argv[1:] if arguments is None else arguments)
     code, message = _outcome(options)
     if log is not None:

@@ -159,4 +159,5 @@ def check(registry: Registry, job: Job, tell: Teller) -> Outcome:
     findings = [
         [to_kept(f.device), to_kept(f.what), to_kept(f.value), f.cure and to_kept(f.cure)] for f in found.findings
     ]
-    return Outcome("", found.as_json() | {"found": findings, "toml": station_toml(found.config)})
+    ports = [[d.port, d.role, d.kind, to_kept(d.says)] for d in found.devices]
+    return Outcome("", found.as_json() | {"ports": ports, "found": findings, "toml": station_toml(found.config)})

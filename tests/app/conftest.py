@@ -11,16 +11,24 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
+from ipaddress import ip_address
 from pathlib import Path
 from subprocess import DEVNULL
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
 from playwright.sync_api import Browser, Page, sync_playwright
 from streamlit.testing.v1 import AppTest
 
+from softcal.app.bootstrap import open_chosen_registry
 from softcal.app.cli.main import main
+from softcal.app.jobs import process as job_process
+from softcal.app.jobs.jobs import run_job
 from softcal.app.ui import account as identity
 from softcal.app.ui import browser_memory, first_paint, registry_of_server
 from softcal.db.connection import open_registry
@@ -202,6 +210,55 @@ def station_served(url: str, name: str, folder: Path, *options: str) -> Iterator
         station.end()
 
 
+@dataclass(frozen=True)
+class TlsFiles:
+    """Files of a certificate for this machine and of who signed it."""
+
+    ca: Path
+    cert: Path
+    key: Path
+
+
+@pytest.fixture(scope="session")
+def tls(tmp_path_factory: pytest.TempPathFactory) -> TlsFiles:
+    """An authority of the tests, and a certificate of localhost that it signed."""
+    folder = tmp_path_factory.mktemp("tls")
+    ca_key, ca = _certificate("an authority of tests", None)
+    key, cert = _certificate("localhost", (ca_key, ca))
+    pem = serialization.Encoding.PEM
+    for name, content in (("ca", ca.public_bytes(pem)), ("cert", cert.public_bytes(pem)), ("key", _pem(key))):
+        (folder / f"{name}.pem").write_bytes(content)
+    return TlsFiles(*(folder / f"{name}.pem" for name in ("ca", "cert", "key")))
+
+
+def _pem(key: rsa.RSAPrivateKey) -> bytes:
+    no_password = serialization.NoEncryption()
+    return key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, no_password)
+
+
+def _certificate(
+    name: str, signer: tuple[rsa.RSAPrivateKey, x509.Certificate] | None
+) -> tuple[rsa.RSAPrivateKey, x509.Certificate]:
+    key, now = rsa.generate_private_key(65537, 2048), datetime.now(UTC)
+    subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
+    signing, issuer = (key, subject) if signer is None else (signer[0], signer[1].subject)
+    hosts = [x509.DNSName("localhost"), x509.IPAddress(ip_address("127.0.0.1"))]
+    names = x509.SubjectAlternativeName([*hosts, x509.UniformResourceIdentifier("urn:softcal:server")])
+    authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(signing.public_key())
+    made = x509.CertificateBuilder(issuer, subject, key.public_key(), x509.random_serial_number())
+    made = made.not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=1))
+    made = made.add_extension(x509.BasicConstraints(signer is None, None), True).add_extension(names, False)
+    made = made.add_extension(authority, False)
+    made = made.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), False)
+    return key, made.sign(signing, hashes.SHA256())
+
+
+@pytest.fixture(scope="session")
+def some_port() -> Callable[[], int]:
+    """`some_port()` gives a TCP port nobody listens at."""
+    return free_port
+
+
 def free_port() -> int:
     """Return a TCP port nobody listens at."""
     with socket.socket() as probe:
@@ -273,3 +330,41 @@ def wait_for_memory(page: Page, name: str) -> None:
 def remembered() -> Callable[[Page, str], None]:
     """`remembered(page, name)` waits until the browser remembers something."""
     return wait_for_memory
+
+
+@pytest.fixture
+def jobs_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jobs are done where they are asked for, before the page goes on."""
+
+    def launch(job_id: str) -> None:
+        with open_chosen_registry(None) as registry:
+            run_job(registry, job_id, on_cancel=lambda: None)
+
+    monkeypatch.setattr(job_process, "launch", launch)
+
+
+@pytest.fixture
+def show(open_page, monkeypatch: pytest.MonkeyPatch) -> Callable[..., AppTest]:
+    """`show(url, page, role="engineer", **query)` draws one page alone."""
+
+    def draw(url: str, page: str, role: str = "engineer", **query: str) -> AppTest:
+        source = f"from softcal.app.ui.app_pages import {page}\n{page}.render()\n"
+        monkeypatch.setattr(AppTest, "from_function", lambda _, **options: AppTest.from_string(source, **options))
+        return open_page(url, lambda: None, role=role, **query)
+
+    return draw
+
+
+@pytest.fixture(scope="session")
+def install_example(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], Path]:
+    """`install_example(folder)`: where pip has installed it; the tests' own environment does not see it."""
+
+    def install(example: Path) -> Path:
+        place = tmp_path_factory.mktemp("plugin")
+        source = shutil.copytree(example, place / "source", ignore=shutil.ignore_patterns("build", "*.egg-info"))
+        offline = ["--no-index", "--no-deps", "--no-build-isolation", "--quiet", "--disable-pip-version-check"]
+        command = [sys.executable, "-m", "pip", "install", *offline, "--target", str(place / "site"), str(source)]
+        subprocess.run(command, check=True, capture_output=True)
+        return place / "site"
+
+    return install

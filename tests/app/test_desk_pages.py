@@ -8,10 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softcal.app.bootstrap import open_chosen_registry
 from softcal.app.gap.desk import practise
-from softcal.app.jobs import process as job_process
-from softcal.app.jobs.jobs import run_job
 from softcal.app.texts.catalogue import text
 from softcal.core.orders import Heartbeat, OrderKind, RunState, StationState
 from softcal.core.quality.line_rules import LineRules
@@ -19,30 +16,6 @@ from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
 
 pytestmark = pytest.mark.usefixtures("own_data")
-
-
-@pytest.fixture
-def jobs_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Jobs are done where they are asked for, before the page goes on."""
-
-    def launch(job_id: str) -> None:
-        with open_chosen_registry(None) as registry:
-            run_job(registry, job_id, on_cancel=lambda: None)
-
-    monkeypatch.setattr(job_process, "launch", launch)
-
-
-@pytest.fixture
-def show(open_page, monkeypatch: pytest.MonkeyPatch):
-    """`show(url, page, role="engineer", **query)` draws one page alone."""
-    from streamlit.testing.v1 import AppTest
-
-    def draw(url: str, page: str, role: str = "engineer", **query: str) -> AppTest:
-        source = f"from softcal.app.ui.app_pages import {page}\n{page}.render()\n"
-        monkeypatch.setattr(AppTest, "from_function", lambda _, **options: AppTest.from_string(source, **options))
-        return open_page(url, lambda: None, role=role, **query)
-
-    return draw
 
 
 def labelled(screen, key: str):
@@ -286,7 +259,7 @@ def test_a_case_is_diagnosed_and_read_on_the_page(calibrated: str, show, jobs_at
     screen = show(calibrated, "gap", case=str(case))
     screen.button(key="diagnose").click().run(timeout=180)
     assert not screen.error
-    headings = [heading.value for heading in screen.subheader]
+    headings = [heading.value for heading in screen.header]
     assert "Where the twin is wrong" in headings and "What to press next" in headings
     next(toggle for toggle in screen.toggle if "hidden" in toggle.label).set_value(True).run()
     assert any("Hidden in this rig" in line.value for line in screen.markdown)
@@ -315,7 +288,7 @@ def test_one_click_presses_the_proposed_experiment_on_the_simulated_rig(calibrat
         RunState.DONE,
     )
     assert [run["profile"] for run in result["runs"] if run["name"] == "asked-1"] == ["rate sweep"]
-    headings = [heading.value for heading in screen.subheader]
+    headings = [heading.value for heading in screen.header]
     assert any(text("en", f"gap.verdict.{result['verdict']}") in heading for heading in headings)
 
 

@@ -105,6 +105,18 @@ def test_the_device_file_estimates_what_the_float_model_does(run: Run, calibrate
     assert np.all(lower < estimate) and np.all(estimate < upper)
 
 
+def test_firmware_may_follow_nothing_unless_it_was_asked_for(run: Run, tmp_path: Path) -> None:
+    def allowed(*options: str) -> tuple[int, int]:
+        run("--serial", "A2", "--format", "blob", *options)
+        (network,) = (tmp_path / "out").glob("network-*.ssc")
+        limits = open_sensor(network.read_bytes(), (tmp_path / "out" / "unit-A2.ssc").read_bytes()).unit_file.adapt
+        return limits.offset, limits.gain
+
+    assert allowed() == (0, 0)
+    offset, gain = allowed("--adapt-offset", "0.1")
+    assert offset > 0 and gain == 0
+
+
 def test_onnx_agrees_with_the_float_model_and_carries_its_facts(run: Run, calibrated: str, tmp_path: Path) -> None:
     run("--serial", "A2", "--format", "onnx")
     path = tmp_path / "out" / "unit-A2.onnx"

@@ -12,10 +12,8 @@ import pytest
 
 from softcal.app import cli
 from softcal.app.batch.front_door import lot_files, lots_folder, network_of
-from softcal.app.bootstrap import open_chosen_registry
 from softcal.app.export.certificates.laboratory import kept_laboratory, read_laboratory
 from softcal.app.export.check import check_folder
-from softcal.app.jobs import process as job_process
 from softcal.app.jobs.jobs import run_job
 from softcal.app.jobs.lot_jobs import archive_path
 from softcal.app.texts.catalogue import catalogue, text
@@ -27,30 +25,6 @@ from softcal.db.entries import CellCertificate
 pytestmark = pytest.mark.usefixtures("own_data")
 COMMANDS = [file.stem.rstrip("_") for file in Path(cli.__file__).parent.glob("*.py")]
 COMMAND = re.compile(rf"softcal ({'|'.join(COMMANDS)})\b|`softcal|(?<![\w-])--[a-z]")
-
-
-@pytest.fixture
-def jobs_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Jobs are done where they are asked for, before the page goes on."""
-
-    def launch(job_id: str) -> None:
-        with open_chosen_registry(None) as registry:
-            run_job(registry, job_id, on_cancel=lambda: None)
-
-    monkeypatch.setattr(job_process, "launch", launch)
-
-
-@pytest.fixture
-def show(open_page, monkeypatch: pytest.MonkeyPatch):
-    """`show(url, page, role="engineer", **query)` draws one page alone."""
-    from streamlit.testing.v1 import AppTest
-
-    def draw(url: str, page: str, role: str = "engineer", **query: str) -> AppTest:
-        source = f"from softcal.app.ui.app_pages import {page}\n{page}.render()\n"
-        monkeypatch.setattr(AppTest, "from_function", lambda _, **options: AppTest.from_string(source, **options))
-        return open_page(url, lambda: None, role=role, **query)
-
-    return draw
 
 
 def done(url: str, kind: str, request: dict[str, object]):
@@ -100,11 +74,13 @@ def test_the_demo_is_pressed_calibrated_and_found_by_its_page(
     monkeypatch.setattr("softcal.app.line.demo.press_demo_lot", press)
     url = f"sqlite:///{tmp_path / 'new.db'}"
     screen = show(url, "start", role="operator")
-    monkeypatch.setattr("streamlit.switch_page", lambda *_, **query: None)
+    gone: list[str] = []
+    monkeypatch.setattr("streamlit.switch_page", lambda page, **_: gone.append(page.url_path))
     next(b for b in screen.button if b.label == text("en", "start.demo.do")).click().run(timeout=300)
     with open_registry(url) as registry:
         assert registry.lot_ids() == ["demo"] and pressed == [4]
         assert registry.verdict_counts("demo")["none"] == 0
+    assert gone == ["lot"]
     assert next(b for b in show(url, "start").button).label == text("en", "start.demo.open")
 
 

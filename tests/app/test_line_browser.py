@@ -138,7 +138,7 @@ def press(page: Page, key: str, *states: str, serial: str = "") -> None:
 
 
 def verdict_of(page: Page, serial: str) -> str:
-    return str(shown(page, *VERDICTS, serial=serial, timeout_ms=120_000).get_attribute("data-state"))
+    return str(shown(page, *VERDICTS, serial=serial, timeout_ms=400_000).get_attribute("data-state"))
 
 
 FOCUS = "(document.activeElement.shadowRoot?.activeElement ?? document.activeElement).tagName"

@@ -74,11 +74,11 @@ def test_a_plan_is_not_drawn_again_without_a_reason(
     plan = ("lot", "audit-plan", str(lot_folder), "--registry", registry_url)
     main(["train", str(lot_folder), "--registry", registry_url, "--hidden", "16,8"])
     assert main([*plan]) == 2
-    assert "softcal batch" in capsys.readouterr().err
+    assert "calibrate its units first" in capsys.readouterr().err
     _json(tmp_path, "batch", str(lot_folder), "--registry", registry_url, *SMALL)
     _, first = _json(tmp_path, *plan, "--random", "1", "--doubtful", "1")
     assert _json(tmp_path, *plan, "--seed", "9")[1]["plan"] == first["plan"]
-    assert main([*plan, "--new"]) == 2 and "--reason" in capsys.readouterr().err
+    assert main([*plan, "--new"]) == 2 and "needs a reason" in capsys.readouterr().err
     assert main([*plan, "--new", "--reason", "unit lost", "--random", "2"]) in (0, 1)
     with open_registry(registry_url) as registry:
         rows = registry.events("audit_plan", (_lot_id(lot_folder, registry_url),))

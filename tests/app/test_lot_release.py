@@ -5,6 +5,7 @@ import re
 import shutil
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,14 @@ import pytest
 
 from softcal.app.batch.audit_evidence import AuditReader
 from softcal.app.batch.line_statement import stated_line
-from softcal.app.batch.release import LineRelease, update_release
+from softcal.app.batch.release import LineRelease, decide_release, update_release
 from softcal.app.cli.main import main
+from softcal.app.texts.catalogue import catalogue, text
+from softcal.app.texts.reasons import said
+from softcal.core.quality.widening import Widening
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.line_spread import LineSpread
+from softcal.core.words.reason import Reason
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 from softcal.db.registry_base import RegistrySettings
@@ -85,8 +90,8 @@ def test_units_nobody_measured_pass_on_the_audits_of_the_others(
         assert len(registry.history(serial)) == 2
         first, second = (stored.record for stored in registry.history(serial))
         assert second.map_sha256 == first.map_sha256 and second.verdict == "pass" != first.verdict
-        scale = second.evidence["interval_scale"]
-        assert np.allclose(second.arrays["interval.half_width"], scale * first.arrays["interval.half_width"])
+        scaled = second.evidence["interval_scale"] * first.arrays["interval.half_width"]
+        assert np.allclose(second.arrays["interval.half_width"], np.hypot(scaled, second.evidence["interval_added"]))
         assert second.predicted_rmse == pytest.approx(first.predicted_rmse * second.evidence["forecast_scale"])
     again = _batch(folder, registry_url, tmp_path)
     assert again["release"] == release
@@ -199,7 +204,7 @@ def test_audits_made_under_another_method_qualify_nothing(
     _batch(folder, registry_url, tmp_path)
     with open_registry(registry_url) as registry:
         evidence = AuditReader(registry).evidence("large", "another method", datetime.now(UTC))
-    assert not evidence.qualification.is_given and evidence.interval_scale == 1.0
+    assert not evidence.qualification.is_given and evidence.widening == Widening()
     assert "another sensor model or method" in str(evidence.qualification.reason)
 
 
@@ -256,7 +261,7 @@ def test_golden_runs_of_several_days_are_kept_from_the_limit(
     with open_registry(registry_url) as registry:
         decided = update_release(registry, "large", now=start + timedelta(days=5))
     assert decided is not None and decided.released == () and min(decided.days.values()) > 0
-    assert "is kept for another day, as golden runs show it" in decided.statement
+    assert "is kept for another day, as golden runs show it" in str(decided.statement)
     assert decided.judgement(serial).reasons[0].code == "sampled.day"
 
 
@@ -303,3 +308,75 @@ def test_a_statement_of_an_unknown_lot_is_refused_in_one_line(
 ) -> None:
     assert main(["lot", "release", "nowhere", "--registry", registry_url]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_lot_of_three_is_told_to_measure_all_or_to_bring_earlier_lots(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_lot(audits=3)
+    for path in sorted((folder / "units").iterdir())[3:]:
+        path.unlink()
+    audits = {path: path.read_bytes() for path in (folder / "audit").iterdir()}
+    for path in audits:
+        path.unlink()
+    release = _batch(folder, registry_url, tmp_path)["release"]
+    assert "its 3 units are no more than the 9 audits a promise takes" in release["statement"]
+    assert release["wanted"] == 3 and release["released"] == []
+    capsys.readouterr()
+    assert main(["lot", "audit-plan", str(folder), "--registry", registry_url]) == 0
+    told = capsys.readouterr().out
+    assert "no promise by sample: its 3 units" in told and "promise of 1 in 10" not in told
+    for path, content in audits.items():
+        path.write_bytes(content)
+    release = _batch(folder, registry_url, tmp_path)["release"]
+    assert release["audited"] == 3 and release["released"] == []
+    assert "no unit is left to release by sample: 3 audited units of this lot" in release["statement"]
+
+
+def test_the_statement_is_said_in_the_language_of_the_reader(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path
+) -> None:
+    folder, korean = make_lot(), partial(text, "ko")
+    _batch(folder, registry_url, tmp_path)
+    pages = {language: tmp_path / f"{language}.pdf" for language in ("en", "ko")}
+    for language, pdf in pages.items():
+        command = ["lot", "release", str(folder), "--registry", registry_url, "--pdf", str(pdf)]
+        assert main([*command, "--language", language]) == 0
+        assert len(re.findall(rb"/Type /Page\b", pdf.read_bytes())) == 1
+    assert pages["en"].read_bytes() != pages["ko"].read_bytes()
+    with open_registry(registry_url) as registry:
+        decided = decide_release(registry, "large", datetime.now(UTC))
+        (kept,) = registry.events("lot_release", ("large",))
+    assert decided is not None
+    stated = said(decided.statement, korean)
+    assert "표본으로 출하하는 유닛 4개" in stated
+    assert not re.findall(r"[a-z]{3,}", stated), "words of another language"
+    assert said(Reason.of(json.loads(kept.after or "{}")["statement_reason"]), korean) == stated
+
+
+def test_every_sentence_of_the_page_on_a_lot_stands_in_both_languages() -> None:
+    english, korean = (
+        {key for key in texts if key.startswith("paper.")} for texts in (catalogue()["en"], catalogue()["ko"])
+    )
+    assert english == korean and len(english) > 30
+
+
+def test_a_lot_with_a_golden_run_is_fitted_to_it_and_a_wrong_one_stops_the_batch(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path, press_unit: Press, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_lot(audits=0)
+    for path in sorted((folder / "units").iterdir())[1:]:
+        path.unlink()
+    (golden := folder / "golden").mkdir()
+    # The only unit, and the source in its sitting, under the same loads.
+    press_unit(1500, 1.1, 0.52, 5).drop(columns="reference").to_csv(folder / "units/large-00.csv", index=False)
+    press_unit(1500, 1.0, 0.5, 5).to_csv(golden / "A0.csv", index=False)
+    (unit,) = _batch(folder, registry_url, tmp_path)["units"]
+    assert unit["knowledge"] == "paired" and "fitted to the golden run" in " ".join(unit["reasons"])
+    (golden / "A0.csv").rename(golden / "large-00.csv")
+    assert main(["batch", str(folder), "--registry", registry_url, *SMALL]) == 2
+    assert "the golden unit of this lot is its source A0" in capsys.readouterr().err
+    shutil.copy(folder / "source/A0.csv", golden / "A0.csv")
+    (golden / "large-00.csv").unlink()
+    assert main(["batch", str(folder), "--registry", registry_url, *SMALL]) == 2
+    assert "A0.csv: golden run of A0: it is the source's own recording" in capsys.readouterr().err

@@ -4,11 +4,14 @@ import shutil
 import subprocess
 from dataclasses import replace
 from datetime import date
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from softcal.app.export.certificates.lot_statement import LotStatementFacts, StatementRow, lot_statement_pdf
+from softcal.app.texts.catalogue import text as text_of
+from softcal.core.words.reason import plain, reason
 
 FACTS = LotStatementFacts(
     lot="lot-1",
@@ -17,18 +20,18 @@ FACTS = LotStatementFacts(
     quantity="force",
     reference_unit="N",
     limit_rmse=0.5,
-    limit_origin="stated for the lot",
+    limit_origin=reason("part.stated"),
     network_id="ab" * 32,
     method_id="cd" * 32,
     made_on=date(2026, 5, 1),
     software="softcal 1.0",
-    statement="with 10 audits: at most 1 in 10 of the 30 released units beyond 0.5 N, 90 % confidence",
+    statement=plain("with 10 audits: at most 1 in 10 of the 30 released units beyond 0.5 N, 90 % confidence"),
     risk=0.1,
     confidence=0.9,
     factor=1.73,
-    any_form="at most 20.6 % beyond the limit, 90 % confidence",
-    audits=tuple(StatementRow(f"A{k}", "lot-1", 0.2, 0.2 + 0.01 * k, "pass") for k in range(10)),
-    drawn="at random, seed 7",
+    any_form=reason("part.any_form", share=0.206, risk=0.091),
+    audits=tuple(StatementRow(f"A{k}", "lot-1", 0.2, 0.2 + 0.01 * k, True) for k in range(10)),
+    drawn=(10, 40),
     released=tuple(f"U{k:03d}" for k in range(30)),
     counts={"pass": 40, "conditional": 2, "fail": 0},
     identifier="lot-1-20260501",
@@ -48,11 +51,11 @@ def test_one_page_says_what_is_promised_on_what_evidence_at_what_risk(tmp_path: 
     text, pages = _text(lot_statement_pdf(FACTS), tmp_path)
     assert pages == 1
     for said in (
-        FACTS.statement,
+        str(FACTS.statement),
         "RELEASED BY SAMPLE",
         "EG <3 mm>",
         "0.5 N",
-        "seed 7",
+        "10 units at random of 40, written down before",
         "risk 0.1, confidence 0.9",
         "1.73",
         "U029",
@@ -61,17 +64,34 @@ def test_one_page_says_what_is_promised_on_what_evidence_at_what_risk(tmp_path: 
         assert said in text
 
 
-def test_a_large_lot_still_fits_one_page_and_says_what_is_left_out(tmp_path: Path) -> None:
-    audits = tuple(StatementRow(f"LONG-SERIAL-{k:04d}", f"lot-{k % 7}", 0.2, 0.3, "pass") for k in range(80))
+@pytest.mark.parametrize(("language", "left_out"), [("en", "and 66 more"), ("ko", "외 66개")])
+def test_a_large_lot_still_fits_one_page_and_says_what_is_left_out(
+    tmp_path: Path, language: str, left_out: str
+) -> None:
+    audits = tuple(StatementRow(f"LONG-SERIAL-{k:04d}", f"lot-{k % 7}", 0.2, 0.3, True) for k in range(80))
     facts = replace(FACTS, audits=audits, released=tuple(f"LONG-SERIAL-{k:05d}" for k in range(2000)))
-    text, pages = _text(lot_statement_pdf(facts), tmp_path)
-    assert pages == 1 and "and 66 more" in text and "and 1970 more" in text
+    text, pages = _text(lot_statement_pdf(facts, partial(text_of, language)), tmp_path)
+    assert pages == 1 and left_out in text and left_out.replace("66", "1970") in text
 
 
 def test_without_a_promise_the_page_says_so(tmp_path: Path) -> None:
-    text, _ = _text(lot_statement_pdf(replace(FACTS, released=(), factor=None, any_form="", audits=())), tmp_path)
+    text, _ = _text(lot_statement_pdf(replace(FACTS, released=(), factor=None, any_form=None, audits=())), tmp_path)
     assert "NO RELEASE BY SAMPLE" in text and "Audited units None." in text
 
 
 def test_equal_facts_make_equal_bytes() -> None:
     assert lot_statement_pdf(FACTS) == lot_statement_pdf(replace(FACTS))
+
+
+def test_the_page_is_korean_for_who_reads_korean(tmp_path: Path) -> None:
+    facts = replace(FACTS, statement=reason("release.unqualified", why=reason("part.no_lot")))
+    text, pages = _text(lot_statement_pdf(facts, partial(text_of, "ko")), tmp_path)
+    assert pages == 1
+    for said in (
+        "로트 lot-1 성명서",
+        "표본으로 출하하는 유닛 없음",
+        "로트에 지정된 값",
+        "40개 중 무작위 10개",
+        "검사한 유닛",
+    ):
+        assert said in text, said

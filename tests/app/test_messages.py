@@ -18,6 +18,8 @@ from softcal.app.texts.reasons import PREFIX, said
 from softcal.core.errors import NoReply, SoftcalError
 from softcal.core.orders import Condition, Heartbeat, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.gate import CellAtGate, GoldenCheck, RigFacts, StationFacts, may_run
+from softcal.core.use.doubt import CAUSES, due
+from softcal.core.use.observation import FOLLOWED, HELD, JUMPED, TRIED, UNWATCHED
 from softcal.core.words.reason import ENGLISH, PLAIN, Reason, packed, plain, reason, root_of
 from softcal.core.words.rig_sentences import SENTENCES
 from softcal.db.connection import open_registry
@@ -223,6 +225,18 @@ def test_every_reason_to_calibrate_again_has_its_korean_text(
     }
     assert len(phrases) >= 1
     assert [phrase for phrase in phrases if english_in(KOREAN(f"adapt.{phrase}"))] == []
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_every_step_of_a_unit_in_use_has_a_name(language: str) -> None:
+    verdicts = ("start", FOLLOWED, HELD, TRIED, JUMPED, UNWATCHED)
+    assert {f"event.{verdict}" for verdict in verdicts} <= catalogue()[language].keys()
+
+
+@pytest.mark.parametrize("why", CAUSES)
+def test_every_cause_of_an_alarm_has_its_text(why: str) -> None:
+    assert catalogue()["en"][f"adapt.{due(why)}"] == due(why)
+    assert KOREAN(f"adapt.{due(why)}") not in (due(why), f"adapt.{due(why)}")
 
 
 def test_an_error_survives_the_way_between_processes() -> None:

@@ -4,6 +4,8 @@ import json
 import os
 import shutil
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -103,7 +105,7 @@ def test_a_serial_of_two_lots_is_asked_for_with_its_lot(
         capsys.readouterr()
         assert main([*command, "--registry", registry_url]) == 2
         error = capsys.readouterr().err
-        assert "'second', 'small'" in error and "--lot" in error and error.count("\n") == 1, command
+        assert "'second', 'small'" in error and "say which lot" in error and error.count("\n") == 1, command
     for command in commands[:-1]:
         assert main([*command, "--registry", registry_url, "--lot", "small"]) == 0, command
     made = {}
@@ -281,3 +283,18 @@ def test_an_end_in_time_is_never_broken_off_later() -> None:
         # A limit that fired at the end of the block must not reach this line.
         sum(range(500))
     assert 0 <= raised <= 200
+
+
+def test_a_limit_that_was_not_reached_hangs_under_no_profiler() -> None:
+    code = (
+        "import cProfile\nfrom softcal.app.batch.guard import TooLong, time_limit\n"
+        "def under(limit_s):\n"
+        "    with time_limit(limit_s):\n"
+        "        return sum(len(str(k)) for k in range(200_000))\n"
+        "profile = cProfile.Profile()\n"
+        "print(profile.runcall(under, 60.0))\n"
+        "try:\n    profile.runcall(under, 1e-3)\nexcept TooLong:\n    print('broken off')\n"
+        "print(profile.runcall(under, 60.0))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert done.stdout.split("\n")[:3] == ["1088890", "broken off", "1088890"], done.stderr

@@ -12,16 +12,17 @@ from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
-from hypothesis import HealthCheck, settings
+import pytest
+from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 
 from softcal.app.batch import lot_work
 from softcal.app.batch.calibrating import Refusal
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.unit_work import ChunkOutcome, Known, SharedWork, UnitOutcome
 from softcal.app.files.lot_folder import LotFolder
-from softcal.core.errors import InputError
+from softcal.core.errors import InputError, SoftcalError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
@@ -31,6 +32,7 @@ from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import plain
 from softcal.db.backup import back_up, restore
 from softcal.db.connection import open_registry
+from softcal.db.registry import Registry
 from softcal.db.registry_base import RegistrySettings
 from softcal.db.sync import synchronise
 
@@ -38,7 +40,7 @@ SERIALS, SIDES = ("A1", "A2"), ("station", "centre")
 BAD = 0
 LOT = Lot("L1", "S0", 50.0)
 NETWORK = Network((np.zeros((15, 1)),), (np.zeros(1),), 0.0, 1.0, 0.0, 1.0)
-SHARED = SharedWork(LOT, SimpleNamespace(network=NETWORK, method=Method()), None, None)
+SHARED = SharedWork(LOT, (SimpleNamespace(network=NETWORK, method=Method()),), None, None)
 
 
 def input_of(serial: str, number: int) -> str:
@@ -253,3 +255,21 @@ TestOneAnswerMachine = OneAnswerMachine.TestCase
 TestOneAnswerMachine.settings = settings(
     max_examples=6, stateful_step_count=20, deadline=None, suppress_health_check=list(HealthCheck)
 )
+
+
+MUTANTS = {
+    "what was asked for again is not put in use": ("put_in_use", lambda *_, **__: True),
+    "what was asked for again is never found": ("put_in_use", lambda *_, **__: False),
+    "a refusal is forgotten": ("add_refusal", lambda *_, **__: None),
+}
+
+
+@pytest.mark.parametrize("mutant", MUTANTS)
+def test_the_machine_finds_a_registry_that_does_otherwise(mutant: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Registry, *MUTANTS[mutant])
+    quick = settings(
+        max_examples=40, stateful_step_count=12, deadline=None, database=None, derandomize=True,
+        phases=[Phase.generate], suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
+    with pytest.raises((AssertionError, SoftcalError, KeyError)):
+        run_state_machine_as_test(OneAnswerMachine, settings=quick)

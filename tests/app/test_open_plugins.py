@@ -2,9 +2,9 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -24,14 +24,9 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "softcal-example-map"
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder into which pip has installed the example; the tests' own environment does not see it."""
-    place = tmp_path_factory.mktemp("plugin")
-    source = shutil.copytree(EXAMPLE, place / "source", ignore=shutil.ignore_patterns("build", "*.egg-info"))
-    offline = ["--no-index", "--no-deps", "--no-build-isolation", "--quiet", "--disable-pip-version-check"]
-    command = [sys.executable, "-m", "pip", "install", *offline, "--target", str(place / "site"), str(source)]
-    subprocess.run(command, check=True, capture_output=True)
-    return place / "site"
+def installed(install_example: Callable[[Path], Path]) -> Path:
+    """Folder into which pip has installed the example."""
+    return install_example(EXAMPLE)
 
 
 def _python(site: Path, code: str, *arguments: str) -> subprocess.CompletedProcess[str]:

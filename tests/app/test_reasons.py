@@ -11,7 +11,6 @@ import pytest
 
 from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
 from softcal.app.texts.reasons import PLAINLY, PREFIX, plainly, said
-from softcal.app.views.lot import reason_kind
 from softcal.core.maps import affine, ends, monotone, paired, phase, synchronous
 from softcal.core.unit import findings, health, verdict
 from softcal.core.unit.uncertainty import ErrorForecast
@@ -54,8 +53,9 @@ def whole(one: Reason) -> list[Reason]:
     return [Reason(one.code, {**one.values, "source": s, "relation": r}) for s, r in pairs]
 
 
-# `data.` is what a diagnosis finds in the recordings of a rig; no unit at a line has it.
-NOT_AT_THE_LINE = ("part.", "data.", PLAIN)
+# `data.` is what a diagnosis finds in the recordings of a rig, `audit.` what a page refuses, `release.` what is said
+# of a whole lot: not at a line.
+NOT_AT_THE_LINE = ("part.", "data.", "audit.", "release.", PLAIN)
 
 
 @pytest.mark.parametrize(
@@ -136,10 +136,3 @@ def test_the_cause_within_a_reason_is_said_too() -> None:
 def test_a_message_that_was_kept_as_a_sentence_is_that_sentence() -> None:
     assert unpacked("") == () and packed(()) == ""
     assert unpacked("the moon was full; so was the glass") == (plain("the moon was full; so was the glass"),)
-
-
-@pytest.mark.parametrize("language", LANGUAGES)
-@pytest.mark.parametrize("one", [e for e in EXAMPLES if not e.code.startswith("part.") and e.code != PLAIN], ids=str)
-def test_every_kind_of_reason_has_a_name_without_numbers(language: str, one: Reason) -> None:
-    kind = reason_kind(said(one, partial(text, language)))
-    assert kind and not any(letter.isdigit() for letter in kind)

@@ -1,6 +1,11 @@
 """`softcal station` as a person uses it: files, exit codes, one clear line."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -8,6 +13,8 @@ from softcal.app.cli import station as command
 from softcal.app.files.lot_folder import read_labelled
 from softcal.app.files.recording_file import read_recording
 from softcal.core.errors import DeviceError, InputError, NoReply
+
+SOFTCAL = Path(sys.executable).with_name("softcal")
 
 
 @pytest.fixture
@@ -220,3 +227,33 @@ def test_drivers_are_listed_with_their_keys_and_their_origin(softcal, tmp_path, 
     assert "microstep_mm: travel per microstep" in "".join(capsys.readouterr())
     with pytest.raises(InputError, match="no driver of kind 'nothing'"):
         softcal("drivers", "--kind", "nothing")
+
+
+PRESS = ("unit", "--serial", "A1", "--out", "A1.csv")
+
+
+@pytest.mark.parametrize(
+    ("command", "wait_for", "name"),
+    [
+        (PRESS, "homing", "SIGINT"),
+        (PRESS, "searching for contact", "SIGINT"),
+        ((*PRESS, "--seconds", "600"), "pressing", "SIGINT"),
+        ((*PRESS, "--seconds", "600"), "pressing", "SIGTERM"),
+        ((*PRESS, "--seconds", "600"), "pressing", "SIGHUP"),
+        (("source", *PRESS[1:]), "pressing", "SIGINT"),
+    ],
+)
+def test_a_signal_in_a_command_that_moves_lifts_the_stage_and_says_so(tmp_path, command, wait_for, name):
+    words = [SOFTCAL, "station", *command, "--simulated", "--spool", str(tmp_path / "spool")]
+    environment = os.environ | {"SOFTCAL_LOGS": str(tmp_path / "logs"), "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(words, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        for line in process.stderr:
+            if wait_for in line:
+                process.send_signal(getattr(signal, name))
+                break
+        rest = process.stderr.read()
+    (last,) = [line for line in rest.splitlines() if line.startswith("softcal: ")]
+    assert process.returncode == 3
+    lifted = "must be homed" if wait_for == "homing" else "the stage is stopped and lifted"
+    assert "stopped by the keyboard" in last and lifted in last
+    assert not (tmp_path / "A1.csv").exists()

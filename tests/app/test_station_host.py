@@ -52,7 +52,7 @@ def make_host(registry, folder):
     return StationHost(registry.order_queue, "s1", keeper, lambda actor, reason: None, service)
 
 
-def serve_until(host, is_done, limit_s=60.0):
+def serve_until(host, is_done, limit_s=400.0):
     end_s = time.monotonic() + limit_s
     host.run(lambda: not is_done() and time.monotonic() < end_s)
 
@@ -235,3 +235,31 @@ def test_a_defect_ends_its_run_alone(registry, tmp_path, monkeypatch):
     assert (progress.state, progress.code) == (RunState.ERROR, "E-INTERNAL")
     assert "ZeroDivisionError" in progress.text
     assert host._service.spool_path(Order("o1", "s1", OrderKind.UNIT, "A1")).exists()  # what was pressed is kept
+
+
+def test_a_stop_waits_for_nobody_who_writes_into_the_registry(registry, tmp_path):
+    queue, locked = registry.order_queue, threading.Event()
+    host = make_host(registry, tmp_path)
+    is_stop_wanted = host._is_stop_wanted
+
+    def say_stop_and_keep_the_registry_writing():
+        while not any(progress.phase for _, progress in queue.runs("s1")):
+            time.sleep(0.005)
+        queue.place(Order("stop", "s1", OrderKind.STOP))
+        with registry.database.writing():
+            locked.set()
+            assert is_stop_wanted.wait(3.0)
+
+    errors = []
+
+    def run():
+        try:
+            say_stop_and_keep_the_registry_writing()
+        except AssertionError as error:
+            errors.append(error)
+
+    person = threading.Thread(target=run)
+    person.start()
+    serve_until(host, placed_and_ended(registry, "L1"))
+    person.join()
+    assert locked.is_set() and errors == []

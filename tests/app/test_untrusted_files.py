@@ -13,7 +13,7 @@ import pyarrow.parquet
 import pytest
 
 from softcal.app.cli.main import main
-from softcal.app.files.recording_file import read_recording, read_table
+from softcal.app.files.recording_file import column, read_recording, read_table
 from softcal.core.errors import InputError
 
 BENCHMARKS = str(Path(__file__).parents[2] / "benchmarks")
@@ -125,3 +125,83 @@ def test_a_serial_never_leaves_its_folder(serial: str, tmp_path: Path) -> None:
     command = ["import", str(tmp_path / "a.csv"), "--out", str(deep / "lot"), "--sample-rate", "50"]
     assert main([*command, "--source", serial, "--serial", serial, "--reference-column", "reference"]) == 2
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def _sheet(path: Path, rows: str) -> Path:
+    """Write a spreadsheet by hand: a program that wishes no good does not use a library either."""
+    pd.DataFrame({"t_s": [0.0], "output": [0.0]}).to_excel(path, index=False)
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    spreadsheet = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    header = '<row r="1"><c r="A1" t="inlineStr"><is><t>output</t></is></c></row>'
+    parts["xl/worksheets/sheet1.xml"] = (
+        f'<worksheet xmlns="{spreadsheet}"><sheetData>{header}{rows}</sheetData></worksheet>'.encode()
+    )
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content)
+    return path
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        '<row r="999999999"><c r="A999999999"><v>1</v></c></row>',
+        "".join(f'<row r="{k}"><c r="ZZZ{k}"><v>1</v></c></row>' for k in range(2, 400)),
+        "<row/>" * 110_000,
+    ],
+)
+def test_a_sheet_whose_cells_stand_far_out_is_refused_while_it_is_counted(tmp_path: Path, rows: str) -> None:
+    with pytest.raises(InputError, match="unpacks to"):
+        read_table(_sheet(tmp_path / "far.xlsx", rows), most_cells=1_000_000)
+
+
+def test_of_a_sheet_only_the_columns_asked_for_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / "wide.xlsx"
+    pd.DataFrame({"t_s": [0.0, 0.1], "output": [1, 2], "note": ["x", "y"], "more": [None, 3.5]}).to_excel(
+        path, index=False
+    )
+    table = read_table(path, wanted={"output", "more"}.__contains__)
+    assert list(table.columns) == ["output", "more"] and table["output"].tolist() == [1, 2]
+    with pytest.raises(InputError, match="no column 'gone'; the file has: t_s, output, note, more"):
+        column(read_table(path, wanted={"gone"}.__contains__), "gone", path)
+
+
+def test_of_a_parquet_file_only_the_columns_asked_for_count(tmp_path: Path) -> None:
+    path = tmp_path / "wide.parquet"
+    pyarrow.parquet.write_table(pa.table({name: np.arange(100_000.0) for name in ("t_s", "output", "a", "b")}), path)
+    with pytest.raises(InputError, match="unpacks to"):
+        read_table(path, most_cells=300_000)
+    table = read_table(path, most_cells=300_000, wanted={"t_s", "output"}.__contains__)
+    assert list(table.columns) == ["t_s", "output"] and len(table) == 100_000
+    with pytest.raises(InputError, match="no column 'gone'; the file has: t_s, output, a, b"):
+        column(read_table(path, wanted={"gone"}.__contains__), "gone", path)
+
+
+@pytest.mark.parametrize("what", ["text", "lists"])
+def test_a_parquet_column_that_holds_no_numbers_does_not_unpack(tmp_path: Path, what: str) -> None:
+    path = tmp_path / "bomb.parquet"
+    # A few kB: one long text, or one long list, over and over.
+    text = pa.DictionaryArray.from_arrays(pa.array([0] * 100_000, pa.int32()), ["7" * 100_000])
+    table = pa.table({"output": text if what == "text" else pa.array([[0.0] * 1000] * 100)})
+    pyarrow.parquet.write_table(table, path, store_schema=False)
+    assert path.stat().st_size < 200_000
+    with pytest.raises(InputError, match="unpacks to|holds lists"):
+        read_table(path)
+
+
+def test_numbers_that_parquet_keeps_as_text_read_as_before(tmp_path: Path) -> None:
+    path = tmp_path / "text.parquet"
+    pyarrow.parquet.write_table(pa.table({"output": ["1.5", "2.5", "1.5"]}), path)
+    assert column(read_table(path), "output", path).tolist() == [1.5, 2.5, 1.5]
+
+
+def test_a_text_file_of_too_many_cells_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "long.csv"
+    path.write_text("t_s,output\n" + "0,1\n" * 1000)
+    assert len(read_table(path, most_cells=2100)) == 1000
+    with pytest.raises(InputError, match="unpacks to"):
+        read_table(path, most_cells=1500)
+    path.write_text("output\n" + "1" * 60_000)
+    with pytest.raises(InputError, match="unpacks to"):
+        read_table(path, most_cells=2000)

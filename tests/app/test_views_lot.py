@@ -1,6 +1,7 @@
 """What the lot page says of a process: rules in words, capability refused or given, reasons counted by kind."""
 
 from datetime import UTC, datetime, timedelta
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,8 +10,12 @@ from softcal.app.charts import lot as charts_lot
 from softcal.app.charts.palette import DARK, LIGHT
 from softcal.app.charts.style import nice_step
 from softcal.app.files.spreadsheet import excel_bytes
+from softcal.app.texts.catalogue import text
+from softcal.app.texts.reasons import plainly
 from softcal.app.views.common import percent
-from softcal.app.views.lot import process_view, reason_kind
+from softcal.app.views.lot import process_view
+from softcal.core.quality.yields import UnitRun, yields
+from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import RunEntry
 
 START = datetime(2026, 5, 4, tzinfo=UTC)
@@ -43,18 +48,24 @@ def test_too_few_units_make_no_chart() -> None:
     assert process.chart is None and "at least 8" in str(process.refusal)
 
 
-@pytest.mark.parametrize(
-    ("reason", "kind"),
-    [
-        ("clipped range: presses end flat at 1.63 V, 16.5% of the samples", "clipped range"),
-        (
-            "predicted RMSE 0.417 N (95 %: 0.233 to 0.798) is above the limit 0.12 N (stated for the lot)",
-            "predicted RMSE is above the limit",
-        ),
-    ],
-)
-def test_reasons_are_counted_by_kind_not_by_number(reason: str, kind: str) -> None:
-    assert reason_kind(reason) == kind
+def statement(source: str, relation: str, rmse: float) -> Reason:
+    numbers = {"rmse": rmse, "lower": 0.1, "upper": 0.5, "limit": 0.12, "unit": "N", "origin": Reason("part.stated")}
+    return reason("statement", source=Reason(f"part.{source}"), relation=Reason(f"part.{relation}"), **numbers)
+
+
+@pytest.mark.parametrize("language", ["en", "ko"])
+def test_reasons_are_counted_by_what_they_say_and_not_by_their_numbers(language: str) -> None:
+    """A forecast and a measurement are two kinds; the same one with another number is one; no label has a number."""
+    said = {
+        "U1": statement("predicted", "above", 0.417),
+        "U2": statement("predicted", "above", 0.523),
+        "U3": statement("measured", "above", 0.417),
+        "U4": reason("saturated", level="1.6 V", share=0.165),
+    }
+    found = yields({serial: [UnitRun("fail", (why,))] for serial, why in said.items()})
+    assert [count for _, count in found.reasons] == [2, 1, 1]
+    labels = [plainly(why, partial(text, language)) for why, _ in found.reasons]
+    assert len(set(labels)) == 3 and not any(letter.isdigit() for label in labels for letter in label)
 
 
 @pytest.mark.parametrize("colours", [LIGHT, DARK])

@@ -1,0 +1,124 @@
+"""Defaults of options from configuration files: `softcal.toml` in the working folder, and one file of the user.
+
+An option on the command line outranks an environment variable, that outranks the file of the working folder, and that
+the file of the user. Flags are not taken: what moves a stage or overwrites something is said each time.
+"""
+
+import argparse
+import os
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from softcal.app.bootstrap import REGISTRY_VARIABLE
+from softcal.app.cli.parser import suggestion
+from softcal.core.errors import InputError
+
+HERE = Path("softcal.toml")
+VARIABLES = {"registry": REGISTRY_VARIABLE}
+"""Options that an environment variable gives, too."""
+
+
+def user_file() -> Path:
+    """Return where the user's configuration file lies, whether it is there or not."""
+    import platformdirs
+
+    return Path(platformdirs.user_config_dir("softcal", appauthor=False)) / "softcal.toml"
+
+
+def files_in_use() -> list[Path]:
+    """Return the configuration files there are, the one that outranks the others last."""
+    return [path for path in (user_file(), HERE) if path.is_file()]
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Take the defaults of options from the configuration files.
+
+    A key outside every table is the option of that name of every command that has it; a key in `[batch]` or
+    `[station.check]` is an option of that command.
+
+    Raises:
+        InputError: a file cannot be read, no command has an option of that name, or it does not take that value.
+    """
+    for path in files_in_use():
+        _apply(path, _read(path), parser)
+
+
+def _read(path: Path) -> dict[str, object]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); mend it or move it away") from error
+    except ValueError as error:
+        raise InputError(f"{path}: is not TOML ({error}); mend it or move it away") from error
+
+
+def _apply(path: Path, table: Mapping[str, object], parser: argparse.ArgumentParser, command: str = "") -> None:
+    below = _commands(parser)
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            if key not in below:
+                known = suggestion(key, below)
+                raise InputError(f"{path}: [{f'{command}.{key}'.lstrip('.')}] is no command{known}")
+            _apply(path, value, below[key], f"{command}.{key}".lstrip("."))
+            continue
+        takers = [taker for each in _leaves(parser) if (taker := _option(each, key)) is not None]
+        if not takers:
+            known = suggestion(key, {name for each in _leaves(parser) for name in _options(each)})
+            raise InputError(f"{path}: no option --{key} of {command or 'any command'} takes a value{known}")
+        if key not in VARIABLES or not os.environ.get(VARIABLES[key]):
+            for owner, action in takers:
+                _set(path, owner, action, value)
+
+
+def _set(path: Path, owner: argparse.ArgumentParser, action: argparse.Action, value: object) -> None:
+    """Make the value the default of an option, converted and checked as if it had been typed."""
+    values = value if isinstance(value, list) else [value]
+    if isinstance(value, list) == (action.nargs is None) or any(
+        isinstance(each, (bool, dict, list)) for each in values
+    ):
+        expected = "text or a number" if action.nargs is None else "a list of texts or numbers"
+        raise InputError(f"{path}: {_name(action)} = {value!r}: {expected} was expected")
+    try:
+        taken = [owner._get_value(action, str(each)) for each in values]
+        for each in taken:
+            owner._check_value(action, each)
+    except argparse.ArgumentError as error:
+        raise InputError(f"{path}: {_name(action)} = {value!r}: {error.message}") from None
+    action.default = taken[0] if action.nargs is None else taken
+    action.required = False
+
+
+def _commands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    return {
+        name: below
+        for action in parser._actions
+        if isinstance(action, argparse._SubParsersAction)
+        for name, below in action.choices.items()
+    }
+
+
+def _leaves(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    yield parser
+    for below in _commands(parser).values():
+        yield from _leaves(below)
+
+
+def _options(parser: argparse.ArgumentParser) -> dict[str, argparse.Action]:
+    """Return the options that take a value once, by name without dashes."""
+    return {
+        name.removeprefix("--"): action
+        for action in parser._actions
+        if action.nargs != 0 and not isinstance(action, argparse._AppendAction)
+        for name in action.option_strings
+        if name.startswith("--")
+    }
+
+
+def _option(parser: argparse.ArgumentParser, key: str) -> tuple[argparse.ArgumentParser, argparse.Action] | None:
+    action = _options(parser).get(key)
+    return None if action is None else (parser, action)
+
+
+def _name(action: argparse.Action) -> str:
+    return max(action.option_strings, key=len).removeprefix("--")

@@ -1,0 +1,181 @@
+"""`softcal init`: the first file of a lot or of a station, by questions."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import MISSING, Field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
+
+from softcal.app.cli.options import positive
+from softcal.app.output import say
+from softcal.core.errors import InputError
+
+if TYPE_CHECKING:
+    from softcal.station.config import DeviceConfig, Role
+
+EXAMPLES = """examples:
+  softcal init lot lot-1               # asks; Enter takes the value in brackets
+  softcal init lot lot-1 --source S1 --sample-rate 50 --limit 0.3 --yes
+  softcal init station station.toml    # asks for stage, load cell, readout, limits
+then: softcal station check --station station.toml; softcal batch lot-1
+"""
+
+NO_CELL = "none"
+T = TypeVar("T")
+
+
+def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal init`."""
+    parser = commands.add_parser(
+        "init",
+        help="make a lot folder or a station file by questions",
+        description="Ask what a lot or a station is, and write it down. Nothing that exists is written over.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    kinds = parser.add_subparsers(title="what to make", metavar="WHAT", required=True)
+    lot = kinds.add_parser("lot", help="a folder with lot.toml, for recordings that are still to come")
+    lot.add_argument("folder", type=Path, metavar="FOLDER", help="lot folder to make")
+    lot.add_argument("--lot-id", help="default: the name of the folder")
+    lot.add_argument("--source", metavar="SERIAL", help="unit with the reference that trains f")
+    lot.add_argument("--sample-rate", type=positive, metavar="HZ", help="samples a second of every recording")
+    lot.add_argument("--sensor-model", help="what kind of sensor it is; audits of earlier lots count by it")
+    lot.add_argument("--reference-quantity", help="default force")
+    lot.add_argument("--reference-unit", help="default N")
+    lot.add_argument("--output-unit", help="default V")
+    lot.add_argument("--limit", type=positive, metavar="RMSE", help="largest acceptable error, in the reference unit")
+    lot.add_argument("--yes", action="store_true", help="ask nothing: take the defaults of what is not given")
+    lot.set_defaults(run=run_lot)
+    station = kinds.add_parser(
+        "station", help="a station file; `softcal station check --write` finds USB devices itself"
+    )
+    station.add_argument("file", type=Path, metavar="FILE", help="station file to make")
+    station.set_defaults(run=run_station)
+
+
+def run_lot(options: argparse.Namespace) -> int:
+    """Ask what is not given, and make the folder."""
+    from softcal.app.files.lot_folder import write_lot_toml
+    from softcal.core.lot import Lot
+
+    folder = options.folder
+    _refuse_existing(folder / "lot.toml")
+
+    def answer(given: T | None, question: str, kind: Callable[[str], T], default: str | None) -> T:
+        return given if given is not None else asked(question, kind, default, options.yes)
+
+    lot = Lot(
+        id=answer(options.lot_id, "id of the lot", str, folder.resolve().name),
+        source=answer(options.source, "serial of the source unit (the one with the load cell)", str, None),
+        sample_rate_Hz=answer(options.sample_rate, "samples a second", positive, "50"),
+        sensor_model=answer(options.sensor_model, "sensor model (empty: none)", str, ""),
+        reference_quantity=answer(options.reference_quantity, "what the reference measures", str, "force"),
+        reference_unit=answer(options.reference_unit, "unit of the reference", str, "N"),
+        output_unit=answer(options.output_unit, "unit of the output", str, "V"),
+        limit_rmse=answer(options.limit, "largest acceptable RMSE (empty: from the source's own)", _limit, ""),
+    )
+    for part in ("source", "units", "audit"):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    write_lot_toml(folder, lot)
+    say(f"{folder / 'lot.toml'}: lot {lot.id!r}, source {lot.source}, {lot.sample_rate_Hz:g} Hz")
+    say(f"put the source's t_s, output, reference into {folder / 'source' / lot.source}.csv,")
+    say(f"t_s, output of every other unit into {folder / 'units'}/SERIAL.csv; then: softcal batch {folder}")
+    return 0
+
+
+def run_station(options: argparse.Namespace) -> int:
+    """Ask for the parts of the rig and its limits, and write the station file."""
+    from softcal.app.files.atomic import write_text
+    from softcal.station.catalogue import SECTIONS
+    from softcal.station.config import SafetyConfig, station_from_table, station_toml
+
+    _refuse_existing(options.file)
+    table: dict[str, Any] = {"name": asked("name of the station", str, "station")}
+    for role, section in SECTIONS.items():
+        if device := _device(section, role):
+            table[section] = device
+    limits = (
+        {"force_N", "deepest_mm", "speed_mm_s"} if "force" in table else {"without_cell", "deepest_mm", "speed_mm_s"}
+    )
+    table["safety"] = _answers("safety", SafetyConfig, limits)
+    write_text(options.file, station_toml(station_from_table(table)))
+    say(f"{options.file}: every key is in it with its meaning; read it once")
+    say(f"then: softcal station check --station {options.file}")
+    return 0
+
+
+def _device(section: str, role: "Role") -> dict[str, Any]:
+    """Ask for one device; nothing where the station has no load cell."""
+    from softcal.station.catalogue import driver_of, offers
+
+    none = [NO_CELL] if role == "cell" else []
+    kinds = none + sorted(offer.kind for offer in offers() if offer.role == role and offer.driver is not None)
+    say(f"[{section}] kinds: {', '.join(kinds)}")
+
+    def known(text: str) -> str:
+        return text if text in none else str(driver_of(role, text).kind)
+
+    kind = asked(f"{section}: kind", known, None)
+    if kind in none:
+        return {}
+    config: type[DeviceConfig] = driver_of(role, kind).config
+    return {"kind": kind, **_answers(section, config, {f.name for f in fields(config)} - {"kind"})}
+
+
+def _answers(section: str, config: type[Any], names: set[str]) -> dict[str, Any]:
+    """Ask for the keys of one section, in the order and with the meaning in which they are declared."""
+    from softcal.station.config import meanings
+
+    for line in meanings(config):
+        if line.strip().partition(":")[0].partition(",")[0] in names or line.startswith(" " * 8):
+            say(f"    {line.strip()}")
+    types = get_type_hints(config)
+    asked_for = [each for each in fields(config) if each.name in names]
+    return {
+        each.name: asked(f"{section}: {each.name}", _converter(types[each.name]), _default(each)) for each in asked_for
+    }
+
+
+def _default(each: "Field[Any]") -> str | None:
+    if each.default is MISSING:
+        return None
+    return str(each.default).lower() if isinstance(each.default, bool) else str(each.default)
+
+
+def _converter(kind: object) -> Callable[[str], Any]:
+    if kind is bool:
+        return lambda text: {"true": True, "false": False}[text]
+    return {float: float, int: int}.get(kind, str)  # type: ignore[call-overload,no-any-return]
+
+
+def asked(question: str, kind: Callable[[str], T], default: str | None, is_silent: bool = False) -> T:
+    """Ask until the answer can be used; Enter takes the default.
+
+    Raises:
+        InputError: there is nobody to ask, and no default.
+    """
+    while True:
+        if is_silent and default is not None:
+            return kind(default)
+        print(f"{question}{'' if default is None else f' [{default}]'}: ", end="", file=sys.stderr, flush=True)
+        line = "" if is_silent else sys.stdin.readline()
+        if not line:
+            raise InputError(f"no answer to {question!r}; nothing was written; give it as an option, or answer it")
+        text = line.strip() or default
+        try:
+            if text is not None:
+                return kind(text)
+        except (InputError, argparse.ArgumentTypeError) as error:
+            say(str(error))
+        except (ValueError, KeyError):
+            say(f"{text!r} cannot be used here")
+
+
+def _limit(text: str) -> float | None:
+    return positive(text) if text else None
+
+
+def _refuse_existing(path: Path) -> None:
+    if path.exists():
+        raise InputError(f"{path} exists; it was left as it is")

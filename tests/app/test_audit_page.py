@@ -1,0 +1,95 @@
+"""The audit of a lot from its page: draw, bring the recordings, see what they say; and the wall board."""
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from softcal.app.batch.audit import lot_audit
+from softcal.app.texts.catalogue import text
+from softcal.app.views.alerts import Alert
+from softcal.app.views.lot import lot_view
+from softcal.app.views.wall import MOST_ALERTS, wall_view
+from softcal.core.orders import Heartbeat, StationState
+from softcal.db.connection import open_registry
+
+pytestmark = pytest.mark.usefixtures("own_data")
+
+
+def say(key: str, **values: object) -> str:
+    return text("en", key, **values)
+
+
+def button(screen, key: str):
+    return next(one for one in screen.button if one.label == say(key))
+
+
+def test_a_plan_is_drawn_once_and_again_only_with_a_reason(calibrated: str, show) -> None:
+    screen = show(calibrated, "audit", lot="small")
+    button(screen, "audit.draw.do").click().run()
+    assert not screen.exception and not screen.error
+    with open_registry(calibrated) as registry:
+        first = lot_audit(registry, "small")
+        assert first is not None
+    button(screen, "audit.draw.do").click().run()
+    assert screen.warning[0].value == say("reason.missing")
+    with open_registry(calibrated) as registry:
+        assert len(registry.events("audit_plan", ("small",))) == 1
+    assert [row.iloc[0] for _, row in screen.table[0].value.iterrows()] == list(first.plan.serials)
+
+
+def test_recordings_are_looked_at_and_what_cannot_audit_a_unit_says_why(
+    calibrated: str, lot_folder: Path, show, jobs_at_once: None
+) -> None:
+    audit = (lot_folder / "audit/A1.csv").read_bytes()
+    plain = (lot_folder / "units/A2.csv").read_bytes()
+    screen = show(calibrated, "audit", lot="small")
+    files = [("A1.csv", audit, "text/csv"), ("A2.csv", plain, "text/csv"), ("X9.csv", audit, "text/csv")]
+    screen.file_uploader[0].set_value(files).run()
+    assert not screen.exception and not screen.error
+    why = {row.iloc[0]: row.iloc[-1] for _, row in screen.table[-1].value.iterrows()}
+    assert why["A1.csv"] == "" and "reference" in why["A2.csv"] and "X9" in why["X9.csv"]
+    with open_registry(calibrated) as registry:
+        before = registry.calibration("A1", lot_id="small").record.after_rmse
+        kept = {entry.serial for entry in registry.recordings("small", kind="audit")}
+    next(one for one in screen.button if one.key == "audit-take").click().run(timeout=300)
+    assert not screen.exception and not screen.error
+    with open_registry(calibrated) as registry:
+        assert {entry.serial for entry in registry.recordings("small", kind="audit")} == kept | {"A1"}
+        after = registry.calibration("A1", lot_id="small").record.after_rmse
+        assert after is not None and (before is None or before > 0)
+        assert any(row.actor == "Erin" for row in registry.audit_rows())
+
+
+def test_who_may_not_set_up_may_not_draw(calibrated: str, show) -> None:
+    screen = show(calibrated, "audit", role="quality", lot="small")
+    assert not screen.exception
+    assert not [one for one in screen.button if one.label == say("audit.draw.do")]
+
+
+def test_the_wall_tells_a_station_that_is_silent_from_one_that_is_well(calibrated: str) -> None:
+    now = datetime.now(UTC)
+    with open_registry(calibrated) as registry:
+        registry.order_queue.beat(Heartbeat("line-1", StationState.READY, now, process="a:1"))
+        registry.order_queue.beat(Heartbeat("line-2", StationState.READY, now - timedelta(minutes=1), process="a:2"))
+        registry.order_queue.beat(Heartbeat("line-3", StationState.OFF, now, process="a:3"))
+        found = wall_view(registry, lot_view(registry, "small"), (), say, now)
+    assert {(tile.name, tile.is_well) for tile in found.stations} == {("line-1", True), ("line-2", False)}
+
+
+def test_the_wall_counts_what_the_lot_holds_and_leaves_no_alert_unsaid(calibrated: str) -> None:
+    with open_registry(calibrated) as registry:
+        view = lot_view(registry, "small")
+        many = [Alert("golden", {"station": "s", "serial": "G", "at": "now"}, True)] * (MOST_ALERTS + 2)
+        found = wall_view(registry, view, many, say)
+    assert {verdict: count for verdict, _, count in found.verdicts} == {
+        word: count for word, count in view.counts.items() if word != "none"
+    }
+    assert found.alerts[-1][0] == say("wall.more", count=2) and len(found.alerts) == MOST_ALERTS + 1
+    assert {chip.serial for chip in found.chips} == {run for run in ("A1", "A2", "A3", "A4")}
+
+
+@pytest.mark.parametrize("language", ["en", "ko"])
+def test_the_wall_is_drawn(calibrated: str, show, language: str) -> None:
+    screen = show(calibrated, "wall", role="operator", lot="small", lang=language)
+    assert not screen.exception and not screen.error

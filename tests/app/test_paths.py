@@ -1,0 +1,118 @@
+"""Nothing read from a lot, a manifest or an archive reaches outside its folder; secrets stay with their owner."""
+
+import json
+import os
+import stat
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from softcal.app.cli.main import main
+from softcal.app.registry.maintenance import upgrade
+from softcal.core.errors import RegistryError
+from softcal.db.backup import back_up, restore
+from softcal.db.connection import open_registry
+from softcal.db.database import open_database
+from softcal.db.maintenance import migrate
+
+SMALL = ("--hidden", "16,8", "--no-own")
+
+
+@pytest.mark.parametrize("name", ["lot.toml", "source/A0.csv"])
+@pytest.mark.parametrize("kind", ["link", "pipe", "device"])
+def test_what_a_lot_begins_with_is_a_file_of_its_folder(
+    lot_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, kind: str
+) -> None:
+    path = lot_folder / name
+    path.rename(tmp_path / "elsewhere")
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(tmp_path / "elsewhere" if kind == "link" else "/dev/zero")
+    url = f"sqlite:///{tmp_path / 'fresh.db'}"
+    assert main(["train", str(lot_folder), "--registry", url, "--hidden", "16,8"]) == 2
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert path.name in said and "Traceback" not in said
+
+
+@pytest.mark.parametrize("text", ["a = " + "[" * 5000, "# long\n" * 200_000])
+def test_a_lot_toml_without_end_is_refused(lot_folder: Path, capsys: pytest.CaptureFixture[str], text: str) -> None:
+    (lot_folder / "lot.toml").write_text(text)
+    assert main(["batch", str(lot_folder), "--registry", "sqlite://"]) == 2
+    assert "a defect" not in capsys.readouterr().err
+
+
+def test_the_files_of_a_unit_that_now_fails_are_taken_back(lot_folder: Path, registry_url: str, tmp_path: Path) -> None:
+    out, command = tmp_path / "out", ["batch", str(lot_folder), "--registry", registry_url, *SMALL]
+    assert main([*command, "--out", str(out)]) in (0, 1)
+    before = {path.name for path in out.iterdir() if "A2" in path.name}
+    assert before
+    path = lot_folder / "units/A2.csv"
+    pd.read_csv(path).assign(output=1.0).to_csv(path, index=False)
+    assert main([*command, "--out", str(out)]) == 1
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert not [path.name for path in out.iterdir() if "A2" in path.name]
+    assert not [entry for entry in manifest["files"] if entry["serial"] == "A2"]
+    assert manifest["units"]["A2"]["verdict"] == "fail" and manifest["units"]["A2"]["withdrawn"]
+    assert {entry["serial"] for entry in manifest["files"]} >= {"A1", "A3"}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="file modes are those of POSIX")
+def test_a_registry_and_every_copy_of_it_belong_to_their_owner_alone(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        with open_registry(f"sqlite:///{tmp_path / 'registry.db'}") as registry:
+            registry.set_user("kim", "operator", "2580", actor="lee")
+            back_up(registry.database, tmp_path / "backup.db")
+            restore(tmp_path / "backup.db", f"sqlite:///{tmp_path / 'restored.db'}")
+            # While it is open, the log beside it holds what was written last.
+            modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
+        old = open_database(f"sqlite:///{tmp_path / 'old.db'}")
+        migrate(old, "0006")
+        old.close()
+        assert upgrade(f"sqlite:///{tmp_path / 'old.db'}").backup is not None
+        modes |= {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
+    finally:
+        os.umask(before)
+    assert {"registry.db", "registry.db-wal", "backup.db", "restored.db", "old.db"} <= set(modes)
+    assert any(name.startswith("old-schema-0006") for name in modes)
+    assert {name: oct(mode) for name, mode in modes.items() if mode != 0o600} == {}
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "postgresql://nobody:hush@127.0.0.1:1/x",
+        "postgresql://nobody@127.0.0.1:1/x?password=hush",
+        "postgresql://nobody:hush@127.0.0.1:port/x",
+        "postgresql://nobody:hush@/x?host=/no/such/socket",
+        "mysql://nobody:hush@localhost/x",
+        "hush",
+    ],
+)
+@pytest.mark.parametrize("command", ["list", "verify", "sync"])
+def test_a_database_s_password_is_in_no_error(
+    url: str, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_registry(f"sqlite:///{tmp_path / 'here.db'}"):
+        pass
+    where = ["--registry", f"sqlite:///{tmp_path / 'here.db'}", "--with", url]
+    assert main(["registry", command, *(where if command == "sync" else ["--registry", url])]) == 4
+    said = "".join(capsys.readouterr())
+    assert "hush" not in said and "a defect" not in said and len(said.strip().splitlines()) == 1
+    with pytest.raises(RegistryError):
+        open_registry(url)
+
+
+def test_what_people_wrote_is_shown_and_not_obeyed(calibrated: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with open_registry(calibrated) as registry:
+        lot = registry.units()[0].lot_id
+        registry.set_limit(lot, 0.5, reason="\x1b[2Jagreed\x07\r\x9b31m", actor="\x1b]0;kim\x07")
+        serial = next(unit.serial for unit in registry.units() if unit.verdict)
+        registry.add_refusal(lot, serial, "retest", ("\x1b[31mred\x9b",))
+    capsys.readouterr()
+    for command in (["list"], ["history", "--serial", serial], ["verify"]):
+        main(["registry", *command, "--registry", calibrated])
+        said = "".join(capsys.readouterr())
+        assert said and not [c for c in said if c != "\n" and (ord(c) < 32 or 0x7F <= ord(c) < 0xA0)], command

@@ -1,0 +1,180 @@
+"""From the rig to verdicts: what a station records is a lot folder that `batch` takes, whatever happened on the way."""
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softcal.app.cli.main import main
+from softcal.app.files.lot_folder import open_lot_folder
+from softcal.core.twin.spread import draw_lot
+from softcal.station.bench import simulated_config
+from softcal.station.config import station_toml
+from softcal.station.simulated.station import SimulatedStation
+
+SMALL = ("--hidden", "16")
+SHORT = {"source": ("--seconds", "40"), "unit": ("--seconds", "12")}
+
+
+@pytest.fixture
+def softcal(tmp_path, monkeypatch, capsys):
+    """Run `softcal` in the test's folder, with data of its own, and give back what it said."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words, expected=0):
+        capsys.readouterr()
+        code, said = main([str(word) for word in words]), capsys.readouterr()
+        assert code in ((expected,) if isinstance(expected, int) else expected), said
+        return said.err
+
+    return call
+
+
+def press(softcal, kind, serial, seed, path, **more):
+    words = ("--simulated", seed, "--serial", serial, "--out", path, "--spool", "spool", *SHORT[kind])
+    return softcal("station", kind, *words, **more)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A lot of one source and three units, pressed on the simulated rig over its serial lines."""
+    folder = tmp_path_factory.mktemp("recorded")
+    for serial, seed, kind in (("A0", 11, "source"), ("A1", 12, "unit"), ("A2", 13, "unit"), ("A3", 14, "unit")):
+        path = folder / "lot-1" / ("source" if kind == "source" else "units") / f"{serial}.csv"
+        words = ["--simulated", str(seed), "--serial", serial, "--out", str(path), "--spool", str(folder / "spool")]
+        assert main(["station", kind, *words, *SHORT[kind]]) == 0
+    return folder
+
+
+@pytest.fixture
+def pressed(recorded, tmp_path):
+    shutil.copytree(recorded, tmp_path, dirs_exist_ok=True)
+
+
+@pytest.fixture
+def source_pressed(pressed, tmp_path):
+    shutil.rmtree(tmp_path / "lot-1" / "units")
+
+
+def batch(softcal, tmp_path, lot="lot-1", out="out"):
+    words = ("batch", lot, "--registry", f"sqlite:///{tmp_path / 'r.db'}", "--out", out, "--json", f"{out}.json")
+    softcal(*words, *SMALL, expected=(0, 1))
+    return json.loads((tmp_path / f"{out}.json").read_text())
+
+
+def test_a_source_and_three_units_end_in_verdicts_and_import_takes_the_folder_too(softcal, pressed, tmp_path):
+    report = batch(softcal, tmp_path)
+    assert {unit["serial"] for unit in report["units"]} == {"A1", "A2", "A3"}
+    assert all(unit["verdict"] in ("pass", "conditional", "fail", "retest") for unit in report["units"])
+    assert all(unit["map"]["sha256"] for unit in report["units"])
+    assert not list((tmp_path / "spool").iterdir())
+    columns = ("--time-column", "t_s", "--reference-column", "reference", "--stage-column", "stage_mm")
+    softcal("import", "lot-1", "--source", "A0", *columns, "--sample-rate", 50, "--out", "lot-2")
+    again = open_lot_folder(tmp_path / "lot-2")
+    assert (again.lot.source, sorted(again.unit_paths)) == ("A0", ["A1", "A2", "A3"])
+    for serial in again.unit_paths:
+        first = open_lot_folder(tmp_path / "lot-1").read_unit(serial)
+        np.testing.assert_array_equal(again.read_unit(serial).output, first.output)
+
+
+def test_an_interrupted_unit_leaves_a_folder_that_batch_takes_and_can_be_pressed_again(softcal, pressed, tmp_path):
+    (tmp_path / "lot-1" / "units" / "A2.csv").unlink()
+    (tmp_path / "lot-1" / "units" / "A3.csv").unlink()
+    words = ["station", "unit", "--simulated", "13", "--serial", "A2", "--out", "lot-1/units/A2.csv"]
+    command = [sys.executable, "-m", "softcal.app.cli.main", *words, "--spool", "spool", "--seconds", "3000"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    line = next(line for line in process.stderr if "pressing" in line)
+    process.kill()
+    process.communicate()
+    assert "%" in line
+    assert [path.name for path in (tmp_path / "lot-1" / "units").iterdir()] == ["A1.csv"]
+    assert [unit["serial"] for unit in batch(softcal, tmp_path)["units"]] == ["A1"]
+    softcal("station", "recover", "--spool", "spool", "--out", "recovered")
+    assert [path.suffixes for path in (tmp_path / "recovered").iterdir()][0][-2:] == [".aborted", ".csv"]
+    press(softcal, "unit", "A2", 13, "lot-1/units/A2.csv")
+    assert {unit["serial"] for unit in batch(softcal, tmp_path)["units"]} == {"A1", "A2"}
+
+
+def test_a_second_source_run_is_used_or_said(softcal, pressed, tmp_path):
+    toml = tmp_path / "lot-1" / "lot.toml"
+    toml.write_text(toml.read_text() + "\n[limit]\nrmse = 0.7\n")
+    first = batch(softcal, tmp_path)
+    press(softcal, "source", "A0", 11, "lot-1/source/A0.csv")
+    assert "rmse = 0.7" in toml.read_text()
+    other = press(softcal, "source", "B0", 21, "lot-1/source/B0.csv")
+    assert "names A0 as the source; B0 lies beside it and is not used" in other
+    assert batch(softcal, tmp_path)["network"] == first["network"]
+    toml.write_text(toml.read_text().replace('source = "A0"', 'source = "B0"').replace('"lot-1"', '"lot-1b"'))
+    assert batch(softcal, tmp_path)["network"] != first["network"]
+
+
+def test_what_the_lot_folder_could_not_use_is_refused_before_anything_moves(softcal, source_pressed, tmp_path):
+    same = press(softcal, "unit", "A0", 12, "lot-1/units/A0.csv", expected=2)
+    assert "A0 is the source" in same and "nothing moved" in same
+    toml = tmp_path / "lot-1" / "lot.toml"
+    toml.write_text(toml.read_text().replace("50.0", "80.0"))
+    rate = press(softcal, "unit", "A1", 12, "lot-1/units/A1.csv", expected=2)
+    assert "states 80 Hz and V, the readout gives 50 Hz and V" in rate
+    assert not (tmp_path / "lot-1" / "units").exists()
+
+
+def test_orders_end_in_a_lot_folder_of_which_batch_computes_nothing_again(softcal, tmp_path):
+    from softcal.app.line.gate_facts import RIG_ONLY
+    from softcal.app.line.serve import Serving, serve
+    from softcal.core.network.config import NetworkConfig
+    from softcal.core.orders import Order, OrderKind, RunState
+    from softcal.db.connection import open_registry
+
+    url, orders = (
+        f"sqlite:///{tmp_path / 'r.db'}",
+        [("A0", OrderKind.SOURCE), ("A1", OrderKind.UNIT), ("A2", OrderKind.UNIT)],
+    )
+    with open_registry(url) as registry:
+        queue, placed = registry.order_queue, []
+
+        def goes_on() -> bool:
+            if not placed or not queue.progress(placed[-1]).state.is_active:
+                if len(placed) == len(orders):
+                    return False
+                serial, kind = orders[len(placed)]
+                placed.append(f"o{len(placed)}")
+                queue.place(Order(placed[-1], "s1", kind, serial, "L1"))
+            return True
+
+        network = NetworkConfig(hidden=(16,))
+        serving = Serving("s1", None, 3, 1000.0, source_s=40.0, unit_s=12.0, rules=RIG_ONLY, network=network)
+        serve(registry, serving, tmp_path / "spool", goes_on)
+        assert {queue.progress(order).state for order in placed} == {RunState.DONE}
+        before = {serial: registry.calibration(serial).record for serial in ("A1", "A2")}
+    softcal("lot", "folder", "L1", "--registry", url, "--out", "lot-1")
+    folder = open_lot_folder(tmp_path / "lot-1")
+    assert (folder.lot.id, folder.lot.source, sorted(folder.unit_paths)) == ("L1", "A0", ["A1", "A2"])
+    report = {unit["serial"]: unit for unit in batch(softcal, tmp_path)["units"]}
+    assert {s: unit["map"]["sha256"] for s, unit in report.items()} == {s: r.map_sha256 for s, r in before.items()}
+    with open_registry(url) as registry:
+        # What the files hold is what the registry holds, to the last digit.
+        assert len(registry.recordings("L1")) == 3 and len(registry.networks()) == 1
+    refused = softcal("lot", "folder", "L1", "--registry", url, "--out", "lot-1", expected=2)
+    assert "lot-1" in refused
+
+
+@pytest.mark.slow
+def test_the_same_from_a_station_file_over_serial_lines_in_real_time(softcal, tmp_path):
+    units = draw_lot(np.random.default_rng(5), 4)
+    rig = SimulatedStation(units[0], np.random.default_rng(5))
+    config = replace(simulated_config(rig), name="bench")
+    (tmp_path / "station.toml").write_text(station_toml(config))
+    with rig.world.in_background():
+        words = ("--station", "station.toml", "--spool", "spool")
+        for k, (kind, folder) in enumerate([("source", "source"), *[("unit", "units")] * 3]):
+            rig.mount(units[k])
+            softcal("station", kind, *words, "--serial", f"A{k}", "--out", f"lot-1/{folder}/A{k}.csv", *SHORT[kind])
+    rig.close()
+    report = batch(softcal, tmp_path)
+    assert {unit["serial"] for unit in report["units"]} == {"A1", "A2", "A3"}
+    assert open_lot_folder(tmp_path / "lot-1").reference is not None
