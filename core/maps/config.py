@@ -136,6 +136,32 @@ class SynchronyConfig:
 
 
 @dataclass(frozen=True)
+class LagConfig:
+    """Whether a readout follows slower than the source's beside one load and one clock (`readout_lag.py`).
+
+    Args:
+        least_s: a lag below it is lost in a window.
+        ratio, below, above: time constants that are tried: `least_s` times powers of the ratio, so many below, so many
+            above; a lag below the least is found, too, so that it is not taken for a longer one.
+        explained: a lag is told where a low-pass leaves so many times less unexplained than any delay or none. Creep
+            that a unit has beyond its source reaches 1.4 there, a source that is read with spikes 1.8.
+        averaged: outputs are averaged over this many samples first: a low-pass takes noise of the source away as well,
+            and that is no lag.
+        slowed_s: lag of the source behind which a load at equal time is looked for where none is seen without.
+        least_samples: a shorter common stretch shows no lag.
+    """
+
+    least_s: float = setting(0.1)
+    ratio: float = setting(1.4142)
+    below: int = setting(4)
+    above: int = setting(7)
+    explained: float = setting(2.5, "simulated lots 2-7, insole; tested on lots 40-56")
+    averaged: int = setting(50)
+    slowed_s: float = setting(0.5)
+    least_samples: int = setting(500)
+
+
+@dataclass(frozen=True)
 class PhaseConfig:
     """Pairs at equal stage position (`phase.py`).
 
@@ -300,6 +326,7 @@ class MapConfig:
     ends: EndConfig = field(default_factory=EndConfig)
     curve: CurveConfig = field(default_factory=CurveConfig)
     synchrony: SynchronyConfig = field(default_factory=SynchronyConfig)
+    lag: LagConfig = field(default_factory=LagConfig)
     phase: PhaseConfig = field(default_factory=PhaseConfig)
     pairs: PairConfig = field(default_factory=PairConfig)
     plan: PlanConfig = field(default_factory=PlanConfig)

@@ -177,6 +177,13 @@ def paired_rows(
     return nearest[close].astype(np.int64), np.flatnonzero(close).astype(np.int64)
 
 
+def common_time(source: OutputRecording, target: OutputRecording, until_s: float = np.inf) -> Array:
+    """Return the instants, at the source's rate, that both recordings cover, up to `until_s` on the source's clock."""
+    start, stop = max(source.t_s[0], target.t_s[0]), min(source.t_s[-1], target.t_s[-1], until_s)
+    time_s = np.arange(start, stop, 1.0 / source.sample_rate_Hz)
+    return np.asarray(time_s[_covered(source, time_s) & _covered(target, time_s)])
+
+
 def _covered(recording: OutputRecording, time_s: Array) -> NDArray[np.bool_]:
     """Mark the instants that lie within a segment of the recording."""
     inside = np.zeros(len(time_s), dtype=bool)

@@ -18,6 +18,7 @@ from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.maps.label_shift import LabelShift
 from softcal.core.maps.paired import fit_pairs
 from softcal.core.maps.phase import Phase
+from softcal.core.maps.readout_lag import ReadoutLag, find_readout_lag
 from softcal.core.maps.synchronous import Synchronous
 from softcal.core.maps.synchrony import paired_rows
 from softcal.core.network.config import NetworkConfig
@@ -134,10 +135,11 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     chosen = choose_map(fit)
     evidence = _evidence(problem, fit, chosen, limits)
     forecast = forecast_error(evidence.budget, evidence.knowledge)
+    lag = find_readout_lag(fit.source.unlabelled, target, fit.synchrony, method.map)
     findings = wiring_findings(model, target) or (
         *health_findings(target, known, limits, method.health),
-        *map_findings(model, target, evidence),
-        *opening_findings(chosen.evidence, method.findings),
+        *map_findings(model, target, evidence, lag),
+        *(opening_findings(chosen.evidence, method.findings) if lag is None else ()),
     )
     if on_map is not None:
         on_map()
@@ -155,7 +157,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
             bars=_bars(problem),
         ),
         knowledge=evidence.knowledge,
-        evidence=_numbers(model, target, chosen, evidence, limit, findings),
+        evidence=_numbers(model, target, chosen, evidence, limit, findings, lag),
         method=method,
         scores=scores,
         reference=problem.reference,
@@ -340,6 +342,7 @@ def _numbers(
     evidence: MapEvidence,
     limit: Limit,
     findings: tuple[Finding, ...],
+    lag: ReadoutLag | None,
 ) -> Mapping[str, float | str | None]:
     own = own_terms(model, target, chosen.unit_map, evidence)
     return {
@@ -351,6 +354,7 @@ def _numbers(
         "limit_origin": str(limit.origin),
         "reference_expanded": limit.reference_expanded,
         "findings": ", ".join(finding.kind for finding in findings),
+        **({} if lag is None else {"readout_lag_s": lag.time_constant_s}),
         **{f"own_{name}": value for name, value in own.items()},
         "own_rmse_forecast": forecast_own(own, evidence.knowledge),
     }

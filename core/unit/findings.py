@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from softcal.core.maps.readout_lag import ReadoutLag
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.forecast import MapEvidence, map_variance, rest_rows
 from softcal.core.unit.method import FindingConfig
@@ -12,11 +13,17 @@ from softcal.core.unit.verdict import Finding, Verdict
 from softcal.core.words.reason import Reason, reason
 
 
-def map_findings(model: SourceModel, target: OutputRecording, evidence: MapEvidence) -> tuple[Finding, ...]:
-    """Say in words what the mapped windows show against the unit, if anything."""
+def map_findings(
+    model: SourceModel, target: OutputRecording, evidence: MapEvidence, lag: ReadoutLag | None = None
+) -> tuple[Finding, ...]:
+    """Say in words what the mapped windows show against the unit, if anything.
+
+    A lag was seen beside the source's own load, so that the programme was the source's and is not blamed.
+    """
     checks = (
+        _lagging(lag),
         _unfamiliar(model, evidence),
-        _other_use(evidence, model.method.findings),
+        None if lag else _other_use(evidence, model.method.findings),
         _uncovered(model, target, evidence),
         _misread(model, evidence) or _restless(model, target, evidence),
         _not_better(model, evidence),
@@ -45,6 +52,14 @@ def opening_findings(evidence: Mapping[str, float | str], config: FindingConfig)
     if "shared_until_s" not in evidence or lag_s < config.late_s:
         return ()
     return (Finding(reason("late", lag=lag_s)),)
+
+
+def _lagging(lag: ReadoutLag | None) -> Finding | None:
+    """Return a finding where the readout lags. So strong a lag that it hid the common load leaves a map of nothing."""
+    if lag is None:
+        return None
+    best = Verdict.CONDITIONAL if lag.is_paired else Verdict.RETEST
+    return Finding(reason("lagging", lag=lag.time_constant_s), best)
 
 
 def _unfamiliar(model: SourceModel, evidence: MapEvidence) -> Finding | None:

@@ -173,6 +173,10 @@ ENGLISH: Mapping[str, str] = {
         "output follows the source's {lag:.2f} s late in the opening both share: slow readout, or another clock; what "
         "happens faster than that is lost to the map"
     ),
+    "lagging": (
+        "slow readout: the output follows the source's under the same load like behind a filter of {lag:.2g} s more; "
+        "check the filter and rate of its readout, and that it is of the source's type"
+    ),
     "reversed": (
         "wrong wiring: the output moves against the source's direction; exchange the two leads or check the divider"
     ),

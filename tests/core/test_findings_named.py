@@ -86,3 +86,36 @@ def test_a_map_bent_to_the_sources_use_does_not_hide_that_the_use_differs(seed: 
     assert bent.unit_map.family == "between"
     for name in ("u_shift", "u_overlap"):
         assert bent.evidence[name] == pytest.approx(rigid.evidence[name])
+
+
+def lagging(recording: OutputRecording, lag_s: float) -> OutputRecording:
+    """The recording behind a readout with this time constant: y' = (x - y) / lag."""
+    output, keep = np.empty_like(recording.output), np.exp(-1 / (recording.sample_rate_Hz * lag_s))
+    output[0] = recording.output[0]
+    for k in range(1, len(output)):
+        output[k] = keep * output[k - 1] + (1 - keep) * recording.output[k]
+    return replace(recording, output=output)
+
+
+@pytest.mark.parametrize("lag_s", [0.3, 0.5])
+def test_a_readout_that_lags_beside_a_shared_clock_is_named_for_it(
+    seed: int, model: SourceModel, lag_s: float
+) -> None:
+    (unit,) = lot(seed, good=1).units
+    made, names = found(model, lagging(unit.recording, lag_s))
+    assert "lagging" in names and "wrong programme" not in names
+    assert float(str(made.evidence["readout_lag_s"])) == pytest.approx(lag_s, rel=0.3)
+    assert made.decision.verdict != "pass"
+
+
+def test_a_clock_that_is_ahead_and_creep_are_no_lag(seed: int, model: SourceModel) -> None:
+    for unit in lot(seed, good=2, bad={"extra creep": 2}).units:
+        ahead = replace(unit.recording, t_s=unit.recording.t_s + 0.2)
+        for recording in (unit.recording, ahead):
+            assert "lagging" not in found(model, recording)[1]
+
+
+def test_without_a_shared_load_no_lag_is_claimed(seed: int, model: SourceModel) -> None:
+    (unit,) = lot(seed, good=1, shift="own programme").units
+    for recording in (unit.recording, lagging(unit.recording, 0.5)):
+        assert "lagging" not in found(model, recording)[1]

@@ -1,0 +1,86 @@
+"""Does a unit's readout follow slower than its source's, beside one load and one clock? From both outputs alone.
+
+A clock that is ahead moves the output as it is. A slow readout rounds it as well: a first-order low-pass on the source's
+output then explains the unit's better than any delay does.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from softcal.core.maps.config import LagConfig, MapConfig
+from softcal.core.maps.crossing import moving_mean
+from softcal.core.maps.synchrony import Synchrony, common_time, find_synchrony
+from softcal.core.recording import Array, OutputRecording
+
+
+@dataclass(frozen=True)
+class ReadoutLag:
+    """A readout that follows slower than the source's.
+
+    Args:
+        time_constant_s: of the low-pass that carries the source's output to the unit's, in seconds.
+        explained: how many times less of the unit's ranks it leaves unexplained than the best delay, or none.
+        is_paired: whether the outputs were seen to share their load without it.
+    """
+
+    time_constant_s: float
+    explained: float
+    is_paired: bool
+
+
+def find_readout_lag(
+    source: OutputRecording, target: OutputRecording, synchrony: Synchrony, maps: MapConfig
+) -> ReadoutLag | None:
+    """Return how much slower a unit's readout is than its source's; None where nothing shows it.
+
+    Only loads that both were pressed by at once can show it. A strong lag hides them, so they are looked for behind a
+    slowed source as well. Loads that change slowly show no lag, and suffer from none.
+
+    Args:
+        source, target: both recordings.
+        synchrony: what `find_synchrony` found between them.
+        maps: from the method.
+    """
+    config = maps.lag
+    shared = synchrony if synchrony.is_synchronous else find_synchrony(_slowed(source, config.slowed_s), target, maps)
+    if not shared.is_synchronous:
+        return None
+    time_s = common_time(source, target, until_s=shared.until_s)
+    if len(time_s) < config.least_samples:
+        return None
+    unit = _ranks(_at(target, time_s), config)
+    tried = [config.least_s * config.ratio**k for k in range(-config.below, config.above + 1)]
+    slow = [_unexplained(_at(_slowed(source, lag_s), time_s), unit, config) for lag_s in tried]
+    best = int(np.argmin(slow))
+    late = min(_unexplained(_at(source, time_s - lag_s), unit, config) for lag_s in (0.0, *tried))
+    explained = late / max(slow[best], 1e-12)
+    is_alike = slow[best] <= 1 - maps.synchrony.min_rank_correlation
+    is_lag = is_alike and explained >= config.explained and tried[best] >= config.least_s
+    return ReadoutLag(float(tried[best]), float(explained), synchrony.is_synchronous) if is_lag else None
+
+
+def _slowed(recording: OutputRecording, lag_s: float) -> OutputRecording:
+    """Return the recording behind a first-order low-pass that stood at its first value before."""
+    keep = np.exp(-1 / (recording.sample_rate_Hz * lag_s))
+    # Beyond seven time constants a sample counts by less than a thousandth.
+    kernel = (1 - keep) * keep ** np.arange(int(np.ceil(7 * lag_s * recording.sample_rate_Hz)) + 1)
+    first = float(recording.output[0])
+    moved = np.convolve(recording.output - first, kernel)[: len(recording.output)]
+    return replace(recording, output=first + moved)
+
+
+def _at(recording: OutputRecording, time_s: Array) -> Array:
+    return np.asarray(np.interp(time_s, recording.t_s, recording.output))
+
+
+def _unexplained(source: Array, unit_ranks: Array, config: LagConfig) -> float:
+    """Return the share of the ranks' variation that one output leaves of the other."""
+    return 1 - float(np.corrcoef(_ranks(source, config), unit_ranks)[0, 1])
+
+
+def _ranks(output: Array, config: LagConfig) -> Array:
+    from scipy.stats import rankdata
+
+    # Neighbouring means share nearly all their samples: a few of them hold what all do.
+    return np.asarray(rankdata(moving_mean(output, config.averaged)[:: max(config.averaged // 5, 1)]))
