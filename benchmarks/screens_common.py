@@ -18,6 +18,7 @@ from typing import IO, Literal
 
 import numpy as np
 from PIL import Image
+from plotly.graph_objects import Figure
 from playwright.sync_api import Browser, Page, sync_playwright
 from registry_common import record
 
@@ -177,6 +178,18 @@ def chromium() -> Iterator[Browser]:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         yield browser
         browser.close()
+
+
+def write_figure(figure: Figure, file: Path) -> None:
+    """Write a figure as .html, or as the picture a browser makes of it."""
+    if file.suffix != ".png":
+        figure.write_html(file, include_plotlyjs="cdn")
+        return
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 1100, "height": 430}, device_scale_factor=1.5)
+        page.set_content(figure.to_html(include_plotlyjs=True, config={"displayModeBar": False}))
+        page.locator(".main-svg").first.wait_for()
+        keep_picture(page, file)
 
 
 def keep_picture(page: Page, path: Path) -> None:

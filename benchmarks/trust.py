@@ -17,7 +17,7 @@ import numpy as np
 from map_methods import print_table
 from plotly.subplots import make_subplots
 from scipy.stats import beta
-from screens_common import chromium
+from screens_common import write_figure
 from trust_lots import GOOD, FittedUnit, covered, day_lots, drawn_lots, fitted, measured_lots
 
 from softcal.core.quality.acceptance import Promise
@@ -285,14 +285,7 @@ def draw_figure(lots: Lots, file: Path) -> None:
     figure.update_xaxes(title_text="audits a lot").update_yaxes(rangemode="tozero").update_layout(
         template="simple_white"
     )
-    if file.suffix != ".png":
-        figure.write_html(file, include_plotlyjs="cdn")
-        return
-    with chromium() as browser:
-        page = browser.new_page(viewport={"width": 1100, "height": 430}, device_scale_factor=1.5)
-        page.set_content(figure.to_html(include_plotlyjs=True, config={"displayModeBar": False}))
-        page.locator(".main-svg").first.wait_for()
-        page.screenshot(path=file)
+    write_figure(figure, file)
 
 
 if __name__ == "__main__":

@@ -165,6 +165,15 @@ def source_level(source: LabelledRecording, load: float, config: AnchorConfig) -
     return float(level), float(np.hypot(scatter, config.load_error * span * _mean_slope(source)))
 
 
+def source_bend(source: LabelledRecording, config: AnchorConfig) -> float:
+    """Return how far the source's output over load is from a straight line, RMS, as a share of its rise."""
+    low, high = np.quantile(source.reference, config.bend_range)
+    loads = np.linspace(float(low), float(high), config.bend_levels)
+    levels = np.array([source_level(source, float(load), config)[0] for load in loads])
+    chord = levels[0] + (levels[-1] - levels[0]) * (loads - low) / (high - low)
+    return float(np.sqrt(np.mean((levels - chord)[1:-1] ** 2)) / max(abs(levels[-1] - levels[0]), 1e-12))
+
+
 def check_loads(source: LabelledRecording, loads: Anchors, nothing: str, config: AnchorConfig) -> None:
     """Refuse known loads that cannot be true: one twice, out of the source's range, or against its direction.
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.affine import IdentityFamily
-from softcal.core.maps.anchors import firmness, refine
+from softcal.core.maps.anchors import firmness, refine, source_bend
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.config import DEFAULT, CrossingConfig
 from softcal.core.maps.crossing import averaging_length, level_path
@@ -157,6 +157,10 @@ def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple
         return "identity", numbers | {"decision": "no difference from the source that the recording could show"}
     if dwell < config.same_programme:
         return "monotone", numbers | {"decision": "time is spent as in the source: sample quantiles matched"}
+    known = 0 if problem.anchors is None else len(problem.anchors.reference)
+    if known > 1 and (bend := source_bend(problem.source, problem.config.anchors)) < problem.config.anchors.straight:
+        why = "known loads give gain and level, and the source is straight between them: so is the unit, of its kind"
+        return "label_shift", numbers | {"source_bend": bend, "decision": why}
     why = (
         f"{dwell:.0%} of the time is spent at other loads, or the unit is bent otherwise: half way between rest and "
         "hardest presses, and sample quantiles"

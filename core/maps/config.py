@@ -268,6 +268,9 @@ class AnchorConfig:
             gain and offset, contradict one another.
         beyond: a known load may lie beyond the source's range by this share of it.
         same_load: loads nearer than this share of the source's range are one load stated twice.
+        straight: beside two known loads a source that is bent by less than this share of its rise leaves its units a
+            line: they are of its kind, and a curve would take another dwell for a bend.
+        bend_range, bend_levels: quantiles of the source's loads between which the bend is taken, at so many loads.
     """
 
     gain_spread: float = setting(0.3)
@@ -283,6 +286,9 @@ class AnchorConfig:
     most_misfit: float = setting(10.0)
     beyond: float = setting(0.1)
     same_load: float = setting(0.01)
+    straight: float = setting(0.1, "set between simulated sources (0.05 to 0.1, units are lines) and the skin (0.12 to 0.21)")
+    bend_range: tuple[float, float] = setting((0.02, 0.98))
+    bend_levels: int = setting(11)
 
 
 @dataclass(frozen=True)

@@ -98,9 +98,7 @@ def lagging(recording: OutputRecording, lag_s: float) -> OutputRecording:
 
 
 @pytest.mark.parametrize("lag_s", [0.3, 0.5])
-def test_a_readout_that_lags_beside_a_shared_clock_is_named_for_it(
-    seed: int, model: SourceModel, lag_s: float
-) -> None:
+def test_a_readout_that_lags_beside_a_shared_clock_is_named_for_it(seed: int, model: SourceModel, lag_s: float) -> None:
     (unit,) = lot(seed, good=1).units
     made, names = found(model, lagging(unit.recording, lag_s))
     assert "lagging" in names and "wrong programme" not in names

@@ -299,3 +299,24 @@ def test_measured_taxels_under_one_pressure_are_found_synchronous_and_other_days
     for name in ("taxel_030", "taxel_060"):
         assert find_synchrony(source, taxel(day, name), MapConfig()).is_synchronous
         assert not find_synchrony(source, taxel(other, name), MapConfig()).is_synchronous
+
+
+def bent(serial: str, force_N: np.ndarray, bend: float, gain: float = 1.0, offset: float = 0.0) -> OutputRecording:
+    """A sensor whose output rises by 0.1 V/N and bends by so many V/N^2."""
+    noise = np.random.default_rng(len(serial)).normal(0, NOISE_V, len(force_N))
+    output = (0.5 + 0.1 * force_N + bend * force_N**2 - offset) / gain + noise
+    return OutputRecording(serial, np.arange(len(output)) / 50.0, output, 50.0)
+
+
+@pytest.mark.parametrize(("bend", "family"), [(0.002, "label_shift"), (0.06, "between")])
+def test_two_known_loads_leave_a_straight_source_its_line(bend: float, family: str) -> None:
+    load_N, own_N = presses(1, 3000), presses(7, 3000, dwell=60.0)
+    source = LabelledRecording(bent("S", load_N, bend), load_N)
+    network = fit_network(source, NetworkConfig(hidden=(32, 16), max_epochs=25)).network
+    problem = FitProblem(source, network, bent("T", own_N, bend, GAIN, OFFSET))
+    at_N = np.array([0.0, 2.7])
+    known = Anchors((0.5 + 0.1 * at_N + bend * at_N**2 - OFFSET) / GAIN, at_N)
+    assert choose_map(problem).family == "between"
+    assert choose_map(replace(problem, anchors=known)).family == family
+    one = Anchors(known.output[:1], known.reference[:1])
+    assert choose_map(replace(problem, anchors=one)).family == "between"
