@@ -73,12 +73,12 @@ def main() -> None:
     print(
         "Corrected / as it is with its 90 % interval over presses: on the given rows, and on those that are judged:\n"
     )
-    rows = []
+    scored = []
     for (source, target), parts in chosen.items():
         for name, part in zip(("given", "judged"), parts, strict=True):
             low, high = part.interval()
-            rows.append((f"{source} to {target}", name, len(part.row), part.ratio, f"{low:.3f} to {high:.3f}"))
-    print_table(("direction", "rows", "presses", "corrected / as it is", "90 % interval"), rows)
+            scored.append((f"{source} to {target}", name, len(part.row), part.ratio, f"{low:.3f} to {high:.3f}"))
+    print_table(("direction", "rows", "presses", "corrected / as it is", "90 % interval"), scored)
     if options.figure:
         draw_figure(chosen, options.figure)
 
@@ -175,11 +175,9 @@ def presses(source: str, target: str, stretch: tuple[int, int, int], seeds: int)
     # What is left of a press before the first begins belongs to it; with the last one it makes a whole.
     parts = [part for part in parts if len(part) >= TAPS]
     first = stop - len(load)
-    return Presses(
-        np.array([first + part[0] for part in parts]),
-        *(np.array([errors[part].mean() for part in parts]) for errors in (plain, held)),
-        np.array([float(len(part)) for part in parts]),
-    )
+    plain_N2, held_N2 = (np.array([errors[part].mean() for part in parts]) for errors in (plain, held))
+    row, weight = np.array([first + part[0] for part in parts]), np.array([float(len(part)) for part in parts])
+    return Presses(row, plain_N2, held_N2, weight)
 
 
 def draw_figure(chosen: Mapping[tuple[str, str], Sequence[Presses]], file: Path) -> None:

@@ -4,7 +4,10 @@ Errors are after / own: own is a network trained on the unit's own labels of the
 in that sitting too, from rows that are not tested: the zero and nine tenths of the range. f and own networks are
 smaller than the paper's, alike for all, so that hundreds of cases fit in minutes.
 
-python benchmarks/maps_other.py [egain|skin|insole ...] [--every N] [--cache DIR]
+`--known` prints two known loads alone: the default, half way kept in its place, and what the best gain and level behind
+a line would leave, chosen on the tested labels: no gain and no level can be better.
+
+python benchmarks/maps_other.py [egain|skin|insole ...] [--every N] [--without N] [--known] [--cache DIR]
 """
 
 import argparse
@@ -21,9 +24,11 @@ from maps_anchors import known_loads
 from maps_insole import SOURCES, split
 
 from softcal.core.identity import content_sha256
+from softcal.core.maps.anchors import firmness, refine
+from softcal.core.maps.catalogue import family
 from softcal.core.maps.choose import choose_map
 from softcal.core.maps.config import MapConfig
-from softcal.core.maps.interface import FitProblem
+from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.maps.nearest import shape_distance
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
@@ -87,9 +92,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", nargs="*", default=list(SETS), choices=SETS)
     parser.add_argument("--every", type=int, default=4, metavar="N", help="every Nth taxel as a unit")
+    parser.add_argument("--without", type=int, metavar="N", help="leave every Nth taxel out as a unit")
+    parser.add_argument("--known", action="store_true", help="two known loads alone")
     parser.add_argument("--cache", type=Path, help="keep trained networks here")
     options = parser.parse_args()
     networks = Networks(options.cache)
+    if options.known:
+        left_out = set() if options.without is None else set(taxels(insole(DAYS[0]))[:: options.without]) - {*SOURCES}
+        print_known([c for s in options.sets for c in SETS[s](options.every) if c.use.serial not in left_out], networks)
+        return
     lines: dict[str, list[dict[str, float]]] = {}
     for name in options.sets:
         for case in SETS[name](options.every):
@@ -110,6 +121,43 @@ def main() -> None:
             for name, found in nearest.items()
         ]
         print_table(("units", "cases", *shown), rows)
+
+
+def print_known(cases: list[Case], networks: Networks) -> None:
+    """Print medians of two known loads by source, and over all."""
+    lines: dict[str, list[tuple[float, float, float]]] = {}
+    for case in cases:
+        lines.setdefault(case.line, []).append(two_known(case, networks))
+    lines["all"] = [found for line in lines.values() for found in line]
+    head = (
+        "source, units",
+        "cases",
+        "two known loads",
+        "half way in their place",
+        "best gain and level, by the labels",
+    )
+    print_table(
+        head, ((line, len(found), *(float(m) for m in np.median(found, axis=0))) for line, found in lines.items())
+    )
+
+
+def two_known(case: Case, networks: Networks) -> tuple[float, float, float]:
+    """After / own with two known loads: the default, half way, and a line with the best gain and level."""
+    network, own = networks.of(case.source), networks.of(case.use)
+    loads = known_loads(case.use, 2) or Anchors(np.empty(0), np.empty(0))
+    problem = FitProblem(case.source, network, case.unit, loads)
+    maps = [choose_map(problem).unit_map]
+    for name in ("between", "label_shift"):
+        maps.append(refine(problem, family(name).fit(problem), loads, firmness("", problem.config.anchors)).unit_map)
+    default, half, line = (one.apply(case.test.windows) for one in maps)
+    span, middle = float(np.ptp(case.source.unlabelled.output)), float(np.median(line))
+    tried = (
+        score(network, middle + level * span + gain * (line - middle), case.test)
+        for gain in np.linspace(0.8, 1.25, 16)
+        for level in np.linspace(-0.1, 0.1, 13)
+    )
+    floor = score(own, np.asarray(case.test.windows), case.test)
+    return score(network, default, case.test) / floor, score(network, half, case.test) / floor, min(tried) / floor
 
 
 def nearest_cases(every: int) -> dict[str, list[Case]]:

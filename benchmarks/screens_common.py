@@ -18,8 +18,8 @@ from typing import IO, Literal
 
 import numpy as np
 from PIL import Image
-from plotly.graph_objects import Figure
 from playwright.sync_api import Browser, Page, sync_playwright
+from plotly.graph_objects import Figure
 from registry_common import record
 
 from softcal.core.lot import Lot

@@ -147,6 +147,8 @@ class LagConfig:
             that a unit has beyond its source reaches 1.4 there, a source that is read with spikes 1.8.
         averaged: outputs are averaged over this many samples first: a low-pass takes noise of the source away as well,
             and that is no lag.
+        every: of these means, since neighbours share nearly all their samples.
+        memory: a low-pass looks back so many time constants; beyond, a sample counts by less than a thousandth.
         slowed_s: lag of the source behind which a load at equal time is looked for where none is seen without.
         least_samples: a shorter common stretch shows no lag.
     """
@@ -157,6 +159,8 @@ class LagConfig:
     above: int = setting(7)
     explained: float = setting(2.5, "simulated lots 2-7, insole; tested on lots 40-56")
     averaged: int = setting(50)
+    every: int = setting(10)
+    memory: float = setting(7.0)
     slowed_s: float = setting(0.5)
     least_samples: int = setting(500)
 
@@ -286,7 +290,9 @@ class AnchorConfig:
     most_misfit: float = setting(10.0)
     beyond: float = setting(0.1)
     same_load: float = setting(0.01)
-    straight: float = setting(0.1, "set between simulated sources (0.05 to 0.1, units are lines) and the skin (0.12 to 0.21)")
+    straight: float = setting(
+        0.1, "set between simulated sources (0.05 to 0.1, units are lines) and the skin (0.12 to 0.21)"
+    )
     bend_range: tuple[float, float] = setting((0.02, 0.98))
     bend_levels: int = setting(11)
 

@@ -1,7 +1,7 @@
 """Does a unit's readout follow slower than its source's, beside one load and one clock? From both outputs alone.
 
-A clock that is ahead moves the output as it is. A slow readout rounds it as well: a first-order low-pass on the source's
-output then explains the unit's better than any delay does.
+A clock that is ahead moves the output as it is. A slow readout rounds it as well: a first-order low-pass on the
+source's output then explains the unit's better than any delay does.
 """
 
 from dataclasses import dataclass, replace
@@ -43,7 +43,11 @@ def find_readout_lag(
         maps: from the method.
     """
     config = maps.lag
-    shared = synchrony if synchrony.is_synchronous else find_synchrony(_slowed(source, config.slowed_s), target, maps)
+    shared = (
+        synchrony
+        if synchrony.is_synchronous
+        else find_synchrony(_slowed(source, config.slowed_s, config.memory), target, maps)
+    )
     if not shared.is_synchronous:
         return None
     time_s = common_time(source, target, until_s=shared.until_s)
@@ -51,7 +55,7 @@ def find_readout_lag(
         return None
     unit = _ranks(_at(target, time_s), config)
     tried = [config.least_s * config.ratio**k for k in range(-config.below, config.above + 1)]
-    slow = [_unexplained(_at(_slowed(source, lag_s), time_s), unit, config) for lag_s in tried]
+    slow = [_unexplained(_at(_slowed(source, lag_s, config.memory), time_s), unit, config) for lag_s in tried]
     best = int(np.argmin(slow))
     late = min(_unexplained(_at(source, time_s - lag_s), unit, config) for lag_s in (0.0, *tried))
     explained = late / max(slow[best], 1e-12)
@@ -60,11 +64,10 @@ def find_readout_lag(
     return ReadoutLag(float(tried[best]), float(explained), synchrony.is_synchronous) if is_lag else None
 
 
-def _slowed(recording: OutputRecording, lag_s: float) -> OutputRecording:
+def _slowed(recording: OutputRecording, lag_s: float, memory: float) -> OutputRecording:
     """Return the recording behind a first-order low-pass that stood at its first value before."""
     keep = np.exp(-1 / (recording.sample_rate_Hz * lag_s))
-    # Beyond seven time constants a sample counts by less than a thousandth.
-    kernel = (1 - keep) * keep ** np.arange(int(np.ceil(7 * lag_s * recording.sample_rate_Hz)) + 1)
+    kernel = (1 - keep) * keep ** np.arange(int(np.ceil(memory * lag_s * recording.sample_rate_Hz)) + 1)
     first = float(recording.output[0])
     moved = np.convolve(recording.output - first, kernel)[: len(recording.output)]
     return replace(recording, output=first + moved)
@@ -83,4 +86,4 @@ def _ranks(output: Array, config: LagConfig) -> Array:
     from scipy.stats import rankdata
 
     # Neighbouring means share nearly all their samples: a few of them hold what all do.
-    return np.asarray(rankdata(moving_mean(output, config.averaged)[:: max(config.averaged // 5, 1)]))
+    return np.asarray(rankdata(moving_mean(output, config.averaged)[:: config.every]))
