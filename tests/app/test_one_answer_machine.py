@@ -5,6 +5,7 @@ import contextlib
 import itertools
 import shutil
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,16 +14,16 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, settings
+from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from softcal.app.batch import lot_work
 from softcal.app.batch.calibrating import Refusal
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.unit_work import ChunkOutcome, Known, SharedWork, UnitOutcome
 from softcal.app.files.lot_folder import LotFolder
-from softcal.core.errors import InputError, SoftcalError
+from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
@@ -265,11 +266,8 @@ MUTANTS = {
 
 
 @pytest.mark.parametrize("mutant", MUTANTS)
-def test_the_machine_finds_a_registry_that_does_otherwise(mutant: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_machine_finds_a_registry_that_does_otherwise(
+    mutant: str, monkeypatch: pytest.MonkeyPatch, assert_finds_fault: Callable
+) -> None:
     monkeypatch.setattr(Registry, *MUTANTS[mutant])
-    quick = settings(
-        max_examples=40, stateful_step_count=12, deadline=None, database=None, derandomize=True,
-        phases=[Phase.generate], suppress_health_check=list(HealthCheck),
-    )  # fmt: skip
-    with pytest.raises((AssertionError, SoftcalError, KeyError)):
-        run_state_machine_as_test(OneAnswerMachine, settings=quick)
+    assert_finds_fault(OneAnswerMachine)
