@@ -27,8 +27,8 @@ LATE_S, EARLY_S, PERIOD_SHARE = 0.01, 0.12, 0.25
 seem so), and by this share of its sampling period."""
 
 BESIDE_S, TELLS, TELLS_SAMPLES = 0.04, 1.1, 40.0
-"""A delay is known that fits n samples TELLS + TELLS_SAMPLES/n times better than any other that is BESIDE_S away or more:
-few samples fit anyhow."""
+"""A delay is known that fits n samples TELLS + TELLS_SAMPLES/n times better than any that is BESIDE_S or more away: few
+samples fit anyhow."""
 
 GAIN, OUTPUT_GAIN = 1.4, 1.6
 """Largest ratio between the stiffest and the softest press of one run; a cell whose gain halves shows 2. An output may
