@@ -54,9 +54,8 @@ def test_the_surface_is_found_within_ten_micrometres_for_any_power_law(power):
 @pytest.mark.parametrize("power", [1.0, 1.4, 2.0])
 @pytest.mark.parametrize(("late_s", "stated_s"), [(0.1, UNKNOWN_S), (0.3, UNKNOWN_S), (0.1, 0.1)])
 def test_a_late_cell_moves_no_contact_and_its_latency_is_found_after_a_second_touch_too(power, late_s, stated_s):
-    searches, case = [], RigCase(
-        law=ForceLaw(1.2, power), surface_mm=2.203, cell_late_s=late_s, latency_s=stated_s, stiffest_N_mm=60.0
-    )
+    law, searches = ForceLaw(1.2, power), []
+    case = RigCase(law=law, surface_mm=2.203, cell_late_s=late_s, latency_s=stated_s, stiffest_N_mm=60.0)
 
     def follow(progress):
         if progress.phase == SEARCHING:
