@@ -17,6 +17,7 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -208,12 +209,18 @@ def run_in(rig: Rig, phase: str) -> str:
     """Order runs until one is in this phase: on a busy machine the simulated devices fall silent now and then."""
     while True:
         run = rig.order(OrderKind.UNIT)
-        rig.until(lambda run=run: rig.progress(run).phase == phase or not rig.progress(run).state.is_active, phase)
+        rig.until(partial(has_come, rig, run, phase), phase)
         progress = rig.progress(run)
         if progress.state.is_active:
             return run
         print(f"not counted, ended before {phase}: {progress.text}", file=sys.stderr, flush=True)
         acknowledge(rig)
+
+
+def has_come(rig: Rig, run: str, phase: str) -> bool:
+    """Whether a run is in this phase, or over."""
+    progress = rig.progress(run)
+    return progress.phase == phase or not progress.state.is_active
 
 
 def acknowledge(rig: Rig) -> None:
