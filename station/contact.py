@@ -52,6 +52,29 @@ class Foot:
     doubt_mm: float
 
 
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """What was read on one way down until something was touched.
+
+    Args:
+        stage_at: host times -> stage positions in mm on that way.
+        host_s: (n,) when the readings came, host clock.
+        values: (n,) force or output.
+    """
+
+    stage_at: Callable[[Array], Array]
+    host_s: Array
+    values: Array
+
+    def foot(self, late_s: float) -> Foot:
+        """Return the stage position at which the signal leaves its unloaded value.
+
+        Args:
+            late_s: how late the readings are, as far as that is known.
+        """
+        return bend(self.stage_at(self.host_s - late_s), self.values)
+
+
 class ContactSearch:
     """A search for contact over samples that keep coming.
 
@@ -105,12 +128,11 @@ class ContactSearch:
                 raise BadReply(reason("rig.no_contact.cell", change=change))
         return False
 
-    def contact(self, stage_at: Callable[[Array], Array], late_s: float = 0.0) -> Foot:
-        """Return the stage position at which the signal leaves its unloaded value.
+    def touch(self, stage_at: Callable[[Array], Array]) -> Touch:
+        """Return what was read since the search began.
 
         Args:
             stage_at: host times -> stage positions in mm during the search.
-            late_s: how late the load cell is.
         """
         samples = self._cell if self._has_force else self._output
         host_s = np.array([sample.host_s for sample in samples])
@@ -118,10 +140,8 @@ class ContactSearch:
             # Lines come late; a line 20 ms late is a contact 10 µm too deep.
             device_s = np.array([sample.device_s for sample in samples], dtype=np.float64)
             host_s = fit_clock(device_s, host_s).to_host(device_s)
-        if self._has_force:
-            host_s = host_s - late_s
         values = np.array([sample.values[0] for sample in samples])
-        return bend(stage_at(host_s[self._began_at :]), values[self._began_at :])
+        return Touch(stage_at, host_s[self._began_at :], values[self._began_at :])
 
 
 def bend(stage_mm: Array, values: Array) -> Foot:
