@@ -75,7 +75,9 @@ def test_an_archive_of_the_lot_has_no_file_of_it(refused: str, monkeypatch: pyte
     assert [serial for serial, why in told["refused"] if WHY in why] == ["A1"]
 
 
-def test_who_takes_an_older_revision_of_a_unit_that_fails_now_is_warned(calibrated: str, tmp_path: Path, capsys) -> None:
+def test_who_takes_an_older_revision_of_a_unit_that_fails_now_is_warned(
+    calibrated: str, tmp_path: Path, capsys
+) -> None:
     with open_registry(calibrated) as registry:
         made = registry.calibration("A1").record
         worse = replace(made, verdict="fail", reasons=(plain(WHY),), input_sha256="f" * 64)

@@ -102,7 +102,7 @@ def test_a_parquet_file_that_unpacks_to_gigabytes_is_not_opened(tmp_path: Path) 
 
 
 def test_a_parquet_footer_that_ends_pyarrow_s_process_is_refused_in_one_line(tmp_path: Path) -> None:
-    # Found by the fuzzer: sizes of a column that contradict its schema. pyarrow looks at some of its own facts unguarded.
+    # Found by the fuzzer: sizes of a column that contradict its schema.
     broken = Path(__file__).parent / "broken" / "footer.parquet"
     code = "import sys; from softcal.app.cli.main import main; sys.exit(main(sys.argv[1:]))"
     command = ["import", str(broken), "--source", "S0", "--output-column", "output", "--reference-column", "reference"]
