@@ -230,7 +230,8 @@ class _Run:
         """
         self._enter("searching for contact")
         bench, fixture = self._bench, self._bench.config.fixture
-        search = ContactSearch(fixture, bench.force is not None, self._readings.force, self._readings.output)
+        read, latest_s = self._readings, self.watched.latest_s
+        search = ContactSearch(fixture, bench.force is not None, read.force, read.output, latest_s)
         speed_mm_s = min(fixture.search_mm_s, self.watched.fastest_free_mm_s)
         touch = self._touch(search, speed_mm_s)
         contact = touch.foot(self.watched.late_s)

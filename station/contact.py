@@ -82,12 +82,18 @@ class ContactSearch:
         fixture: what counts as contact.
         has_force: whether a load cell reads.
         cell, output: everything read so far; both lists grow while the search goes on.
+        late_s: how late the load cell may be: so long the output may be ahead of it.
     """
 
     def __init__(
-        self, fixture: FixtureConfig, has_force: bool, cell: Sequence[Sample], output: Sequence[Sample]
+        self,
+        fixture: FixtureConfig,
+        has_force: bool,
+        cell: Sequence[Sample],
+        output: Sequence[Sample],
+        late_s: float = 0.0,
     ) -> None:
-        self._fixture, self._has_force = fixture, has_force
+        self._fixture, self._has_force, self._late_s = fixture, has_force, late_s
         self._cell, self._output = cell, output
         self._free_N, self._free_output = _unloaded(cell), _unloaded(output)
         self.begin()
@@ -97,6 +103,7 @@ class ContactSearch:
         self._seen_cell, self._seen_output = len(self._cell), len(self._output)
         self._began_at = self._seen_cell if self._has_force else self._seen_output
         self._is_felt = self.has_found = False
+        self._ahead_since_s: float | None = None
 
     def is_over(self) -> bool:
         """Whether the touch that was looked for has come; `has_found` keeps the answer.
@@ -124,7 +131,12 @@ class ContactSearch:
             change = abs(sample.values[0] - self._free_output)
             if not self._has_force and change > self._fixture.contact_output:
                 return True
-            if not self._is_felt and change > OUTPUT_AHEAD * self._fixture.contact_output:
+            if self._is_felt or change <= OUTPUT_AHEAD * self._fixture.contact_output:
+                self._ahead_since_s = None
+                continue
+            if self._ahead_since_s is None:
+                self._ahead_since_s = sample.host_s
+            if sample.host_s - self._ahead_since_s >= self._late_s:
                 raise BadReply(reason("rig.no_contact.cell", change=change))
         return False
 

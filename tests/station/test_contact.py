@@ -91,6 +91,18 @@ def test_a_cell_that_shows_nothing_while_the_output_changes_is_dead():
         search.is_over()
 
 
+def test_a_late_cell_is_waited_for_before_it_is_called_dead():
+    cell = [Sample(0.01 * k, None, (0.0,)) for k in range(40)]
+    output = [Sample(0.01 * k, None, (1.0,)) for k in range(40)]
+    search = ContactSearch(FixtureConfig(), True, cell, output, late_s=0.25)
+    for at_s in (0.5, 0.6, 0.7):
+        output.append(Sample(at_s, None, (1.2,)))
+        assert not search.is_over()
+    output.append(Sample(0.76, None, (1.2,)))
+    with pytest.raises(BadReply, match="shows no contact although the output has changed by 0.2"):
+        search.is_over()
+
+
 def test_an_output_far_ahead_of_a_force_that_is_felt_is_no_fault():
     cell = [Sample(0.01 * k, None, (0.0,)) for k in range(40)]
     output = [Sample(0.01 * k, None, (1.0,)) for k in range(40)]
