@@ -9,16 +9,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from softcal.core.profiles import ramps
+from softcal.core.profiles import Profile, ramps
 from softcal.core.simulated_lot import draw_twins
 from softcal.station.acquisition import record
 from softcal.station.bench import open_simulated_bench
+from softcal.station.config import UNKNOWN_S
 from softcal.station.simulated.law_unit import ForceLaw
 from softcal.station.simulated.rig_trial import RigCase, open_rig
 
 UNITS, TOUCHES = 12, 8
 COEFFICIENTS, POWERS = (0.5, 1.2, 5.0), (1.0, 1.1, 1.25, 1.4, 1.5, 1.75, 2.0)
-TOUCH = ramps([0.3], 0.5, rest_s=0.1)
+TOUCH, FAST = ramps([0.3], 0.5, rest_s=0.1), ramps([1.5, 2.0], 5.0, rest_s=0.3)
+LATE = ((0.1, 0.1), (0.1, UNKNOWN_S), (0.3, UNKNOWN_S))
+"""How late the cell is, and what the station file says of it."""
 
 
 def main() -> None:
@@ -36,6 +39,13 @@ def main() -> None:
     for coefficient in (1.2,) if quick else COEFFICIENTS:
         for power in POWERS[::2] if quick else POWERS:
             _print_row(f"{coefficient:g} | {power:g}", *_of_law(ForceLaw(coefficient, power)))
+    print(f"\nLaws 1.2·x^p under a cell that is late, {TOUCHES} touches each; a slow press comes before the profile.\n")
+    _print_header("p | late, s | stated")
+    for power in (1.4,) if quick else (1.0, 1.4, 2.0):
+        for late_s, stated_s in LATE[::2] if quick else LATE:
+            stated = "not" if stated_s == UNKNOWN_S else f"{stated_s:g}"
+            row = _of_law(ForceLaw(1.2, power), late_s, stated_s, FAST)
+            _print_row(f"{power:g} | {late_s:g} | {stated}", *row)
 
 
 def _print_header(first: str) -> None:
@@ -62,15 +72,18 @@ def _of_lot(seed: int) -> tuple[list[float], list[float]]:
     return errors_um, search_s
 
 
-def _of_law(law: ForceLaw) -> tuple[list[float], list[float]]:
+def _of_law(
+    law: ForceLaw, late_s: float = 0.0, stated_s: float = 0.0, profile: Profile = TOUCH
+) -> tuple[list[float], list[float]]:
     errors_um, search_s = [], []
     for seed in range(TOUCHES):
         # The surface lies anywhere between two steps of the status.
         surface_mm = 2.2 + 0.01 * float(np.random.default_rng(seed).uniform())
-        case = RigCase(law=law, surface_mm=surface_mm, latency_s=0.0, stiffest_N_mm=60.0, seed=seed)
+        cell = {"cell_late_s": late_s, "latency_s": stated_s}
+        case = RigCase(law=law, surface_mm=surface_mm, stiffest_N_mm=60.0, seed=seed, **cell)
         watch = _Watch()
         with open_rig(replace(case, limit_N=12.0)) as (bench, _):
-            errors_um.append(1e3 * (record(bench, "A1", TOUCH, True, watch).contact_mm - surface_mm))
+            errors_um.append(1e3 * (record(bench, "A1", profile, True, watch).contact_mm - surface_mm))
         search_s.append(watch.search_s)
     return errors_um, search_s
 

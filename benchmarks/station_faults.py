@@ -1,13 +1,16 @@
 """Break the simulated station in every known way and print what became of stage and record.
 
-python benchmarks/station_faults.py [--quick] [--write FILE]
+python benchmarks/station_faults.py [--quick] [--write FILE] [--kept FILE] [--part K N]
+
+With --kept every outcome is written down as it comes and is not run again; delete the file when the code has changed.
 """
 
 import argparse
+import json
 import math
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -32,10 +35,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="every fourth fault")
     parser.add_argument("--write", type=Path, metavar="FILE", help="write the table into this file as well")
+    parser.add_argument("--kept", type=Path, metavar="FILE", help="outcomes are kept here, one JSON line each")
+    parser.add_argument("--part", type=int, nargs=2, metavar=("K", "N"), help="run the K-th of N parts, print nothing")
     options = parser.parse_args()
-    outcomes = [_run(partial(run_with_fault, fault)) for fault in FAULTS[:: 4 if options.quick else 1]]
-    outcomes += [_run(partial(run_with_full_disk, moment=moment)) for moment in DISK_MOMENTS]
-    outcomes += [_run(run_with_dead_host)]
+    runs: dict[str, Run] = {f.name: partial(run_with_fault, f) for f in FAULTS[:: 4 if options.quick else 1]}
+    runs |= {f"disk full: {moment}": partial(run_with_full_disk, moment=moment) for moment in DISK_MOMENTS}
+    runs |= {"host dies": run_with_dead_host}
+    kept = _read(options.kept)
+    if options.part:
+        k, n = options.part
+        runs = dict(list(runs.items())[k - 1 :: n])
+    for name in [name for name in runs if name not in kept]:
+        kept[name] = _run(runs[name])
+        _keep(options.kept, name, kept[name])
+    if options.part:
+        return
+    outcomes = [kept[name] for name in runs]
     stops = np.array([outcome.stopped_s for outcome in outcomes if math.isfinite(outcome.stopped_s)])
     good, hung = (sum(map(is_so, outcomes)) for is_so in (_is_good, _hangs))
     lines = [
@@ -51,7 +66,21 @@ def main() -> None:
         options.write.write_text("\n".join(lines) + "\n")
 
 
-def _run(run: Callable[[Path], FaultOutcome]) -> FaultOutcome:
+Run = Callable[[Path], FaultOutcome]
+
+
+def _read(path: Path | None) -> dict[str, FaultOutcome]:
+    lines = path.read_text().splitlines() if path is not None and path.exists() else []
+    return {entry["name"]: FaultOutcome(**entry["outcome"]) for entry in map(json.loads, lines)}
+
+
+def _keep(path: Path | None, name: str, outcome: FaultOutcome) -> None:
+    if path is not None:
+        with path.open("a") as file:
+            file.write(json.dumps({"name": name, "outcome": asdict(replace(outcome, reason=None))}) + "\n")
+
+
+def _run(run: Run) -> FaultOutcome:
     with tempfile.TemporaryDirectory() as folder:
         outcome = run(Path(folder))
         return replace(outcome, message=outcome.message.replace(f"{folder}/", ""))

@@ -25,8 +25,7 @@ from softcal.core.twin.spread import draw_lot
 from softcal.station.acquisition import record
 from softcal.station.bench import open_simulated_bench
 from softcal.station.service import Hooks, StationService
-from softcal.station.simulated.faults import FAULTS
-from softcal.station.simulated.line import SimulatedLine
+from softcal.station.simulated.line import NAMES, SimulatedLine
 from softcal.station.simulated.station import SimulatedStation
 
 UNITS_PER_H = 90
@@ -132,7 +131,7 @@ class ShiftWithFaults:
             signal.alarm(0)
 
     def _press(self, is_broken: bool) -> None:
-        fault = str(self._rng.choice([fault.name for fault in FAULTS])) if is_broken else ""
+        fault = str(self._rng.choice(list(NAMES))) if is_broken else ""
         if fault:
             self._line.inject(fault)
         self._line.mount(f"U{self._count}")

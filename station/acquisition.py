@@ -11,7 +11,7 @@ from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
 from softcal.station.bench import Bench
 from softcal.station.config import LATEST_S, UNKNOWN_S
-from softcal.station.contact import AGAIN_MM, SURE_MM, ContactSearch, Foot, slower_mm_s, stiffest_N_mm
+from softcal.station.contact import AGAIN_MM, SURE_MM, ContactSearch, Touch, slower_mm_s, stiffest_N_mm
 from softcal.station.interfaces import Move, OnWait, Step, ignore_wait
 from softcal.station.motion import RETRACT_MM_S
 from softcal.station.proof import check_lag, lag_s
@@ -118,11 +118,14 @@ class _Run:
             self.watched.home()
         self._approach()
         zero_N = self._take_zero()
-        contact_mm = self._find_contact()
+        touch, fixture = self._find_contact(), self._bench.config.fixture
+        contact_mm = touch.foot(self.watched.late_s).at_mm
         self.watched.expect_contact(contact_mm)
-        zero_mm = contact_mm - self._bench.config.fixture.clearance_mm
-        self._feel(zero_mm, contact_mm)
-        self._go(zero_mm, self._bench.config.fixture.search_mm_s)
+        self._feel(contact_mm - fixture.clearance_mm, contact_mm)
+        # A late cell shows the contact too deep, and how late it is may be known only now.
+        contact_mm = touch.foot(self.watched.late_s).at_mm
+        self.watched.contact_mm, zero_mm = contact_mm, contact_mm - fixture.clearance_mm
+        self._go(zero_mm, fixture.search_mm_s)
         self._motion.wait(SETTLE_S)
         span_s = self._press(zero_mm)
         facts = self._facts(span_s, zero_mm, contact_mm, zero_N, self._return(zero_N), with_reference)
@@ -220,27 +223,29 @@ class _Run:
             raise ZeroMoved(reason("rig.zero_moved", change_N=change_N, allowed_N=allowed_N))
         return change_N
 
-    def _find_contact(self) -> float:
-        """Lower slowly until force (or output, without a load cell) changes; return the position of the contact.
+    def _find_contact(self) -> Touch:
+        """Lower slowly until force (or output, without a load cell) changes; return what shows where the contact is.
 
         Where the noise leaves doubt (soft units, round tips) the unit is touched a second time, more slowly.
         """
         self._enter("searching for contact")
         bench, fixture = self._bench, self._bench.config.fixture
-        search = ContactSearch(fixture, bench.force is not None, self._readings.force, self._readings.output)
+        read, latest_s = self._readings, self.watched.latest_s
+        search = ContactSearch(fixture, bench.force is not None, read.force, read.output, latest_s)
         speed_mm_s = min(fixture.search_mm_s, self.watched.fastest_free_mm_s)
-        contact = self._touch(search, speed_mm_s)
+        touch = self._touch(search, speed_mm_s)
+        contact = touch.foot(self.watched.late_s)
         slow_mm_s = slower_mm_s(speed_mm_s, contact.doubt_mm)
         if contact.doubt_mm <= SURE_MM or slow_mm_s >= speed_mm_s:
-            return contact.at_mm
+            return touch
         above_mm = contact.at_mm - AGAIN_MM
         self._total_s += (self._stage.position_mm - above_mm) / slow_mm_s
         self._go(above_mm, self._retract_mm_s)
         self._motion.wait(max(0.3, self.watched.bounds.reaction.delay_s))
         search.begin()
-        return self._touch(search, slow_mm_s).at_mm
+        return self._touch(search, slow_mm_s)
 
-    def _touch(self, search: ContactSearch, speed_mm_s: float) -> Foot:
+    def _touch(self, search: ContactSearch, speed_mm_s: float) -> Touch:
         deepest_mm, began_s = self._bench.config.safety.deepest_mm, self._clock.now_s()
         move = self._motion.go(deepest_mm, speed_mm_s, search.is_over)
         if not search.has_found:
@@ -250,7 +255,7 @@ class _Run:
         # The search ended in a stop: the path that can be reconstructed begins here.
         self._moves.clear()
         polls = [poll for poll in self._readings.polls if poll.host_s >= began_s]
-        return search.contact(reconstruct(polls, [move]).at, self.watched.late_s)
+        return search.touch(reconstruct(polls, [move]).at)
 
     def _feel(self, zero_mm: float, contact_mm: float) -> None:
         """Press once, slowly, as deep as the profile will: only where the unit was felt may the stage go fast.

@@ -52,6 +52,29 @@ class Foot:
     doubt_mm: float
 
 
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """What was read on one way down until something was touched.
+
+    Args:
+        stage_at: host times -> stage positions in mm on that way.
+        host_s: (n,) when the readings came, host clock.
+        values: (n,) force or output.
+    """
+
+    stage_at: Callable[[Array], Array]
+    host_s: Array
+    values: Array
+
+    def foot(self, late_s: float) -> Foot:
+        """Return the stage position at which the signal leaves its unloaded value.
+
+        Args:
+            late_s: how late the readings are, as far as that is known.
+        """
+        return bend(self.stage_at(self.host_s - late_s), self.values)
+
+
 class ContactSearch:
     """A search for contact over samples that keep coming.
 
@@ -59,12 +82,18 @@ class ContactSearch:
         fixture: what counts as contact.
         has_force: whether a load cell reads.
         cell, output: everything read so far; both lists grow while the search goes on.
+        late_s: how late the load cell may be: so long the output may be ahead of it.
     """
 
     def __init__(
-        self, fixture: FixtureConfig, has_force: bool, cell: Sequence[Sample], output: Sequence[Sample]
+        self,
+        fixture: FixtureConfig,
+        has_force: bool,
+        cell: Sequence[Sample],
+        output: Sequence[Sample],
+        late_s: float = 0.0,
     ) -> None:
-        self._fixture, self._has_force = fixture, has_force
+        self._fixture, self._has_force, self._late_s = fixture, has_force, late_s
         self._cell, self._output = cell, output
         self._free_N, self._free_output = _unloaded(cell), _unloaded(output)
         self.begin()
@@ -74,6 +103,7 @@ class ContactSearch:
         self._seen_cell, self._seen_output = len(self._cell), len(self._output)
         self._began_at = self._seen_cell if self._has_force else self._seen_output
         self._is_felt = self.has_found = False
+        self._ahead_since_s: float | None = None
 
     def is_over(self) -> bool:
         """Whether the touch that was looked for has come; `has_found` keeps the answer.
@@ -101,16 +131,20 @@ class ContactSearch:
             change = abs(sample.values[0] - self._free_output)
             if not self._has_force and change > self._fixture.contact_output:
                 return True
-            if not self._is_felt and change > OUTPUT_AHEAD * self._fixture.contact_output:
+            if self._is_felt or change <= OUTPUT_AHEAD * self._fixture.contact_output:
+                self._ahead_since_s = None
+                continue
+            if self._ahead_since_s is None:
+                self._ahead_since_s = sample.host_s
+            if sample.host_s - self._ahead_since_s >= self._late_s:
                 raise BadReply(reason("rig.no_contact.cell", change=change))
         return False
 
-    def contact(self, stage_at: Callable[[Array], Array], late_s: float = 0.0) -> Foot:
-        """Return the stage position at which the signal leaves its unloaded value.
+    def touch(self, stage_at: Callable[[Array], Array]) -> Touch:
+        """Return what was read since the search began.
 
         Args:
             stage_at: host times -> stage positions in mm during the search.
-            late_s: how late the load cell is.
         """
         samples = self._cell if self._has_force else self._output
         host_s = np.array([sample.host_s for sample in samples])
@@ -118,10 +152,8 @@ class ContactSearch:
             # Lines come late; a line 20 ms late is a contact 10 µm too deep.
             device_s = np.array([sample.device_s for sample in samples], dtype=np.float64)
             host_s = fit_clock(device_s, host_s).to_host(device_s)
-        if self._has_force:
-            host_s = host_s - late_s
         values = np.array([sample.values[0] for sample in samples])
-        return bend(stage_at(host_s[self._began_at :]), values[self._began_at :])
+        return Touch(stage_at, host_s[self._began_at :], values[self._began_at :])
 
 
 def bend(stage_mm: Array, values: Array) -> Foot:

@@ -27,7 +27,8 @@ LATE_S, EARLY_S, PERIOD_SHARE = 0.01, 0.12, 0.25
 seem so), and by this share of its sampling period."""
 
 BESIDE_S, TELLS, TELLS_SAMPLES = 0.04, 1.1, 40.0
-"""A delay is known that fits n samples TELLS + TELLS_SAMPLES/n times better than one beside it: few fit anyhow."""
+"""A delay is known that fits n samples TELLS + TELLS_SAMPLES/n times better than any that is BESIDE_S or more away: few
+samples fit anyhow."""
 
 GAIN, OUTPUT_GAIN = 1.4, 1.6
 """Largest ratio between the stiffest and the softest press of one run; a cell whose gain halves shows 2. An output may
@@ -68,10 +69,12 @@ def lag_s(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], con
         return _misfit(np.column_stack([np.ones_like(t_s), *columns]), force_N)
 
     coarse = np.arange(EARLIEST_S, LATEST_S, COARSE_S)
-    best = float(coarse[int(np.argmin([misfit(lag) for lag in coarse]))])
-    near = best + np.arange(-COARSE_S, COARSE_S + FINE_S, FINE_S)
+    misfits = np.array([misfit(lag) for lag in coarse])
+    near = coarse[int(np.argmin(misfits))] + np.arange(-COARSE_S, COARSE_S + FINE_S, FINE_S)
     found = float(near[int(np.argmin([misfit(lag) for lag in near]))])
-    beside = min(misfit(found - BESIDE_S), misfit(found + BESIDE_S))
+    # Presses that come again and again fit nearly as well half a press away: every other delay counts.
+    others = misfits[np.abs(coarse - found) > BESIDE_S]
+    beside = min(misfit(found - BESIDE_S), misfit(found + BESIDE_S), *others)
     return found if beside > (TELLS + TELLS_SAMPLES / len(t_s)) * misfit(found) else float("nan")
 
 

@@ -246,10 +246,13 @@ def _count_lost(sensor_s: Array, facts: RunFacts) -> int:
 
 
 def _behind_s(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, facts: RunFacts) -> float:
-    """Return how late the load cell is behind the stage in the profile, and check it against what was stated."""
+    """Return how late the load cell is behind the stage, and check it against what was stated.
+
+    The slow press before the profile counts, too: presses at one speed cannot tell a delay from a loop of the unit's.
+    """
     device_s, force_N = _columns(samples)
     force_s = cell.to_host(device_s)
-    inside = np.flatnonzero((force_s >= facts.span_s[0]) & (force_s <= facts.span_s[1]))
+    inside = np.flatnonzero((force_s >= facts.moves[0][4]) & (force_s <= facts.span_s[1]))
     inside = inside[:: max(1, len(inside) // LAG_SAMPLES)]
     found_s = lag_s(force_s[inside], force_N[inside, 0], track.at, facts.contact_mm)
     if facts.is_latency_stated:

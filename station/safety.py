@@ -1,5 +1,6 @@
 """Safety bounds, checked on every sample while the stage moves. What is not right raises; nothing here moves."""
 
+import math
 from collections import deque
 
 import numpy as np
@@ -16,8 +17,9 @@ FROZEN_MM, FROZEN_OUTPUT_MM, FROZEN_SAMPLES = 0.6, 1.0, 5
 sensor's output, which may be flat where the unit is hardly touched. Lines that a stall held back are older than the
 stage's position: a single one says nothing."""
 
-PRESSED_MM, MISSING_S = 0.8, 0.15
-"""A unit pressed this deep for so long must show a force."""
+PRESSED_MM, MISSING_S, RISEN_MM = 0.8, 0.15, 0.1
+"""A unit pressed this deep for so long must show a force; but not where the stage has risen this far since it did: a
+unit that relaxes comes back slowly."""
 
 JUMP_N, STANDING_S = 1.0, 0.3
 """More from one sample to the next, while the stage stands for so long, is no force of the unit."""
@@ -79,10 +81,15 @@ class FollowWatch:
     def __init__(self, contact_N: float) -> None:
         self._contact_N = contact_N
         self._missing_since_s: float | None = None
+        self._felt_mm, self._turned_mm = 0.0, math.inf
 
     def check(self, force_N: float, pressed_mm: float, now_s: float) -> None:
         """Raise `BadReply` when a stage well below the contact meets no force for a while."""
-        if pressed_mm < PRESSED_MM or force_N > self._contact_N:
+        is_felt = force_N > self._contact_N
+        self._felt_mm = max(self._felt_mm, pressed_mm) if is_felt else self._felt_mm if pressed_mm > 0.0 else 0.0
+        self._turned_mm = math.inf if is_felt else min(self._turned_mm, pressed_mm)
+        may_be_slow = pressed_mm < self._felt_mm - RISEN_MM and pressed_mm < self._turned_mm + PRESSED_MM
+        if is_felt or pressed_mm < PRESSED_MM or may_be_slow:
             self._missing_since_s = None
         elif self._missing_since_s is None:
             self._missing_since_s = now_s

@@ -85,8 +85,9 @@ NODE_S = 0.002
 """Distance of the nodes inside a move; the straight line between them is off by less than a·NODE_S²/8."""
 
 
-FOLLOWS_MM = 0.1
-"""A poll further from the commanded path than this says that the move did not go as commanded."""
+FOLLOWS_MM, OVERTAKEN_S = 0.1, 0.15
+"""Polls further from the commanded path than this, for longer than this, say that the move did not go as commanded: a
+line that a busy host or cable held back shows the stage behind its path, and the next line shows it there again."""
 
 
 def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> StageTrack:
@@ -94,7 +95,8 @@ def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> 
 
     A controller answers ten polls a second at most, too few to draw a corner. So every move is the trapezoid it was
     commanded as, shifted in time to where its polls say it was; one with too few polls moves with its neighbours. A
-    move that did not go as commanded (the host came late with the next piece) is drawn through its polls.
+    poll whose line came late says nothing. A move that did not go as commanded (the host came late with the next
+    piece) is drawn through its polls.
 
     Args:
         polls: status polls of the run, in time order.
@@ -116,16 +118,29 @@ def reconstruct(polls: Sequence[StagePosition], moves: Sequence[DrivenMove]) -> 
         start_s = max(move.begun_s + (usual_s if delay is None else delay), float(t_s[-1][-1]) + 1e-6)
         since_s = np.arange(0.0, move.path.duration_s + NODE_S, NODE_S)
         inside = (poll_s > move.begun_s) & (poll_s < move.confirmed_s) & (poll_s > t_s[-1][-1])
-        off_mm = np.abs(poll_mm[inside] - move.path.position_mm(poll_s[inside] - start_s))
-        if np.any(off_mm > FOLLOWS_MM):
-            t_s.append(poll_s[inside])
-            position_mm.append(poll_mm[inside])
+        if not _follows(move, start_s, poll_s[inside], poll_mm[inside]):
+            begun_s = max(move.begun_s, float(t_s[-1][-1]))
+            t_s.append(np.append(begun_s, poll_s[inside]))
+            position_mm.append(np.append(position_mm[-1][-1], poll_mm[inside]))
             continue
         t_s.append(start_s + since_s)
         position_mm.append(move.path.position_mm(since_s))
     nodes_s, nodes_mm = np.concatenate(t_s), np.concatenate(position_mm)
     residual = poll_mm - np.interp(poll_s, nodes_s, nodes_mm)
     return StageTrack(nodes_s, nodes_mm, float(np.sqrt(np.mean(residual**2))), float(np.max(np.abs(residual))))
+
+
+def _follows(move: DrivenMove, start_s: float, poll_s: Array, poll_mm: Array) -> bool:
+    """Whether the polls of a move are where its path was, but for lines that came late."""
+    path = move.path
+    behind_mm = (path.position_mm(poll_s - start_s) - poll_mm) * np.sign(path.end_mm - path.start_mm)
+    if np.any(behind_mm < -FOLLOWS_MM):
+        return False  # No line comes early.
+    # The controller's word that the move is over is a line as well: then the stage was at the end.
+    is_over = start_s + path.duration_s <= move.confirmed_s
+    there_s = np.append(poll_s[behind_mm <= FOLLOWS_MM], move.confirmed_s if is_over else np.inf)
+    off_s = poll_s[behind_mm > FOLLOWS_MM]
+    return bool(np.all(there_s[np.searchsorted(there_s, off_s)] - off_s <= OVERTAKEN_S))
 
 
 def _delay_s(move: DrivenMove, poll_s: Array, poll_mm: Array) -> float | None:
@@ -140,4 +155,7 @@ def _delay_s(move: DrivenMove, poll_s: Array, poll_mm: Array) -> float | None:
         return None
     ramp_s = path.peak_mm_s / path.acceleration_mm_s2
     planned_s = gone[cruising] / path.peak_mm_s + 0.5 * ramp_s
-    return float(np.median(poll_s[cruising] - planned_s)) - move.begun_s
+    begins_s = poll_s[cruising] - planned_s
+    # Lines come late, never early.
+    on_time = begins_s <= np.min(begins_s) + FOLLOWS_MM / path.peak_mm_s
+    return float(np.median(begins_s[on_time])) - move.begun_s

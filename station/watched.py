@@ -77,6 +77,11 @@ class WatchedBench:
         return force.latency_s if force is not None and is_stated else self._learned_s or 0.0
 
     @property
+    def latest_s(self) -> float:
+        """How late the load cell may be: the latest that is allowed while nobody knows."""
+        return LATEST_S if self._is_lateness_open else self.late_s
+
+    @property
     def fastest_free_mm_s(self) -> float:
         """Fastest speed towards where nothing should be."""
         fastest_mm_s = min(self.bench.config.safety.speed_mm_s, self.bench.stage.max_speed_mm_s)

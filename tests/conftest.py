@@ -10,7 +10,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis.stateful import RuleBasedStateMachine, run_state_machine_as_test
 from scipy.signal import lfilter
+
+from softcal.core.errors import SoftcalError
 
 SMALL_NETWORK = ("--hidden", "16,8")
 """Options of a network that trains in seconds."""
@@ -46,6 +50,21 @@ def places_of_the_test(tmp_path_factory: pytest.TempPathFactory, monkeypatch: py
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20201900178)
+
+
+@pytest.fixture(scope="session")
+def assert_finds_fault() -> Callable[[type[RuleBasedStateMachine]], None]:
+    """`assert_finds_fault(machine)`: some sequence of its steps fails on what was broken on purpose."""
+    quick = settings(
+        max_examples=40, stateful_step_count=12, deadline=None, database=None, derandomize=True,
+        phases=[Phase.generate], suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
+
+    def runs(machine: type[RuleBasedStateMachine]) -> None:
+        with pytest.raises((AssertionError, SoftcalError, KeyError)):
+            run_state_machine_as_test(machine, settings=quick)
+
+    return runs
 
 
 NAMES = re.compile(r"`[^`]*`|b?'[^']*'|\S*[/._=]\S*|\bsoftcal\b|\b(min|ppm)\b")

@@ -12,8 +12,8 @@ import numpy as np
 
 from softcal.app.bootstrap import data_folder
 from softcal.app.files.importing import ImportPlan, LookedAt, import_lot, look_through
-from softcal.app.files.lot_folder import LotFolder, open_lot_folder, write_lot_toml
-from softcal.app.files.recording_file import write_columns
+from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder, write_lot_toml
+from softcal.app.files.recording_file import write_recording
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -22,9 +22,6 @@ from softcal.core.unit.method import Method
 from softcal.core.words.reason import Reason
 from softcal.db.entries import RecordingEntry
 from softcal.db.registry import Registry
-
-FOLDER_OF = {"source": "source", "unit": "units", "audit": "audit"}
-"""Kind of a recording → where it lies in a lot folder."""
 
 
 @dataclass(frozen=True)
@@ -139,14 +136,8 @@ def _write(folder: Path, serial: str, recording: OutputRecording | LabelledRecor
     for old in folder.glob("*"):
         if old.stem == serial:
             old.unlink()
-    plain = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
-    columns = [("t_s", plain.t_s), ("output", plain.output)]
-    if isinstance(recording, LabelledRecording):
-        columns.append(("reference", recording.reference))
-    if plain.stage_mm is not None:
-        columns.append(("stage_mm", plain.stage_mm))
     # Parquet keeps every bit, so that the same recording is known again.
-    write_columns(folder / f"{serial}.parquet", columns)
+    write_recording(folder / f"{serial}.parquet", recording)
 
 
 def network_of(registry: Registry, lot_id: str) -> NetworkConfig:

@@ -37,6 +37,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 def run(options: argparse.Namespace) -> int:
     """Print reasons and budget, write the figure."""
     from softcal.app.charts.why_page import explain_unit, why_json
+    from softcal.app.registry.standing import standing_of
     from softcal.app.views.unit import unit_view
     from softcal.core.words.reason import joined
 
@@ -49,7 +50,11 @@ def run(options: argparse.Namespace) -> int:
         else:
             view = explain_unit(registry, options.serial, options.out, options.revision, options.lot)
             say(f"{options.out}: the figure of {options.serial}")
+        standing = standing_of(registry, view.stored)
     facts = why_json(view)
+    if standing.made is None:
+        since = joined(standing.reasons)
+        say(f"note: {options.serial} is {standing.verdict} since: {since}; explained is the map it had before")
     if options.json:
         write_json(options.json, facts)
     if options.json != "-" or options.csv:
@@ -67,7 +72,7 @@ def _print_method(options: argparse.Namespace) -> int:
     from softcal.core.unit.method import Method
 
     with registry_of(options, create=False) as registry:
-        record = registry.calibration(options.serial, options.revision).record
+        record = registry.calibration(options.serial, options.revision, lot_id=options.lot).record
     method, ours = record.method, Method()
     if method is None:
         raise InputError(f"{options.serial}: calibrated by a version that kept no method; run the batch again")

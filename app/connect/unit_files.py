@@ -6,9 +6,7 @@ import zipfile
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.laboratory import kept_laboratory
 from softcal.app.export.formats import writer_of
-from softcal.core.errors import UnitRefused
 from softcal.core.unit.verdict import Release
-from softcal.core.words.reason import joined
 from softcal.db.registry import Registry
 
 
@@ -24,10 +22,6 @@ def unit_archive(
         InputError: no such format, or no calibration.
         UnitRefused: the newest verdict of the unit, or its map, allows no such file.
     """
-    standing = registry.standings(lot_id, [serial]).get(serial)
-    if standing is not None and standing.made is None:
-        # The map in use is older than what was found last: nobody may be given it as if it were the answer.
-        raise UnitRefused(f"unit {serial} of lot {lot_id} is {standing.verdict}: {joined(standing.reasons)}")
     release = Release.CONDITIONAL if with_conditional else Release.PASS
     options = ExportOptions(release=release, lot_id=lot_id, laboratory=kept_laboratory())
     contents = writer_of(file_format)(UnitLoader(registry, options).load(serial))

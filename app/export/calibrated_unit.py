@@ -7,6 +7,7 @@ from pathlib import Path
 
 from softcal.app.export.signature import SigningKey
 from softcal.app.registry.source import source_recording, source_sha256, unlabelled
+from softcal.app.registry.standing import standing_of
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import NetworkFile
 from softcal.core.export.compile_map import InputScale
@@ -17,7 +18,8 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.verdict import Release, Verdict
-from softcal.db.entries import StoredCalibration
+from softcal.core.words.reason import joined
+from softcal.db.entries import StoredCalibration, UnitStanding
 from softcal.db.registry import Registry
 
 
@@ -88,7 +90,12 @@ class SharedNetwork:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedUnit:
-    """A unit as the registry knows it; what exports derive from it is made once and only when asked for."""
+    """A unit as the registry knows it; what exports derive from it is made once and only when asked for.
+
+    Args:
+        stored: the calibration that is exported: the one in use, or an older one that was asked for.
+        standing: how the unit stands now, whichever calibration that is.
+    """
 
     stored: StoredCalibration
     lot: Lot
@@ -96,6 +103,7 @@ class CalibratedUnit:
     recording: OutputRecording
     recorded_on: date
     options: ExportOptions
+    standing: UnitStanding
 
     @property
     def serial(self) -> str:
@@ -127,6 +135,23 @@ class CalibratedUnit:
             upper=found.upper[rows],
             predicted_rmse=record.predicted_rmse,
         )
+
+    @property
+    def verdict(self) -> str:
+        """The word of what was asked for: of the revision that was named, else of the unit as it stands."""
+        return self.stored.record.verdict if self.options.revision is not None else str(self.standing.verdict)
+
+    def check_stands(self) -> None:
+        """Raise `UnitRefused` where the unit's newest result is no calibration: its map is no longer the answer.
+
+        Who names a revision asks for that one, whatever came after it.
+        """
+        found = self.standing
+        if found.made is None and self.options.revision is None:
+            raise UnitRefused(
+                f"unit {self.serial} of lot {self.lot.id} is {found.verdict}: {joined(found.reasons)}; no file of the "
+                "map it had before is given out"
+            )
 
     def check_usable(self) -> None:
         """Raise `UnitRefused` where this unit's verdict forbids files that give numbers."""
@@ -163,7 +188,9 @@ class UnitLoader:
         stored = self.registry.calibration(serial, self.options.revision, lot_id=self.options.lot_id)
         recording = unlabelled(self.registry.recording(stored.record.recording_sha256))
         lot = self.registry.lot(stored.lot_id)
-        return CalibratedUnit(stored, lot, self._shared(stored), recording, self._recorded_on(stored), self.options)
+        shared, recorded_on = self._shared(stored), self._recorded_on(stored)
+        standing = standing_of(self.registry, stored)
+        return CalibratedUnit(stored, lot, shared, recording, recorded_on, self.options, standing)
 
     def _recorded_on(self, stored: StoredCalibration) -> date:
         sha256 = stored.record.recording_sha256

@@ -54,7 +54,8 @@ def export_units(
     """Write the calibration files of units and the manifest of the folder.
 
     A unit whose device form is refused (its verdict, its map) still gets its report formats, and the reason stands in
-    the manifest; an older device file of it is taken out of the folder. The other units go on.
+    the manifest; an older device file of it is taken out of the folder. A unit that was refused after its calibration
+    was made gets no file at all. The other units go on.
 
     Args:
         registry: where the calibrations are.
@@ -163,18 +164,20 @@ def _summary(
 ) -> ExportedUnit:
     has_device = refusal is None and any(name in writers for name in DEVICE_FORMATS)
     device = device_summary(unit) if has_device else {}
-    return ExportedUnit(unit.serial, unit.stored.revision, unit.stored.record.verdict, files, refusal, device)
+    return ExportedUnit(unit.serial, unit.stored.revision, unit.verdict, files, refusal, device)
 
 
 def _manifest_facts(unit: CalibratedUnit, done: ExportedUnit) -> dict[str, object]:
     record = unit.stored.record
     return {
         "revision": done.revision,
-        "verdict": record.verdict,
+        "verdict": unit.verdict,
         "lot": unit.lot.id,
         "network": record.network_id,
         "map": record.map_sha256,
         "recording": record.recording_sha256,
         "refused": done.refusal,
         "device": dict(done.device),
+        # What was refused altogether is complete without a file.
+        **({} if done.files else {"withdrawn": True}),
     }

@@ -188,12 +188,14 @@ WRITERS: Mapping[str, Writer] = dict(
 def writer_of(name: str) -> Writer:
     """Return what writes a format, its own or a plug-in's.
 
+    It raises `UnitRefused` for a unit that has no such file: its newest result, its verdict or its map forbids it.
+
     Raises:
         InputError: no such format, a plug-in that cannot be loaded, or one that takes the name of an own format.
     """
     points = [point for point in installed(GROUP) if point.name == name]
     if name in WRITERS and not points:
-        return WRITERS[name]
+        return partial(_written, WRITERS[name])
     if not points:
         raise InputError(f"format {name}; known: {', '.join(formats())}")
     if name in WRITERS or len(points) > 1:
@@ -201,7 +203,12 @@ def writer_of(name: str) -> Writer:
     write = loaded(points[0], KIND)
     if not callable(write):
         raise InputError(f"{who(points[0], KIND)}: is {type(write).__name__}; a function was expected")
-    return partial(_plugin_files, points[0], write)
+    return partial(_written, partial(_plugin_files, points[0], write))
+
+
+def _written(write: Writer, unit: CalibratedUnit) -> dict[str, bytes]:
+    unit.check_stands()
+    return write(unit)
 
 
 KIND = "exporter"

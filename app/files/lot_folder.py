@@ -36,6 +36,8 @@ KNOWN_KEYS = {
 ANCHOR_FILES = ("anchors.csv", "anchors.parquet")
 """Where a lot folder holds known loads of its units."""
 
+FOLDER_OF = {"source": "source", "unit": "units", "audit": "audit"}
+"""Kind of a recording → where it lies in a lot folder."""
 
 MOST_BYTES = 1_000_000
 """A lot.toml has some ten lines."""

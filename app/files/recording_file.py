@@ -222,3 +222,14 @@ def write_columns(path: Path, columns: Sequence[tuple[str, Array | Sequence[str]
             table.to_parquet(part, index=False, write_page_checksum=True)
         else:
             table.to_csv(part, index=False, lineterminator="\n")
+
+
+def write_recording(path: Path, recording: OutputRecording | LabelledRecording) -> None:
+    """Write a recording as a lot folder holds it: `t_s, output`, and reference and stage where it has them."""
+    plain = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
+    columns = [("t_s", plain.t_s), ("output", plain.output)]
+    if isinstance(recording, LabelledRecording):
+        columns.append(("reference", recording.reference))
+    if plain.stage_mm is not None:
+        columns.append((STAGE, plain.stage_mm))
+    write_columns(path, columns)

@@ -6,9 +6,10 @@ after any of these nobody knows which unit is in the hand, and it is asked for. 
 
 import uuid
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 
 from softcal.app.line.facts import LineFacts, LotAtLine, Screen, read_line
-from softcal.app.line.place import Note, Place, write_place
+from softcal.app.line.place import Note, Place, read_place, write_place
 from softcal.app.line.scan_codes import Scan, read_scan
 from softcal.app.line.serials import is_unheard_of
 from softcal.core.errors import InputError
@@ -57,10 +58,40 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
         facts = read_line(registry, screen)
         if facts.heartbeat is None:
             raise InputError(Reason("line.no_station"))
-        step = _step(registry, facts, screen, scan, actor or _badged(facts))
+        step = _step(registry, facts, screen, scan, actor or _badged(facts.operator))
         if write_place(registry.line_places, facts.station, step.place):
             return _ordered(registry, facts, screen, step)
     raise InputError(Reason("line.other_screens"))
+
+
+def order_stop(registry: Registry, station: str) -> bool:
+    """Tell a station to stop its run; every way a stop takes gives the same order, so that a run is told once.
+
+    It reads no more than it must: the stop key does not wait for what a screen shows.
+
+    Args:
+        station: "" for the only one there is.
+
+    Returns:
+        Whether something runs.
+
+    Raises:
+        RegistryError: the registry is away; nothing was ordered.
+    """
+    queue = registry.order_queue
+    beats = [] if station else queue.stations()
+    station = beats[0].station if len(beats) == 1 else station
+    active = queue.active(station)
+    if active is None:
+        return False
+    place = read_place(registry.line_places, station)
+    operator = "" if place.is_badge_over(datetime.now(UTC)) else place.operator
+    queue.place(_stop_order(station, active[0], _badged(operator)))
+    return True
+
+
+def _stop_order(station: str, run: Order, who: str) -> Order:
+    return Order(f"stop-{run.order_id}"[:64], station, OrderKind.STOP, actor=who)
 
 
 def _ordered(registry: Registry, facts: LineFacts, screen: Screen, step: Step) -> LineFacts:
@@ -101,8 +132,8 @@ def _running(facts: LineFacts) -> dict[str, str]:
     return {"serial": facts.active[0].serial if facts.active else ""}
 
 
-def _badged(facts: LineFacts) -> str:
-    return f"{facts.operator}{BADGE_MARK}" if facts.operator else "operator"
+def _badged(operator: str) -> str:
+    return f"{operator}{BADGE_MARK}" if operator else "operator"
 
 
 def _badge(registry: Registry, facts: LineFacts, name: str) -> Place:
@@ -225,8 +256,7 @@ def _confirm(facts: LineFacts, screen: Screen, who: str) -> Step:
 def _stop(facts: LineFacts, screen: Screen, who: str) -> Step:
     if facts.active is None:
         return Step(_told(facts, Note("nothing_runs", {}, False)))
-    order = Order(uuid.uuid4().hex, facts.station, OrderKind.STOP, actor=who)
-    return Step(_told(facts, Note("stopping", {}, False)), order)
+    return Step(_told(facts, Note("stopping", {}, False)), _stop_order(facts.station, facts.active[0], who))
 
 
 def _cancel(facts: LineFacts, screen: Screen, who: str) -> Step:

@@ -163,7 +163,7 @@ class RunKeeper:
             return str(made.verdict), (made.reason,)
         registry.add_calibration(lot.id, made, actor=actor, reason=order.reason or f"pressed on {self._station}")
         self._release.press(lot.id, serial, actor)
-        kept = registry.calibration(serial).record
+        kept = registry.calibration(serial, lot_id=lot.id).record
         return kept.verdict, kept.reasons
 
     def _known_lot(self, lot_id: str) -> Lot | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from softcal.app.bootstrap import data_folder
-from softcal.app.files.lot_folder import read_lot, restate_reference, write_lot_toml
+from softcal.app.files.lot_folder import FOLDER_OF, read_lot, restate_reference, write_lot_toml
 from softcal.app.files.profile_file import read_profile
 from softcal.app.files.recording_file import write_columns
 from softcal.core.errors import InputError, NoReply
@@ -39,9 +39,6 @@ from softcal.station.spool import Spool
 
 SERIALS_APART = ","
 """Between the serials of several channels in the header of a spool; no serial contains it."""
-
-LOT_PARTS = ("source", "units", "audit")
-"""Folders of a lot folder that hold recordings."""
 
 PARTS = {"stage": Reason("part.stage"), "readout": Reason("part.readout"), "force": Reason("part.cell")}
 """What a station needs, by the role of the device."""
@@ -254,7 +251,7 @@ def _check_lot(paths: Sequence[Path], serials: Sequence[str], bench: Bench, with
             cannot be read.
     """
     folder = paths[0].parent
-    if folder.name not in LOT_PARTS or not (folder.parent / "lot.toml").is_file():
+    if folder.name not in FOLDER_OF.values() or not (folder.parent / "lot.toml").is_file():
         return
     lot, readout = read_lot(folder.parent), bench.readout
     if (lot.sample_rate_Hz, lot.output_unit) != (readout.rate_Hz, readout.unit):

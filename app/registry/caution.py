@@ -1,5 +1,6 @@
-"""One line of warning where somebody uses a unit that did not pass, and a row of it in the audit trail."""
+"""One line of warning where somebody uses a unit that does not pass, and a row of it in the audit trail."""
 
+from softcal.app.registry.standing import standing_of
 from softcal.core.errors import RegistryError
 from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import StoredCalibration
@@ -7,19 +8,22 @@ from softcal.db.registry import Registry
 
 
 def caution(registry: Registry, stored: StoredCalibration, action: str) -> str:
-    """Return the warning, and record the use; empty where the unit passed.
+    """Return the warning, and record the use; empty where the calibration passed and the unit still does.
 
     Args:
         registry: where the use is recorded.
         stored: the calibration that is used.
         action: what is done with it, for example `estimate`.
     """
-    record = stored.record
-    if record.verdict == Verdict.PASS:
+    standing = standing_of(registry, stored)
+    # An older calibration that passed is cautioned against where the unit does not pass any more.
+    is_bad = standing.made is not None and stored.record.verdict != Verdict.PASS
+    told = stored.record if is_bad else standing
+    if told.verdict == Verdict.PASS:
         return ""
-    why = str(record.reasons[0]) if record.reasons else "no reason is stored"
-    warning = f"warning: unit {stored.serial} has the verdict {record.verdict}: {why}"
-    facts = {"verdict": record.verdict, "revision": stored.revision, "action": action}
+    why = str(told.reasons[0]) if told.reasons else "no reason is stored"
+    warning = f"warning: unit {stored.serial} has the verdict {told.verdict}: {why}"
+    facts = {"verdict": told.verdict, "revision": stored.revision, "action": action}
     try:
         key, reason = (stored.lot_id, stored.serial), f"{action} of a unit that did not pass"
         registry.add_event("use", "unit", key, facts, reason=reason)

@@ -3,15 +3,11 @@
 from pathlib import Path
 
 from softcal.app.files.atomic import whole_folder
-from softcal.app.files.lot_folder import write_lot_toml
-from softcal.app.files.recording_file import write_columns
+from softcal.app.files.lot_folder import FOLDER_OF, write_lot_toml
+from softcal.app.files.recording_file import write_recording
 from softcal.app.registry.reference import lot_reference
 from softcal.core.errors import InputError
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.db.registry import Registry
-
-FOLDER_OF = {"source": "source", "unit": "units", "audit": "audit"}
-"""Part of a lot folder by the kind of recording."""
 
 
 def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str, list[str]]:
@@ -28,16 +24,6 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
     with whole_folder(folder) as part:
         write_lot_toml(part, lot, lot_reference(registry, lot_id))
         for (kind, serial), sha256 in newest.items():
-            write_columns(part / FOLDER_OF[kind] / f"{serial}.csv", _columns(registry.recording(sha256)))
+            write_recording(part / FOLDER_OF[kind] / f"{serial}.csv", registry.recording(sha256))
             written[FOLDER_OF[kind]].append(serial)
     return written
-
-
-def _columns(recording: OutputRecording | LabelledRecording) -> list[tuple[str, Array]]:
-    output = recording.unlabelled if isinstance(recording, LabelledRecording) else recording
-    columns = [("t_s", output.t_s), ("output", output.output)]
-    if isinstance(recording, LabelledRecording):
-        columns.append(("reference", recording.reference))
-    if output.stage_mm is not None:
-        columns.append(("stage_mm", output.stage_mm))
-    return columns

@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 import streamlit as st
 
-from softcal.app.ui.desk import choose, choose_language, empty, show_figure, words
+from softcal.app.ui.desk import choose, choose_language, empty, registry, show_figure, words
 from softcal.app.ui.pages import PAGES
 
 NARROWEST_NUMBER_PX = 150
@@ -36,6 +36,15 @@ def lot_heading(page: str, lots: Sequence[str]) -> str | None:
         return None
     with beside:
         return choose(words()("choose.lot"), list(lots), "lot")
+
+
+def units_of(lot_id: str) -> dict[str, int]:
+    """Return how many units of a lot have which verdict; empty where none has one, and say how units come to be."""
+    counts = registry().verdict_counts(lot_id)
+    if sum(counts.values()) > counts["none"]:
+        return counts
+    empty(words()("empty.units"), words()("empty.units.how"))
+    return {}
 
 
 def numbers(cells: Sequence[tuple[str, str, str | None]], narrowest_px: int = NARROWEST_NUMBER_PX) -> None:

@@ -70,6 +70,9 @@ class SealedCase:
             `measure` gives what was measured, `written` what the files have.
         turns_between_samples: the stage turns between two samples, so the pad goes up to 50 µm beyond the recorded
             path; otherwise the pad sees the recorded path, as the written model has it.
+        tare_N: what the load cell reads without load, in every run.
+        seating: standard deviation from run to run of the logarithm of the unloaded resistance.
+        seat_mm: standard deviation from run to run of where the surface is.
     """
 
     name: str

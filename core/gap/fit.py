@@ -151,7 +151,7 @@ class Problem:
     extra_variance: Array | None = None
     """(samples,) variance that comes with the noise of the driving channel, in the units of the samples squared."""
     has_offsets: bool = True
-    """Whether every run may have a zero of the force and an unloaded resistance of its own."""
+    """Whether every run may have a zero of the force, an unloaded resistance and a seat of its own."""
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
@@ -250,7 +250,7 @@ class Problem:
 
     @cached_property
     def bare(self) -> "Problem":
-        """The same problem with one zero and one resistance for all runs."""
+        """The same problem with one zero, one resistance and one seat for all runs."""
         return replace(self, has_offsets=False)
 
     def with_noise(self, sigma: Mapping[str, float]) -> "Problem":

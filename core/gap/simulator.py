@@ -240,12 +240,6 @@ class SimulatorProblem(Problem):
     def of_run(self, run: Run) -> Problem:
         return SimulatorProblem(Case(self.case.serial, (run,)), self.sigma, simulator=self.simulator)
 
-    def seeing(self, use: Array) -> Problem:
-        return SimulatorProblem(self.case, self.sigma, use, simulator=self.simulator)
-
-    def with_noise(self, sigma: Mapping[str, float]) -> Problem:
-        return SimulatorProblem(self.case, sigma, self.use, simulator=self.simulator)
-
     def predict(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
         if not isinstance(hypothesis, SimulatorHypothesis):
             raise ValueError("a simulator's problem takes a simulator's hypothesis")

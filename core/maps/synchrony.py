@@ -82,12 +82,9 @@ def _compared(
     seen = time_s[_covered(source, time_s) & _covered(target, time_s)]
     if len(seen) < 2 * min(config.scales):
         return NONE
-    # scipy.stats and scipy.optimize take a second to load: naming a calibration needs neither.
-    from scipy.stats import rankdata
-
     # Linear between samples: the two recordings never share their instants exactly.
-    a = rankdata(np.interp(time_s, seen, np.interp(seen, source.t_s, source.output)))
-    b = rankdata(np.interp(time_s, seen, np.interp(seen, target.t_s, target.output)))
+    a = ranks(np.interp(time_s, seen, np.interp(seen, source.t_s, source.output)))
+    b = ranks(np.interp(time_s, seen, np.interp(seen, target.t_s, target.output)))
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return NONE
     # One scale would miss slow loads or drown in noise; a scale needs twenty of its lengths to judge.
@@ -101,6 +98,15 @@ def _compared(
     correlation = float(np.corrcoef(a, b)[0, 1])
     is_synchronous = correlation >= config.min_rank_correlation
     return Synchrony(-lag / rate_Hz, correlation, detail, sigma, until_s, is_synchronous)
+
+
+def ranks(values: Array) -> Array:
+    """Return the rank of each value, from 1 on; equal values share the mean of theirs. `scipy.stats` takes a second to
+    load and gives the same."""
+    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+    last = np.cumsum(count)
+    shared: Array = (last - (count - 1) / 2)[place]
+    return shared
 
 
 def _opening_end(source: OutputRecording, target: OutputRecording, maps: MapConfig) -> float | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.stats import beta, nct, norm
+from scipy.special import betaincinv, nctdtrit, ndtri
 
 from softcal.core.errors import InputError
 from softcal.core.unit.method import ReleaseConfig
@@ -37,7 +37,7 @@ class Promise:
 def failing_share(checked: int, failed: int, confidence: float) -> float:
     """Return the one-sided upper bound of the failing share of a process (Clopper and Pearson 1934)."""
     # All that were checked have failed: the quantile is not defined there, and 1 is its limit.
-    return 1.0 if failed >= checked else float(beta.ppf(confidence, failed + 1, checked - failed))
+    return 1.0 if failed >= checked else float(betaincinv(failed + 1, checked - failed, confidence))
 
 
 def audits_by_count(promise: Promise, failed: int = 0) -> int:
@@ -61,5 +61,5 @@ def tolerance_factor(count: float, degrees: float, promise: Promise) -> float:
     """
     if count < 1 or degrees < 1:
         return float("inf")
-    shift = norm.ppf(1 - promise.risk) * np.sqrt(count)
-    return float(nct.ppf(promise.confidence, degrees, shift) / np.sqrt(count))
+    shift = ndtri(1 - promise.risk) * np.sqrt(count)
+    return float(nctdtrit(degrees, shift, promise.confidence) / np.sqrt(count))

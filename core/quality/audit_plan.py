@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta, hypergeom
+from scipy.special import betaincinv
 
 from softcal.core.errors import InputError
 from softcal.core.unit.verdict import Limit
@@ -147,6 +147,9 @@ def nonconforming_upper(population: int, checked: int, failed: int) -> int:
     """
     if checked >= population:
         return failed
+    # scipy.stats takes a second to load, and few batches have an audit that was planned.
+    from scipy.stats import hypergeom
+
     candidates = np.arange(failed, population - (checked - failed) + 1)
     plausible = hypergeom.cdf(failed, population, candidates, checked) > 1 - CONFIDENCE
     return int(candidates[plausible].max())
@@ -154,4 +157,4 @@ def nonconforming_upper(population: int, checked: int, failed: int) -> int:
 
 def process_upper(checked: int, failed: int) -> float:
     """Return the one-sided 95 % upper bound of a binomial share (Clopper and Pearson 1934)."""
-    return 1.0 if failed >= checked else float(beta.ppf(CONFIDENCE, failed + 1, checked - failed))
+    return 1.0 if failed >= checked else float(betaincinv(failed + 1, checked - failed, CONFIDENCE))

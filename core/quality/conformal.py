@@ -6,7 +6,7 @@ The only assumption is that audited and other units are exchangeable: the audite
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
@@ -46,7 +46,7 @@ def share_beyond(count: int, risk: float, confidence: float) -> float:
     """
     _check_share("confidence", confidence)
     rank = _rank(count, risk)
-    return 1.0 if rank > count else float(beta.ppf(confidence, count - rank + 1, rank))
+    return 1.0 if rank > count else float(betaincinv(count - rank + 1, rank, confidence))
 
 
 def pooled_scale(groups: Sequence[Array], coverage: float, has_unseen: bool = False) -> float:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from softcal.core.errors import InputError
 from softcal.core.quality.conformal import pooled_scale
@@ -102,4 +102,4 @@ def _next_unit(values: Array, risk: float) -> float:
     if count < 2:
         return float(values[0])
     spread = float(np.std(values, ddof=1)) * np.sqrt(1 + 1 / count)
-    return float(values.mean() + student.ppf(1 - risk, count - 1) * spread)
+    return float(values.mean() + stdtrit(count - 1, 1 - risk) * spread)

@@ -1,14 +1,14 @@
 """Driver of a GRBL 1.1 or grblHAL stage with one axis (gnea/grbl wiki, "Grbl v1.1 Interface")."""
 
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from softcal.core.errors import BadReply, CommandRefused, DeviceError, InputError, NoReply
-from softcal.core.words.reason import Reason, reason, several
+from softcal.core.words.reason import Reason, reason
 from softcal.station.config import StageConfig
 from softcal.station.driver import Driver, Opening, Simulated, Surroundings
 from softcal.station.drivers.admission import admit
+from softcal.station.drivers.grbl_settings import ANSWER_S, read_settings
 from softcal.station.feeding import PieceFeed, runs_on_mm, runs_on_s
 from softcal.station.frames import grbl
 from softcal.station.interfaces import Held, Move, OnWait, StagePosition, ignore_wait
@@ -21,24 +21,12 @@ STATUS_S = 0.1
 SILENCE_S = 0.25
 """A controller that leaves a status poll unanswered for so long is gone."""
 
-SLOW_MM_S2 = 50.0
-"""A drive that brakes with less than this makes every safe speed small."""
-
 MARGIN = 1.5
 """A stop may take this much longer than the deceleration in the settings says."""
 
 OFF_SWITCH_MM = 1.0
 """A stage whose position is only roughly known keeps so far from its homing switch."""
 
-SAFE_SETTINGS: tuple[tuple[int, Callable[[float], bool], Reason], ...] = (
-    (1, lambda value: value == 255, Reason("grbl.safe.1")),
-    (20, lambda value: value == 1, Reason("grbl.safe.20")),
-    (21, lambda value: value == 1, Reason("grbl.safe.21")),
-    (120, lambda value: value >= SLOW_MM_S2, Reason("grbl.safe.acceleration")),
-)
-"""Settings of a controller, what is safe, and the command that mends it."""
-
-ANSWER_S = 2.0
 HOMING_S = 60.0
 
 
@@ -93,10 +81,10 @@ class GrblStage:
         self._next_status_s = 0.0
         self.position_mm = self._target_mm = 0.0
         self.version = self._wake()
-        self.settings = self._read_settings()
-        self.travel_mm = self.settings[130 + self._index]
-        self.max_speed_mm_s = self.settings[110 + self._index] / 60.0
-        self.acceleration_mm_s2 = self.settings[120 + self._index]
+        self.settings = read_settings(link, self._index)
+        self.travel_mm = self.settings.travel_mm
+        self.max_speed_mm_s = self.settings.max_speed_mm_s
+        self.acceleration_mm_s2 = self.settings.acceleration_mm_s2
 
     @property
     def is_moving(self) -> bool:
@@ -205,16 +193,7 @@ class GrblStage:
 
     def unsafe_settings(self) -> list[tuple[str, Reason]]:
         """Return each setting that takes safety away as `$n=value`, and the command that mends it."""
-        return self._unsafe(self.settings)
-
-    def _unsafe(self, settings: Mapping[int, float]) -> list[tuple[str, Reason]]:
-        found = []
-        for number, is_safe, cure in SAFE_SETTINGS:
-            shown = number + (self._index if number == 120 else 0)
-            value = settings.get(shown)
-            if value is not None and not is_safe(value):
-                found.append((f"${shown}={value:g}", replace(cure, values={"number": shown})))
-        return found
+        return self.settings.unsafe()
 
     def runs_on_s(self, speed_mm_s: float) -> float:
         """Return after how long the stage stands, at most, once the host is gone in a move at this speed."""
@@ -238,27 +217,6 @@ class GrblStage:
             except NoReply:
                 continue
         raise NoReply(reason("grbl.none", port=self._link.port))
-
-    def _read_settings(self) -> dict[int, float]:
-        # A controller that greets in several lines may still be talking.
-        self._link.clock.sleep_s(0.05)
-        self._link.discard()
-        self._link.write(grbl.SETTINGS)
-        settings: dict[int, float] = {}
-        reply: grbl.Reply = grbl.GrblNote("")
-        while not isinstance(reply, grbl.Ok):
-            reply = grbl.parse(self._link.next_line(ANSWER_S).text)
-            if isinstance(reply, grbl.Setting):
-                settings[reply.number] = reply.value
-        needed = (110 + self._index, 120 + self._index, 130 + self._index)
-        if missing := [f"${number}" for number in needed if number not in settings]:
-            raise BadReply(reason("grbl.settings", missing=", ".join(missing)))
-        refused = [Reason(code) for code, is_so in _unfit(settings) if is_so]
-        if refused:
-            # What else takes safety away is said with it: the settings are sent once.
-            advice = [reason("grbl.setting", setting=found, cure=cure) for found, cure in self._unsafe(settings)]
-            raise CommandRefused(several([*refused, *advice]))
-        return settings
 
     def _send_due(self) -> None:
         """Send the pieces that are due, and after the last one the line that proves the end of the move."""
@@ -404,11 +362,6 @@ class GrblStage:
             self._is_homing = False
             why = reply.reason if isinstance(reply, grbl.Alarm) else Reason("grbl.part.restarted")
             raise DeviceError(reason("grbl.homing_failed", why=why))
-
-
-def _unfit(settings: Mapping[int, float]) -> tuple[tuple[str, bool], ...]:
-    """Return what a controller cannot be used with, and whether it is so."""
-    return ("grbl.homing_off", not settings.get(22)), ("grbl.inches", bool(settings.get(13)))
 
 
 def _is_locked(reply: grbl.Reply) -> bool:

@@ -11,7 +11,8 @@ from softcal.station.bench import Bench, open_simulated_bench
 from softcal.station.simulated.faults import FAULTS, Fault
 from softcal.station.simulated.station import SimulatedStation
 
-NAMES = {fault.name: fault for fault in FAULTS}
+NAMES = {f.name: f for f in FAULTS if (f.stage_kind, f.force_kind, f.has_cell) == ("grbl", "hx711", True)}
+"""Faults of the devices that this line has."""
 
 
 class SimulatedLine:

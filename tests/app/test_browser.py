@@ -62,13 +62,13 @@ def test_a_chosen_language_outlives_a_reload(desk: str, page: Page, remembered: 
     page.get_by_role("heading", name="로그인").wait_for()
 
 
-@pytest.mark.xfail(reason="the confirmation did not appear in 30 s; seen by hand, not by this test")
 def test_a_pin_that_is_left_with_the_tab_key_reaches_the_registry(desk: str, page: Page, sign_in: Callable) -> None:
     sign_in(desk, "quality")
     page.goto(f"{desk}/people")
     page.get_by_label("Name", exact=True).fill("Nam")
-    for label in ("PIN (4 digits or more)", "The same PIN again", "Reason"):
-        page.get_by_label(label).fill("2580")
+    asked = {"PIN (4 digits or more)": "2580", "The same PIN again": "2580", "Reason": "works on the line"}
+    for label, text in asked.items():
+        page.get_by_label(label).fill(text)
         page.keyboard.press("Tab")
     page.get_by_role("button", name="Save").click()
     page.get_by_text("Nam was saved").wait_for()

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from softcal.app.line.facts import Screen, read_line
-from softcal.app.line.line import take_scan
+from softcal.app.line.line import order_stop, take_scan
 from softcal.app.line.place import is_alive
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
@@ -152,6 +152,17 @@ def test_a_stop_is_ordered_in_mid_run(line):
     line.queue.take("line-1")
     assert line.scan("CMD:STOP") == "stopping"
     assert line.queue.take("line-1").kind is OrderKind.STOP
+
+
+def test_a_stop_that_comes_by_two_ways_is_one_order_and_names_the_badge(line):
+    line.scan("BADGE:Mia")
+    line.scan("A1")
+    assert not order_stop(line.registry, "")  # Nothing runs: there is nothing to stop.
+    line.scan("CMD:START")
+    assert order_stop(line.registry, "") and order_stop(line.registry, "line-1")
+    assert line.scan("CMD:STOP") == "stopping"
+    stops = [order for order, _ in line.queue.runs("line-1") if order.kind is OrderKind.STOP]
+    assert [order.actor for order in stops] == ["Mia (badge)"]
 
 
 def test_after_a_stop_nothing_goes_on_until_it_was_read_and_then_the_unit_is_scanned_again(line):

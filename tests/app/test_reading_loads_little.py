@@ -55,3 +55,13 @@ def loaded(*arguments: str) -> set[str]:
 def test_a_command_that_reads_loads_only_what_it_uses(calibrated, command, without):
     found = loaded(*(part.format(**calibrated) for part in command.split()))
     assert found & without == set()
+
+
+def test_a_batch_does_not_load_what_no_map_needs(calibrated, trained_lot):
+    code = (
+        "import sys\nfrom softcal.app.cli.main import main\n"
+        f"main(['batch', {str(trained_lot / 'lot')!r}, '--registry', {calibrated['url']!r}, '--hidden', '16,8', "
+        "'--no-own', '--refit'])\nprint(sorted({'scipy.stats', 'torch'} & set(sys.modules)))"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.splitlines()[-1] == "[]", answer.stderr

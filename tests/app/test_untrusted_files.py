@@ -2,6 +2,7 @@
 
 import pickle
 import random
+import subprocess
 import sys
 import zipfile
 from pathlib import Path
@@ -98,6 +99,17 @@ def test_a_parquet_file_that_unpacks_to_gigabytes_is_not_opened(tmp_path: Path) 
     assert path.stat().st_size < 100_000
     with pytest.raises(InputError, match="unpacks to"):
         read_table(path, most_cells=2_000_000)
+
+
+def test_a_parquet_footer_that_ends_pyarrow_s_process_is_refused_in_one_line(tmp_path: Path) -> None:
+    # Found by the fuzzer: sizes of a column that contradict its schema.
+    broken = Path(__file__).parent / "broken" / "footer.parquet"
+    code = "import sys; from softcal.app.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    command = ["import", str(broken), "--source", "S0", "--output-column", "output", "--reference-column", "reference"]
+    command += ["--sample-rate", "50", "--out", str(tmp_path / "lot")]
+    done = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "footer.parquet" in done.stderr
 
 
 class _Bomb:

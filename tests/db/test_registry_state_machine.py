@@ -6,13 +6,14 @@ import shutil
 import sqlite3
 import tempfile
 import uuid
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, settings
+from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import (
     RuleBasedStateMachine,
@@ -20,13 +21,12 @@ from hypothesis.stateful import (
     invariant,
     precondition,
     rule,
-    run_state_machine_as_test,
 )
 from sqlalchemy import Engine, create_engine, insert, text
 from sqlalchemy.exc import OperationalError
 
 from softcal.app.registry.maintenance import upgrade
-from softcal.core.errors import InputError, SoftcalError
+from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
@@ -265,11 +265,8 @@ MUTANTS = {
 
 
 @pytest.mark.parametrize("mutant", MUTANTS)
-def test_the_machine_finds_a_registry_that_does_otherwise(mutant: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_machine_finds_a_registry_that_does_otherwise(
+    mutant: str, monkeypatch: pytest.MonkeyPatch, assert_finds_fault: Callable
+) -> None:
     monkeypatch.setattr(Registry, *MUTANTS[mutant])
-    quick = settings(
-        max_examples=40, stateful_step_count=12, deadline=None, database=None, derandomize=True,
-        phases=[Phase.generate], suppress_health_check=list(HealthCheck),
-    )  # fmt: skip
-    with pytest.raises((AssertionError, SoftcalError, KeyError)):
-        run_state_machine_as_test(StayingMachine, settings=quick)
+    assert_finds_fault(StayingMachine)

@@ -11,12 +11,13 @@ from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Twin
 from softcal.station.acquisition import record
 from softcal.station.bench import open_simulated_bench
-from softcal.station.config import FixtureConfig
+from softcal.station.config import UNKNOWN_S, FixtureConfig
 from softcal.station.contact import ContactSearch, bend
 from softcal.station.interfaces import Sample
 from softcal.station.simulated.law_unit import ForceLaw
 from softcal.station.simulated.rig_trial import RigCase, open_rig
 
+SEARCHING = "searching for contact"
 TOUCH = ramps([0.5], 4.0, rest_s=0.1)
 
 
@@ -50,6 +51,24 @@ def test_the_surface_is_found_within_ten_micrometres_for_any_power_law(power):
         assert recording.contact_mm == pytest.approx(2.203, abs=0.010)
 
 
+@pytest.mark.parametrize("power", [1.0, 1.4, 2.0])
+@pytest.mark.parametrize(("late_s", "stated_s"), [(0.1, UNKNOWN_S), (0.3, UNKNOWN_S), (0.1, 0.1)])
+def test_a_late_cell_moves_no_contact_and_its_latency_is_found_after_a_second_touch_too(power, late_s, stated_s):
+    law, searches = ForceLaw(1.2, power), []
+    case = RigCase(law=law, surface_mm=2.203, cell_late_s=late_s, latency_s=stated_s, stiffest_N_mm=60.0)
+
+    def follow(progress):
+        if progress.phase == SEARCHING:
+            searches.append(progress.stage_mm)
+
+    with open_rig(replace(case, limit_N=12.0)) as (bench, _):
+        recording = record(bench, "A1", ramps([1.5, 2.0], 5.0, rest_s=0.3), True, follow)
+    is_touched_again = np.min(np.diff(searches)) < -0.05
+    assert is_touched_again == (power > 1.0)
+    assert recording.contact_mm == pytest.approx(2.203, abs=0.010)
+    assert recording.alignment.force_behind_s == pytest.approx(late_s, abs=0.012)
+
+
 def test_units_of_other_stiffness_are_aligned_within_micrometres():
     errors_mm = []
     with open_simulated_bench(seed=4) as (bench, station):
@@ -68,6 +87,18 @@ def test_a_cell_that_shows_nothing_while_the_output_changes_is_dead():
     search = ContactSearch(FixtureConfig(), True, cell, output)
     assert not search.is_over()
     output.append(Sample(0.5, None, (1.2,)))
+    with pytest.raises(BadReply, match="shows no contact although the output has changed by 0.2"):
+        search.is_over()
+
+
+def test_a_late_cell_is_waited_for_before_it_is_called_dead():
+    cell = [Sample(0.01 * k, None, (0.0,)) for k in range(40)]
+    output = [Sample(0.01 * k, None, (1.0,)) for k in range(40)]
+    search = ContactSearch(FixtureConfig(), True, cell, output, late_s=0.25)
+    for at_s in (0.5, 0.6, 0.7):
+        output.append(Sample(at_s, None, (1.2,)))
+        assert not search.is_over()
+    output.append(Sample(0.76, None, (1.2,)))
     with pytest.raises(BadReply, match="shows no contact although the output has changed by 0.2"):
         search.is_over()
 

@@ -204,7 +204,7 @@ def test_ctrl_c_stops_lifts_and_says_so():
 
 def test_the_self_test_names_unsafe_settings_and_the_command_that_mends_each():
     with open_rig(replace(QUICK, acceleration_mm_s2=10.0)) as (bench, _):
-        bench.stage.settings |= {1: 25.0, 20: 0.0, 21: 0.0}
+        bench.stage.settings.values.update({1: 25.0, 20: 0.0, 21: 0.0})
         found = {str(f.value): str(f.cure) for f in self_test(bench) if str(f.what) == "setting"}
     assert set(found) == {"$1=25", "$20=0", "$21=0", "$122=10"}
     assert [cure.split(" once")[0] for cure in found.values()] == [

@@ -55,6 +55,15 @@ def test_a_few_samples_or_noise_alone_tell_nothing(rng):
     assert np.isnan(lag_s(t_s, rng.normal(0, 1.0, len(t_s)), lambda t: np.zeros_like(t), 1.0))
 
 
+def test_presses_that_repeat_within_the_delays_that_are_tried_tell_no_delay(rng):
+    def every_half_second(t_s):
+        return 1.0 + np.abs(4.0 * np.mod(t_s, 0.5) - 1.0)
+
+    t_s = np.arange(1.0, 9.0, 0.05)
+    force_N = 0.8 * every_half_second(t_s - 0.1) ** 1.5 + rng.normal(0, 0.01, len(t_s))
+    assert np.isnan(lag_s(t_s, force_N, every_half_second, 0.0))
+
+
 @pytest.mark.parametrize(("found_s", "period_s", "is_good"), [
     (0.008, 0.0125, True), (0.02, 0.0125, False), (0.02, 0.1, True), (-0.06, 0.0125, True),
     (-0.15, 0.0125, False),
@@ -124,12 +133,7 @@ def test_a_latency_that_nobody_stated_is_found_and_taken_off():
     assert np.sqrt(np.mean((recording.force_N - force_N) ** 2)) < 0.1
 
 
-SHORT_OF = pytest.mark.xfail(
-    strict=True, reason="a slow cell 0.30 s late is found 0.23 s late (docs/station-figures.md)"
-)
-
-
-@pytest.mark.parametrize("seed", [7, 19, pytest.param(31, marks=SHORT_OF), 36, 57, 66])
+@pytest.mark.parametrize("seed", [7, 19, 31, 36, 57, 66])
 def test_slow_late_and_flat_channels_of_a_good_rig_are_no_fault(seed):
     rig = draw_good_rig(seed)
     recording = press_good_rig(rig)

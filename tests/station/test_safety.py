@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from softcal.core.errors import BadReply
 from softcal.station.config import SafetyConfig
 from softcal.station.interfaces import Readout, Sample
-from softcal.station.safety import FROZEN_MM, StreamWatch
+from softcal.station.safety import FROZEN_MM, MISSING_S, PRESSED_MM, FollowWatch, StreamWatch
 
 RATE_HZ = 50.0
 STALL_S = 0.1
@@ -58,3 +58,36 @@ def test_one_late_line_is_no_frozen_channel() -> None:
     with pytest.raises(BadReply, match="does not change"):
         for k in range(10):
             watch.check(Sample(1.13 + 0.02 * k, 1.04 + 0.02 * k, (1.559,)), 1.65)
+
+
+def follow(watch: FollowWatch, way: list[tuple[float, float]], began_s: float = 0.0) -> float | None:
+    """Show a watch depths in mm and forces in N every 10 ms; return the time at which it raised, if it did."""
+    for k, (pressed_mm, force_N) in enumerate(way):
+        try:
+            watch.check(force_N, pressed_mm, began_s + 0.01 * k)
+        except BadReply:
+            return began_s + 0.01 * k
+    return None
+
+
+def ramp(from_mm: float, to_mm: float, force_N: float) -> list[tuple[float, float]]:
+    steps = round(abs(to_mm - from_mm) / 0.02)
+    return [(from_mm + (to_mm - from_mm) * k / steps, force_N) for k in range(steps + 1)]
+
+
+def test_a_unit_that_relaxed_and_is_let_up_half_way_may_show_no_force_for_a_while():
+    """It comes back slowly; pressed again as deep as it had been felt it must show one."""
+    way = [*ramp(0.0, 2.5, 3.0), *ramp(2.5, 1.3, 0.0), *[(1.3, 0.0)] * 300]
+    watch = FollowWatch(0.05)
+    assert follow(watch, way) is None
+    again = follow(watch, ramp(1.3, 2.5, 0.0), 10.0)
+    assert again is not None and again - 10.0 <= 0.01 * PRESSED_MM / 0.02 + MISSING_S + 0.02
+
+
+@pytest.mark.parametrize("at_mm", [0.9, 1.5, 2.5])
+def test_a_cell_that_dies_while_the_stage_goes_down_or_holds_is_seen_at_once(at_mm):
+    for after in (ramp(at_mm, 3.0, 0.0), [(at_mm, 0.0)] * 100):
+        watch = FollowWatch(0.05)
+        assert follow(watch, ramp(0.0, at_mm, 2.0)) is None
+        seen_s = follow(watch, after, 5.0)
+        assert seen_s is not None and seen_s - 5.0 <= MISSING_S + 0.03

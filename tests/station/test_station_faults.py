@@ -7,7 +7,10 @@ import pytest
 
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
+from softcal.core.errors import InputError
+from softcal.core.twin.simulate import Twin
 from softcal.station.simulated.faults import FAULTS, HOMING
+from softcal.station.simulated.line import SimulatedLine
 from softcal.station.simulated.trial import DISK_MOMENTS, run_with_dead_host, run_with_fault, run_with_full_disk
 
 STANDS_WITHIN_S = 0.5
@@ -57,3 +60,10 @@ def test_a_host_that_dies_in_mid_run_leaves_a_standing_stage_and_no_recording(tm
 def test_there_are_as_many_faults_as_promised():
     assert len(FAULTS) >= 80
     assert len({fault.name for fault in FAULTS}) == len(FAULTS)
+
+
+def test_the_simulated_line_takes_no_fault_of_a_device_that_it_has_not():
+    line = SimulatedLine(lambda serial: Twin(), seed=1)
+    with pytest.raises(InputError, match="Zaber"):
+        line.inject("Zaber stage stalls while pressing")
+    assert str(line.inject("drive switched off while pressing"))

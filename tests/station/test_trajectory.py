@@ -71,6 +71,34 @@ def test_a_move_that_paused_is_drawn_through_its_polls():
     assert track.at(np.array([1.5]))[0] == pytest.approx(2.0, abs=0.01)
 
 
+@pytest.mark.parametrize("late_s", [0.03, 0.06, 0.1])
+@pytest.mark.parametrize("poll", range(21, 29))
+def test_a_poll_whose_line_came_late_leaves_the_stage_where_it_was(poll, late_s):
+    """A fast retract after a rest: any of its eight polls may be the one that a busy line holds back."""
+    moves = [driven(1.0, 0.0, 3.0, 4.0), driven(2.15, 3.0, -0.5, 5.0)]
+
+    def truth(t_s):
+        first, second = (move.path.position_mm(t_s - move.begun_s - 0.012) for move in moves)
+        return np.where(t_s < 2.1, first, second)
+
+    sent_s = np.arange(0.05, 3.5, 0.1)
+    # Lines keep their order: what comes behind a late one comes later, too.
+    arrived_s = np.maximum.accumulate(sent_s + np.where(np.arange(len(sent_s)) == poll, late_s, 0.0))
+    polls = [StagePosition(t, round(p, 3)) for t, p in zip(arrived_s, truth(sent_s), strict=True)]
+    t_s = np.arange(0.5, 3.4, 0.005)
+    assert np.max(np.abs(reconstruct(polls, moves).at(t_s) - truth(t_s))) < 0.005
+
+
+def test_a_move_that_went_otherwise_begins_where_it_was_sent():
+    """Before its first poll the stage rested; a line from the last move's end would have it creep for a second."""
+    moves = [driven(0.0, 0.0, 2.0, 4.0), DrivenMove(Trapezoid(2.0, 0.0, 4.0, 200.0), 2.0, 4.0)]
+    poll_s = np.arange(0.0, 4.5, 0.1)
+    went_mm = np.interp(poll_s, [0.012, 0.53, 2.0, 2.25, 3.0, 3.25], [0.0, 2.0, 2.0, 1.0, 1.0, 0.0])
+    track = reconstruct([StagePosition(t, p) for t, p in zip(poll_s, went_mm, strict=True)], moves)
+    np.testing.assert_allclose(track.at(np.array([0.8, 1.5, 2.0])), 2.0, atol=0.005)
+    assert track.at(np.array([2.7]))[0] == pytest.approx(1.0, abs=0.01)
+
+
 def test_without_polls_there_is_no_position():
     with pytest.raises(ValueError, match="no status polls"):
         reconstruct([], [])

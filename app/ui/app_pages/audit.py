@@ -13,8 +13,8 @@ from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.audit_plan import plan_rows
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
-from softcal.app.ui.desk import ask_reason, empty, errors_in_words, registry, words
-from softcal.app.ui.panels import go_to, lot_heading, numbers, table
+from softcal.app.ui.desk import ask_reason, errors_in_words, registry, words
+from softcal.app.ui.panels import go_to, lot_heading, numbers, table, units_of
 from softcal.app.views.common import number
 from softcal.core.quality.audit_plan import AuditConfig
 from softcal.db.people import may
@@ -30,9 +30,7 @@ def render() -> None:
         lot_id = lot_heading("audit", registry().lot_ids())
         if lot_id is None:
             return
-        counts = registry().verdict_counts(lot_id)
-        if sum(counts.values()) == counts["none"]:
-            empty(say("empty.units"), say("empty.units.how"))
+        if not units_of(lot_id):
             return
         st.markdown(say("audit.what"))
         audit = lot_audit(registry(), lot_id)

@@ -78,7 +78,7 @@ def _on_scan(text: str, seen: int | None) -> None:
 def _field(view: LineView, note: str) -> None:
     say = words()
     texts = {"label": say("line.scan"), "placeholder": say("line.scan.hint"), "late": say("line.scan.late")}
-    scan_field(texts | {"spoken": note or view.spoken}, view.seen, COMMAND_OF_KEY, _on_scan)
+    scan_field(texts | {"spoken": note or view.spoken}, view.seen, COMMAND_OF_KEY, screen().station, _on_scan)
 
 
 def _actions(view: LineView) -> None:

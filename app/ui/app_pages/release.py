@@ -13,8 +13,8 @@ from softcal.app.jobs.process import start_job
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.laboratory_form import laboratory_form
-from softcal.app.ui.desk import empty, errors_in_words, in_words, registry, words
-from softcal.app.ui.panels import lot_heading, numbers, table
+from softcal.app.ui.desk import errors_in_words, in_words, registry, words
+from softcal.app.ui.panels import lot_heading, numbers, table, units_of
 from softcal.app.views.common import number
 from softcal.core.quality.lot_release import LotRelease
 from softcal.db.people import may
@@ -31,9 +31,8 @@ def render() -> None:
             return
         if done := st.session_state.pop("release-done", ""):
             st.success(done, icon=":material/check:")
-        counts = registry().verdict_counts(lot_id)
-        if sum(counts.values()) == counts["none"]:
-            empty(say("empty.units"), say("empty.units.how"))
+        counts = units_of(lot_id)
+        if not counts:
             return
         numbers([(say(f"verdict.{word}"), str(count), None) for word, count in counts.items()])
         left, right = st.columns(2)

@@ -5,11 +5,12 @@ from streamlit.delta_generator import DeltaGenerator
 
 from softcal.app.charts import unit as charts_unit
 from softcal.app.charts.why import HEIGHT, why_figure
+from softcal.app.registry.standing import standing_of
 from softcal.app.texts.reasons import all_said, said
 from softcal.app.ui.components.unit_choice import choose_unit
 from softcal.app.ui.components.unit_files import unit_files
 from softcal.app.ui.components.unit_history import unit_history, unit_recordings
-from softcal.app.ui.desk import colours, empty, errors_in_words, registry, verdict_badge, words
+from softcal.app.ui.desk import choose, colours, empty, errors_in_words, registry, verdict_badge, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import figure_under, heading, numbers
 from softcal.app.views.common import number, percent
@@ -36,33 +37,39 @@ def render() -> None:
             return
         if done := st.session_state.pop("unit-done", ""):
             st.success(done, icon=":material/check:")
-        history = registry().history(serial)
+        lots = registry().lots_of(serial)
+        lot_id = choose(say("choose.lot"), lots, "lot") if len(lots) > 1 else lots[0]
+        history = registry().history(serial, lot_id)
         if not history:
-            _refused(serial)
+            _refused(serial, lot_id)
             return
         _revision(serial, history)
 
 
-def _refused(serial: str) -> None:
-    unit = registry().units(serial=serial)[-1]
+def _refused(serial: str, lot_id: str | None) -> None:
+    (unit,) = registry().units(lot_id, serial)
     verdict_badge(unit.verdict)
     empty(words()("empty.calibration"), all_said(unit.reasons, words()))
     unit_recordings(serial, registry().lot(unit.lot_id))
 
 
 def _revision(serial: str, history: list[StoredCalibration]) -> None:
-    say = words()
-    current = registry().calibration(serial).revision
+    say, lot_id = words(), history[0].lot_id
+    current = registry().calibration(serial, lot_id=lot_id).revision
     revisions = [entry.revision for entry in reversed(history)]
     left, right = st.columns([1, 4], vertical_alignment="bottom")
     revision = right.selectbox(say("choose.revision"), revisions, index=revisions.index(current)) or current
     stored = next(entry for entry in history if entry.revision == revision)
+    standing = standing_of(registry(), stored)
+    is_refused = standing.made is None
     with left:
-        verdict_badge(stored.record.verdict)
+        verdict_badge(standing.verdict if is_refused else stored.record.verdict)
+    if is_refused:
+        st.markdown(f"{say('unit.refused_since')} **{all_said(standing.reasons, say)}**")
     _verdict(stored, registry().lot(stored.lot_id).reference_unit)
     if not rest_may_follow():
         return
-    view = unit_view(registry(), serial, revision)
+    view = unit_view(registry(), serial, revision, lot_id)
     share = percent(view.flagged / len(view.estimate.flag))
     st.caption(say("unit.flags", flagged=view.flagged, rows=len(view.estimate.flag), share=share))
     why, map_tab, estimates, recordings, changes, files = st.tabs([say(f"unit.tab.{name}") for name in TABS])
@@ -77,7 +84,8 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
     with changes:
         unit_history(history, view.lot.reference_unit)
     with files:
-        unit_files(serial, revision)
+        # The calibration in use is asked for as such: whether it still is the answer is looked up with it.
+        unit_files(serial, lot_id, revision, is_in_use=revision == current)
 
 
 def _verdict(stored: StoredCalibration, unit: str) -> None:

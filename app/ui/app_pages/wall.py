@@ -5,9 +5,9 @@ from datetime import UTC, datetime
 import streamlit as st
 
 from softcal.app.ui.components import line_card, wall_board
-from softcal.app.ui.desk import colours, empty, errors_in_words, registry, words
+from softcal.app.ui.desk import colours, errors_in_words, registry, words
 from softcal.app.ui.lot_memory import remembered_lot_view
-from softcal.app.ui.panels import lot_heading
+from softcal.app.ui.panels import lot_heading, units_of
 from softcal.app.views.alerts import alerts
 from softcal.app.views.wall import wall_view
 
@@ -17,15 +17,12 @@ EVERY_S = 3.0
 
 def render() -> None:
     """Draw the page."""
-    say = words()
     st.html(line_card.style() + line_card.theme(colours()) + wall_board.style())
     with errors_in_words():
         lot_id = lot_heading("wall", registry().lot_ids())
         if lot_id is None:
             return
-        counts = registry().verdict_counts(lot_id)
-        if sum(counts.values()) == counts["none"]:
-            empty(say("empty.units"), say("empty.units.how"))
+        if not units_of(lot_id):
             return
         _board(lot_id)
 

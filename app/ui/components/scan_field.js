@@ -38,6 +38,10 @@ export default function ({ data, parentElement, setTriggerValue }) {
   document.softcalHand = hand
   const take = (text) => {
     say("")
+    // A stop does not wait for a page that is being drawn; what it led to comes by the way of every scan.
+    if (text === "CMD:STOP") {
+      fetch(data.stop, { method: "POST", headers: { "x-softcal-key": "stop" }, body: data.station }).catch(() => {})
+    }
     waiting.push({ id: Math.max(Date.now(), (waiting.at(-1)?.id ?? 0) + 1), text, seen: document.softcalShown })
     hand()
   }

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import streamlit as st
 
+from softcal.app.ui.stop_key import PATH as STOP_PATH
+
 KEY, TAKEN = "scan-field", "scan-taken"
 HTML = """
 <label>
@@ -22,7 +24,11 @@ HTML = """
 
 
 def scan_field(
-    texts: Mapping[str, str], seen: int, keys: Mapping[str, str], on_scan: Callable[[str, int | None], None]
+    texts: Mapping[str, str],
+    seen: int,
+    keys: Mapping[str, str],
+    station: str,
+    on_scan: Callable[[str, int | None], None],
 ) -> None:
     """Draw the field.
 
@@ -31,6 +37,7 @@ def scan_field(
             what screen readers say when it changes.
         seen: names what is shown; every scan comes back with what was seen when it was made.
         keys: function key → command; a press is the same as a scan of `CMD:COMMAND`.
+        station: that a stop is for; "" for the only one.
         on_scan: takes what was scanned and what was seen, before the page is drawn again.
     """
 
@@ -46,6 +53,7 @@ def scan_field(
     taken = st.session_state.get(TAKEN, 0)
     # The instant makes every drawing another one: the browser sees by it that the screen is not left behind.
     data = {**texts, "keys": dict(keys), "taken": taken, "seen": seen, "at": time.time()}
+    data |= {"stop": STOP_PATH, "station": station}
     draw(data=data, key=KEY, on_scan_change=hand_on)
 
 

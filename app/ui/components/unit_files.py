@@ -6,7 +6,7 @@ import streamlit as st
 
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.laboratory import kept_laboratory
-from softcal.app.export.formats import WRITERS
+from softcal.app.export.formats import writer_of
 from softcal.app.export.names import FORMATS
 from softcal.app.ui.account import actor
 from softcal.app.ui.desk import in_words, registry, words
@@ -15,7 +15,7 @@ from softcal.core.errors import UnitRefused
 MIMES = {"pdf": "application/pdf", "json": "application/json", "xml": "application/xml"}
 
 
-def unit_files(serial: str, revision: int) -> None:
+def unit_files(serial: str, lot_id: str, revision: int, is_in_use: bool) -> None:
     """Draw the choice of a format and a button per file."""
     say = words()
     chosen = st.segmented_control(
@@ -25,7 +25,7 @@ def unit_files(serial: str, revision: int) -> None:
         st.caption(say("unit.files.how"))
         return
     try:
-        files = _files(serial, revision, chosen)
+        files = _files(serial, lot_id, None if is_in_use else revision, chosen)
     except UnitRefused as error:
         st.warning(in_words(error), icon=":material/block:")
         return
@@ -39,18 +39,18 @@ def unit_files(serial: str, revision: int) -> None:
                 key=f"file-{revision}-{name}",
                 icon=":material/download:",
                 on_click=_tell,
-                args=(serial, revision, name),
+                args=(serial, lot_id, revision, name),
             )
 
 
-def _files(serial: str, revision: int, name: str) -> Mapping[str, bytes]:
-    return WRITERS[name](
-        UnitLoader(registry(), ExportOptions(revision=revision, laboratory=kept_laboratory())).load(serial)
-    )
+def _files(serial: str, lot_id: str, revision: int | None, name: str) -> Mapping[str, bytes]:
+    options = ExportOptions(revision=revision, lot_id=lot_id, laboratory=kept_laboratory())
+    return writer_of(name)(UnitLoader(registry(), options).load(serial))
 
 
-def _tell(serial: str, revision: int, name: str) -> None:
-    registry().add_event("export", "units", (serial,), {"revision": revision, "file": name}, actor=actor())
+def _tell(serial: str, lot_id: str, revision: int, name: str) -> None:
+    facts = {"lot_id": lot_id, "revision": revision, "file": name}
+    registry().add_event("export", "units", (serial,), facts, actor=actor())
 
 
 def _size(content: bytes) -> str:

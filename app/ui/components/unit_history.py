@@ -19,7 +19,7 @@ def unit_history(history: Sequence[StoredCalibration], unit: str) -> None:
     table([_row(entry, unit) for entry in reversed(history)])
     older = [entry.revision for entry in reversed(history) if not entry.is_current]
     if older:
-        _rollback(history[-1].serial, older)
+        _rollback(history[-1].serial, history[-1].lot_id, older)
 
 
 def _row(entry: StoredCalibration, unit: str) -> dict[str, object]:
@@ -38,7 +38,7 @@ def _row(entry: StoredCalibration, unit: str) -> dict[str, object]:
     }
 
 
-def _rollback(serial: str, older: Sequence[int]) -> None:
+def _rollback(serial: str, lot_id: str, older: Sequence[int]) -> None:
     say = words()
     with st.container(border=True):
         st.markdown(f"**{say('unit.rollback')}**")
@@ -47,7 +47,7 @@ def _rollback(serial: str, older: Sequence[int]) -> None:
         if reason is None:
             return
         try:
-            registry().rollback(serial, revision, reason=reason, actor=actor())
+            registry().rollback(serial, revision, reason=reason, actor=actor(), lot_id=lot_id)
         except InputError as error:
             st.error(in_words(error), icon=":material/error:")
             return

@@ -1,0 +1,32 @@
+"""The short way of the stop key: a request of its own, that waits for no page that is being drawn."""
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response
+
+from softcal.app.line.line import order_stop
+from softcal.app.ui.registry_of_server import registry
+from softcal.core.errors import SoftcalError
+
+PATH = "/line-stop"
+
+HEADER = "x-softcal-key"
+"""A page of another server cannot send it: the browser would have to ask this one first, which allows nothing."""
+
+LONGEST_NAME = 200
+
+
+async def stop(request: Request) -> Response:
+    """Order a stop of the station that the request names; the page says by its own way what came of it."""
+    if HEADER not in request.headers:
+        return Response(status_code=403)
+    named = b""
+    async for part in request.stream():
+        named += part
+        if len(named) > LONGEST_NAME:
+            return Response(status_code=413)
+    try:
+        is_running = await run_in_threadpool(order_stop, registry(), named.decode(errors="replace"))
+    except SoftcalError:
+        return Response(status_code=503)  # The page's own way tries again, and says what is wrong.
+    return Response(status_code=204 if is_running else 409)
