@@ -10,7 +10,7 @@ import numpy as np
 
 from softcal.core.maps.config import LagConfig, MapConfig
 from softcal.core.maps.crossing import moving_mean
-from softcal.core.maps.synchrony import Synchrony, common_time, find_synchrony
+from softcal.core.maps.synchrony import Synchrony, common_time, find_synchrony, ranks
 from softcal.core.recording import Array, OutputRecording
 
 
@@ -83,7 +83,5 @@ def _unexplained(source: Array, unit_ranks: Array, config: LagConfig) -> float:
 
 
 def _ranks(output: Array, config: LagConfig) -> Array:
-    from scipy.stats import rankdata
-
     # Neighbouring means share nearly all their samples: a few of them hold what all do.
-    return np.asarray(rankdata(moving_mean(output, config.averaged)[:: config.every]))
+    return ranks(moving_mean(output, config.averaged)[:: config.every])
