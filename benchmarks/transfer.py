@@ -7,9 +7,9 @@ learnt from by the methods that need labels of the unit. Where the audit is the 
 its last quarter. Each error is an RMSE over the test rows, and is shown over that of a calibration of the unit's own.
 
 Without labels of the unit: softcal's default, POT's transports on windows (EMD as the paper used it, Sinkhorn, linear),
-skada's JDOT, di-PLS of diPLSlib. With K labelled windows, spread over the load: an affine correction of the output
-behind f, and the calibration transfer of chemotools (DS, PDS, SST) from paired windows; a window's partner is the
-source's window of the nearest load and slope. chemotools and diPLSlib are no dependency of softcal:
+skada's JDOT, di-PLS of diPLSlib. With K labelled windows, spread over the load: a gain and an offset of the output,
+and the calibration transfer of chemotools (DS, PDS, SST), all from pairs; a window's partner is the source's window of
+the nearest load and slope. chemotools and diPLSlib are no dependency of softcal:
 pip install chemotools diPLSlib. A baseline that is not installed, and one that fails, is named and left out.
 """
 
@@ -18,13 +18,15 @@ import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import ot
 import plotly.graph_objects as go
+import sklearn.utils.validation
 from map_methods import METHODS, Method, own_error, pot, print_table, summary, thinned
-from scipy.optimize import least_squares
 
 from softcal.app.files.lot_folder import open_lot_folder
 from softcal.core.errors import UnitRefused
@@ -114,13 +116,20 @@ def _without_labels(method: Method) -> Callable[[Unit], Array]:
 
 def di_pls(problem: FitProblem, test: LabelledRecording) -> Array:
     """Domain-invariant PLS (Nikzad-Langerodi et al. 2018): a linear model of its own in place of f and a map."""
-    from diPLSlib.models import DIPLS
+    from diPLSlib import models
 
+    # diPLSlib 2.5 calls an argument by the name that it had before scikit-learn 1.8.
+    for name in ("check_X_y", "check_array"):
+        setattr(models, name, partial(_renamed, getattr(sklearn.utils.validation, name)))
     source, scale = problem.source, float(problem.source.unlabelled.output.std())
-    model = DIPLS(A=COMPONENTS, l=DI_PLS_WEIGHT)
+    model = models.DIPLS(A=COMPONENTS, l=DI_PLS_WEIGHT)
     x, xt = np.array(source.windows) / scale, thinned(problem.target.windows) / scale
     model.fit(x, source.window_reference[:, None], x, xt)
     return np.asarray(model.predict(np.array(test.windows) / scale)).ravel()
+
+
+def _renamed(check: Callable[..., Any], *arrays: Any, force_all_finite: bool = True, **options: Any) -> Any:
+    return check(*arrays, ensure_all_finite=force_all_finite, **options)
 
 
 def labelled(count: int) -> dict[str, Callable[[Unit], Array]]:
@@ -139,18 +148,10 @@ def drawn(unit: Unit, count: int) -> tuple[Array, Array]:
 
 
 def affine(unit: Unit, count: int) -> Array:
-    """Gain and offset of the output, fitted behind f: what a person with a few known loads would do."""
-    network, (windows, load) = unit.problem.network, drawn(unit, count)
-    middle, spread = float(windows.mean()), float(unit.train.unlabelled.output.std())
-
-    def corrected(x: Array, p: Array) -> Array:
-        return middle + spread * p[1] + np.exp(p[0]) * (x - middle)
-
-    # From where the source's spread and mean would put it: f says little about windows far from its own.
-    output = unit.problem.source.unlabelled.output
-    start = [np.log(output.std() / spread), (output.mean() - middle) / spread]
-    found = least_squares(lambda p: network.evaluate(corrected(windows, p)) - load, start, loss="soft_l1")
-    return network.evaluate(corrected(unit.test.windows, found.x))
+    """Gain and offset of the output: a line through what the unit and the source read under the same known loads."""
+    windows, load = drawn(unit, count)
+    gain, offset = np.polyfit(windows.mean(axis=1), partners(unit, windows, load).mean(axis=1), 1)
+    return unit.problem.network.evaluate(offset + gain * np.array(unit.test.windows))
 
 
 def standardised(name: str, count: int) -> Callable[[Unit], Array]:
