@@ -97,10 +97,10 @@ class Forwarder:
     def step(self) -> bool:
         """Bring the next events, if there are any and no delay holds; return whether more may wait."""
         outbox, settings = self._registry.outbox, self._destination.settings
-        place: Delivery | None = outbox.begin(settings.name, outbox.end() if settings.begin == "now" else {})
+        known = outbox.begin(settings.name, outbox.end() if settings.begin == "now" else {})
         now = self._clock()
-        if not self._holds(place, now):
-            place = outbox.hold(settings.name, self.holder, now, now + timedelta(seconds=LEASE_S))
+        until = now + timedelta(seconds=LEASE_S)
+        place = known if self._holds(known, now) else outbox.hold(settings.name, self.holder, now, until)
         if place is None:
             self.close()
             return False
