@@ -204,7 +204,7 @@ def score(method: Callable[[Unit], Array], unit: Unit, own: float) -> Score | st
 def report(scores: Mapping[str, Mapping[str, Score | str]], own: Mapping[str, float], unit: str) -> None:
     """Print the table, best median first, and what gave no estimate."""
     print(f"{len(own)} units. Own calibration: {min(own.values()):.4g} to {max(own.values()):.4g} {unit}.\n")
-    rows = []
+    rows: list[tuple[Any, ...]] = []
     for name, by_serial in scores.items():
         if found := [s for s in by_serial.values() if isinstance(s, Score)]:
             middle, high, worst = summary(s.ratio for s in found)
