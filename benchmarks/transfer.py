@@ -204,7 +204,7 @@ def score(method: Callable[[Unit], Array], unit: Unit, own: float) -> Score | st
 def report(scores: Mapping[str, Mapping[str, Score | str]], own: Mapping[str, float], unit: str) -> None:
     """Print the table, best median first, and what gave no estimate."""
     print(f"{len(own)} units. Own calibration: {min(own.values()):.4g} to {max(own.values()):.4g} {unit}.\n")
-    rows: list[tuple[Any, ...]] = []
+    rows: list[tuple[str, str, float, float, float, float]] = []
     for name, by_serial in scores.items():
         if found := [s for s in by_serial.values() if isinstance(s, Score)]:
             middle, high, worst = summary(s.ratio for s in found)
@@ -212,7 +212,8 @@ def report(scores: Mapping[str, Mapping[str, Score | str]], own: Mapping[str, fl
                 (name, f"{len(found)}/{len(own)}", middle, high, worst, float(np.mean([s.seconds for s in found])))
             )
     head = ("method", "units", "median after / own", "95 %", "worst", "processor seconds a unit")
-    print_table(head, sorted(rows, key=lambda row: row[2]))
+    rows.sort(key=lambda row: row[2])
+    print_table(head, rows)
     for name, by_serial in scores.items():
         for why in sorted({s for s in by_serial.values() if isinstance(s, str)}):
             print(f"- {name}: {why} ({sum(s == why for s in by_serial.values())} of {len(own)} units)")
