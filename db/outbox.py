@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import RowMapping, insert, select, update
+from sqlalchemy import RowMapping, insert, or_, select, update
 
 from softcal.core.errors import InputError
 from softcal.db import history
@@ -31,6 +31,8 @@ class Delivery:
         not_before: the next try waits until then; None does not wait.
         error: why the last try failed; "" after one that did not.
         changed_at: UTC.
+        holder: the process that serves it; None where none does.
+        held_until: from then on another process may take it.
     """
 
     destination: str
@@ -40,6 +42,8 @@ class Delivery:
     not_before: datetime | None
     error: str
     changed_at: datetime
+    holder: str | None
+    held_until: datetime | None
 
 
 class Outbox(OncePerCut):
@@ -67,14 +71,43 @@ class Outbox(OncePerCut):
                 connection.execute(insert(deliveries).values(destination=destination, cursor=dict(cursor), **fresh))
             return _delivery(connection.execute(known).mappings().one())
 
-    def moved(self, destination: str, cursor: Cursor, delivered: int) -> None:
-        """Write that a destination has everything up to a cursor, `delivered` events of it sent now."""
-        values = {"cursor": dict(cursor), "delivered": deliveries.c.delivered + delivered}
-        self._change(destination, values | {"failures": 0, "not_before": None, "error": ""})
+    def hold(self, destination: str, holder: str, now: datetime, until: datetime) -> Delivery | None:
+        """Take a destination for one process, or keep it; None where another one holds it.
 
-    def failed(self, destination: str, error: str, not_before: datetime) -> None:
-        """Write that a try failed, and when the next one is due."""
-        self._change(destination, {"failures": deliveries.c.failures + 1, "error": error, "not_before": not_before})
+        Args:
+            holder: names the process; no other one has that name.
+            now: a hold that ended before is free.
+            until: how long it is held, unless it is held again or released.
+        """
+        c = deliveries.c
+        is_free = or_(c.holder.is_(None), c.holder == holder, c.held_until <= now)
+        mine = c.destination == destination
+        with self.database.writing(in_turn=False) as connection:
+            taken = connection.execute(update(deliveries).where(mine, is_free).values(holder=holder, held_until=until))
+            if not taken.rowcount:
+                return None
+            return _delivery(connection.execute(select(deliveries).where(mine)).mappings().one())
+
+    def release(self, holder: str) -> None:
+        """Give back every destination that a process holds."""
+        with self.database.writing(in_turn=False) as connection:
+            free = {"holder": None, "held_until": None}
+            connection.execute(update(deliveries).where(deliveries.c.holder == holder).values(**free))
+
+    def moved(self, destination: str, cursor: Cursor, delivered: int, holder: str | None = None) -> None:
+        """Write that a destination has everything up to a cursor, `delivered` events of it sent now.
+
+        Args:
+            holder: where it is given and no longer holds the destination, nothing is written: the cursor of who
+                holds it now may be further.
+        """
+        values = {"cursor": dict(cursor), "delivered": deliveries.c.delivered + delivered}
+        self._change(destination, values | {"failures": 0, "not_before": None, "error": ""}, holder)
+
+    def failed(self, destination: str, error: str, not_before: datetime, holder: str | None = None) -> None:
+        """Write that a try failed, and when the next one is due; `holder` as in `moved`."""
+        values = {"failures": deliveries.c.failures + 1, "error": error, "not_before": not_before}
+        self._change(destination, values, holder)
 
     def deliveries(self) -> list[Delivery]:
         """Return all destinations by name."""
@@ -82,8 +115,10 @@ class Outbox(OncePerCut):
             rows = connection.execute(select(deliveries).order_by(deliveries.c.destination)).mappings()
             return [_delivery(row) for row in rows]
 
-    def _change(self, destination: str, values: Mapping[str, object]) -> None:
+    def _change(self, destination: str, values: Mapping[str, object], holder: str | None) -> None:
         mine = update(deliveries).where(deliveries.c.destination == destination)
+        if holder is not None:
+            mine = mine.where(deliveries.c.holder == holder)
         with self.database.writing(in_turn=False) as connection:
             connection.execute(mine.values(**values, changed_at=self._clock()))
 

@@ -28,7 +28,7 @@ from sqlalchemy.types import TypeDecorator
 
 from softcal.core.errors import RegistryError
 
-SCHEMA = "0008"
+SCHEMA = "0009"
 """Revision of the newest migration: what a registry must have to be used by this version."""
 
 metadata = MetaData(
@@ -497,6 +497,8 @@ deliveries = Table(
     Column("not_before", UtcTime),
     Column("error", Text, nullable=False),
     Column("changed_at", UtcTime, nullable=False),
+    Column("holder", String(128)),
+    Column("held_until", UtcTime),
 )
 
 AUDITED = (

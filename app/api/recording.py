@@ -26,6 +26,8 @@ class Recording:
         t_s: (n,) time stamps in s, strictly increasing; by default made from `sample_rate_Hz`.
         serial: name of the unit: letters, digits, dot, dash and underscore.
         output_unit, reference_unit: physical units.
+        stage_mm: (n,) stage position in mm, positive when it compresses, where the station knows it. Source and units
+            that carry it are compared at equal stage histories.
 
     Raises:
         InputError: lengths differ, a value is not finite, time goes back, or neither rate nor time is given.
@@ -38,6 +40,7 @@ class Recording:
     serial: str = "unit"
     output_unit: str = "V"
     reference_unit: str = "N"
+    stage_mm: Any = None
 
     def __post_init__(self) -> None:
         # Whatever is wrong with it is said here, not at the first use.
@@ -60,7 +63,8 @@ class Recording:
             t_s = np.arange(len(output)) / rate_Hz
         if rate_Hz is None or not rate_Hz > 0:
             raise InputError("neither sample_rate_Hz nor t_s says when samples were taken; give one of them")
-        return OutputRecording(self.serial, t_s, output, rate_Hz, self.output_unit)
+        stage_mm = None if self.stage_mm is None else _numbers("stage_mm", self.stage_mm)
+        return OutputRecording(self.serial, t_s, output, rate_Hz, self.output_unit, stage_mm)
 
     @cached_property
     def labelled(self) -> LabelledRecording:
@@ -80,20 +84,27 @@ class Recording:
         output: Hashable = "output",
         reference: Hashable | None = None,
         time_s: Hashable | None = None,
+        stage_mm: Hashable | None = None,
         **facts: Any,
     ) -> "Recording":
         """Take columns of a table.
 
         Args:
             frame: one row a sample.
-            output, reference, time_s: names of the columns, the last in seconds; without it give `sample_rate_Hz`.
+            output, reference, time_s, stage_mm: names of the columns; without `time_s` (in seconds) give
+                `sample_rate_Hz`.
             facts: the other arguments of `Recording`.
 
         Raises:
             InputError: there is no column of that name; the message lists those there are.
         """
         columns: dict[str, Any] = {}
-        for argument, name in (("output", output), ("reference", reference), ("t_s", time_s)):
+        for argument, name in (
+            ("output", output),
+            ("reference", reference),
+            ("t_s", time_s),
+            ("stage_mm", stage_mm),
+        ):
             if name is None:
                 continue
             if name not in frame.columns:
@@ -109,6 +120,7 @@ class Recording:
         output: str = "output",
         reference: str | None = None,
         time_s: str | None = None,
+        stage_mm: str | None = None,
         **facts: Any,
     ) -> "Recording":
         """Read a CSV, Excel or Parquet file; its name without suffix is the serial unless `serial` is given.
@@ -120,13 +132,13 @@ class Recording:
 
         try:
             return cls.from_frame(
-                read_table(Path(path)), output, reference, time_s, **{"serial": Path(path).stem, **facts}
+                read_table(Path(path)), output, reference, time_s, stage_mm, **{"serial": Path(path).stem, **facts}
             )
         except InputError as error:
             raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
     def to_frame(self) -> "pd.DataFrame":
-        """Return `t_s`, `output` and, where there is one, `reference`."""
+        """Return `t_s`, `output` and, where they are there, `stage_mm` and `reference`."""
         import pandas as pd
 
         return pd.DataFrame(self.unlabelled.arrays() if self.reference is None else self.labelled.arrays())

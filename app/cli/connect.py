@@ -83,7 +83,7 @@ def _status(options: argparse.Namespace) -> int:
         found = status_json(registry)
     if options.json:
         write_json(options.json, {"schema": "softcal.connect.status/1", "destinations": found})
-    print_table(("destination", "sent", "waits", "failed", "next try", "why"), status_rows(found))
+    print_table(("destination", "sent", "waits", "failed", "next try", "why", "served by"), status_rows(found))
     return DONE
 
 

@@ -37,11 +37,15 @@ class AlertWatch:
         found = {alert_key(alert, ""): (alert, "") for alert in plant_alerts(self._registry, now)}
         for lot_id, alerts in self._found.items():
             found |= {alert_key(alert, lot_id): (alert, lot_id) for alert in alerts}
-        known = open_alerts(self._registry)
-        for key in found.keys() - known.keys():
-            self._registry.add_event("raise", "alerts", key, told(*found[key]), actor=WATCHER)
-        for key in known.keys() - found.keys():
-            self._registry.add_event("clear", "alerts", key, known[key], actor=WATCHER)
+        if found.keys() == open_alerts(self._registry).keys():
+            return 0
+        # Another process may watch the same registry: what is open is read in the transaction that changes it.
+        with self._registry.transaction():
+            known = open_alerts(self._registry)
+            for key in found.keys() - known.keys():
+                self._registry.add_event("raise", "alerts", key, told(*found[key]), actor=WATCHER)
+            for key in known.keys() - found.keys():
+                self._registry.add_event("clear", "alerts", key, known[key], actor=WATCHER)
         return len(found.keys() ^ known.keys())
 
 

@@ -1,8 +1,11 @@
 """Brings every event to every destination at least once: what is not confirmed stays, and is tried again later."""
 
+import os
+import secrets
+import socket
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Protocol
@@ -10,10 +13,16 @@ from typing import Protocol
 from softcal.app.connect.events import RegistryEvent, events_after
 from softcal.app.connect.settings import DestinationSettings
 from softcal.core.errors import SoftcalError
+from softcal.db.outbox import Delivery
 from softcal.db.registry import Registry
 
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 900.0
 """A try that failed is repeated after 1 s, then after twice as long each time, up to a quarter of an hour."""
+
+
+LEASE_S = 30.0
+"""A destination is held for so long after each look; one whose process was killed is free then. Clocks of machines that
+share a registry agree better than that."""
 
 
 class NotDelivered(SoftcalError):
@@ -59,18 +68,25 @@ def delay_s(failures: int) -> float:
 
 
 class Forwarder:
-    """Brings events to one destination; its place is in the registry, so that a restart goes on where it was."""
+    """Brings events to one destination; its place is in the registry, so that a restart goes on where it was.
+
+    A destination is served by one forwarder at a time; another one on the same registry waits until it is free.
+    """
 
     def __init__(self, registry: Registry, destination: Destination, clock: Callable[[], datetime]) -> None:
         self._registry, self._destination, self._clock = registry, destination, clock
         self._opened: AbstractContextManager[Sender] | None = None
         self._sender: Sender | None = None
+        self.holder = f"{socket.gethostname()[:90]}:{os.getpid()}:{secrets.token_hex(4)}"
 
     def __enter__(self) -> "Forwarder":
         return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+        # The registry may be away; what is held is free after the lease then.
+        with suppress(SoftcalError):
+            self._registry.outbox.release(self.holder)
 
     def close(self) -> None:
         """Close the sender, if it is open."""
@@ -81,8 +97,14 @@ class Forwarder:
     def step(self) -> bool:
         """Bring the next events, if there are any and no delay holds; return whether more may wait."""
         outbox, settings = self._registry.outbox, self._destination.settings
-        place = outbox.begin(settings.name, outbox.end() if settings.begin == "now" else {})
-        if place.not_before is not None and self._clock() < place.not_before:
+        known = outbox.begin(settings.name, outbox.end() if settings.begin == "now" else {})
+        now = self._clock()
+        until = now + timedelta(seconds=LEASE_S)
+        place = known if self._holds(known, now) else outbox.hold(settings.name, self.holder, now, until)
+        if place is None:
+            self.close()
+            return False
+        if place.not_before is not None and now < place.not_before:
             return False
         try:
             sender = self._open()
@@ -90,14 +112,19 @@ class Forwarder:
             sender.send(page.events)
         except NotDelivered as error:
             if error.delivered:
-                outbox.moved(settings.name, page.events[error.delivered - 1].after, error.delivered)
+                outbox.moved(settings.name, page.events[error.delivered - 1].after, error.delivered, self.holder)
             wait = timedelta(seconds=delay_s(1 if error.delivered else place.failures + 1))
-            outbox.failed(settings.name, str(error), self._clock() + wait)
+            outbox.failed(settings.name, str(error), self._clock() + wait, self.holder)
             self.close()
             return False
         if page.cursor != place.cursor or place.failures:
-            outbox.moved(settings.name, page.cursor, len(page.events))
+            outbox.moved(settings.name, page.cursor, len(page.events), self.holder)
         return not page.is_end
+
+    def _holds(self, place: Delivery, now: datetime) -> bool:
+        """Return whether half of the lease is left, so that a look in the registry need not write."""
+        half = timedelta(seconds=LEASE_S / 2)
+        return place.holder == self.holder and place.held_until is not None and place.held_until - now > half
 
     def _open(self) -> Sender:
         if self._sender is None:

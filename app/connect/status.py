@@ -16,6 +16,7 @@ def status_json(registry: Registry) -> list[dict[str, Any]]:
             "failures": one.failures,
             "next_try": one.not_before and one.not_before.isoformat(),
             "error": one.error or None,
+            "served_by": one.holder,
         }
         for one in registry.outbox.deliveries()
     ]
@@ -23,5 +24,5 @@ def status_json(registry: Registry) -> list[dict[str, Any]]:
 
 def status_rows(found: list[dict[str, Any]]) -> list[list[object]]:
     """Return the rows of the table a person reads."""
-    names = ("destination", "sent", "waits", "failures", "next_try", "error")
+    names = ("destination", "sent", "waits", "failures", "next_try", "error", "served_by")
     return [[one[name] for name in names] for one in found]

@@ -18,6 +18,7 @@ import pytest
 
 from softcal.app.batch.results import RESULTS
 from softcal.app.cli.main import main
+from softcal.app.connect import alert_watch
 from softcal.app.connect.alert_watch import AlertWatch, open_alerts
 from softcal.app.connect.events import events_after
 from softcal.app.connect.serving import ServingOptions
@@ -172,6 +173,23 @@ def test_an_alert_is_an_event_when_it_begins_and_when_it_is_over(url):
         assert watch.look(NOW) == 1 and open_alerts(registry) == {}
         kinds = [event.kind for event in events_after(registry, {}, 99, ["alert"]).events]
         assert kinds == ["alert.raised", "alert.cleared"] and registry.verify() == []
+
+
+def test_an_alert_that_two_processes_see_at_once_is_told_once(url, monkeypatch):
+    with open_registry(url) as registry, open_registry(url) as elsewhere:
+        first, second = AlertWatch(registry), AlertWatch(elsewhere)
+        registry.add_golden_run(GoldenRun("line-1", "G1", NOW, 0.3, "N", False))
+        monkeypatch.setattr(alert_watch, "open_alerts", lambda seen: _meanwhile(seen, monkeypatch, second))
+        assert first.look(NOW) == 0
+        assert [event.kind for event in events_after(registry, {}, 99, ["alert"]).events] == ["alert.raised"]
+
+
+def _meanwhile(registry, monkeypatch, second):
+    """Return the open alerts as one process reads them just before the other one raises its own."""
+    found = open_alerts(registry)
+    monkeypatch.setattr(alert_watch, "open_alerts", open_alerts)
+    assert second.look(NOW) == 1
+    return found
 
 
 def test_a_drop_of_the_yield_is_an_alert_of_its_lot(url):

@@ -5,6 +5,7 @@ import json
 import ssl
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from email import message_from_bytes, policy
@@ -16,7 +17,7 @@ from aiosmtpd.smtp import AuthResult, LoginPassword
 from standardwebhooks.webhooks import Webhook
 
 from softcal.app.connect.events import events_after
-from softcal.app.connect.forwarder import Destination, Forwarder, delay_s
+from softcal.app.connect.forwarder import LEASE_S, Destination, Forwarder, delay_s
 from softcal.app.connect.mail import line_of, mail_of, open_mail
 from softcal.app.connect.settings import MailSettings, WebhookSettings
 from softcal.app.connect.webhook import new_secret, open_webhook
@@ -158,6 +159,78 @@ def test_nothing_is_lost_and_little_is_doubled_while_the_receiver_fails_and_the_
             clock.now += timedelta(hours=1)
     # What was confirmed is behind the cursor: one that fails is asked again, those before it are not.
     assert serials_of(receiver) == serials
+
+
+@dataclass
+class Noting:
+    """A sender that notes what it brings, and lets something happen while it does."""
+
+    got: list[str]
+    meanwhile: Callable[[], object] = lambda: None
+    most: int = 10
+
+    def send(self, events):
+        self.got += [event.data["serial"] for event in events]
+        self.meanwhile()
+
+
+def test_two_processes_on_one_registry_send_everything_once(registry, url, webhook):
+    got, clock = [], Clock()
+    with open_registry(url) as elsewhere:
+        second = Forwarder(elsewhere, Destination(webhook.settings, lambda: nullcontext(Noting(got))), clock)
+        busy = Noting(got, meanwhile=second.step)
+        first = Forwarder(registry, Destination(webhook.settings, lambda: nullcontext(busy)), clock)
+        serials = judge(registry, 0, 45)
+        with first:
+            while first.step():
+                second.step()
+        assert got == serials
+        # One that ends gives the destination back: the other goes on at once.
+        serials += judge(registry, 45, 3)
+        with second:
+            assert not second.step()
+        assert got == serials
+
+
+def test_what_a_process_held_that_was_killed_is_free_after_the_lease(registry, url, webhook):
+    got, clock = [], Clock()
+    noting = Destination(webhook.settings, lambda: nullcontext(Noting(got)))
+    killed = Forwarder(registry, noting, clock)
+    serials = judge(registry, 0, 2)
+    killed.step()
+    serials += judge(registry, 2, 2)
+    with open_registry(url) as elsewhere, Forwarder(elsewhere, noting, clock) as second:
+        clock.now += timedelta(seconds=LEASE_S - 1)
+        second.step()
+        assert got == serials[:2]
+        clock.now += timedelta(seconds=2)
+        second.step()
+        assert got == serials
+        # Back from a long sleep, the first one finds it taken.
+        serials += judge(registry, 4, 1)
+        killed.step()
+        assert got == serials[:4]
+        second.step()
+    assert got == serials
+
+
+def test_a_process_that_lost_its_lease_while_it_sent_moves_nothing_back(registry, url, webhook):
+    got, clock = [], Clock()
+    serials = judge(registry, 0, 20)
+    with open_registry(url) as elsewhere:
+        noting = Destination(webhook.settings, lambda: nullcontext(Noting(got)))
+        second = Forwarder(elsewhere, noting, clock)
+
+        def meanwhile():
+            clock.now += timedelta(seconds=2 * LEASE_S)
+            while second.step():
+                pass
+
+        slow = Noting([], meanwhile=meanwhile)
+        Forwarder(registry, Destination(webhook.settings, lambda: nullcontext(slow)), clock).step()
+        assert got == serials
+        (state,) = registry.outbox.deliveries()
+        assert state.cursor == registry.outbox.end() and state.delivered == 20
 
 
 def test_the_delay_grows_until_it_is_a_quarter_of_an_hour(registry, receiver, webhook):

@@ -16,6 +16,7 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 
 import softcal
 from softcal.app.cli.main import main
+from softcal.core.simulated_lot import LotDesign, simulate_lot
 
 README = Path(__file__).parents[2] / "README.md"
 COOKBOOK = README.parent / "docs" / "python.md"
@@ -198,3 +199,15 @@ def test_the_network_is_worth_as_much_to_cross_validation_as_to_the_command_line
     regressor = softcal.NetworkRegressor(hidden=(16, 8))
     scores = cross_val_score(regressor, recording.windows, recording.window_reference, cv=3)
     assert scores.min() > 0.8
+
+
+def test_a_stage_position_reaches_the_map() -> None:
+    lot = simulate_lot(1, LotDesign(good=1, source_s=40, unit_s=30, audit_s=30, has_stage=True))
+    tables = [lot.source.unlabelled.arrays() | {"reference": lot.source.reference}, lot.units[0].recording.arrays()]
+    columns = {"time_s": "t_s", "stage_mm": "stage_mm"}
+    known = softcal.Recording.from_frame(pd.DataFrame(tables[0]), reference="reference", **columns)
+    target = softcal.Recording.from_frame(pd.DataFrame(tables[1]), **columns)
+    assert softcal.fit_map(softcal.fit_network(known, **SMALL), target).family == "phase"
+    assert list(target.to_frame()) == ["t_s", "output", "stage_mm"]
+    with pytest.raises(softcal.InputError, match="there is no column 'where'"):
+        softcal.Recording.from_frame(pd.DataFrame(tables[1]), time_s="t_s", stage_mm="where")

@@ -11,6 +11,8 @@ import pytest
 import yaml
 
 from softcal.app.cli.main import command_parser
+from softcal.app.connect.serving import ServingOptions
+from softcal.core.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 UNITS = sorted((ROOT / "deploy").glob("*.service"))
@@ -48,9 +50,21 @@ def test_the_unit_starts_a_command_that_softcal_has(unit: Path) -> None:
 
 def test_the_services_start_commands_that_softcal_has_and_are_reached_from_this_machine_alone() -> None:
     services = yaml.safe_load((ROOT / "compose.yaml").read_text())["services"]
-    assert set(services) == {"db", "station", "ui"}
-    for name in ("station", "ui"):
+    assert set(services) == {"db", "station", "ui", "api", "connect"}
+    for name in services.keys() - {"db"}:
         command_parser().parse_args(services[name]["command"])
         assert services[name]["environment"]["SOFTCAL_REGISTRY"].startswith("postgresql://")
     published = [port for service in services.values() for port in service.get("ports", [])]
-    assert published == ["127.0.0.1:8501:8501"]
+    assert published == ["127.0.0.1:8501:8501", "127.0.0.1:8600:8600"]
+    # Both need files that a new installation has not: without them nothing starts that must fail.
+    assert {name: service["profiles"] for name, service in services.items() if "profiles" in service} == {
+        "api": ["api"], "connect": ["connect"],
+    }  # fmt: skip
+
+
+def test_the_rest_service_shows_a_certificate_to_whoever_reaches_its_container() -> None:
+    services = yaml.safe_load((ROOT / "compose.yaml").read_text())["services"]
+    options = command_parser().parse_args(services["api"]["command"])
+    with pytest.raises(InputError, match="--cert and --key"):
+        ServingOptions(host=options.host)
+    assert options.cert and options.key
