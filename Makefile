@@ -18,8 +18,9 @@ TORCH := $(shell sed -n 's/^\(torch==[0-9.]*\).*/\1/p' requirements.lock)
 demo: $(DEMO)
 	$(BIN)/softcal demo || [ $$? -eq 1 ]
 
+# Two at once, each file in one process: what a file sets up for its tests is made once.
 test: $(STAMP) check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: $(STAMP)
 	$(BIN)/ruff format --check .

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -168,9 +169,6 @@ def test_a_rig_on_serial_ports_is_found_and_written_down_in_real_time(tmp_path):
 
 
 def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
-    import signal
-    import subprocess
-    import sys
     import time
 
     from softcal.station.spool import read_spool
@@ -246,7 +244,11 @@ PRESS = ("unit", "--serial", "A1", "--out", "A1.csv")
 def test_a_signal_in_a_command_that_moves_lifts_the_stage_and_says_so(tmp_path, command, wait_for, name):
     words = [SOFTCAL, "station", *command, "--simulated", "--spool", str(tmp_path / "spool")]
     environment = os.environ | {"SOFTCAL_LOGS": str(tmp_path / "logs"), "PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(words, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as process:
+    # Tests that a shell runs in the background inherit that Ctrl-C is ignored.
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen(
+        words, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, preexec_fn=heard
+    ) as process:
         for line in process.stderr:
             if wait_for in line:
                 process.send_signal(getattr(signal, name))
