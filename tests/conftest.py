@@ -22,6 +22,12 @@ SMALL_NETWORK = ("--hidden", "16,8")
 _MAIN_MODULE = sys.modules["__main__"]
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests come first: begun last, one of them would keep a single core busy for minutes."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture(autouse=True)
 def main_module() -> None:
     """Streamlit's page tests leave their page as `__main__`; a process spawned later would run it as its own."""

@@ -54,10 +54,13 @@ def find_readout_lag(
     if len(time_s) < config.least_samples:
         return None
     unit = _ranks(_at(target, time_s), config)
+    prompt = _unexplained(_at(source, time_s), unit, config)
+    if _unexplained(_at(_slowed(source, config.least_s, config.memory), time_s), unit, config) >= prompt:
+        return None  # Nearly every unit ends here: what follows slower is met at least a little by the shortest lag.
     tried = [config.least_s * config.ratio**k for k in range(-config.below, config.above + 1)]
     slow = [_unexplained(_at(_slowed(source, lag_s, config.memory), time_s), unit, config) for lag_s in tried]
     best = int(np.argmin(slow))
-    late = min(_unexplained(_at(source, time_s - lag_s), unit, config) for lag_s in (0.0, *tried))
+    late = min(prompt, *(_unexplained(_at(source, time_s - lag_s), unit, config) for lag_s in tried))
     explained = late / max(slow[best], 1e-12)
     is_alike = slow[best] <= 1 - maps.synchrony.min_rank_correlation
     is_lag = is_alike and explained >= config.explained and tried[best] >= config.least_s

@@ -55,6 +55,7 @@ def _without_rows() -> tuple[object, ...]:
     return empty.rows, empty.detection, empty.probabilities, empty.shrink
 
 
+@pytest.mark.slow
 def test_new_rigs_of_every_line_are_right_above_the_floors(every_line: ScoreSheet) -> None:
     told = [(j.label.case.line, j.outcome, [c.effect for c in j.label.case.causes]) for j in every_line.judged]
     assert shortfalls(every_line) == [], told

@@ -155,6 +155,7 @@ def opened(page: Page, line: Line) -> Page:
     return page
 
 
+@pytest.mark.slow
 def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: Page) -> None:
     verdicts = {}
 

@@ -4,6 +4,8 @@ import json
 import shutil
 import subprocess
 import sys
+import threading
+import time
 from itertools import takewhile
 
 import numpy as np
@@ -125,7 +127,7 @@ def test_orders_end_in_a_lot_folder_of_which_batch_computes_nothing_again(softca
     from softcal.app.line.gate_facts import RIG_ONLY
     from softcal.app.line.serve import Serving, serve
     from softcal.core.network.config import NetworkConfig
-    from softcal.core.orders import Order, OrderKind, RunState
+    from softcal.core.orders import Order, OrderKind, RunState, StationState
     from softcal.db.connection import open_registry
 
     url, orders = (
@@ -133,21 +135,26 @@ def test_orders_end_in_a_lot_folder_of_which_batch_computes_nothing_again(softca
         [("A0", OrderKind.SOURCE), ("A1", OrderKind.UNIT), ("A2", OrderKind.UNIT)],
     )
     with open_registry(url) as registry:
-        queue, placed = registry.order_queue, []
+        queue, over = registry.order_queue, threading.Event()
 
-        def goes_on() -> bool:
-            if not placed or not queue.progress(placed[-1]).state.is_active:
-                if len(placed) == len(orders):
-                    return False
-                serial, kind = orders[len(placed)]
-                placed.append(f"o{len(placed)}")
-                queue.place(Order(placed[-1], "s1", kind, serial, "L1"))
-            return True
+        def order_all() -> None:
+            try:
+                while (beat := queue.heartbeat("s1")) is None or beat.state is StationState.STARTING:
+                    time.sleep(0.05)
+                for serial, kind in orders:
+                    queue.place(Order(serial, "s1", kind, serial, "L1"))
+                    while queue.progress(serial).state.is_active:
+                        time.sleep(0.05)
+            finally:
+                over.set()
 
         network = NetworkConfig(hidden=(16,))
         serving = Serving("s1", None, 3, 1000.0, source_s=40.0, unit_s=12.0, rules=RIG_ONLY, network=network)
-        serve(registry, serving, tmp_path / "spool", goes_on)
-        assert {queue.progress(order).state for order in placed} == {RunState.DONE}
+        person = threading.Thread(target=order_all)
+        person.start()
+        serve(registry, serving, tmp_path / "spool", lambda: not over.is_set())
+        person.join()
+        assert {queue.progress(serial).state for serial, _ in orders} == {RunState.DONE}
         before = {serial: registry.calibration(serial).record for serial in ("A1", "A2")}
     softcal("lot", "folder", "L1", "--registry", url, "--out", "lot-1")
     folder = open_lot_folder(tmp_path / "lot-1")
