@@ -10,7 +10,7 @@ from softcal.core.profiles import Profile
 from softcal.core.recording import Array
 from softcal.core.words.reason import Reason, reason
 from softcal.station.bench import Bench
-from softcal.station.config import LATEST_S, UNKNOWN_S
+from softcal.station.config import LATEST_S
 from softcal.station.contact import AGAIN_MM, SURE_MM, ContactSearch, Touch, slower_mm_s, stiffest_N_mm
 from softcal.station.interfaces import Move, OnWait, Step, ignore_wait
 from softcal.station.motion import RETRACT_MM_S
@@ -173,7 +173,7 @@ class _Run:
         about = (self._serial, self._profile.name, readout.name, readout.unit, readout.rate_Hz)
         zeros = (zero_mm, contact_mm, zero_N, zero_return_N)
         force = self._bench.config.force
-        is_stated = force is None or force.latency_s != UNKNOWN_S
+        is_stated = force is None or force.is_latency_stated
         return RunFacts(*about, moves, span_s, *zeros, with_reference, self.watched.late_s, is_stated)
 
     def _on_tick(self) -> None:
@@ -292,7 +292,7 @@ class _Run:
         if force is None or self._bench.force is None:
             return
         found_s = lag_s(device_times_s(self._readings.force)[began:], force_N, at, contact_mm)
-        is_stated, period_s = force.latency_s != UNKNOWN_S, 1.0 / self._bench.force.rate_Hz
+        is_stated, period_s = force.is_latency_stated, 1.0 / self._bench.force.rate_Hz
         possible_s = force.latency_s if is_stated else min(max(0.0, found_s), LATEST_S)
         if np.isfinite(found_s):
             check_lag(found_s, possible_s, period_s)

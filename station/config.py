@@ -72,6 +72,11 @@ class ForceConfig(DeviceConfig):
 
     role = "cell"
 
+    @property
+    def is_latency_stated(self) -> bool:
+        """Whether the station file says how late its readings are."""
+        return self.latency_s != UNKNOWN_S
+
 
 @dataclass(frozen=True)
 class ReadoutConfig(DeviceConfig):
@@ -156,7 +161,7 @@ class StationConfig:
         if self.force is not None:
             _within("safety.force_N", self.safety.force_N, 0.0, LARGEST_LIMIT * self.force.capacity_N)
             _within("fixture.touch_N", self.fixture.touch_N, 0.0, self.safety.force_N)
-            if self.force.latency_s != UNKNOWN_S:
+            if self.force.is_latency_stated:
                 _within("force.latency_s", self.force.latency_s, 0.0, LATEST_S)
         _within("safety.stiffest_N_mm", self.safety.stiffest_N_mm, 0.1, 1e5)
         _within("safety.silence_s", self.safety.silence_s, 0.15, 1.0)

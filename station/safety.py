@@ -82,12 +82,16 @@ class FollowWatch:
         self._contact_N = contact_N
         self._missing_since_s: float | None = None
         self._felt_mm, self._turned_mm = 0.0, math.inf
+        """Deepest with a force since the stage was last above the contact, and shallowest since there is none."""
 
     def check(self, force_N: float, pressed_mm: float, now_s: float) -> None:
         """Raise `BadReply` when a stage well below the contact meets no force for a while."""
         is_felt = force_N > self._contact_N
-        self._felt_mm = max(self._felt_mm, pressed_mm) if is_felt else self._felt_mm if pressed_mm > 0.0 else 0.0
-        self._turned_mm = math.inf if is_felt else min(self._turned_mm, pressed_mm)
+        if is_felt:
+            self._felt_mm, self._turned_mm = max(self._felt_mm, pressed_mm), math.inf
+        else:
+            self._felt_mm = self._felt_mm if pressed_mm > 0.0 else 0.0
+            self._turned_mm = min(self._turned_mm, pressed_mm)
         may_be_slow = pressed_mm < self._felt_mm - RISEN_MM and pressed_mm < self._turned_mm + PRESSED_MM
         if is_felt or pressed_mm < PRESSED_MM or may_be_slow:
             self._missing_since_s = None

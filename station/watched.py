@@ -10,7 +10,7 @@ from softcal.core.errors import BadReply, SafetyStop
 from softcal.core.words.reason import reason
 from softcal.station.bench import Bench
 from softcal.station.bounds import FULL, REACTION_S, ForceBounds, Reaction
-from softcal.station.config import LATEST_S, UNKNOWN_S
+from softcal.station.config import LATEST_S
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.motion import TICK_S, Motion
 from softcal.station.safety import (
@@ -67,14 +67,13 @@ class WatchedBench:
         self._lowest_N = float("inf")
         self._learned_s: float | None = None
         force = bench.config.force
-        self._is_lateness_open = force is not None and force.latency_s == UNKNOWN_S
+        self._is_lateness_open = force is not None and not force.is_latency_stated
 
     @property
     def late_s(self) -> float:
         """How late the load cell is, as far as that is known."""
         force = self.bench.config.force
-        is_stated = force is not None and force.latency_s != UNKNOWN_S
-        return force.latency_s if force is not None and is_stated else self._learned_s or 0.0
+        return force.latency_s if force is not None and force.is_latency_stated else self._learned_s or 0.0
 
     @property
     def latest_s(self) -> float:
@@ -265,7 +264,8 @@ class WatchedBench:
 def bounds_of(bench: Bench) -> ForceBounds:
     """Return what a stop on this bench holds."""
     config, reader = bench.config, bench.force
-    late_s = LATEST_S if config.force is None or config.force.latency_s == UNKNOWN_S else config.force.latency_s
+    force = config.force
+    late_s = force.latency_s if force is not None and force.is_latency_stated else LATEST_S
     period_s = 0.0 if reader is None else 1.0 / reader.rate_Hz
     capacity_N = float("inf") if reader is None else reader.capacity_N
     return ForceBounds(

@@ -24,7 +24,6 @@ from softcal.station.acquisition import OnProgress, record
 from softcal.station.bench import SIMULATED_NAME, Bench, open_bench, open_simulated_bench
 from softcal.station.clock import HostClock
 from softcal.station.config import (
-    UNKNOWN_S,
     ForceConfig,
     ReadoutConfig,
     StageConfig,
@@ -286,7 +285,7 @@ def _state_source(source: Path, recording: StationRecording, reference: Referenc
 def _remarks(bench: Bench, recording: StationRecording) -> list[str]:
     """Say what a person should write into the station file."""
     force, behind_s = bench.config.force, recording.alignment.force_behind_s
-    if force is None or force.latency_s != UNKNOWN_S or not np.isfinite(behind_s):
+    if force is None or force.is_latency_stated or not np.isfinite(behind_s):
         return []
     return [
         f"the load cell was found {behind_s:.3f} s behind the stage, which was taken off; write "

@@ -5,11 +5,12 @@ source's output then explains the unit's better than any delay does.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from softcal.core.maps.config import LagConfig, MapConfig
-from softcal.core.maps.crossing import moving_mean
+from softcal.core.maps.crossing import KEPT, moving_mean
 from softcal.core.maps.synchrony import Synchrony, common_time, find_synchrony, ranks
 from softcal.core.recording import Array, OutputRecording
 
@@ -67,8 +68,12 @@ def find_readout_lag(
     return ReadoutLag(float(tried[best]), float(explained), synchrony.is_synchronous) if is_lag else None
 
 
+@lru_cache(maxsize=KEPT)
 def _slowed(recording: OutputRecording, lag_s: float, memory: float) -> OutputRecording:
-    """Return the recording behind a first-order low-pass that stood at its first value before."""
+    """Return the recording behind a first-order low-pass that stood at its first value before.
+
+    Every unit of a lot is compared with one and the same source.
+    """
     keep = np.exp(-1 / (recording.sample_rate_Hz * lag_s))
     kernel = (1 - keep) * keep ** np.arange(int(np.ceil(memory * lag_s * recording.sample_rate_Hz)) + 1)
     first = float(recording.output[0])

@@ -94,7 +94,7 @@ def _compared(
     stands_out = detail >= config.min_detail and sigma >= config.min_sigma
     # A lag that does not stand out is chance. A wrong lag pairs foreign loads; no lag at worst pairs none.
     lag = lag if stands_out else 0
-    a, b = (moving_mean(ranks, config.rank_average) for ranks in (a, np.roll(b, lag)))
+    a, b = (moving_mean(each, config.rank_average) for each in (a, np.roll(b, lag)))
     correlation = float(np.corrcoef(a, b)[0, 1])
     is_synchronous = correlation >= config.min_rank_correlation
     return Synchrony(-lag / rate_Hz, correlation, detail, sigma, until_s, is_synchronous)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import betaincinv
 
 from softcal.core.errors import InputError
+from softcal.core.quality.acceptance import failing_share
 from softcal.core.unit.verdict import Limit
 
 CONFIDENCE = 0.95
@@ -156,5 +156,5 @@ def nonconforming_upper(population: int, checked: int, failed: int) -> int:
 
 
 def process_upper(checked: int, failed: int) -> float:
-    """Return the one-sided 95 % upper bound of a binomial share (Clopper and Pearson 1934)."""
-    return 1.0 if failed >= checked else float(betaincinv(failed + 1, checked - failed, CONFIDENCE))
+    """Return the one-sided 95 % upper bound of the failing share of a process."""
+    return failing_share(checked, failed, CONFIDENCE)
