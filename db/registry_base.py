@@ -4,8 +4,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Any, Protocol
+from weakref import WeakKeyDictionary
 
-from sqlalchemy import Connection, RowMapping, Table, bindparam, insert, select
+from sqlalchemy import Connection, RootTransaction, RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.words.reason import reason
@@ -53,6 +54,7 @@ class RegistryBase(OncePerCut):
     def __init__(self, database: Database, settings: RegistrySettings) -> None:
         self.database = database
         self.settings = settings
+        self._checked_lots = WeakKeyDictionary[RootTransaction, dict[str, RowMapping]]()
         with database.reading() as connection:
             query = select(registry_info.c.value).where(registry_info.c.key == "origin")
             self.origin = str(connection.execute(query).scalar_one())
@@ -104,6 +106,14 @@ class RegistryBase(OncePerCut):
         return now if previous is None else max(now, previous + TICK)
 
     def _lot_row(self, connection: Connection, lot_id: str) -> RowMapping:
+        # A chunk of a batch asks for each of its units, and nobody can change a lot while a transaction goes on.
+        transaction = connection.get_transaction()
+        checked = {} if transaction is None else self._checked_lots.setdefault(transaction, {})
+        if lot_id not in checked:
+            checked[lot_id] = self._read_lot_row(connection, lot_id)
+        return checked[lot_id]
+
+    def _read_lot_row(self, connection: Connection, lot_id: str) -> RowMapping:
         row = connection.execute(KNOWN_LOT, {"lot": lot_id}).mappings().first()
         if row is None:
             known = connection.execute(select(lots.c.id).order_by(lots.c.id).limit(6)).scalars().all()

@@ -6,7 +6,7 @@ serial and input hash, so that asking twice for the same work makes one item. It
 the same settings, are one set; a claimant takes items of its own set only.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
@@ -133,12 +133,12 @@ class WorkQueue(OncePerCut):
         with self.database.writing(in_turn=False) as connection:
             return set(connection.execute(mine.order_by(c.id).with_for_update()).scalars())
 
-    def finish(self, owner: str, item_id: int) -> bool:
-        """Take a done item out. False: the lease ran out and the item is another one's by now; drop the result."""
+    def finish(self, owner: str, item_ids: Sequence[int]) -> bool:
+        """Take done items out. False: a lease ran out and an item is another one's by now; drop its result."""
         c = work_items.c
-        mine = delete(work_items).where(c.id == item_id, c.owner == owner, c.state == "claimed")
+        mine = delete(work_items).where(c.id.in_(item_ids), c.owner == owner, c.state == "claimed")
         with self.database.writing(in_turn=False) as connection:
-            return connection.execute(mine).rowcount == 1
+            return connection.execute(mine).rowcount == len(item_ids)
 
     def give_back(self, owner: str) -> int:
         """Queue all items of an owner that stops in order; the attempt does not count."""

@@ -224,7 +224,7 @@ class LotWork:
             for item in items:
                 if item not in mine:
                     # Asked for by a program that sees other files: it asks again for what it misses.
-                    claims.queue.finish(claims.owner, item.id)
+                    claims.queue.finish(claims.owner, [item.id])
             if mine:
                 yield Chunk(tuple(self._tasks(mine)))
 
@@ -267,7 +267,7 @@ class LotWork:
             kept = [unit for unit in outcome.units if unit.task_id in mine]
             for unit in kept:
                 self._register(unit)
-                claims.queue.finish(claims.owner, unit.task_id)
+            claims.queue.finish(claims.owner, [unit.task_id for unit in kept])
             return self._told([unit.serial for unit in kept])
 
     def _register(self, unit: UnitOutcome) -> None:

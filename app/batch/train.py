@@ -69,7 +69,7 @@ def train_or_find(
         # Who loses its lease finds the other one's network there; the id that comes back is the one to go on with.
         id_ = registry.add_network(lot.id, trained.network, metrics, training, input_sha256, actor=actor)
         for item in mine:
-            claims.queue.finish(claims.owner, item.id)
+            claims.queue.finish(claims.owner, [item.id])
     note("network", lot=lot.id, network=id_, **metrics)
     return _registered(registry, id_, True)
 

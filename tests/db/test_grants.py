@@ -60,7 +60,7 @@ def test_the_line_can_do_all_its_work(as_role, make_factory, recording_of):
     registry.add_lot(Lot("L2", "S0", 50.0))
     queue, work = registry.work_queue, WorkSet("L1", "a" * 64)
     queue.enqueue(work, {"A1": "b" * 64})
-    assert all(queue.finish("me", item.id) for item in queue.claim("me", work, 1, 60))
+    assert all(queue.finish("me", [item.id]) for item in queue.claim("me", work, 1, 60))
     with pytest.raises(InputError, match="PIN is wrong"):
         registry.sign_in("kim", "0000")
     assert registry.sign_in("kim", "2580").name == "kim" and registry.verify() == []

@@ -41,7 +41,7 @@ def test_a_claimed_item_is_nobody_else_s(queue):
     queue.enqueue(WORK, requests(3))
     mine, yours = queue.claim("me", WORK, 2, 60), queue.claim("you", WORK, 2, 60)
     assert [item.serial for item in mine] == ["A0", "A1"] and [item.serial for item in yours] == ["A2"]
-    assert not queue.finish("you", mine[0].id) and queue.finish("me", mine[0].id)
+    assert not queue.finish("you", [mine[0].id]) and queue.finish("me", [mine[0].id])
 
 
 def test_an_expired_lease_goes_to_the_next_worker_and_the_late_result_is_dropped(queue, clock):
@@ -50,7 +50,7 @@ def test_an_expired_lease_goes_to_the_next_worker_and_the_late_result_is_dropped
     clock.now += timedelta(seconds=61)
     (again,) = queue.claim("alive", WORK, 1, 60)
     assert (again.id, again.attempts) == (item.id, 2)
-    assert not queue.finish("dead", item.id) and queue.finish("alive", item.id)
+    assert not queue.finish("dead", [item.id]) and queue.finish("alive", [item.id])
 
 
 def test_an_extended_lease_stays(queue, clock):
@@ -81,7 +81,7 @@ def test_stopping_in_order_gives_everything_back(queue):
 def test_what_is_done_is_gone_and_may_be_asked_for_again(queue):
     queue.enqueue(WORK, requests(1))
     (item,) = queue.claim("me", WORK, 1, 60)
-    assert queue.finish("me", item.id) and set(queue.counts().values()) == {0}
+    assert queue.finish("me", [item.id]) and set(queue.counts().values()) == {0}
     assert queue.enqueue(WORK, requests(1)) == 1, "whether it was done is told by the registry, not by the queue"
 
 
@@ -99,7 +99,7 @@ def test_many_workers_at_once_do_every_item_exactly_once(queue):
 
     def work(owner: str) -> None:
         while items := queue.claim(owner, WORK, 3, 60):
-            taken.extend(item.id for item in items if queue.finish(owner, item.id))
+            taken.extend(item.id for item in items if queue.finish(owner, [item.id]))
 
     threads = [threading.Thread(target=work, args=(f"w{k}",)) for k in range(4)]
     for thread in threads:
