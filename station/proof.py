@@ -4,8 +4,10 @@ No I/O here. A channel that lies smoothly cannot be seen sample by sample; it is
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from softcal.core.errors import BadReply
@@ -34,6 +36,14 @@ GAIN, OUTPUT_GAIN = 1.4, 1.6
 """Largest ratio between the stiffest and the softest press of one run; a cell whose gain halves shows 2. An output may
 creep and follow late by itself; it is looked at where no load cell says whether the stage moved."""
 
+STEP, STEP_SHARE, STEP_ROUNDS = 1.3, 0.3, 6
+"""A cell's gain steps between two presses when it seems to change by this factor and a law with the step leaves at most
+this share of the misfit; good rigs show 1.21. The step is found in so many rounds of Gauss and Newton."""
+
+ODD_S, ODD_BESIDE_S, ODD, ODD_TIMES, ODD_LEAST, ODD_ROUNDS = 0.1, 0.6, 0.3, 15.0, 0.03, 25
+"""A cell hangs where its mean force over ODD_S is off the law of the depth by ODD of the largest force, or by ODD_LEAST
+of it and ODD_TIMES the RMS of the rest of the run (all but ODD_BESIDE_S on either side). Good rigs show 0.22 and 10."""
+
 FOLLOWS = 0.7
 """Share of an output's variance that goes with the depth, at least; 0.84 is the least of a good rig."""
 
@@ -41,8 +51,9 @@ BIT_LEVELS, BIT_SPAN, BIT_ROUNDING = 16, 2, 0.01
 """Different readings that are needed to know a converter's step, how many times a bit's weight they must run through,
 and how far from whole steps they may be."""
 
-PRESS_SAMPLES, SHALLOW = 10, 0.1
-"""A press has so many samples at least, and is deeper than this share of the deepest."""
+PRESS_SAMPLES, SHALLOW, LARGEST = 10, 0.1, 0.99
+"""A press has so many samples at least, and is deeper than this share of the deepest. The quantile that stands for the
+largest force."""
 
 
 def lag_s(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float) -> float:
@@ -102,6 +113,66 @@ def check_gain(stage_mm: Array, force_N: Array) -> None:
     ratio = _ratio(press_gains(stage_mm, force_N))
     if ratio > GAIN:
         raise BadReply(reason("rig.gain", ratio=ratio))
+
+
+def check_law(
+    t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], contact_mm: float, zero_mm: float
+) -> None:
+    """Lay one law of the depth with relaxation through the run: neither its gain may step, nor may the force leave it.
+
+    It sees a gain that changes once however few presses there are on either side, and a cell that hangs for a moment.
+
+    Args:
+        t_s, force_N: (n,) samples of the load cell, host clock, its lateness and its zero taken off.
+        stage_mm_at: host times -> stage positions, same origin as contact_mm.
+        contact_mm: where the unit's surface is.
+        zero_mm: where the profile begins.
+
+    Raises:
+        BadReply: one step explains the run far better than none does, or the force leaves the law for a moment.
+    """
+    grid_s = np.arange(t_s[0], t_s[-1] + GRID_S, GRID_S)
+    law = _law_of_depth(np.maximum(0.0, stage_mm_at(grid_s) - contact_mm))
+    basis = np.column_stack([np.interp(t_s, grid_s, column) for column in law])
+    _check_step(basis, force_N, _presses(stage_mm_at(t_s) - zero_mm))
+    _check_moments(t_s, basis, force_N)
+
+
+def _check_step(basis: Array, force_N: Array, presses: list[tuple[int, int]]) -> None:
+    pauses = [(ended + begun) // 2 for (_, ended), (begun, _) in pairwise(presses)]
+    if not pauses:
+        return
+    left, gain = min(_stepped(basis, force_N, np.arange(len(force_N)) >= pause) for pause in pauses)
+    if left < STEP_SHARE * _misfit(basis, force_N) and not 1 / STEP <= gain <= STEP:
+        raise BadReply(reason("rig.gain", ratio=max(gain, 1 / max(gain, 1e-9))))
+
+
+def _stepped(basis: Array, force_N: Array, is_after: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return what a law with one step of the gain leaves, and the step: the gain afterwards over that before."""
+    gain = 1.0
+    for _ in range(STEP_ROUNDS):
+        scaled = basis * np.where(is_after, gain, 1.0)[:, None]
+        weights = _weights(scaled, force_N)
+        tangent = np.column_stack([scaled, np.where(is_after, basis @ weights, 0.0)])
+        gain += float(_weights(tangent, force_N - scaled @ weights)[-1])
+    return _misfit(basis * np.where(is_after, gain, 1.0)[:, None], force_N), gain
+
+
+def _check_moments(t_s: Array, basis: Array, force_N: Array) -> None:
+    length = max(1, round(ODD_S / float(np.median(np.diff(t_s)))))
+    off_N = force_N - basis @ _weights(basis, force_N)
+    for _ in range(ODD_ROUNDS):
+        # Least absolute deviations: least squares would bend the law towards the odd moment.
+        trust = 1 / np.sqrt(np.maximum(np.abs(off_N), np.median(np.abs(off_N)) + 1e-12))
+        off_N = force_N - basis @ _weights(basis * trust[:, None], force_N * trust)
+    mean_N = np.convolve(off_N, np.full(length, 1 / length), "same")
+    oddest = int(np.argmax(np.abs(mean_N)))
+    is_rest = np.abs(t_s - t_s[oddest]) > ODD_BESIDE_S
+    share = abs(mean_N[oddest]) / float(np.quantile(np.abs(force_N), LARGEST))
+    rest_N = float(np.sqrt(np.mean(off_N[is_rest] ** 2))) if np.any(is_rest) else float("inf")
+    times = abs(mean_N[oddest]) / rest_N
+    if share > ODD or (share > ODD_LEAST and times > ODD_TIMES):
+        raise BadReply(reason("rig.odd_force", at_s=float(t_s[oddest] - t_s[0]), off_N=float(mean_N[oddest])))
 
 
 def check_output_gain(stage_mm: Array, output: Array) -> None:
@@ -214,6 +285,9 @@ def _law_of_depth(depth_mm: Array) -> list[Array]:
     return columns
 
 
+def _weights(basis: Array, force_N: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(basis, force_N, rcond=None)[0])
+
+
 def _misfit(basis: Array, force_N: Array) -> float:
-    weights, *_ = np.linalg.lstsq(basis, force_N, rcond=None)
-    return float(np.sum((force_N - basis @ weights) ** 2))
+    return float(np.sum((force_N - basis @ _weights(basis, force_N)) ** 2))

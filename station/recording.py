@@ -11,7 +11,16 @@ from softcal.core.words.reason import reason
 from softcal.station.clock import ClockFit, fit_clock, residual_offset_s
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.named import named
-from softcal.station.proof import LATE_S, check_bits, check_follows, check_gain, check_lag, check_output_gain, lag_s
+from softcal.station.proof import (
+    LATE_S,
+    check_bits,
+    check_follows,
+    check_gain,
+    check_lag,
+    check_law,
+    check_output_gain,
+    lag_s,
+)
 from softcal.station.spool import SpooledRun
 from softcal.station.trajectory import DrivenMove, StageTrack, Trapezoid, reconstruct
 
@@ -21,7 +30,7 @@ LARGEST_LOSS = 0.02
 LONGEST_GAP_S = 0.25
 """Force is read between two samples of the load cell no further apart than this: one of a cell at 10 Hz may be lost."""
 
-LAG_SAMPLES = 3000
+FIT_SAMPLES = 3000
 """Enough of a run to see by how much the load cell is late."""
 
 LARGEST_DRIFT = 0.02
@@ -253,7 +262,7 @@ def _behind_s(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, fact
     device_s, force_N = _columns(samples)
     force_s = cell.to_host(device_s)
     inside = np.flatnonzero((force_s >= facts.moves[0][4]) & (force_s <= facts.span_s[1]))
-    inside = inside[:: max(1, len(inside) // LAG_SAMPLES)]
+    inside = inside[:: max(1, len(inside) // FIT_SAMPLES)]
     found_s = lag_s(force_s[inside], force_N[inside, 0], track.at, facts.contact_mm)
     if facts.is_latency_stated:
         check_lag(found_s, facts.force_late_s, float(np.median(np.diff(device_s))))
@@ -264,9 +273,12 @@ def _check_gain(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, fa
     """Compare all presses, the slow one before the profile too: a gain may change while the first one begins."""
     device_s, force_N = _columns(samples)
     force_s = cell.to_host(device_s) - late_s
-    inside = (force_s >= facts.moves[0][4]) & (force_s <= facts.span_s[1])
-    if np.any(inside):
-        check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside, 0] - facts.zero_N)
+    inside = np.flatnonzero((force_s >= facts.moves[0][4]) & (force_s <= facts.span_s[1]))
+    if not len(inside):
+        return
+    check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside, 0] - facts.zero_N)
+    inside = inside[:: max(1, len(inside) // FIT_SAMPLES)]
+    check_law(force_s[inside], force_N[inside, 0] - facts.zero_N, track.at, facts.contact_mm, facts.zero_mm)
 
 
 def _force_at(host_s: Array, samples: Sequence[Sample], cell: ClockFit, facts: RunFacts, late_s: float) -> Array:

@@ -59,6 +59,10 @@ SENTENCES: Mapping[str, str] = {
         "load cell: at equal depths one press shows {ratio:.2f} times the force of another; check the cell's "
         "amplifier, its mounting and the unit's seat, then press again"
     ),
+    "rig.odd_force": (
+        "load cell: {at_s:.1f} s after the first press began it is {off_N:+.2f} N off what depth and the rest of the "
+        "run say; check the cell's plug and amplifier and whether something touches unit or stage, then press again"
+    ),
     "rig.output_gain": (
         "sensor readout: at equal depths one press changes the output {ratio:.2f} times as much as another; check "
         "whether the motor lost steps, the unit's seat and its connector, then press again"

@@ -16,11 +16,14 @@ from softcal.station.proof import (
     check_follows,
     check_gain,
     check_lag,
+    check_law,
     check_output_gain,
     lag_s,
     press_gains,
 )
+from softcal.station.recording import Raw, RunFacts, assemble
 from softcal.station.simulated.proof_trial import draw_good_rig, press_good_rig
+from softcal.station.spool import read_spool
 
 TURNS_S, DEPTHS_MM = np.arange(0.0, 31.0, 1.5), np.tile([0.0, 3.0, 0.0, 2.0], 6)[:21]
 
@@ -83,6 +86,49 @@ def test_a_press_with_another_gain_is_refused():
     assert press_gains(stage_mm(t_s), force_N) == pytest.approx(1.0, abs=0.15)
     with pytest.raises(BadReply, match="at equal depths one press shows"):
         check_gain(stage_mm(t_s), np.where(t_s > 15.0, 0.6, 1.0) * force_N)
+
+
+@pytest.mark.parametrize("gain", [0.5, 0.7, 1.5, 2.0])
+@pytest.mark.parametrize("samples_Hz", [10.0, 80.0])
+def test_a_gain_that_changes_once_is_refused_however_few_presses_there_are(gain, samples_Hz, rng):
+    t_s = np.arange(0.0, 6.0, 1 / samples_Hz)
+    force_N = relaxing_force(t_s) + rng.normal(0, 0.01, len(t_s))
+    check_law(t_s, force_N, stage_mm, 0.0, 0.0)
+    with pytest.raises(BadReply, match="at equal depths one press shows") as refused:
+        check_law(t_s, np.where(t_s > 3.0, gain, 1.0) * force_N, stage_mm, 0.0, 0.0)
+    assert refused.value.args[0].values["ratio"] == pytest.approx(max(gain, 1 / gain), rel=0.03)
+
+
+@pytest.mark.parametrize("held_s", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("samples_Hz", [10.0, 80.0])
+def test_a_cell_that_hangs_for_a_moment_is_refused_although_its_noise_goes_on(held_s, samples_Hz, rng):
+    t_s = np.arange(0.0, 12.0, 1 / samples_Hz)
+    force_N = relaxing_force(t_s) + rng.normal(0, 0.01, len(t_s))
+    check_law(t_s, force_N, stage_mm, 0.0, 0.0)
+    begins = int(np.argmax(force_N > 1.0))
+    is_held = (t_s >= t_s[begins]) & (t_s < t_s[begins] + held_s)
+    hanging_N = np.where(is_held, force_N[begins] + rng.normal(0, 0.01, len(t_s)), force_N)
+    with pytest.raises(BadReply, match="off what depth and the rest of the run say") as refused:
+        check_law(t_s, hanging_N, stage_mm, 0.0, 0.0)
+    at_s = refused.value.args[0].values["at_s"]
+    assert t_s[begins] - 0.1 <= at_s <= t_s[begins] + held_s + 0.1
+
+
+@pytest.mark.parametrize("seed", [156, 204, 108])
+def test_a_cell_whose_gain_halves_in_a_short_run_is_noticed(seed, tmp_path):
+    path = tmp_path / "run.spool"
+    press_good_rig(draw_good_rig(seed), path)
+    run = read_spool(path)
+    facts, (begun_s, ended_s) = RunFacts(**run.facts), run.facts["span_s"]
+    middle = [p for p in run.polls if 0.35 < (p.host_s - begun_s) / (ended_s - begun_s) < 0.65]
+    at_s, zero_N = min(middle, key=lambda poll: poll.position_mm).host_s, facts.zero_N
+    halved = tuple(
+        replace(sample, values=(zero_N + 0.5 * (sample.values[0] - zero_N),)) if sample.host_s > at_s else sample
+        for sample in run.force
+    )
+    assemble(Raw(run.output, run.force, run.polls), facts)
+    with pytest.raises(BadReply, match="at equal depths one press shows"):
+        assemble(Raw(run.output, halved, run.polls), facts)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
