@@ -114,7 +114,7 @@ class DriftConfig:
         start_doubt: standard deviation of what may have happened before the stream, or in an interruption of it.
         memory_cycles, memory_samples: effective averaging length of the filter at rest, the longer one of the two.
         settling_samples: samples of known use after a start before any correction is applied.
-        trend_weight: forgetting factor of the mean innovation: weight of the newest cycle.
+        trend_weight: forgetting factors of two mean innovations, a quick and a slow one: weight of the newest cycle.
         pace: squared Mahalanobis distance of the mean innovation from zero up to which it is chance.
         fastest: the process noise grows up to this factor while innovations keep one sign.
         largest: no shift and no log gain beyond these is followed.
@@ -125,7 +125,7 @@ class DriftConfig:
     memory_cycles: float = setting(20)
     memory_samples: float = setting(2560)
     settling_samples: int = setting(256)
-    trend_weight: float = setting(0.1)
+    trend_weight: tuple[float, float] = setting((0.1, 0.03), HARM)
     pace: float = setting(12.0)
     fastest: float = setting(400.0)
     largest: tuple[float, float] = setting((1.5, 0.6))
@@ -191,6 +191,7 @@ class TrustConfig:
         step: hysteresis: movements of the rest count once they exceed this, in scales.
         creep: the unloaded turning point follows the mean load by up to this share, up to `step`.
         least_rest: a rest nearer to the mean than this, in scales, counts as that far.
+        preload: a use that rests further from zero load than this, in scales, is preloaded.
         open_share: less than this share of a sure log gain applied means that use explains the rest of it.
     """
 
@@ -199,6 +200,7 @@ class TrustConfig:
     step: float = setting(0.08)
     creep: float = setting(0.5)
     least_rest: float = setting(0.5)
+    preload: float = setting(0.15, HARM)
     open_share: float = setting(0.9)
 
 
