@@ -84,6 +84,8 @@ class ActivityConfig:
         few: with n cycles the covariance is widened by this over n - 2.
         least_gain: smallest gain a cycle is read as.
         machine_timing: cycles whose log durations scatter by less than this are timed by a machine.
+        machine_cycles: of a use learnt in use, so many cycles at least show that; of six cycles of a person whose times
+            scatter by 4 %, one set in a hundred does by chance.
         outliers: one of so many durations, the furthest from the median, is left out of that scatter.
         rest_scatter: an activity returns to a known rest where its unloaded turning points scatter by less than this,
             in scales.
@@ -100,6 +102,7 @@ class ActivityConfig:
     few: float = setting(2.0)
     least_gain: float = setting(1e-3)
     machine_timing: float = setting(0.01)
+    machine_cycles: int = setting(10, "chance, of a chi-square with 8 degrees of freedom: one in ten thousand")
     outliers: int = setting(10)
     rest_scatter: float = setting(0.10)
     covered: float = setting(0.5)
@@ -228,11 +231,11 @@ class DoubtConfig:
     way: float = setting(0.12, HARM)
     unseen: float = setting(0.15, HARM)
     far: float = setting(0.03, HARM)
-    vouched: float = setting(0.1, HARM)
-    certain: float = setting(6.0, HARM)
+    vouched: float = setting(0.2, HARM)
+    certain: float = setting(2.0, HARM)
     alarm_ratio: float = setting(2.0)
     clear_ratio: float = setting(1.5, HARM)
-    alarm_cycles: float = setting(3.0, HARM)
+    alarm_cycles: float = setting(4.0, HARM)
     swap: float = setting(0.005)
     slope_rows: int = setting(4000)
     slope_step: float = setting(0.05)

@@ -426,7 +426,8 @@ class DriftTracker:
             oldest = 1 if self._has_calibrated else 0
             del now.activities[oldest]
             now.filter = now.filter.without(oldest)
-        now.activities.append(activity)
+        is_imposed = activity.is_imposed and len(cycles) >= self._method.activity.machine_cycles
+        now.activities.append(replace(activity, is_imposed=is_imposed))
         now.stray_before = now.stray
         now.filter = now.filter.with_learnt(activity.doubt)
         now.latest = len(now.activities) - 1

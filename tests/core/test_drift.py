@@ -413,3 +413,16 @@ def test_correction_that_a_preload_would_have_asked_for_as_well_is_said_to_be(
     seen = observe(tracker, output + np.linspace(0.0, 0.2, len(output)), use)
 
     assert any(one.reason == PRELOADED for one in seen) == is_said
+
+
+@pytest.mark.parametrize(("calibrated_s", "is_imposed"), [(120.0, False), (600.0, True)])
+def test_few_equal_durations_of_a_learnt_use_do_not_show_a_machine(calibrated_s: float, is_imposed: bool) -> None:
+    """A quarter of the calibration's length is learnt from: seven presses, or thirty-seven."""
+    use = calibrated_use(presses(calibrated_s))
+    tracker = DriftTracker(use, is_improved=True)
+
+    observe(tracker, presses(0.4 * calibrated_s, seed=8, power=6.0), use)
+
+    calibrated, learnt = tracker._now.activities
+    assert calibrated.is_imposed
+    assert learnt.is_imposed == is_imposed
