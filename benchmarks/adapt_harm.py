@@ -23,6 +23,7 @@ from softcal.core.recording import Array
 from softcal.core.unit.estimate import estimate
 from softcal.core.use.adapter import AdaptConfig, Adapter
 from softcal.core.use.method import UseMethod
+from softcal.core.use.observation import PRELOADED
 
 HARM = 1.05
 BLOCK = 10
@@ -41,11 +42,13 @@ class Outcome:
         still, followed: error over the stream without and with following.
         ratio, last_ratio: followed over still, over the stream and over its last third.
         is_alarmed: whether an alarm stood anywhere.
+        is_said: whether the record said that a preload that changes cannot be told from drift.
         unwatched: share of the stream of which the record says that it is not watched yet.
         watched_s: its length.
         false_alarms: alarms that stood while nothing was due.
         due: times at which a recalibration was due for two blocks at least.
-        told, missed: those without an alarm in which the stream was said to be unwatched, and the rest.
+        told, flagged, missed: those without an alarm: the stream was said to be unwatched; its wrong rows were flagged,
+            and those without a flag err by less; the rest.
         delays: of those with an alarm, cycles until it stood.
         standing: share of the time in which nothing was due that was under an alarm.
         said: the last alarm.
@@ -58,11 +61,13 @@ class Outcome:
     ratio: float
     last_ratio: float
     is_alarmed: bool
+    is_said: bool
     unwatched: float
     watched_s: float
     false_alarms: int
     due: int
     told: int
+    flagged: int
     missed: int
     delays: list[float]
     standing: float
@@ -74,7 +79,8 @@ def outcome(stream: Stream) -> Outcome:
     bench, used = stream.bench, stream.used
     adapter = Adapter(bench.network, bench.calibration, stream.calibrated)
     promised = adapter.current.predicted_rmse
-    found = adapter.advance(used.t_s, used.output).estimate
+    rows = adapter.advance(used.t_s, used.output)
+    found = rows.estimate
     updates = adapter.take_updates()
     alarms = spans([(u.row, u.alarm) for u in updates], len(used))
     unwatched = spans([(u.row, "unwatched" if u.verdict == "unwatched" else "") for u in updates], len(used))
@@ -82,12 +88,16 @@ def outcome(stream: Stream) -> Outcome:
     wrong = np.nan_to_num(found - stream.load), np.nan_to_num(still - stream.load)
     whole = [float(np.sqrt(np.mean(e**2))) for e in wrong]
     last = [float(np.sqrt(np.mean(e[-len(e) // 3 :] ** 2))) for e in wrong]
-    due = due_spans(wrong[0], BLOCK * stream.cycle, AdaptConfig().method.doubt.alarm_ratio * promised)
+    limit = AdaptConfig().method.doubt.alarm_ratio * promised
+    due = due_spans(wrong[0], BLOCK * stream.cycle, limit)
     long = [(a, b) for a, b in due if b - a >= 2 * BLOCK * stream.cycle]
     is_due, is_alarm, is_unwatched = (marked(s, len(used)) for s in (due, alarms, unwatched))
     begins = [min((max(a, start) for start, end in alarms if start < b and end > a), default=None) for a, b in long]
     silent = [span for span, begin in zip(long, begins, strict=True) if begin is None]
     told = [is_unwatched[a:b].mean() > 0.5 for a, b in silent]
+    # Wrong where the record says that the row is not to be trusted, right elsewhere.
+    plain = np.where(rows.flag == "", wrong[0], np.nan)
+    flagged = [not float(np.nan_to_num(np.nanmean(plain[a:b] ** 2))) > limit**2 for a, b in silent]
     unit = f"{stream.activity}, {stream.curve}{', calibrated on the station' if stream.is_on_station else ''}"
     return Outcome(
         kind=stream.kind,
@@ -97,12 +107,14 @@ def outcome(stream: Stream) -> Outcome:
         ratio=whole[0] / whole[1],
         last_ratio=last[0] / last[1],
         is_alarmed=bool(alarms),
+        is_said=any(u.reason == PRELOADED for u in updates),
         unwatched=float(is_unwatched.mean()),
         watched_s=float(np.ptp(used.t_s)),
         false_alarms=sum(not is_due[a:b].any() for a, b in alarms),
         due=len(long),
         told=int(sum(told)),
-        missed=len(silent) - int(sum(told)),
+        flagged=sum(f and not t for f, t in zip(flagged, told, strict=True)),
+        missed=sum(not f and not t for f, t in zip(flagged, told, strict=True)),
         delays=[(begin - a) / stream.cycle for (a, _), begin in zip(long, begins, strict=True) if begin is not None],
         standing=float(is_alarm[~is_due].mean()) if not is_due.all() else 0.0,
         said=next((u.alarm for u in reversed(updates) if u.alarm), ""),
@@ -159,7 +171,7 @@ def outcomes(numbers: range, seed: int, cache: Path | None) -> Iterator[Outcome]
 
 
 def is_silent(one: Outcome) -> bool:
-    return one.ratio > HARM and not one.is_alarmed
+    return one.ratio > HARM and not one.is_alarmed and not one.is_said
 
 
 def harm_row(name: str, found: list[Outcome]) -> list[object]:
@@ -170,6 +182,7 @@ def harm_row(name: str, found: list[Outcome]) -> list[object]:
         float(np.median(ratios)),
         float(ratios.max()),
         int(np.sum(ratios > HARM)),
+        sum(one.ratio > HARM and not one.is_alarmed and one.is_said for one in found),
         sum(map(is_silent, found)),
         float(np.median([one.last_ratio for one in found])),
     ]
@@ -187,6 +200,7 @@ def alarm_row(name: str, found: list[Outcome]) -> list[object]:
         100 * float(np.mean([one.standing for one in found])),
         sum(one.due for one in found),
         sum(one.told for one in found),
+        sum(one.flagged for one in found),
         sum(one.missed for one in found),
         *(float(np.quantile(delays, q)) if delays else "–" for q in (0.5, 0.9)),
         100 * float(np.mean([one.unwatched for one in found])),
@@ -194,7 +208,7 @@ def alarm_row(name: str, found: list[Outcome]) -> list[object]:
 
 
 def print_tables(found: list[Outcome]) -> None:
-    header = ["kind", "streams", "median ratio", "worst", f"above {HARM:g}", "of these without alarm"]
+    header = ["kind", "streams", "median ratio", "worst", f"above {HARM:g}", "of these said, not alarmed", "not said"]
     alarms = [
         "kind",
         "days",
@@ -203,6 +217,7 @@ def print_tables(found: list[Outcome]) -> None:
         "standing where nothing is due [%]",
         "due",
         "said to be unwatched",
+        "flagged row by row",
         "missed",
     ]
     alarms += ["delay [cycles]: median", "90 %", "not watched yet [%]"]

@@ -9,6 +9,7 @@ from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
 from softcal.core.unit.method import Method
+from softcal.core.unit.uncertainty import Interval
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
 from softcal.core.use.method import UseMethod
 from softcal.core.use.trim import Trimmed, trim
@@ -43,8 +44,11 @@ def trim_unit(
         unlabelled(registry.recording(record.recording_sha256)),
     )
     problem = replace(problem, config=(record.method or Method()).map)
-    found = trim(problem, Calibration.from_record(record).unit_map, loads, record.knowledge.kind, UseMethod().trim)
-    trimmed = _record(record, found, loads)
+    before = Calibration.from_record(record)
+    found = trim(problem, before.unit_map, loads, record.knowledge.kind, UseMethod().trim)
+    # What the trim leaves open, whichever way the load moves.
+    wider = before.interval.widened(found.variance(before.interval, problem.source))
+    trimmed = _record(record, found, wider, loads)
     why = f"trimmed by {len(loads.output)} loads"
     revision = registry.add_calibration(stored.lot_id, trimmed, actor=actor, reason=why, decided_by="trim")
     return found, revision
@@ -68,7 +72,7 @@ def _values(loads: Anchors) -> dict[str, list[float]]:
     return {"output": loads.output.tolist(), "reference": loads.reference.tolist()}
 
 
-def _record(record: CalibrationRecord, found: Trimmed, loads: Anchors) -> CalibrationRecord:
+def _record(record: CalibrationRecord, found: Trimmed, wider: Interval, loads: Anchors) -> CalibrationRecord:
     """Return the calibration with the trimmed map. What was measured or sampled was so with the map before."""
     said = reason("trimmed", loads=len(loads.output), before=found.before_rmse, after=found.after_rmse)
     predicted = record.decision.predicted
@@ -82,6 +86,7 @@ def _record(record: CalibrationRecord, found: Trimmed, loads: Anchors) -> Calibr
     }
     arrays = {name: array for name, array in record.arrays.items() if not name.startswith("map.")}
     arrays |= {f"map.{name}": array for name, array in found.unit_map.arrays().items()}
+    arrays["interval.half_width"] = wider.half_width
     kept = {"base": record.input_sha256, **_values(loads)}
     return replace(
         record,

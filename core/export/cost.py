@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from softcal.core.export.integer_network import DeviceMap, IntegerNetwork
 
-STATE_BYTES, BYTES_PER_WIDTH, LEAST_WIDTH = 108, 4, 16
+STATE_BYTES, BYTES_PER_WIDTH, LEAST_WIDTH = 104, 4, 16
 """Of `ss_sensor` on a 32-bit machine: its fixed part, and two buffers as wide as the widest layer."""
 
 PER_MULTIPLICATION, PER_ROW, ALWAYS, PER_MIX = 4.0, 45.0, 570.0, 2500.0

@@ -69,16 +69,22 @@ class DeviceSensor:
         raw = self.network_file.network.evaluate(unit.device_map.on_windows(ring))
         value = np.clip(raw, unit.out_min, unit.out_max)
         flags = OUT_OF_RANGE * outside.any(axis=1) + CLAMPED * (raw != value)
-        levels = np.array([band.level for band in unit.bands[:-1]], dtype=np.int64)
-        band = np.searchsorted(levels, value, side="left")
-        minus = np.array([b.minus for b in unit.bands], dtype=np.int64)[band]
-        plus = np.array([b.plus for b in unit.bands], dtype=np.int64)[band]
+        minus, plus = self.reach(value)
         return DeviceEstimate(
             value,
             np.maximum(value - minus, -ACTIVATION_MAX),
             np.minimum(value + plus, ACTIVATION_MAX),
             flags.astype(np.int64),
         )
+
+    def reach(self, value: Integers) -> tuple[Integers, Integers]:
+        """Return how far the 90 % interval reaches below and above (n,) estimates in counts, each (n,)."""
+        bands = self.unit_file.bands
+        levels = np.array([band.level for band in bands[:-1]], dtype=np.int64)
+        band = np.searchsorted(levels, value, side="left")
+        minus = np.array([b.minus for b in bands], dtype=np.int64)[band]
+        plus = np.array([b.plus for b in bands], dtype=np.int64)[band]
+        return minus, plus
 
     def estimate_output(self, windows: Array) -> tuple[Array, Array, Array, Integers]:
         """Estimate for (n, TAPS) windows of sensor output: estimate, lower, upper in reference units, and flags."""

@@ -1,5 +1,6 @@
 """The firmware's way through a recording in Python: one sample in, the estimate out, with every flag; and the trim."""
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -13,6 +14,9 @@ STUCK_ms = 60_000
 """A code that stays the same for so long is flagged."""
 
 MOST_TRIM_SAMPLES = 4096
+
+MOST_REACH = 65_535
+MOST_LOAD_ERROR = 16_383
 
 
 @dataclass(frozen=True)
@@ -53,10 +57,47 @@ class Shift:
         return max(-ACTIVATION_MAX, min(ACTIVATION_MAX, moved))
 
 
+@dataclass(frozen=True)
+class Trim:
+    """What two known loads have shown; all zeros without a trim.
+
+    Args:
+        shift: of mapped samples.
+        loads: the two loads, in counts as estimates are.
+        reach: 90 % half-width of what is not known at each of them, in the same counts.
+    """
+
+    shift: Shift = Shift()
+    loads: tuple[int, int] = (0, 0)
+    reach: tuple[int, int] = (0, 0)
+
+    def reach_at(self, value: int) -> int:
+        """Return the 90 % half-width of what the trim leaves open at an estimate, in counts.
+
+        The errors at the two loads are independent and run in a straight line between and beyond them.
+        """
+        apart = abs(self.loads[1] - self.loads[0])
+        if not apart:
+            return 0
+        away = abs(value - self.loads[1]), abs(value - self.loads[0])
+        parts = [min(MOST_REACH, -(-reach * far // apart)) for reach, far in zip(self.reach, away, strict=True)]
+        return joined(parts[0], parts[1])
+
+
+def joined(a: int, b: int) -> int:
+    """Return the root of a² + b², rounded up, at most `MOST_REACH`; to two counts where one is beyond 15 bits."""
+    if not b:
+        return a
+    step = 2 if max(a, b) > ACTIVATION_MAX else 1
+    square = (-(-a // step)) ** 2 + (-(-b // step)) ** 2
+    root = math.isqrt(square)
+    return min(MOST_REACH, step * (root + (root * root < square)))
+
+
 class DeviceStream:
     """The firmware's ring buffer: gaps, staleness, rate and a stuck code are flagged alike."""
 
-    def __init__(self, sensor: DeviceSensor, trim: Shift = Shift()) -> None:  # noqa: B008
+    def __init__(self, sensor: DeviceSensor, trim: Trim = Trim()) -> None:  # noqa: B008
         self._sensor, self._trim = sensor, trim
         self._plan = RatePlan.of(sensor.network_file.period_us, sensor.network_file.gap_ms)
         self._ring = np.zeros(TAPS, dtype=np.int64)
@@ -73,7 +114,7 @@ class DeviceStream:
         if not self._filled or code != self._last_code:
             self._is_stuck, self._moved_ms = False, t_ms
         self._is_stuck |= (t_ms - self._moved_ms) % 2**32 >= STUCK_ms
-        mapped = self._trim.apply(int(unit.device_map.on_samples(np.array([code]))[0]), unit.adapt.low)
+        mapped = self._trim.shift.apply(int(unit.device_map.on_samples(np.array([code]))[0]), unit.adapt.low)
         self._ring = np.append(self._ring[1:], mapped)
         self._outside = np.append(self._outside[1:], not unit.code_min <= code <= unit.code_max)
         self._steps = [*self._steps[1:], step]
@@ -88,7 +129,10 @@ class DeviceStream:
         flags = int(found.flags[0]) | STUCK * self._is_stuck
         flags |= STALE * ((now_ms - self._last_ms) % 2**32 > self._plan.gap)
         flags |= WRONG_RATE * (not self._plan.is_kept(self._steps[1:]))
-        return int(found.value[0]), int(found.lower[0]), int(found.upper[0]), flags
+        value, reach = int(found.value[0]), self._trim.reach_at(int(found.value[0]))
+        minus, plus = (int(side[0]) for side in self._sensor.reach(found.value))
+        lower, upper = value - joined(minus, reach), value + joined(plus, reach)
+        return value, max(-ACTIVATION_MAX, lower), min(ACTIVATION_MAX, upper), flags
 
 
 class TrimResult(IntEnum):
@@ -99,39 +143,65 @@ class TrimResult(IntEnum):
     MOVING = 2
     OUT_OF_REACH = 3
     TOO_FAR = 4
+    TOO_CLOSE = 5
 
 
 def find_trim(
-    sensor: DeviceSensor, codes: tuple[np.ndarray, np.ndarray], loads: tuple[int, int]
-) -> tuple[TrimResult, Shift]:
-    """Find the shift that brings a unit back to two known loads.
+    sensor: DeviceSensor, codes: tuple[np.ndarray, np.ndarray], loads: tuple[int, int], errors: tuple[int, int]
+) -> tuple[TrimResult, Trim]:
+    """Find the shift that brings a unit back to two known loads, and how well it is known.
 
     Args:
         sensor: the unit.
         codes: codes while load 0 and load 1 rested on it, 15 or more of each.
         loads: the two loads in counts, as estimates are.
+        errors: their standard uncertainties in the same counts.
 
     Returns:
-        how it ended, and the shift; no shift unless TRIMMED.
+        how it ended, and the trim; none unless TRIMMED.
     """
     if min(map(len, codes)) < TAPS:
-        return TrimResult.MORE, Shift()
+        return TrimResult.MORE, Trim()
+    if loads[0] == loads[1] or max(errors) > MOST_LOAD_ERROR:
+        return TrimResult.TOO_CLOSE, Trim()
     mapped = [sensor.unit_file.device_map.on_samples(c[:MOST_TRIM_SAMPLES]) for c in codes]
     seen = [_towards_zero(int(y.sum()), len(y)) for y in mapped]
     apart = seen[1] - seen[0]
     if apart == 0 or any(4 * int(np.ptp(y)) > abs(apart) for y in mapped):
-        return TrimResult.MOVING, Shift()
+        return TrimResult.MOVING, Trim()
     wanted = [_rest_of(sensor, load) for load in loads]
     if wanted[0] is None or wanted[1] is None:
-        return TrimResult.OUT_OF_REACH, Shift()
+        return TrimResult.OUT_OF_REACH, Trim()
     missing = wanted[1] - wanted[0] - apart
     if abs(missing) > abs(apart) // 2:
-        return TrimResult.TOO_FAR, Shift()
+        return TrimResult.TOO_FAR, Trim()
     gain = _towards_zero(missing * 2**15, apart)
     offset = wanted[0] - seen[0] - (gain * (seen[0] - sensor.unit_file.adapt.low) >> 15)
     if abs(offset) > ACTIVATION_MAX:
-        return TrimResult.TOO_FAR, Shift()
-    return TrimResult.TRIMMED, Shift(gain, offset)
+        return TrimResult.TOO_FAR, Trim()
+    shift = Shift(gain, offset)
+    first, second = (_load_reach(sensor, mapped[k], shift, loads[k], errors[k]) for k in (0, 1))
+    return TrimResult.TRIMMED, Trim(shift, loads, (first, second))
+
+
+def _load_reach(sensor: DeviceSensor, seen: np.ndarray, shift: Shift, load: int, error: int) -> int:
+    """The 90 % half-width of what is not known at one load, in counts.
+
+    How well the load itself is known; where within the range of its readings the level lies (rectangular, GUM 4.3.7,
+    widened by a count for rounding); and the error of the unit's calibration.
+    """
+    low = shift.apply(int(seen.min()) - 1, sensor.unit_file.adapt.low)
+    high = shift.apply(int(seen.max()) + 1, sensor.unit_file.adapt.low)
+    spread = abs(_at_rest(sensor, high) - _at_rest(sensor, low))
+    # 122 / 256 is 1.645 / sqrt(12), 422 / 256 is 1.645, both rounded up.
+    read = joined(-(-122 * spread // 256), -(-422 * error // 256))
+    return joined(read, max(int(side[0]) for side in sensor.reach(np.array([load]))))
+
+
+def _at_rest(sensor: DeviceSensor, y: int) -> int:
+    """The estimate, not clamped, of a window in which every mapped sample is y."""
+    window = sensor.unit_file.device_map.on_windows(np.full((1, TAPS), y, dtype=np.int64))
+    return int(sensor.network_file.network.evaluate(window)[0])
 
 
 def _towards_zero(a: int, b: int) -> int:
@@ -143,8 +213,7 @@ def _rest_of(sensor: DeviceSensor, known: int) -> int | None:
     unit = sensor.unit_file
 
     def at_rest(y: int) -> int:
-        window = unit.device_map.on_windows(np.full((1, TAPS), y, dtype=np.int64))
-        return int(sensor.network_file.network.evaluate(window)[0])
+        return _at_rest(sensor, y)
 
     ends = unit.device_map.on_samples(np.array([unit.code_min, unit.code_max]))
     a, b = sorted((int(ends[0]), int(ends[1])), key=at_rest)

@@ -57,12 +57,14 @@ class Anchoring:
         unit_map: the map with gain and offset behind it.
         gain_error: standard uncertainty of the gain, as a share of it.
         rest_error: the same of the level at rest, in the source's output unit.
+        covariance: (2, 2) of the two.
         misfit: RMS distance of the loads from the source's levels after the fit, in standard uncertainties.
     """
 
     unit_map: AnchoredMap
     gain_error: float
     rest_error: float
+    covariance: Array
     misfit: float
 
 
@@ -131,10 +133,11 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
     offset = float(rest * (1.0 - gain) + level * theta[1])
     misfit = float(np.sqrt(np.mean(((offset + gain * mapped - wanted) / sigma) ** 2)))
     # Loads that do not fit a gain and an offset know neither better than they fit.
-    error = np.sqrt(np.diag(np.linalg.inv(normal))) * max(misfit, 1.0)
-    return Anchoring(
-        AnchoredMap(unit_map, gain, offset), firm.gain * float(error[0]) / abs(gain), level * float(error[1]), misfit
-    )
+    # The unknowns were counted where the map was before; errors count where it is now: at rest and about it.
+    now = np.array([[firm.gain / gain, 0.0], [-firm.gain * level * float(theta[1]) / gain, level]])
+    covariance = now @ np.linalg.inv(normal) @ now.T * max(misfit, 1.0) ** 2
+    error = np.sqrt(np.diag(covariance))
+    return Anchoring(AnchoredMap(unit_map, gain, offset), float(error[0]), float(error[1]), covariance, misfit)
 
 
 def _model_error(problem: FitProblem) -> float:

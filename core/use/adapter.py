@@ -25,10 +25,11 @@ from softcal.core.use.doubt import CALIBRATE, Doubt, due
 from softcal.core.use.intake import WRONG_RATE, Intake, RowMask
 from softcal.core.use.kept import restored
 from softcal.core.use.method import UseMethod
-from softcal.core.use.observation import Observation
+from softcal.core.use.observation import NOT_WATCHED, UNWATCHED, Observation
 from softcal.core.use.sensitivity import calibrated_rmse, learn_sensitivity
 from softcal.core.use.tracker import DriftTracker
 
+START = "start"
 MODES = ("none", "basic", "improved")
 RECALIBRATE = "recalibrate"
 """Flag of rows that would be trusted, were the unit not due for a calibration with a reference."""
@@ -36,7 +37,7 @@ RECALIBRATE = "recalibrate"
 UNSETTLED = "unsettled"
 """Flag of rows that would be trusted, were it not for a sudden change that more cycles must explain."""
 
-STATE_FORMAT = 4
+STATE_FORMAT = 5
 """Of what `Adapter.state` returns; raised whenever a state kept before could not be gone on from."""
 
 NOT_EVIDENCE = (STUCK, SATURATED, WRONG_RATE)
@@ -249,6 +250,10 @@ class Adapter:
         if np.max(np.abs(moved)) < self._method.doubt.swap * self._use.scale:
             gain, offset = self._current.gain, self._current.offset
         seen = self._current if last is None else last
+        verdict, reason = seen.verdict, seen.reason
+        # Not even a cycle was seen: that must not read as if nothing had drifted.
+        if verdict == START and self._tracker.is_learning:
+            verdict, reason = UNWATCHED, NOT_WATCHED
         return MapUpdate(
             row=self._row,
             t_s=self._current.t_s if last is None else last.t_s,
@@ -259,8 +264,8 @@ class Adapter:
             shift_sd=seen.shift_sd,
             log_gain_sd=seen.log_gain_sd,
             predicted_rmse=self._predicted_rmse(found.growth),
-            verdict=seen.verdict,
-            reason=seen.reason,
+            verdict=verdict,
+            reason=reason,
             alarm=self._alarm(found.not_followed),
         )
 
@@ -301,7 +306,7 @@ class Adapter:
         predicted_rmse = self._predicted_rmse(0.0)
         reason = "" if self._use.lesson.activity else self._use.lesson.reason
         drift = (start.shift, start.log_gain, start.shift_sd, start.log_gain_sd)
-        return MapUpdate(0, None, 1.0, 0.0, *drift, predicted_rmse, "start", reason, "")
+        return MapUpdate(0, None, 1.0, 0.0, *drift, predicted_rmse, START, reason, "")
 
     def reconnect(self, row: int = 0) -> None:
         """Go on after an interruption of unknown length: windows and cycles start anew, the map stays.

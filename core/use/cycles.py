@@ -59,7 +59,8 @@ class CutterState:
         low, high: turning points that cycles are cut with, in the unit of the output.
         usual: samples of a usual cycle.
         least: fewest samples of a cycle; shorter ones are joined until they have so many.
-        silent: samples since the output last turned.
+        silent: samples since the output last turned, or since the swing was last taken anew.
+        waits: how often the swing was taken anew since the last cycle.
         was_low: whether the output was below the lower threshold since the last cycle began.
         has_start: whether the cycle under way was seen from its start.
         kept: samples of the cycle under way, every `stride`th.
@@ -74,6 +75,7 @@ class CutterState:
     usual: float
     least: float
     silent: int = 0
+    waits: int = 0
     was_low: bool = False
     has_start: bool = False
     kept: list[float] = field(default_factory=list)
@@ -131,9 +133,17 @@ class CycleCutter:
         now.silent = len(output) - start + (0 if start else now.silent)
         if now.count >= max(self._longest, 2 * now.least):
             found.append(self._finish(is_complete=False))
-        elif now.silent > max(self._patience, self._config.overdue * now.usual):
+        elif now.silent > self._wait():
             self._take_swing()
         return found
+
+    def _wait(self) -> float:
+        """Return the samples without a turn after which the swing is taken anew.
+
+        Twice as many each time until a cycle is found: cycles that last longer than the wait would never be seen whole.
+        """
+        usual = max(self._patience, self._config.overdue * self._now.usual)
+        return min(usual * 2.0**self._now.waits, max(usual, self._longest))
 
     def _take_swing(self) -> None:
         """Estimate the turning points anew from the samples since the last turn."""
@@ -145,6 +155,7 @@ class CycleCutter:
         if high - low >= self._least_swing:
             now.low, now.high = low, high
             now.was_low, now.has_start = False, False
+            now.waits += 1
 
     def _turns(self, output: Array) -> list[int]:
         """Return the positions where a new cycle begins."""
@@ -216,6 +227,7 @@ class CycleCutter:
         now.high += config.memory * (high - now.high)
         if is_complete:
             now.usual += config.memory * (now.count - now.usual)
+            now.waits = 0
         self._begin()
         return cycle
 

@@ -14,13 +14,14 @@ from softcal.core.use.method import DoubtConfig
 
 UNCOMPARED = "much of the use could not be compared with any that is known"
 MISSED = "the use moved while it was learnt: sensor or use"
+STRAY = "a new use rests where none that is known does: sensor or use"
 OPEN = "a drift is seen that is not followed, for a change of use would look the same"
 LATE = "the drift is faster than it is followed"
 JUMP = "a sudden change is not explained"
 FAR = "what was corrected is so much that the rest of it counts"
 """Why estimates may be wrong: what an alarm names."""
 
-CAUSES = (UNCOMPARED, MISSED, JUMP, OPEN, LATE, FAR)
+CAUSES = (UNCOMPARED, MISSED, STRAY, JUMP, OPEN, LATE, FAR)
 CALIBRATE = "calibrate against a reference"
 
 
@@ -35,10 +36,12 @@ class Evidence:
         moved: how far the rest has gone in all.
         use_share: prior probability that a change of amplitude is use.
         use_doubt: expected square of the error of a gain that may have been use.
+        preload_doubt: the same of a shift that may have been a preload.
         unseen: use that could not be compared, in lengths of the calibration recording, 1 at most.
         is_learning: whether that is the unit's first use, which is still being learnt.
         unresolved: size of an unexplained jump.
         missed: how far level or scale moved while the first use was learnt.
+        stray: how far the rest of a new use lies from all that are known.
         lag: how far the filter is behind, beyond chance.
     """
 
@@ -49,10 +52,12 @@ class Evidence:
     moved: float
     use_share: float
     use_doubt: float
+    preload_doubt: float
     unseen: float
     is_learning: bool
     unresolved: float
     missed: float
+    stray: float
     lag: float
 
     @property
@@ -98,8 +103,8 @@ def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
     # What was not applied cannot be wrong by chance: the variance counts as far as the correction goes.
     share = seen.size / max(float(seen.drift @ seen.drift), 1e-24)
     known = share * seen.chance + config.correction**2 * seen.size
-    known += (config.way * seen.moved) ** 2 + seen.use_doubt + seen.walked
-    open_ends = seen.unresolved**2 + seen.missed**2
+    known += (config.way * seen.moved) ** 2 + seen.use_doubt + seen.preload_doubt + seen.walked
+    open_ends = seen.unresolved**2 + seen.missed**2 + seen.stray**2
     unseen = (config.unseen * seen.unseen) ** 2
     counted = 0.0 if seen.is_learning else unseen
     beyond = max(0.0, seen.left - seen.chance)
@@ -109,6 +114,7 @@ def doubt(seen: Evidence, config: DoubtConfig) -> Doubt:
         not_followed={
             UNCOMPARED: counted,
             MISSED: seen.missed**2,
+            STRAY: seen.stray**2,
             JUMP: seen.unresolved**2,
             OPEN: max(0.0, seen.left - config.certain * seen.chance),
             LATE: seen.lag**2,

@@ -84,6 +84,8 @@ class ActivityConfig:
         few: with n cycles the covariance is widened by this over n - 2.
         least_gain: smallest gain a cycle is read as.
         machine_timing: cycles whose log durations scatter by less than this are timed by a machine.
+        machine_cycles: of a use learnt in use, so many cycles at least show that; of six cycles of a person whose times
+            scatter by 4 %, one set in a hundred does by chance.
         outliers: one of so many durations, the furthest from the median, is left out of that scatter.
         rest_scatter: an activity returns to a known rest where its unloaded turning points scatter by less than this,
             in scales.
@@ -100,6 +102,7 @@ class ActivityConfig:
     few: float = setting(2.0)
     least_gain: float = setting(1e-3)
     machine_timing: float = setting(0.01)
+    machine_cycles: int = setting(10, "chance, of a chi-square with 8 degrees of freedom: one in ten thousand")
     outliers: int = setting(10)
     rest_scatter: float = setting(0.10)
     covered: float = setting(0.5)
@@ -114,7 +117,7 @@ class DriftConfig:
         start_doubt: standard deviation of what may have happened before the stream, or in an interruption of it.
         memory_cycles, memory_samples: effective averaging length of the filter at rest, the longer one of the two.
         settling_samples: samples of known use after a start before any correction is applied.
-        trend_weight: forgetting factor of the mean innovation: weight of the newest cycle.
+        trend_weight: forgetting factors of two mean innovations, a quick and a slow one: weight of the newest cycle.
         pace: squared Mahalanobis distance of the mean innovation from zero up to which it is chance.
         fastest: the process noise grows up to this factor while innovations keep one sign.
         largest: no shift and no log gain beyond these is followed.
@@ -125,7 +128,7 @@ class DriftConfig:
     memory_cycles: float = setting(20)
     memory_samples: float = setting(2560)
     settling_samples: int = setting(256)
-    trend_weight: float = setting(0.1)
+    trend_weight: tuple[float, float] = setting((0.1, 0.03), HARM)
     pace: float = setting(12.0)
     fastest: float = setting(400.0)
     largest: tuple[float, float] = setting((1.5, 0.6))
@@ -191,6 +194,7 @@ class TrustConfig:
         step: hysteresis: movements of the rest count once they exceed this, in scales.
         creep: the unloaded turning point follows the mean load by up to this share, up to `step`.
         least_rest: a rest nearer to the mean than this, in scales, counts as that far.
+        preload: a use that rests further from zero load than this, in scales, is preloaded.
         open_share: less than this share of a sure log gain applied means that use explains the rest of it.
     """
 
@@ -199,6 +203,7 @@ class TrustConfig:
     step: float = setting(0.08)
     creep: float = setting(0.5)
     least_rest: float = setting(0.5)
+    preload: float = setting(0.15, HARM)
     open_share: float = setting(0.9)
 
 
@@ -226,11 +231,11 @@ class DoubtConfig:
     way: float = setting(0.12, HARM)
     unseen: float = setting(0.15, HARM)
     far: float = setting(0.03, HARM)
-    vouched: float = setting(0.1, HARM)
-    certain: float = setting(6.0, HARM)
+    vouched: float = setting(0.2, HARM)
+    certain: float = setting(2.0, HARM)
     alarm_ratio: float = setting(2.0)
     clear_ratio: float = setting(1.5, HARM)
-    alarm_cycles: float = setting(3.0, HARM)
+    alarm_cycles: float = setting(4.0, HARM)
     swap: float = setting(0.005)
     slope_rows: int = setting(4000)
     slope_step: float = setting(0.05)

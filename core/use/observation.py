@@ -12,6 +12,7 @@ from softcal.core.use.trust import Trust
 FOLLOWED, HELD, TRIED, JUMPED, UNWATCHED = "followed", "held", "tried", "jumped", "unwatched"
 REST_MOVED = "the rest moved at once; the next cycles decide what it is"
 USE_OR_GAIN = "the cycles changed in size about a rest that stands: use or gain, which only a reference can tell"
+PRELOADED = "not watched: this use never comes to zero load; a preload that changes is taken for drift"
 NOT_WATCHED = "not watched yet: the first use is still being learnt, and a drift before that is not seen"
 
 
@@ -47,7 +48,7 @@ class TrackerState:
         trust: what decides which part of the drift is applied.
         activities: known ones, the calibrated one first.
         to_settle: cycles left before the estimate is applied; `carried`, (2,), is applied until then.
-        trend: (2,) exponential mean of the innovations.
+        trend: (2, 2) exponential means of the innovations, a quick and a slow one.
         latest: index of the activity of the latest cycle.
         last_s: end of the latest cycle; None before the first.
         strangers: cycles in a row of no known activity.
@@ -60,6 +61,9 @@ class TrackerState:
         joined, single_s: usual cycles that are taken together as one, and the duration of a single one.
         first_s: end of the first cycle; None before it.
         missed: how far level and scale moved while the first use was learnt, in scales; 0 where that may be chance.
+        stray: how far the rest of the latest strange cycles, or of a use learnt from them, lies from all that were
+            known; 0 where that may be chance.
+        stray_before: the same when these cycles began.
         opening, opening_sd: level over the first cycles, in scales; 0 and 0 while single cycles are compared.
     """
 
@@ -67,7 +71,7 @@ class TrackerState:
     trust: Trust = field(metadata=part(Trust))
     activities: list[Activity] = field(metadata=parts(Activity))
     to_settle: int
-    trend: Array = field(metadata=array(2))
+    trend: Array = field(metadata=array(2, 2))
     carried: Array = field(metadata=array(2))
     strangers: list[Cycle] = field(metadata=parts(Cycle))
     jumps: list[Cycle] = field(metadata=parts(Cycle))
@@ -82,5 +86,7 @@ class TrackerState:
     single_s: float = 0.0
     first_s: float | None = None
     missed: float = 0.0
+    stray: float = 0.0
+    stray_before: float = 0.0
     opening: float = 0.0
     opening_sd: float = 0.0

@@ -5,6 +5,9 @@ is therefore the first one of a re-seated sensor. If the sensor moved in mid-cyc
 cycle mix both positions; its rest belongs to one of them and can be used.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from softcal.core.recording import Array
@@ -42,3 +45,27 @@ def is_like_but_for_shape(cycle: Cycle, activity: Activity, drift: Array, config
     longer = np.log(cycle.duration_s) - activity.log_duration
     larger = np.log(cycle.scale) - activity.log_scale - drift[1]
     return bool(abs(longer) <= activity.tolerance[2] and abs(larger) <= config.largest[1])
+
+
+@dataclass(frozen=True)
+class RestBeyond:
+    """Where the rest of several cycles lies against known levels, in scales of the calibrated use.
+
+    Args:
+        away: beyond the nearest one, positive on the loaded side; 0 between them.
+        sd: standard deviation of the mean rest.
+        turning: how far the unloaded ends of the cycles spread; a use that turns without resting stays off zero by it.
+    """
+
+    away: float
+    sd: float
+    turning: float
+
+
+def rest_beyond(cycles: Sequence[Cycle], levels: Array, rest_is_low: bool, config: JumpConfig) -> RestBeyond:
+    """Return how far cycles rest beyond (n,) known levels; arguments otherwise as of `rest_step`."""
+    rests = np.array([cycle.rest(rest_is_low) for cycle in cycles])
+    beyond = min(float(rests.mean() - levels.min()), 0.0) + max(float(rests.mean() - levels.max()), 0.0)
+    end = slice(0, config.end_quantiles) if rest_is_low else slice(-config.end_quantiles, None)
+    turning = float(np.mean([cycle.scale * np.ptp(cycle.shape[end]) for cycle in cycles]))
+    return RestBeyond(beyond if rest_is_low else -beyond, float(rests.std()) / len(rests) ** 0.5, turning)

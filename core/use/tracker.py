@@ -32,6 +32,7 @@ from softcal.core.use.observation import (
     HELD,
     JUMPED,
     NOT_WATCHED,
+    PRELOADED,
     REST_MOVED,
     TRIED,
     UNWATCHED,
@@ -39,7 +40,7 @@ from softcal.core.use.observation import (
     Observation,
     TrackerState,
 )
-from softcal.core.use.reseating import is_like_but_for_shape, rest_step
+from softcal.core.use.reseating import is_like_but_for_shape, rest_beyond, rest_step
 from softcal.core.use.trust import Trust, movement
 
 
@@ -77,7 +78,7 @@ class DriftTracker:
             trust=Trust(use.zero, config=method.trust),
             activities=[] if known is None else [known],
             to_settle=self._settling,
-            trend=np.zeros(2),
+            trend=np.zeros((2, 2)),
             carried=np.zeros(2),
             strangers=[],
             jumps=[],
@@ -92,6 +93,11 @@ class DriftTracker:
     def is_unsettled(self) -> bool:
         """Whether a sudden change waits for more cycles to say what it was."""
         return self._now.unresolved > 0
+
+    @property
+    def is_learning(self) -> bool:
+        """Whether no use is known yet that could be compared with."""
+        return self._is_improved and not self._now.activities
 
     @property
     def least_s(self) -> float:
@@ -114,6 +120,7 @@ class DriftTracker:
         if index < 0:
             return self._meet_stranger(standard)
         now.strangers.clear()
+        now.stray = now.stray_before
         now.was_known = True
         return self._compare(standard, index)
 
@@ -158,23 +165,26 @@ class DriftTracker:
                 moved=now.trust.moved,
                 use_share=now.trust.use_share,
                 use_doubt=now.trust.use_doubt(drift, applied),
+                preload_doubt=now.trust.preload_doubt(drift, applied),
                 unseen=min(1.0, now.unseen_s / self._use.duration_s),
                 is_learning=self._is_learning(t_s),
                 unresolved=now.unresolved,
                 missed=now.missed,
+                stray=now.stray,
                 lag=self._lag(),
             ),
             self._method.doubt,
         )
 
     def _lag(self) -> float:
-        """Return the mean innovation beyond chance: how far the filter is behind a drift."""
-        now, weight = self._now, self._method.drift.trend_weight
+        """Return the larger mean innovation beyond chance: how far the filter is behind a drift."""
+        now = self._now
         if not now.activities:
             return 0.0
-        expected = self._seen() + now.activities[now.latest].noise
-        chance = weight / (2 - weight) * float(np.trace(expected))
-        return math.sqrt(max(0.0, float(now.trend @ now.trend) - self._method.doubt.certain * chance))
+        weight = np.array(self._method.drift.trend_weight)
+        expected = float(np.trace(self._seen() + now.activities[now.latest].noise))
+        beyond = np.sum(now.trend**2, axis=1) - self._method.doubt.certain * expected * weight / (2 - weight)
+        return math.sqrt(max(0.0, float(beyond.max())))
 
     def _is_learning(self, t_s: float) -> bool:
         """Return whether no use is known yet, and the time in which one may be learnt is not over."""
@@ -256,12 +266,19 @@ class DriftTracker:
         now.to_settle = max(0, now.to_settle - 1)
         self._accept(measured, index)
         is_open = now.trust.is_use_as_likely(now.filter.drift, self._seen())
-        return self._observation(cycle, FOLLOWED, USE_OR_GAIN if is_open else "", index)
+        return self._observation(cycle, FOLLOWED, USE_OR_GAIN if is_open else self._preload(), index)
+
+    def _preload(self) -> str:
+        """Return what is to be said of a correction that a change of preload would have asked for as well."""
+        return PRELOADED if self._now.trust.may_be_preload and np.any(self._applied()) else ""
 
     def _accept(self, measured: DriftFilter, index: int) -> None:
         """Take a measurement for the drift."""
         now = self._now
         now.filter, now.latest, now.unseen_s = measured, index, 0.0
+        # A use that was known before the latest was learnt shows where the sensor is.
+        if index < len(now.activities) - 1:
+            now.stray = now.stray_before = 0.0
         now.trust = now.trust.after(now.activities[index], measured.drift, self._seen(), 1 / self._settling)
         now.jumps.clear()
         now.alarm, now.unresolved = "", 0.0
@@ -269,12 +286,12 @@ class DriftTracker:
     def _pace(self, surprise: Array, expected: Array) -> float:
         """Return the factor on the process noise: above 1 while innovations keep one sign beyond chance."""
         now, config = self._now, self._method.drift
-        weight = config.trend_weight
-        now.trend = now.trend + weight * (surprise - now.trend)
+        weight = np.array(config.trend_weight)
+        now.trend = now.trend + weight[:, None] * (surprise - now.trend)
         # Variance of an exponential mean of independent values.
-        chance = weight / (2 - weight) * expected
-        distance = now.trend @ np.linalg.solve(chance, now.trend)
-        return float(np.clip(distance / config.pace, 1, config.fastest))
+        chance = weight / (2 - weight)
+        distance = np.sum(now.trend.T * np.linalg.solve(expected, now.trend.T), axis=0) / chance
+        return float(np.clip(distance.max() / config.pace, 1, config.fastest))
 
     def _meet_jump(self, cycle: Cycle, index: int) -> Observation:
         """Hold a sudden change until like cycles say what it was, then follow it or not."""
@@ -348,7 +365,7 @@ class DriftTracker:
         # Wide process noise lets the filter go to the new place at once instead of averaging over old cycles.
         free = now.filter.moved(np.diag((np.array(config.largest) / config.largest_sigmas) ** 2))
         now.trust = now.trust.reseated(now.filter.drift, self._seen(), moved, round(self._memory))
-        now.trend, now.to_settle = np.zeros(2), 0
+        now.trend, now.to_settle = np.zeros_like(now.trend), 0
         self._accept(free.measured(index, level, activity.noise / config.cycles), index)
         return self._observation(cycle, JUMPED, reason, index)
 
@@ -365,6 +382,7 @@ class DriftTracker:
         if not self._is_improved:
             return self._held(cycle, "the use is not that of the calibration recording")
         now.strangers = [*now.strangers[-config.most_cycles + 1 :], cycle]
+        now.stray = max(now.stray_before, self._stray(now.strangers))
         span_s = cycle.end_s - now.strangers[0].end_s
         is_long = span_s >= config.length * self._use.duration_s or len(now.strangers) == config.most_cycles
         enough = config.cycles if now.joined == 1 else config.joined_cycles
@@ -408,7 +426,9 @@ class DriftTracker:
             oldest = 1 if self._has_calibrated else 0
             del now.activities[oldest]
             now.filter = now.filter.without(oldest)
-        now.activities.append(activity)
+        is_imposed = activity.is_imposed and len(cycles) >= self._method.activity.machine_cycles
+        now.activities.append(replace(activity, is_imposed=is_imposed))
+        now.stray_before = now.stray
         now.filter = now.filter.with_learnt(activity.doubt)
         now.latest = len(now.activities) - 1
         return True
@@ -422,6 +442,27 @@ class DriftTracker:
         since = np.array([activity.level - now.opening])
         sd = np.array([math.hypot(now.opening_sd, math.sqrt(activity.doubt[0, 0]))])
         return math.hypot(during, now.trust.sure_size(since, sd))
+
+    def _stray(self, cycles: list[Cycle]) -> float:
+        """Return how far the rest of strange cycles surely lies from where any known use rests, in scales.
+
+        No use goes below the output of no load. One that stays above the known rests is as likely a preload as a sensor
+        that has moved; of a first use nobody knows yet whether it is preloaded.
+        """
+        now, use, trust = self._now, self._use, self._method.trust
+        if len(cycles) < self._method.activity.min_cycles:
+            return 0.0
+        levels = [a.rest for a in now.activities if a.has_rest] + ([] if use.zero is None else [use.zero])
+        levels.append(((use.low if use.rest_is_low else use.high) - use.mean) / use.scale)
+        expected = float(now.filter.drift[0]) + float(np.exp(now.filter.drift[1])) * np.array(levels)
+        found = rest_beyond(cycles, expected, use.rest_is_low, self._method.jump)
+        sd = math.hypot(found.sd, math.sqrt(float(now.filter.doubt()[0, 0])))
+        sure = now.trust.sure_size(np.array([found.away]), np.array([sd]))
+        if found.away < 0:
+            return max(0.0, sure - trust.step)
+        if not now.activities:
+            return 0.0
+        return math.sqrt(1 - trust.use_share) * max(0.0, sure - max(found.turning, trust.step))
 
     def _held(self, cycle: Cycle, reason: str, index: int = -1) -> Observation:
         self._now.unseen_s += cycle.duration_s

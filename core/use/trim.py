@@ -9,6 +9,9 @@ from softcal.core.maps.anchors import AnchoredMap, check_loads, firmness, refine
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rmse
 from softcal.core.network.network import Network
+from softcal.core.recording import Array, LabelledRecording
+from softcal.core.unit.method import LEVELS
+from softcal.core.unit.uncertainty import Interval
 from softcal.core.use.method import TrimConfig
 from softcal.core.windows import resting
 
@@ -23,14 +26,29 @@ class Trimmed:
         unit_map: the map with the new gain and offset behind it.
         gain_error: standard uncertainty of the gain, as a share of it.
         rest_error: the same of the level at rest, in the source's output unit.
+        covariance: (2, 2) of the two.
         before_rmse, after_rmse: error of the estimates at the loads, without and with the trim, in the reference unit.
     """
 
     unit_map: AnchoredMap
     gain_error: float
     rest_error: float
+    covariance: Array
     before_rmse: float
     after_rmse: float
+
+    def variance(self, interval: Interval, source: LabelledRecording) -> Array:
+        """Return the (LEVELS,) variance of the trim at the load levels of an interval, in squares of the reference.
+
+        An error of the level at rest moves every estimate alike, one of the gain grows with the load; between the
+        loads of the trim they cancel in part.
+        """
+        load = (interval.high - interval.low) * (np.arange(LEVELS) + 0.5) / LEVELS
+        rise = float(np.ptp(source.unlabelled.output) / np.ptp(source.reference))
+        if np.corrcoef(source.unlabelled.output, source.reference)[0, 1] < 0:
+            rise = -rise
+        line = np.stack([rise * load, np.ones(LEVELS)], axis=1)
+        return np.asarray(np.sum((line @ self.covariance) * line, axis=1) / rise**2)
 
 
 def trim(
@@ -71,7 +89,7 @@ def trim(
             f"uncertainties are left; they contradict one another or are of another unit; {NOTHING}"
         )
     after = _error(network, found.unit_map, loads)
-    return Trimmed(_joined(found.unit_map), found.gain_error, found.rest_error, before, after)
+    return Trimmed(_joined(found.unit_map), found.gain_error, found.rest_error, found.covariance, before, after)
 
 
 def _error(network: Network, unit_map: UnitMap, loads: Anchors) -> float:

@@ -155,6 +155,13 @@ class Trust:
         return self.applied_before + float(np.clip(came, -most, most))
 
     @property
+    def may_be_preload(self) -> bool:
+        """Whether a rest that moves may be a preload that changed: the use does not come to zero load."""
+        if self.rest is None or self.is_imposed:
+            return False
+        return self.zero is None or abs(self.rest - self.zero) > self.config.preload
+
+    @property
     def use_share(self) -> float:
         """Prior probability that a change of amplitude is use."""
         return 0.0 if self.is_imposed else self.config.use_share
@@ -163,6 +170,11 @@ class Trust:
         """Return the expected square, in scales, of the error of a correction whose log gain may have been use."""
         level = self.standing_level(drift)
         return 0.0 if level is None else self.use_share * float(applied[1]) ** 2 * (1 + level**2)
+
+    def preload_doubt(self, drift: Array, applied: Array) -> float:
+        """Return the same of a correction whose shift may have been a preload that changed."""
+        level = self.standing_level(drift)
+        return self.use_share * movement(applied, level) ** 2 if self.may_be_preload and level is not None else 0.0
 
     def is_use_as_likely(self, drift: Array, covariance: Array) -> bool:
         """Return whether part of a sure log gain is not applied because use explains it as well."""

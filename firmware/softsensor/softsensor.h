@@ -70,6 +70,15 @@ typedef struct {
   uint8_t flags;
 } ss_estimate;
 
+#ifdef SS_TRIM
+/* What two known loads have shown: the shift of mapped samples, and how well it is known. All zeros: no trim. */
+typedef struct {
+  int16_t gain, offset;  /* gain in 2^-15, offset in source counts */
+  int16_t load[2];       /* the two loads, in counts as estimates are */
+  uint16_t reach[2];     /* 90 % half-width of what is not known at each of them, in the same counts */
+} ss_trim_record;
+#endif
+
 typedef struct {
   const uint8_t *network, *unit; /* bodies of the two files; no unit while closed */
   const uint8_t *map;            /* knots, then the linear part, in the unit file */
@@ -79,7 +88,9 @@ typedef struct {
   uint16_t last_code, range_bits; /* bit k: the k-th newest sample was out of range */
   uint8_t filled, is_stuck;
   int16_t gain, offset;           /* what ss_adapt has changed: gain in 2^-15, offset in source counts */
-  int16_t trim_gain, trim_offset; /* what two known loads have shown (ss_trim_finish), in the same units */
+#ifdef SS_TRIM
+  ss_trim_record trim; /* what two known loads have shown (ss_trim_finish) */
+#endif
   int16_t ring[SS_TAPS];          /* samples as the curve mapped them, or centred codes */
   uint16_t steps[SS_TAPS];        /* ms from the sample before */
   int16_t even[SS_WIDTH], odd[SS_WIDTH];
@@ -393,7 +404,10 @@ SS_SHARED ss_status ss_open(ss_sensor *s, const void *network, uint32_t network_
   if ((status = ss_check_network(net, network_bytes - SS_AROUND)) != SS_OK) return status;
   if ((status = ss_check_unit(own, unit_bytes - SS_AROUND)) != SS_OK) return status;
   s->network = net, s->unit = own, s->map = own + ss_map_at(own);
-  s->gain = s->offset = s->trim_gain = s->trim_offset = 0;
+  s->gain = s->offset = 0;
+#ifdef SS_TRIM
+  s->trim.gain = s->trim.offset = s->trim.load[0] = s->trim.load[1] = 0, s->trim.reach[0] = s->trim.reach[1] = 0;
+#endif
   test = ss_tests(own);
   for (left = ss_u8(own + 3); left; left--, test += 6) {
     uint32_t code = ss_u16(test);
@@ -419,7 +433,11 @@ static inline int32_t ss_moved(const ss_sensor *s, int32_t y, int32_t gain, int3
 
 /* One code through the curve and the trim. */
 static inline int32_t ss_trimmed(const ss_sensor *s, uint32_t code) {
-  return ss_moved(s, ss_map_code(s, code), s->trim_gain, s->trim_offset);
+#ifdef SS_TRIM
+  return ss_moved(s, ss_map_code(s, code), s->trim.gain, s->trim.offset);
+#else
+  return ss_map_code(s, code);
+#endif
 }
 
 /* Take one sample: a 16-bit code, and when it was taken. A step over 1.5 periods empties the window. */
@@ -445,6 +463,47 @@ static inline void ss_restart(ss_sensor *s) {
   if (s) s->filled = 0;
 }
 
+/* The band of the unit file that an estimate lies in. */
+static inline const uint8_t *ss_band(const uint8_t *unit, int32_t value) {
+  const uint8_t *band = unit + 28;
+  uint32_t left = ss_u8(unit + 2);
+  for (; left > 1 && value > ss_i16(band); left--) band += 6;
+  return band;
+}
+
+#ifdef SS_TRIM
+/* The root of a^2 + b^2, rounded up, at most 65535. Bit by bit: no division, nothing beyond 32 bits. */
+SS_SHARED uint32_t ss_hypot(uint32_t a, uint32_t b) {
+  uint32_t is_large = (a | b) > 0x7fffu, left, root = 0, bit = 0x40000000u;
+  if (!b) return a;
+  if (is_large) a = (a + 1) >> 1, b = (b + 1) >> 1; /* a, b <= 65535: the squares of the halves fit */
+  left = a * a + b * b;
+  for (; bit; bit >>= 2) {
+    uint32_t next = root + bit;
+    root >>= 1;
+    if (left >= next) left -= next, root += bit;
+  }
+  root = (root + (left > 0)) << is_large;
+  return root > 65535u ? 65535u : root;
+}
+
+/* 90 % half-width of what a trim left open at an estimate: the errors at the two loads are independent and run in a
+ * straight line between and beyond them. 0 without a trim. */
+static inline uint32_t ss_trim_reach(const ss_trim_record *t, int32_t value) {
+  uint32_t part[2], apart, away;
+  uint8_t k;
+  if (t->load[0] == t->load[1]) return 0;
+  apart = (uint32_t)(t->load[1] > t->load[0] ? (int32_t)t->load[1] - t->load[0] : (int32_t)t->load[0] - t->load[1]);
+  for (k = 0; k < 2; k++) {
+    int32_t other = t->load[1 - k];
+    away = (uint32_t)(value > other ? value - other : other - value); /* at most 65534, so the product fits */
+    part[k] = (t->reach[k] * away + apart - 1) / apart;
+    if (part[k] > 65535u) part[k] = 65535u;
+  }
+  return ss_hypot(part[0], part[1]);
+}
+#endif
+
 /* The estimate at the newest sample. Where flags & SS_NO_NUMBER there is none: value, lower and upper are 0. */
 SS_SHARED ss_estimate ss_read(ss_sensor *s, uint32_t now_ms) {
   ss_estimate e = {0, 0, 0, 0};
@@ -467,10 +526,15 @@ SS_SHARED ss_estimate ss_read(ss_sensor *s, uint32_t now_ms) {
   if (span_ms + 1 < s->least_ms || span_ms > s->most_ms + 1) flags |= SS_WRONG_RATE;
   value = ss_window(s), low = ss_i16(u + 8), high = ss_i16(u + 10);
   if (value < low || value > high) flags |= SS_CLAMPED, value = value < low ? low : high;
-  for (band = u + 28, i = ss_u8(u + 2); i > 1 && value > ss_i16(band); i--) band += 6;
+  band = ss_band(u, value);
   e.value = (int16_t)value;
-  e.lower = (int16_t)ss_clip(value - (int32_t)ss_u16(band + 2));
-  e.upper = (int16_t)ss_clip(value + (int32_t)ss_u16(band + 4));
+  low = (int32_t)ss_u16(band + 2), high = (int32_t)ss_u16(band + 4);
+#ifdef SS_TRIM
+  i = ss_trim_reach(&s->trim, value);
+  low = (int32_t)ss_hypot((uint32_t)low, i), high = (int32_t)ss_hypot((uint32_t)high, i);
+#endif
+  e.lower = (int16_t)ss_clip(value - low);
+  e.upper = (int16_t)ss_clip(value + high);
   e.flags = (uint8_t)flags;
   return e;
 }
@@ -508,6 +572,9 @@ static inline int ss_slot_to_write(int in_use) { return in_use == 0 ? 1 : 0; }
 
 /* ---- trim: two known loads bring a unit that has drifted back --------------------------------------------------- */
 
+/* Define SS_TRIM before including this header to have it: a device that is never trimmed needs none of its code. */
+#ifdef SS_TRIM
+
 typedef struct {
   int32_t sum[2];
   int16_t least[2], most[2];
@@ -519,13 +586,20 @@ typedef enum {
   SS_TRIM_MORE = 1,        /* closed, or fewer than 15 samples under one of the loads */
   SS_TRIM_MOVING = 2,      /* the output moved under a load, or both loads look alike */
   SS_TRIM_OUT_OF_REACH = 3, /* the unit never gives such an estimate at rest within its calibrated codes */
-  SS_TRIM_TOO_FAR = 4      /* a gain of more than half, or an offset beyond 16 bits: this is another sensor */
+  SS_TRIM_TOO_FAR = 4,     /* a gain of more than half, or an offset beyond 16 bits: this is another sensor */
+  SS_TRIM_TOO_CLOSE = 5    /* the two loads are the same number, or are not known to 16383 counts */
 } ss_trim_result;
 
 static inline void ss_trim_start(ss_trim *t) {
   uint8_t k;
   if (!t) return;
   for (k = 0; k < 2; k++) t->sum[k] = 0, t->count[k] = 0, t->least[k] = 32767, t->most[k] = -32767;
+}
+
+/* Take up a trim again after ss_open, kept in non-volatile memory since ss_trim_finish; the window fills anew. */
+static inline void ss_trim_restore(ss_sensor *s, const ss_trim_record *kept) {
+  if (!s || !s->unit || !kept) return;
+  s->trim = *kept, s->filled = 0;
 }
 
 /* Take one sample while load 0 or 1 rests on the sensor; 15 to 4096 of each are used. */
@@ -561,13 +635,28 @@ static inline int ss_rest_of(ss_sensor *s, int32_t known, int32_t *found) {
   return 1;
 }
 
-/* Set gain and offset from what was seen under two known loads (in counts, as estimates are) and empty the window. What
- * ss_adapt has changed is forgotten: call ss_adapt_start. Keep trim_gain and trim_offset of ss_sensor in non-volatile
- * memory, and write them back after ss_open, if the trim shall outlast a restart. Unless SS_TRIMMED nothing changes. */
-static inline ss_trim_result ss_trim_finish(const ss_trim *t, ss_sensor *s, int16_t load_0, int16_t load_1) {
+/* 90 % half-width of what is not known at one load: how well the load itself is known, where within the range of its
+ * readings the level lies (rectangular, widened by a count for rounding), and the error of the unit's calibration. */
+static inline uint16_t ss_load_reach(const ss_trim *t, ss_sensor *s, int k, int16_t load, uint32_t error) {
+  const uint8_t *band = ss_band(s->unit, load);
+  uint32_t minus = ss_u16(band + 2), plus = ss_u16(band + 4), spread;
+  int32_t low = ss_at_rest(s, ss_moved(s, (int32_t)t->least[k] - 1, s->trim.gain, s->trim.offset));
+  int32_t high = ss_at_rest(s, ss_moved(s, (int32_t)t->most[k] + 1, s->trim.gain, s->trim.offset));
+  spread = (uint32_t)(high > low ? high - low : low - high);
+  spread = ss_hypot((122 * spread + 255) / 256, (422 * error + 255) / 256); /* 1.645 / sqrt(12), and 1.645 */
+  return (uint16_t)ss_hypot(spread, minus > plus ? minus : plus);
+}
+
+/* Set gain and offset from what was seen under two known loads (in counts, as estimates are) and empty the window; from
+ * then on intervals hold what the trim leaves open. `error_0` and `error_1` are the standard uncertainties of the loads,
+ * in the same counts. What ss_adapt has changed is forgotten: call ss_adapt_start. Keep `trim` of ss_sensor in
+ * non-volatile memory, and give it to ss_trim_restore after ss_open, if it shall outlast a restart. Unless SS_TRIMMED nothing changes. */
+static inline ss_trim_result ss_trim_finish(const ss_trim *t, ss_sensor *s, int16_t load_0, int16_t load_1,
+                                            uint16_t error_0, uint16_t error_1) {
   int32_t seen[2], wanted[2] = {0, 0}, apart, missing, gain, offset;
   int k;
   if (!t || !s || !s->unit || t->count[0] < SS_TAPS || t->count[1] < SS_TAPS) return SS_TRIM_MORE;
+  if (load_0 == load_1 || error_0 > 16383 || error_1 > 16383) return SS_TRIM_TOO_CLOSE;
   for (k = 0; k < 2; k++) seen[k] = t->sum[k] / t->count[k];
   apart = seen[1] - seen[0];
   for (k = 0; k < 2; k++)
@@ -579,10 +668,14 @@ static inline ss_trim_result ss_trim_finish(const ss_trim *t, ss_sensor *s, int1
   gain = missing * 32768 / apart;
   offset = wanted[0] - seen[0] - (gain * (seen[0] - ss_i16(s->unit + 20)) >> 15);
   if (offset > 32767 || offset < -32767) return SS_TRIM_TOO_FAR;
-  s->trim_gain = (int16_t)gain, s->trim_offset = (int16_t)offset;
+  s->trim.gain = (int16_t)gain, s->trim.offset = (int16_t)offset;
+  s->trim.load[0] = load_0, s->trim.load[1] = load_1;
+  s->trim.reach[0] = ss_load_reach(t, s, 0, load_0, error_0);
+  s->trim.reach[1] = ss_load_reach(t, s, 1, load_1, error_1);
   s->gain = s->offset = 0, s->filled = 0;
   return SS_TRIMMED;
 }
+#endif
 
 /* ---- long use: the device follows slow drift of offset and gain within the bounds of its file ------------------- */
 

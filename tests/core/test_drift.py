@@ -8,8 +8,9 @@ import pytest
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.use.activity import CalibratedUse, learn_use
 from softcal.core.use.cycles import Cycle, CycleCutter
+from softcal.core.use.doubt import STRAY
 from softcal.core.use.method import UseMethod
-from softcal.core.use.observation import FOLLOWED, HELD, JUMPED, TRIED, Observation
+from softcal.core.use.observation import FOLLOWED, HELD, JUMPED, PRELOADED, TRIED, Observation
 from softcal.core.use.tracker import DriftTracker
 
 RATE_HZ = 50.0
@@ -361,3 +362,67 @@ def test_state_goes_through_json_and_back() -> None:
 
     later = presses(300.0, seed=9) + 0.1
     assert observe(other, later, use, 300.0) == observe(tracker, later, use, 300.0)
+
+
+def test_cycles_twice_as_long_as_the_usual_wait_are_found() -> None:
+    """The swing was taken anew after each wait, and a cycle that lasts longer than one was never seen whole."""
+    use = calibrated_use()
+    slow = np.interp(np.arange(60_000) / 3.5, np.arange(60_000), 1.0 + 0.45 * (presses(1200.0, seed=2) - 1.0))
+
+    found = cycles_of(slow, use)
+
+    assert sum(cycle.is_complete for cycle in found) > 0.7 * len(slow) / (3.5 * PERIOD_S * RATE_HZ)
+
+
+def test_slow_drift_is_followed_no_further_behind_than_its_cycles_scatter() -> None:
+    """A mean over ten cycles does not show it beyond chance, one over thirty does."""
+    use = calibrated_use(presses(400.0, scatter=0.08, timing=0.04))
+    behind = []
+    for seed in range(3):
+        tracker = DriftTracker(use, is_improved=True)
+        output = presses(600.0, seed=seed, scatter=0.08, timing=0.04)
+        gain = np.interp(np.arange(len(output)) / RATE_HZ, [200.0, 600.0], [1.0, 0.75])
+        seen = observe(tracker, 1 + (output - 1) * gain, use)
+        behind.append(seen[-1].log_gain - np.log(0.75))
+
+    assert np.mean(behind) < 0.05
+
+
+@pytest.mark.parametrize(("lifted", "is_told"), [(0.0, False), (0.2, True), (-0.2, True)])
+def test_new_use_that_rests_elsewhere_counts_until_a_known_one_is_seen(lifted: float, is_told: bool) -> None:
+    use = calibrated_use(zero_output=1.0)
+    tracker = DriftTracker(use, is_improved=True)
+    observe(tracker, presses(200.0, seed=3), use)
+
+    # A re-seating in the moment in which the use changes: taken for a part of the new use, it was never told.
+    observe(tracker, presses(400.0, seed=8, power=6.0) + lifted, use, 200.0)
+
+    assert (tracker.doubt_at(600.0).not_followed[STRAY] > 0) == is_told
+    observe(tracker, presses(200.0, seed=9), use, 600.0)
+    assert tracker.doubt_at(800.0).not_followed[STRAY] == 0.0
+
+
+@pytest.mark.parametrize(("zero_output", "is_said"), [(1.0, False), (0.8, True), (None, True)])
+def test_correction_that_a_preload_would_have_asked_for_as_well_is_said_to_be(
+    zero_output: float | None, is_said: bool
+) -> None:
+    use = calibrated_use(presses(400.0, timing=0.04), zero_output=zero_output)
+    tracker = DriftTracker(use, is_improved=True)
+    output = presses(800.0, seed=4, timing=0.04)
+
+    seen = observe(tracker, output + np.linspace(0.0, 0.2, len(output)), use)
+
+    assert any(one.reason == PRELOADED for one in seen) == is_said
+
+
+@pytest.mark.parametrize(("calibrated_s", "is_imposed"), [(120.0, False), (600.0, True)])
+def test_few_equal_durations_of_a_learnt_use_do_not_show_a_machine(calibrated_s: float, is_imposed: bool) -> None:
+    """A quarter of the calibration's length is learnt from: seven presses, or thirty-seven."""
+    use = calibrated_use(presses(calibrated_s))
+    tracker = DriftTracker(use, is_improved=True)
+
+    observe(tracker, presses(0.4 * calibrated_s, seed=8, power=6.0), use)
+
+    calibrated, learnt = tracker._now.activities
+    assert calibrated.is_imposed
+    assert learnt.is_imposed == is_imposed

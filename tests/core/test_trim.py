@@ -1,14 +1,19 @@
 """Two known loads at the place of use: what they mend, and what is refused."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.maps.affine import AffineMap
-from softcal.core.maps.anchors import AnchoredMap
+from softcal.core.maps.anchors import AnchoredMap, source_level
 from softcal.core.maps.interface import Anchors, FitProblem
 from softcal.core.metrics import rmse
+from softcal.core.unit.method import LEVELS
+from softcal.core.unit.uncertainty import Interval
 from softcal.core.use.trim import trim
+from softcal.core.windows import resting
 
 GAIN, OFFSET_V = 1.12, 0.03
 
@@ -60,3 +65,28 @@ def test_loads_that_cannot_be_of_this_unit_are_refused(problem: FitProblem, give
     with pytest.raises(InputError, match=words) as refused:
         trim(problem, AffineMap(1.0, 0.0), given)
     assert "nothing was changed" in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_what_a_trim_leaves_open_is_the_spread_of_trims_by_loads_that_are_known_so_well(  # type: ignore[no-untyped-def]
+    problem: FitProblem, press, linear_network
+) -> None:
+    """Loads that are wrong by what the method takes them to be known to: estimates scatter as the trim said."""
+    rng, map_before = np.random.default_rng(2), AffineMap(1.0, 0.0)
+    given = loads(0.3, 2.2)
+    told = trim(problem, map_before, given)
+    interval = Interval(  # type: ignore[call-arg]
+        **{**{f.name: None for f in fields(Interval)}, "low": 0.0, "high": 3.0, "half_width": np.zeros((3, LEVELS))}
+    )
+    said = np.sqrt(told.variance(interval, problem.source))
+    levels = 3.0 * (np.arange(LEVELS) + 0.5) / LEVELS
+    windows = resting(np.array([output_V(level) for level in levels]))
+    # In the source's output the sigma of a load; 0.1 V is a newton there.
+    sigma_N = [10.0 * source_level(problem.source, load, problem.config.anchors)[1] for load in given.reference]
+    found = []
+    for _ in range(300):
+        wrong = Anchors(given.output, given.reference + rng.normal(0, sigma_N, 2))
+        found.append(linear_network.evaluate(trim(problem, map_before, wrong).unit_map.apply(windows)))
+    spread = np.std(found, axis=0)
+    # What is said holds the prior of the map as well as the loads.
+    assert np.all(said > 0.85 * spread)
+    assert np.all(said < 1.5 * spread)

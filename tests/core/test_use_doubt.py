@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softcal.core.use.doubt import JUMP, LATE, MISSED, OPEN, UNCOMPARED, Evidence, doubt
+from softcal.core.use.doubt import JUMP, LATE, MISSED, OPEN, STRAY, UNCOMPARED, Evidence, doubt
 from softcal.core.use.method import DoubtConfig
 
 CONFIG = DoubtConfig()
@@ -17,10 +17,12 @@ NOTHING = Evidence(
     moved=0.0,
     use_share=0.5,
     use_doubt=0.0,
+    preload_doubt=0.0,
     unseen=0.0,
     is_learning=False,
     unresolved=0.0,
     missed=0.0,
+    stray=0.0,
     lag=0.0,
 )
 
@@ -43,6 +45,7 @@ def test_a_drift_that_is_applied_in_full_counts_a_small_share_of_its_size() -> N
     [
         (UNCOMPARED, {"unseen": 1.0}),
         (MISSED, {"missed": 0.3}),
+        (STRAY, {"stray": 0.3}),
         (JUMP, {"unresolved": 0.3}),
         (OPEN, {"drift": np.array([0.0, 0.3])}),
         (LATE, {"lag": 0.3}),

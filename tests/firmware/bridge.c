@@ -1,4 +1,5 @@
 /* The runtime as a shared library, for tests that play with it from Python. */
+#define SS_TRIM
 #include "softsensor.h"
 
 static ss_sensor sensor;
@@ -34,9 +35,19 @@ static ss_trim trim;
 
 void bridge_trim_start(void) { ss_trim_start(&trim); }
 void bridge_trim_sample(int load, uint16_t code) { ss_trim_sample(&trim, &sensor, load, code); }
-int bridge_trim_finish(int16_t load_0, int16_t load_1) { return (int)ss_trim_finish(&trim, &sensor, load_0, load_1); }
-int bridge_trim_gain(void) { return sensor.trim_gain; }
-int bridge_trim_offset(void) { return sensor.trim_offset; }
+int bridge_trim_finish(int16_t load_0, int16_t load_1, uint16_t error_0, uint16_t error_1) {
+  return (int)ss_trim_finish(&trim, &sensor, load_0, load_1, error_0, error_1);
+}
+void bridge_trim(int32_t *out) {
+  const ss_trim_record *t = &sensor.trim;
+  out[0] = t->gain, out[1] = t->offset, out[2] = t->load[0], out[3] = t->load[1], out[4] = t->reach[0], out[5] = t->reach[1];
+}
+void bridge_set_trim(const int32_t *in) {
+  ss_trim_record t = {(int16_t)in[0], (int16_t)in[1], {(int16_t)in[2], (int16_t)in[3]}, {(uint16_t)in[4], (uint16_t)in[5]}};
+  ss_trim_restore(&sensor, &t);
+}
+uint32_t bridge_hypot(uint32_t a, uint32_t b) { return ss_hypot(a, b); }
+uint32_t bridge_trim_reach(int32_t value) { return ss_trim_reach(&sensor.trim, value); }
 
 /* Calls every function with nothing at all and with a sensor that was never opened: 0 if each says that it has nothing. */
 int bridge_nothing(const void *network, uint32_t network_bytes, const void *unit, uint32_t unit_bytes) {
@@ -54,7 +65,7 @@ int bridge_nothing(const void *network, uint32_t network_bytes, const void *unit
     ss_adapt_start(&a, s), ss_adapt_start(0, s);
     if (ss_adapt(&a, s, 1, 2) != SS_NOT_ADAPTABLE || ss_adapt(0, s, 1, 2) != SS_NOT_ADAPTABLE) return 2;
     ss_trim_sample(&t, s, 0, 1), ss_trim_sample(0, s, 1, 1);
-    if (ss_trim_finish(&t, s, 1, 2) != SS_TRIM_MORE || ss_trim_finish(0, s, 1, 2) != SS_TRIM_MORE) return 3;
+    if (ss_trim_finish(&t, s, 1, 2, 0, 0) != SS_TRIM_MORE || ss_trim_finish(0, s, 1, 2, 0, 0) != SS_TRIM_MORE) return 3;
     if (ss_open_best(s, slots, 256, network, network_bytes, 0) != -1) return 4;
     if (ss_open_best(s, 0, 256, network, network_bytes, 0) != -1) return 5;
     if (ss_open(s, network, network_bytes, 0, unit_bytes, 0) == SS_OK) return 6;

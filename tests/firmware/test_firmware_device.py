@@ -17,7 +17,7 @@ from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.cost import device_cost
 from softcal.core.export.integer_network import IntegerMix
 from softcal.core.export.loader import open_sensor, run_self_test
-from softcal.core.export.stream import DeviceStream, Shift, TrimResult, find_trim
+from softcal.core.export.stream import DeviceStream, Trim, TrimResult, find_trim
 
 SAMPLES = 250
 TOOLS = {
@@ -70,7 +70,7 @@ def run_on_board(require: Callable[[object, str], None], examples: Path, tmp_pat
     return run
 
 
-def _reference(network: NetworkFile, unit: UnitFile, codes: Any, trim: Shift = Shift()) -> np.ndarray:  # noqa: B008
+def _reference(network: NetworkFile, unit: UnitFile, codes: Any, trim: Trim = Trim()) -> np.ndarray:  # noqa: B008
     stream = DeviceStream(open_sensor(network.to_bytes(), unit.to_bytes()), trim)
     rows = []
     for k, code in enumerate(codes):
@@ -165,11 +165,13 @@ def test_two_known_loads_trim_a_unit_on_the_board_as_in_numpy(run_on_board: Call
     loads = [int(sensor.estimate(np.full((1, 15), code)).value[0]) for code in rest]
     drifted = [code + span // 10 for code in rest]
     codes = np.linspace(unit.code_min, unit.code_max, 60).astype(int)
-    defines = f"-Os -DTRIM={loads[0]},{loads[1]} -DTRIM_CODES={drifted[0]},{drifted[1]}"
+    defines = f"-Os -DTRIM={loads[0]},{loads[1]} -DTRIM_CODES={drifted[0]},{drifted[1]} -DTRIM_ERRORS=0,9"
     run = run_on_board(network, unit, codes, board, defines)
-    result, trim = find_trim(sensor, (np.full(20, drifted[0]), np.full(20, drifted[1])), (loads[0], loads[1]))
+    at_rest = np.full(20, drifted[0]), np.full(20, drifted[1])
+    result, trim = find_trim(sensor, at_rest, (loads[0], loads[1]), (0, 9))
     assert (run.numbers["trim"], result) == (0, TrimResult.TRIMMED)
-    assert (run.numbers["trim_gain"], run.numbers["trim_offset"]) == (trim.gain, trim.offset) != (0, 0)
+    assert (run.numbers["trim_gain"], run.numbers["trim_offset"]) == (trim.shift.gain, trim.shift.offset) != (0, 0)
+    assert (run.numbers["trim_reach_0"], run.numbers["trim_reach_1"]) == trim.reach
     assert np.array_equal(run.estimates, _reference(network, unit, codes, trim))
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from softcal.core.export.blob import UnitFile
-from softcal.core.export.loader import open_sensor
-from softcal.core.export.stream import Shift, TrimResult, find_trim
+from softcal.core.export.loader import DeviceSensor, open_sensor
+from softcal.core.export.stream import DeviceStream, Shift, Trim, TrimResult, find_trim, joined
 
 WATCHING, ADAPTED, AT_BOUND, NOT_ADAPTABLE = range(4)
 SLOT_BYTES = 256
@@ -192,13 +192,18 @@ def _rests(
     return np.clip(np.rint(moved + rng.normal(0, noise, count)), 0, 65_535).astype(np.int64)
 
 
-def _trimmed(device: Device, codes: tuple[np.ndarray, ...], loads: tuple[int, int]) -> tuple[TrimResult, Shift]:
+def _trimmed(
+    device: Device, codes: tuple[np.ndarray, ...], loads: tuple[int, int], errors: tuple[int, int] = (0, 0)
+) -> tuple[TrimResult, Trim]:
     device.bridge.bridge_trim_start()
     for load, samples in enumerate(codes):
         for code in samples:
             device.bridge.bridge_trim_sample(load, int(code))
-    result = TrimResult(device.bridge.bridge_trim_finish(*loads))
-    return result, Shift(device.bridge.bridge_trim_gain(), device.bridge.bridge_trim_offset())
+    result = TrimResult(device.bridge.bridge_trim_finish(*loads, *errors))
+    kept = (ctypes.c_int32 * 6)()
+    device.bridge.bridge_trim(kept)
+    gain, offset, *rest = kept
+    return result, Trim(Shift(gain, offset), (rest[0], rest[1]), (rest[2], rest[3]))
 
 
 def test_a_trim_on_the_device_is_that_of_numpy_bit_for_bit(
@@ -214,10 +219,109 @@ def test_a_trim_on_the_device_is_that_of_numpy_bit_for_bit(
         if k % 2:  # loads that are really on
             at_rest = np.array([np.full(15, _rests(real_case, share, 1, 0, rng)[0]) for share in shares])
             loads = tuple(sensor.estimate(at_rest).value.tolist())
-        found = _trimmed(Device(bridge, network, unit), codes, loads)
-        assert found == find_trim(sensor, codes, loads)
+        if k % 10 == 9:
+            loads = loads[:1] * 2
+        errors = tuple(int(n) for n in rng.integers(0, 17_000 if k % 7 == 0 else 200, 2))
+        device = Device(bridge, network, unit)
+        found = _trimmed(device, codes, loads, errors)
+        assert found == find_trim(sensor, codes, loads, errors)
+        if found[0] is TrimResult.TRIMMED:
+            _assert_reads_as_numpy(device, sensor, found[1], real_case.codes[:30])
         seen.add(found[0])
     assert seen == set(TrimResult)
+
+
+def _assert_reads_as_numpy(device: Device, sensor: DeviceSensor, trim: Trim, codes: np.ndarray) -> None:
+    stream = DeviceStream(sensor, trim)
+    for k, code in enumerate(codes):
+        device.bridge.bridge_push(int(code), 20_000 + 20 * k)
+        stream.push(int(code), 20_000 + 20 * k)
+        assert device.read(20_000 + 20 * k) == stream.read(20_000 + 20 * k)
+
+
+def test_the_interval_of_a_trim_is_that_of_a_line_through_two_points(
+    bridge: ctypes.CDLL, real_case: Any, rng: np.random.Generator
+) -> None:
+    """Against the covariance of a weighted least squares line, in floating point, out to the ends of 16 bits."""
+    Device(bridge, real_case.network_file.to_bytes(), real_case.unit_file.to_bytes())
+    for _ in range(400):
+        loads, reach = rng.integers(-32_767, 32_768, 2), rng.integers(1, 65_536 if rng.random() < 0.3 else 500, 2)
+        value = int(rng.integers(-32_767, 32_768))
+        if loads[0] == loads[1]:
+            continue
+        trim = Trim(Shift(), (int(loads[0]), int(loads[1])), (int(reach[0]), int(reach[1])))
+        bridge.bridge_set_trim((ctypes.c_int32 * 6)(0, 0, *trim.loads, *trim.reach))
+        design = np.column_stack([np.ones(2), loads])
+        covariance = np.linalg.inv(design.T @ (design / (reach[:, None].astype(float) ** 2)))
+        line = np.array([1.0, value])
+        exact = float(np.sqrt(line @ covariance @ line))
+        found = bridge.bridge_trim_reach(value)
+        assert found == trim.reach_at(value)
+        # Rounded up, never down: a count for each load and for the root, two beyond 15 bits.
+        assert min(exact, 65_535) - 1e-6 * exact <= found <= min(exact + 6, 65_535)
+
+
+def test_a_root_of_squares_is_exact_at_the_ends_of_its_range(bridge: ctypes.CDLL, rng: np.random.Generator) -> None:
+    ends = [0, 1, 2, 180, 32_767, 32_768, 46_340, 46_341, 65_534, 65_535]
+    pairs = [(a, b) for a in ends for b in ends] + rng.integers(0, 65_536, (2000, 2)).tolist()
+    for a, b in pairs:
+        found = bridge.bridge_hypot(a, b)
+        assert found == joined(a, b)
+        assert min(np.hypot(a, b), 65_535) - 1e-9 <= found <= min(np.hypot(a, b) + 4, 65_535)
+
+
+def test_intervals_after_a_trim_hold_the_truth_as_often_as_they_say(
+    bridge: ctypes.CDLL, real_case: Any, rng: np.random.Generator
+) -> None:
+    """Loads that are not what is stated and readings that wander: nine in ten estimates stay within their interval."""
+    narrow = tuple(replace(band, minus=1, plus=1) for band in real_case.unit_file.bands)
+    network, unit = real_case.network_file.to_bytes(), replace(real_case.unit_file, bands=narrow).to_bytes()
+    sensor, device = open_sensor(network, unit), Device(bridge, network, unit)
+    span = real_case.unit_file.code_max - real_case.unit_file.code_min
+    shares, checked = (0.3, 0.7), (0.1, 0.3, 0.5, 0.7, 0.9)
+
+    def at_rest(code: float) -> int:
+        return int(sensor.estimate(np.full((1, 15), round(code))).value[0])
+
+    def code_of(share: float) -> float:
+        return real_case.unit_file.code_min + share * span
+
+    truth, error = [at_rest(code_of(share)) for share in checked], 60
+    loads = [at_rest(code_of(share)) for share in shares]
+    held, widths = [], []
+    for _ in range(200):
+        # What is stated differs from what is on by the stated uncertainty.
+        stated = tuple(round(load + rng.normal(0, error)) for load in loads)
+        codes = tuple(np.rint(code_of(share) + rng.uniform(-5, 5, 30)).astype(np.int64) for share in shares)
+        Device(bridge, network, unit)
+        result, _ = _trimmed(device, codes, stated, (error, error))
+        assert result is TrimResult.TRIMMED
+        for share, true in zip(checked, truth, strict=True):
+            for k in range(15):
+                bridge.bridge_push(round(code_of(share)), 50_000 + 20 * k)
+            value, lower, upper, _ = device.read(50_300)
+            held.append(lower <= true <= upper)
+            widths.append((upper - lower) / 2)
+    # Errors at the five levels come from two loads: 200 trims leave a standard deviation of 0.016.
+    assert 0.85 < np.mean(held) < 0.97
+    # Not by being endless: at the loads about 1.645 times what the loads are known to.
+    assert np.median(np.reshape(widths, (-1, 5))[:, 1]) < 1.3 * 1.645 * error
+
+
+def test_what_is_known_of_a_load_widens_the_interval_most_beyond_the_loads(
+    bridge: ctypes.CDLL, real_case: Any, rng: np.random.Generator
+) -> None:
+    network, unit = real_case.network_file.to_bytes(), real_case.unit_file.to_bytes()
+    sensor = open_sensor(network, unit)
+    codes = tuple(_rests(real_case, share, 1.0, 0.0, rng) for share in (0.4, 0.6))
+    loads = tuple(int(sensor.estimate(np.full((1, 15), int(np.median(c)))).value[0]) for c in codes)
+    reaches = []
+    for error in (0, 50, 200):
+        result, trim = _trimmed(Device(bridge, network, unit), codes, loads, (error, error))
+        assert result is TrimResult.TRIMMED
+        apart = loads[1] - loads[0]
+        reaches.append([trim.reach_at(loads[0]), trim.reach_at(loads[1] + apart), trim.reach_at(loads[1] + 3 * apart)])
+    assert np.all(np.diff(reaches, axis=0) > 0) and np.all(np.diff(reaches, axis=1) > 0)
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.12), (1.15, 0.0), (0.85, 0.1), (1.2, -0.1)])
@@ -241,7 +345,7 @@ def test_two_known_loads_bring_a_drifted_unit_back(
     assert device.read(10_300)[3] == 1  # the window fills anew
     after = [abs(settled(share, gain, offset) - was) for share, was in zip((0.1, 0.5, 0.9), fresh, strict=True)]
     assert max(after) < 0.25 * max(before)
-    assert find_trim(sensor, drifted, loads)[0] is TrimResult.TRIMMED
+    assert find_trim(sensor, drifted, loads, (0, 0))[0] is TrimResult.TRIMMED
 
 
 def test_following_goes_on_from_the_trim(bridge: ctypes.CDLL, real_case: Any, rng: np.random.Generator) -> None:

@@ -7,6 +7,9 @@
 #include "network.h"
 #include "unit.h"
 
+#ifdef TRIM
+#define SS_TRIM
+#endif
 #include "softsensor.h"
 
 #include "codes.h"
@@ -43,19 +46,22 @@ static __attribute__((noinline)) ss_estimate sample(uint16_t code, uint32_t t_ms
   return ss_read(&sensor, t_ms);
 }
 
-/* -DTRIM=load,load -DTRIM_CODES=code,code: two known loads and the codes they give; the estimates go on trimmed. */
+/* -DTRIM=load,load -DTRIM_CODES=code,code -DTRIM_ERRORS=error,error: two known loads, the codes they give, and how well
+ * they are known; the estimates go on trimmed. */
 #ifdef TRIM
 static __attribute__((noinline)) void trim_sensor(void) {
   static const int16_t loads[2] = {TRIM};
-  static const uint16_t at_rest[2] = {TRIM_CODES};
+  static const uint16_t at_rest[2] = {TRIM_CODES}, errors[2] = {TRIM_ERRORS};
   static ss_trim trim;
   uint8_t k, i;
   ss_trim_start(&trim);
   for (k = 0; k < 2; k++)
     for (i = 0; i < 20; i++) ss_trim_sample(&trim, &sensor, k, at_rest[k]);
-  print_named("trim ", (uint32_t)ss_trim_finish(&trim, &sensor, loads[0], loads[1]));
-  print_named("trim_gain ", (uint32_t)(int32_t)sensor.trim_gain);
-  print_named("trim_offset ", (uint32_t)(int32_t)sensor.trim_offset);
+  print_named("trim ", (uint32_t)ss_trim_finish(&trim, &sensor, loads[0], loads[1], errors[0], errors[1]));
+  print_named("trim_gain ", (uint32_t)(int32_t)sensor.trim.gain);
+  print_named("trim_offset ", (uint32_t)(int32_t)sensor.trim.offset);
+  print_named("trim_reach_0 ", sensor.trim.reach[0]);
+  print_named("trim_reach_1 ", sensor.trim.reach[1]);
 }
 #endif
 
