@@ -39,7 +39,7 @@ TONES = {
     "ask": "repeat",
     "ask_new": "repeat",
     "used_up": "check",
-    "load": "golden",
+    "load": "load",
     "reading": "running",
     "running": "running",
     "pass": "pass",

@@ -32,11 +32,13 @@ def render() -> None:
     say = words()
     with errors_in_words():
         lot_id = lot_heading("known_loads", registry().lot_ids())
-        if lot_id is None or not units_of(lot_id):
+        if lot_id is None:
             return
-        lot = registry().lot(lot_id)
+        lot, newest = registry().lot(lot_id), _newest(lot_id)
+        # A unit that was pressed has loads before it has a result.
+        if not newest and not units_of(lot_id):
+            return
         st.markdown(say("known_loads.what"))
-        newest = _newest(lot_id)
         found = list(known_loads(registry(), lot_id).values())
         if found:
             table([_row(one, lot, newest) for one in reversed(found)])
