@@ -21,7 +21,7 @@ from registry_common import print_markdown
 from screens_common import THEMES, Theme, chromium, served
 from screenshots_desk import LOT, NAME, PAGES, PAGES_OF_QUALITY, PIN, QUALITY, QUALITY_PIN, fill, settle, sign_in
 
-MORE = {"line": "line", "start": "start", "new-lot": "new_lot"}
+MORE = {"line": "line", "start": "start", "new-lot": "new_lot", "known-loads": f"known_loads?lot={LOT}"}
 SIGNED_OUT = {"sign-in": "sign_in"}
 RUN = "async () => (await axe.run(document, {resultTypes: ['violations']})).violations"
 

@@ -16,6 +16,9 @@ class OrderKind(StrEnum):
     """Press a target unit with the short profile and record its output."""
     GOLDEN = "golden"
     """Press a golden unit: the check that lets the station run this shift."""
+    LOAD = "load"
+    """Read the sensor at rest under a known load that a person put on the unit; nothing moves. The order's reason names
+    step and load."""
     CHECK = "check"
     """Self-test of the station without a unit."""
     STOP = "stop"
@@ -33,9 +36,14 @@ class OrderKind(StrEnum):
         return self in (OrderKind.SOURCE, OrderKind.UNIT, OrderKind.GOLDEN)
 
     @property
+    def is_about_unit(self) -> bool:
+        """Whether its end may be the verdict of a unit of the lot."""
+        return self in (OrderKind.UNIT, OrderKind.LOAD)
+
+    @property
     def is_run(self) -> bool:
         """Whether the order occupies its station until it is over; all others are taken at once, even in a run."""
-        return self.presses or self is OrderKind.CHECK
+        return self.presses or self in (OrderKind.CHECK, OrderKind.LOAD)
 
 
 class RunState(StrEnum):

@@ -21,8 +21,10 @@ from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.profiles import Profile
 from softcal.core.quality.gate import Gate, RigFacts
+from softcal.core.quality.known_loads import ReadingConfig
 from softcal.core.words.reason import Reason, reason, root_of, several
 from softcal.station.acquisition import HOMING, RunProgress, ZeroMoved, record
+from softcal.station.at_rest import RestReading, read_at_rest
 from softcal.station.bench import Bench
 from softcal.station.interfaces import Reader, Stage
 from softcal.station.motion import Cancelled
@@ -42,6 +44,8 @@ CODES: Mapping[type[SoftcalError], str] = {
 """Stable code of the message for each kind of error; the screen's catalogue is keyed by it."""
 
 SIGNAL_POINTS = 400
+
+READING, READ = "reading at rest", ReadingConfig()
 
 CHECK_S = 12.0
 """How long a self-test takes, about."""
@@ -146,11 +150,11 @@ class StationService:
         """Somebody has read why the station stopped: open the ports again; the next run homes first."""
         self.start()
 
-    def perform(self, order: Order) -> StationRecording | None:
-        """Perform one order; every outcome but a good recording is reported here.
+    def perform(self, order: Order) -> StationRecording | RestReading | None:
+        """Perform one order; every outcome but a good recording or reading is reported here.
 
         Returns:
-            The recording of a run that went through: the host stores it and reports it done. None otherwise.
+            What a run that went through recorded: the host keeps it and reports it done. None otherwise.
         """
         if order.kind is OrderKind.ACKNOWLEDGE:
             self.acknowledge()
@@ -217,13 +221,17 @@ class StationService:
         elif phase == HOMING:
             self._homing_fault = root_of(error.reason)
 
-    def _run(self, order: Order, relay: "_Relay") -> StationRecording | None:
+    def _run(self, order: Order, relay: "_Relay") -> StationRecording | RestReading | None:
         bench = self._bench
         if bench is None:
             raise NoReply(Reason("rig.no_devices"))
         if order.kind is OrderKind.CHECK:
             self._check(order, bench, relay)
             return None
+        if order.kind is OrderKind.LOAD:
+            reading = read_at_rest(bench, order.serial, READ.settle_s, READ.reading_s, relay.on_reading)
+            self._ready()
+            return reading
         with_reference = order.kind in (OrderKind.SOURCE, OrderKind.GOLDEN)
         header = {"serial": order.serial, "order": order.order_id, "station": order.station, "lot": order.lot_id}
         profile = self._profiles[order.kind]
@@ -267,6 +275,7 @@ class _Relay:
         self._order, self._hooks = order, hooks
         self._points: deque[tuple[float, float, float, float | None]] = deque(maxlen=SIGNAL_POINTS)
         self._unit = ""
+        self._told = -1
         self.phase = ""
 
     def look(self) -> None:
@@ -281,6 +290,13 @@ class _Relay:
             self._unit = progress.output_unit
         told = (progress.phase, progress.fraction, progress.remaining_s)
         self._hooks.report(Progress(self._order.order_id, RunState.RUNNING, *told, signal=self._signal()))
+
+    def on_reading(self, fraction: float, remaining_s: float) -> None:
+        self.look()
+        # Ten times a second is enough for a screen.
+        if (step := int(remaining_s * 10)) != self._told:
+            self._told = step
+            self._hooks.report(Progress(self._order.order_id, RunState.RUNNING, READING, fraction, remaining_s))
 
     def _signal(self) -> Signal:
         """Return the newest stretch; before the load cell's first sample there is no force to draw."""

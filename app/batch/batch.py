@@ -1,7 +1,7 @@
 """Calibrate a whole lot without a screen: train or reuse f, fit every unit, verdicts, registry; resumable."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from softcal.app.batch.audit import update_lot
@@ -14,6 +14,7 @@ from softcal.app.batch.unit_work import SharedWork
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.recording_file import naming, read_labelled
 from softcal.app.files.regular import read_regular
+from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.reference import state_reference
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
@@ -53,11 +54,20 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     shared = SharedWork(folder.lot, tuple(models), own, limit, line, reference, bridge)
     watch.on_start(len(folder.unit_paths))
     results = LotWork(folder, registry, shared, config, watch).results()
+    _keep_loads(registry, lot.id, config, results)
     ordered = tuple(results[serial] for serial in folder.unit_paths)
     audit = update_lot(registry, folder.lot.id, config.actor)
     decided = update_release(registry, folder.lot.id, config.actor)
     ordered = _judged(registry, folder.lot.id, ordered)
     return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit, config.release, decided)
+
+
+def _keep_loads(registry: Registry, lot_id: str, config: BatchConfig, results: Mapping[str, UnitResult]) -> None:
+    """Keep the known loads that lay beside the files, so that whoever calibrates those recordings again has them."""
+    made = [serial for serial in config.anchors if serial in results and results[serial].made is not None]
+    records = {serial: registry.calibration(serial, lot_id=lot_id).record for serial in made}
+    loads = {record.recording_sha256: (serial, config.anchors[serial]) for serial, record in records.items()}
+    keep_loads(registry, lot_id, loads, "file", actor=config.actor)
 
 
 def _bridge(folder: LotFolder, model: SourceModel) -> Bridge | None:

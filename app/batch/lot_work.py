@@ -36,6 +36,7 @@ from softcal.app.batch.unit_work import (
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.regular import read_regular
 from softcal.app.logs import note
+from softcal.app.registry.known_loads import known_loads, values
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors
@@ -119,6 +120,7 @@ class LotWork:
         self._config, self._watch = config, watch
         self._lot_id = folder.lot.id
         self._work = WorkSet(self._lot_id, _settings_sha256(shared, config.refit))
+        self._loads_kept = _kept_loads(registry, folder, config)
         self._works: dict[str, str] = {}
         self._new: set[str] = set()
         self._ended: set[str] = set()
@@ -214,7 +216,9 @@ class LotWork:
     def _work_sha256(self, serial: str, recording: FileContent, audit: FileContent | None) -> str:
         """Return the hash of all that the unit's result depends on: much faster than parsing the recordings."""
         anchors = self._config.anchors.get(serial)
-        loads = None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()]
+        loads: object = None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()]
+        if anchors is None and serial in self._loads_kept:
+            loads = {sha256: values(kept) for sha256, kept in self._loads_kept[serial].items()}
         files = [file and [file.path.suffix, hashlib.sha256(file.content).hexdigest()] for file in (recording, audit)]
         return content_sha256({}, {"set": self._work.name, "files": files, "anchors": loads})
 
@@ -248,7 +252,10 @@ class LotWork:
             # The file may be another one by now than it was when the work was asked for.
             self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
             anchors = self._config.anchors.get(item.serial)
-            yield UnitTask(item.id, item.serial, recording, audit, anchors, known.get(item.serial, frozenset()))
+            done = known.get(item.serial, frozenset())
+            yield UnitTask(
+                item.id, item.serial, recording, audit, anchors, done, kept=self._loads_kept.get(item.serial, {})
+            )
 
     def _keep(self, claims: Claims, outcome: ChunkOutcome) -> list[UnitResult]:
         """Register what is still this batch's own, and close its items, in one transaction."""
@@ -300,6 +307,16 @@ class LotWork:
             registry.add_refusal(lot_id, unit.serial, str(result.verdict), (result.reason,), **told)
             return
         registry.add_calibration(lot_id, result, reason="batch", decided_by="batch", **told)
+
+
+def _kept_loads(registry: Registry, folder: LotFolder, config: BatchConfig) -> Mapping[str, Mapping[str, Anchors]]:
+    """Return what the registry has of known loads, by serial and recording; what lies beside the files outranks it."""
+    found: dict[str, dict[str, Anchors]] = {}
+    if folder.lot.id in registry.lot_ids():
+        for sha256, one in known_loads(registry, folder.lot.id).items():
+            if one.serial not in config.anchors:
+                found.setdefault(one.serial, {})[sha256] = one.loads
+    return found
 
 
 def _passing(outcome: ChunkOutcome) -> ChunkOutcome:

@@ -1,7 +1,8 @@
 """What a worker does for a batch: from the bytes of a unit's file to its calibration, without registry or folder."""
 
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from softcal.app.batch.calibrating import Refusal, calibrated
@@ -41,6 +42,7 @@ class UnitTask:
         recording: its file; None where it could not be read, and `problem` says why.
         audit: file of its labelled recording, which only scores.
         anchors: known loads, where someone took them.
+        kept: those that the registry has, by the hash of the recording they belong to; asked where `anchors` is None.
         known: input hashes of the calibrations it has already: those are not computed again.
     """
 
@@ -51,6 +53,7 @@ class UnitTask:
     anchors: Anchors | None = None
     known: frozenset[str] = frozenset()
     problem: str = ""
+    kept: Mapping[str, Anchors] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,14 +142,15 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
     except InputError as error:
         refusal = Refusal(Verdict.RETEST, reason("unreadable", error=str(error)))
         return UnitOutcome(task.item_id, task.serial, refusal)
-    if task.anchors is not None:
+    anchors = task.kept.get(recording.sha256) if task.anchors is None else task.anchors
+    if anchors is not None:
         try:
             known = shared.source.method.map.anchors
-            check_loads(shared.source.source, task.anchors, "the unit was not calibrated", known)
+            check_loads(shared.source.source, anchors, "the unit was not calibrated", known)
         except InputError as error:
             refusal = Refusal(Verdict.RETEST, reason("wrong_loads", error=str(error)))
             return UnitOutcome(task.item_id, task.serial, refusal, recording, audit)
-    shown = recording, shared.limit, task.anchors, audit, shared.own, shared.line, shared.reference
+    shown = recording, shared.limit, anchors, audit, shared.own, shared.line, shared.reference
     networks = {model.network.id for model in shared.sources}
     problems = [
         replace(UnitProblem(model, *shown), beside=tuple(networks - {model.network.id})) for model in shared.sources

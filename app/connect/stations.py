@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, StationState
+from softcal.core.orders import Heartbeat, Order, Progress, StationState
 from softcal.db.registry import Registry
 
 NEWEST = 20
@@ -17,7 +17,7 @@ def station_json(registry: Registry, beat: Heartbeat) -> dict[str, Any]:
     queue = registry.order_queue
     is_there = queue.is_answering(beat.station) or beat.state is StationState.OFF
     active = queue.active(beat.station)
-    judged = next((o for o, p in queue.runs(beat.station, NEWEST) if o.kind is OrderKind.UNIT and p.verdict), None)
+    judged = next((o for o, p in queue.runs(beat.station, NEWEST) if o.kind.is_about_unit and p.verdict), None)
     lot_id = active[0].lot_id if active else judged.lot_id if judged else ""
     return {
         "station": beat.station,

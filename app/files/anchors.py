@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from softcal.app.files.recording_file import column, named_column, read_table
+from softcal.app.files.recording_file import column, named_column, read_table, write_columns
 from softcal.core.errors import InputError
 from softcal.core.maps.interface import Anchors
 
@@ -30,3 +30,13 @@ def read_anchors(path: Path, serials: Collection[str]) -> Mapping[str, Anchors]:
         row = int(np.flatnonzero(owners == strangers[0])[0])
         raise InputError(f"{path}: line {row + 2}: the lot has no unit {strangers[0]!r}")
     return {serial: Anchors(output[owners == serial], reference[owners == serial]) for serial in sorted(set(owners))}
+
+
+def write_anchors(path: Path, loads: Mapping[str, Anchors]) -> None:
+    """Write the known loads of units as `read_anchors` reads them."""
+    serials = [serial for serial, one in loads.items() for _ in one.output]
+    output, reference = (
+        np.concatenate([np.asarray(getattr(one, name), np.float64) for one in loads.values()])
+        for name in ("output", "reference")
+    )
+    write_columns(path, [("serial", serials), ("output", output), ("reference", reference)])

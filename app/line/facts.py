@@ -7,7 +7,8 @@ from datetime import UTC, datetime, timedelta
 from softcal.app.line.place import Note, Place, is_alive, read_place
 from softcal.app.line.serials import numbered
 from softcal.core.lot import Lot
-from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
+from softcal.core.orders import Heartbeat, Order, Progress, RunState, StationState
+from softcal.core.quality.known_loads import KnownLoad, asked_loads, next_step
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import RunEntry, UnitStanding
@@ -135,6 +136,27 @@ class LineFacts:
         return self.place.serial if self.is_in_doubt and is_same_service else ""
 
     @property
+    def load_step(self) -> int:
+        """Number, from 1, of the known load that is read next on the unit pressed last; 0 where none is.
+
+        Not after a restart of the station's service: nobody knows what happened at the fixture meanwhile.
+        """
+        if self.newest is None or self.active is not None or self.is_in_doubt or self.is_stopped:
+            return 0
+        order, progress = self.newest
+        if not order.kind.is_about_unit or progress.state is not RunState.DONE or progress.verdict:
+            return 0
+        is_same_service = self.heartbeat is not None and self.place.process == self.heartbeat.process
+        return next_step(progress.message) if is_same_service else 0
+
+    @property
+    def load(self) -> KnownLoad | None:
+        """The known load that is read next; None where none is."""
+        if not self.load_step or self.newest is None:
+            return None
+        return asked_loads(self.newest[1].message)[self.load_step - 1]
+
+    @property
     def is_golden(self) -> bool:
         """Whether the unit that waits is a golden one."""
         return bool(self.serial) and self.place.is_golden
@@ -222,7 +244,7 @@ def _standings(registry: Registry, facts: LineFacts, lot_id: str) -> dict[str, U
 def standing_of(facts: LineFacts, run: LineRun) -> tuple[UnitStanding, ...]:
     """Return where the units of a run stand now, the worst first; none where the run decided nothing about them."""
     order, progress = run
-    if order.kind is not OrderKind.UNIT or facts.lot is None or order.lot_id != facts.lot.id:
+    if not order.kind.is_about_unit or facts.lot is None or order.lot_id != facts.lot.id:
         return ()
     serials = (order.serial, *(numbered(order.serial, k) for k in range(MOST_AT_ONCE)))
     known = (facts.standings[serial] for serial in serials if serial in facts.standings)

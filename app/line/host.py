@@ -14,8 +14,10 @@ from typing import Protocol
 from softcal.app.line.place import is_alive
 from softcal.core.errors import InputError, RegistryError, SoftcalError
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
+from softcal.core.quality.known_loads import ordered_load
 from softcal.core.words.reason import Reason, reason
 from softcal.db.order_queue import TAKEN_OVER_AFTER, OrderQueue
+from softcal.station.at_rest import RestReading
 from softcal.station.recording import StationRecording
 from softcal.station.service import StationService
 
@@ -43,7 +45,9 @@ class Keeper(Protocol):
         """Raise `InputError` where the run of an order could not be kept."""
         ...
 
-    def keep(self, order: Order, recording: StationRecording, tell: Callable[[Progress], None]) -> Progress:
+    def keep(
+        self, order: Order, recording: StationRecording | RestReading, tell: Callable[[Progress], None]
+    ) -> Progress:
         """Store a finished run and return how its order ended."""
         ...
 
@@ -53,6 +57,10 @@ class Fixture(Protocol):
 
     def mount(self, serial: str) -> None:
         """Put the unit of this serial under the stage."""
+        ...
+
+    def put_on(self, load: float) -> None:
+        """Put a known load on the unit, in the reference unit of its lot; 0 takes everything off."""
         ...
 
     def follow(self, phase: str) -> None:
@@ -69,6 +77,9 @@ class HandFixture:
 
     def mount(self, serial: str) -> None:
         """The unit is there, or the search for contact will say that it is not."""
+
+    def put_on(self, load: float) -> None:
+        """The person does; the reading shows whether the output changed."""
 
     def follow(self, phase: str) -> None:
         """Nothing follows."""
@@ -118,7 +129,7 @@ class StationHost:
         self._is_stop_wanted, self._is_over = threading.Event(), threading.Event()
         self._lost: Reason | None = None
         self._at_desk = threading.Lock()
-        self._late: list[tuple[Order, StationRecording]] = []
+        self._late: list[tuple[Order, StationRecording | RestReading]] = []
         self._unsaid: list[Progress] = []
         self._service = make_service(self._report, self._is_stop_wanted.is_set)
 
@@ -194,7 +205,10 @@ class StationHost:
         self._active = order.order_id
         try:
             self._keeper.check(order)
-            self._fixture.mount(order.serial)
+            if order.kind is OrderKind.LOAD:
+                self._fixture.put_on(ordered_load(order.reason)[1])
+            else:
+                self._fixture.mount(order.serial)
             recording = self._service.perform(order)
             if recording is not None:
                 self._late.append((order, recording))

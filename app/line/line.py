@@ -1,7 +1,8 @@
 """The operator's use cases: take a scan, order what it means. No Streamlit here.
 
-START alone ever orders a run, and only of the unit that was scanned since the last run, stop, refusal or restart:
-after any of these nobody knows which unit is in the hand, and it is asked for. OK takes as read and moves nothing.
+START alone ever orders a run or a reading. It presses only the unit that was scanned since the last run, stop, refusal
+or restart: after any of these nobody knows which unit is in the hand, and it is asked for. Where the card asks for a
+known load, START reads the unit pressed last, and presses nothing. OK takes as read and moves nothing.
 """
 
 import uuid
@@ -15,6 +16,7 @@ from softcal.app.line.serials import is_unheard_of
 from softcal.core.errors import InputError
 from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, RunState
+from softcal.core.quality.known_loads import load_order
 from softcal.core.words.reason import Reason
 from softcal.db.registry import Registry
 
@@ -208,10 +210,14 @@ def _other_lot(registry: Registry, lot: LotAtLine, serial: str) -> str:
 
 
 def _start(facts: LineFacts, screen: Screen, who: str) -> Step:
-    """Press the unit that waits; the only way to a run."""
+    """Press the unit that waits, or read the load that is asked for; the only way to either."""
     refusal = _start_refusal(facts, screen)
     if refusal is not None:
         return Step(_told(facts, refusal))
+    if facts.load is not None and facts.newest is not None:
+        pressed, told = facts.newest[0], load_order(facts.load_step, facts.load)
+        unit = (pressed.serial, pressed.lot_id, who, told)
+        return Step(replace(facts.place, note=None), Order(uuid.uuid4().hex, facts.station, OrderKind.LOAD, *unit))
     lot_id = facts.lot.id if facts.lot and not facts.is_golden else ""
     kind = OrderKind.GOLDEN if facts.is_golden else OrderKind.UNIT
     reason = f"re-test after {facts.results[-1].verdict}" if facts.results and not facts.is_golden else ""
@@ -224,6 +230,10 @@ def _start_refusal(facts: LineFacts, screen: Screen) -> Note | None:
         return Note("busy_key", _running(facts))
     if facts.is_stopped:
         return Note("acknowledge_first")
+    if facts.load is not None:
+        # Whoever has not seen which load is asked for has not put it on.
+        is_seen = screen.seen is None or screen.seen == facts.place.version
+        return None if facts.is_answering and is_seen else Note("look_at_load" if facts.is_answering else "silent")
     if not facts.serial:
         return Note("scan_first")
     if facts.open_question:
@@ -263,7 +273,8 @@ def _cancel(facts: LineFacts, screen: Screen, who: str) -> Step:
     """Put the unit that waits aside; which one is in the hand then nobody knows."""
     if facts.active is not None:
         return Step(_told(facts, Note("busy_key", _running(facts))))
-    return Step(replace(facts.place.emptied(facts.newest_run), note=None) if facts.serial else facts.place)
+    is_open = bool(facts.serial) or facts.load is not None
+    return Step(replace(facts.place.emptied(facts.newest_run), note=None) if is_open else facts.place)
 
 
 _COMMANDS = {"START": _start, "STOP": _stop, "REPEAT": _confirm, "OK": _confirm, "CANCEL": _cancel}

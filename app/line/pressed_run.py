@@ -1,4 +1,7 @@
-"""What becomes of a run that went through: a recording, and with it a trained network, a verdict or a golden check."""
+"""What becomes of a run that went through: a recording, and with it a trained network, a verdict or a golden check.
+
+Where the lot asks for known loads, a unit is judged once they were read, and not before.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,11 +12,14 @@ from softcal.app.batch.line_statement import stated_line
 from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import check_golden, quarantine
+from softcal.app.line.load_readings import LoadReadings, check_stated
 from softcal.app.line.serials import numbered
+from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.reference import lot_reference, state_reference
 from softcal.app.registry.source import source_model
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
+from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.recording import OutputRecording
@@ -25,6 +31,7 @@ from softcal.core.unit.verdict import Verdict, stated_limit
 from softcal.core.words.reason import Reason, joined, reason
 from softcal.db.entries import NetworkEntry
 from softcal.db.registry import Registry
+from softcal.station.at_rest import RestReading
 from softcal.station.recording import StationRecording
 
 Tell = Callable[[Progress], None]
@@ -57,10 +64,14 @@ class RunKeeper:
         self._registry, self._station, self._reference = registry, station, reference
         self._network, self._method = network, method
         self._source: tuple[str, SourceModel] | None = None
+        self._loads = LoadReadings()
         self._release = LineRelease(registry)
 
     def check(self, order: Order) -> None:
         """Raise `InputError` where the run of an order could not be kept; asked before anything moves."""
+        if order.kind is OrderKind.LOAD:
+            self._loads.check(order)
+            return
         if not order.kind.presses:
             return
         check_serial(order.serial)
@@ -77,8 +88,10 @@ class RunKeeper:
             raise InputError(
                 reason("run.wrong_kind", lot=order.lot_id, source=source, serial=order.serial, kind=str(order.kind))
             )
+        if order.kind is OrderKind.UNIT:
+            self._check_loads(order.lot_id)
 
-    def keep(self, order: Order, recording: StationRecording, tell: Tell) -> Progress:
+    def keep(self, order: Order, recording: StationRecording | RestReading, tell: Tell) -> Progress:
         """Store a finished run and do what follows from it; return how the order ended.
 
         Args:
@@ -91,12 +104,23 @@ class RunKeeper:
             InputError: the recording cannot be used.
         """
         done = Progress(order.order_id, RunState.DONE, "done", 1.0)
+        if isinstance(recording, RestReading):
+            return self._keep_reading(order, recording, tell, done)
+        self._loads.forget()
         if order.kind is OrderKind.GOLDEN:
             return self._keep_golden(order, recording, done)
         if order.kind is OrderKind.SOURCE:
             return self._keep_source(order, recording, tell, done)
+        units = _units(order, recording)
+        loads = self._registry.line_rules(self._registry.lot(order.lot_id)).loads
+        if loads:
+            if len(units) > 1:
+                raise InputError(reason("load.several", count=len(units)))
+            sha256 = self._registry.add_recording(order.lot_id, units[0], "unit", actor=order.actor or None)
+            unit = self._registry.lot(order.lot_id).reference_unit
+            return replace(done, message=(self._loads.begin(order, units[0], loads, unit),), recording_sha256=sha256)
         tell(Progress(order.order_id, RunState.RUNNING, CALIBRATING, 0.99, 1.0))
-        kept = [self._keep_unit(order, unit) for unit in _units(order, recording)]
+        kept = [self._keep_unit(order, unit) for unit in units]
         sha256 = kept[0][0]
         verdicts = [verdict for _, verdict in kept if verdict is not None]
         if not verdicts:
@@ -104,6 +128,27 @@ class RunKeeper:
             return replace(done, message=message, recording_sha256=sha256)
         word, reasons = max(verdicts, key=lambda verdict: Verdict(verdict[0]).severity)
         return replace(done, message=reasons, recording_sha256=sha256, verdict=word)
+
+    def _keep_reading(self, order: Order, reading: RestReading, tell: Tell, done: Progress) -> Progress:
+        """Take one load; with the last one the unit is judged."""
+        entry = released_network(self._registry, order.lot_id)
+        source = self._source_model(entry).source if entry else None
+        said = self._loads.take(order, reading.output[:, 0], source, self._method.map.anchors)
+        if isinstance(said, Reason):
+            return replace(done, message=(said,))
+        unit, loads = said
+        keep_loads(self._registry, order.lot_id, {unit.sha256: (unit.serial, loads)}, "line", actor=order.actor or None)
+        tell(Progress(order.order_id, RunState.RUNNING, CALIBRATING, 0.99, 1.0))
+        sha256, outcome = self._keep_unit(order, unit, loads)
+        word, reasons = outcome or ("", (reason("run.no_network", lot=order.lot_id),))
+        return replace(done, message=reasons, recording_sha256=sha256, verdict=word)
+
+    def _check_loads(self, lot_id: str) -> None:
+        """Raise `InputError` where the loads that a lot asks for could not be used; nothing has moved yet."""
+        lot = self._registry.lot(lot_id)
+        entry, loads = released_network(self._registry, lot_id), self._registry.line_rules(lot).loads
+        if entry is not None and loads:
+            check_stated(loads, self._source_model(entry).source, self._method.map.anchors)
 
     def _keep_golden(self, order: Order, recording: StationRecording, done: Progress) -> Progress:
         labelled = recording.labelled_recording()
@@ -137,7 +182,9 @@ class RunKeeper:
         message = (reason("run.trained", rmse=rmse, unit=lot.reference_unit),)
         return replace(done, message=message, recording_sha256=source.sha256)
 
-    def _keep_unit(self, order: Order, unit: OutputRecording) -> tuple[str, Outcome | None]:
+    def _keep_unit(
+        self, order: Order, unit: OutputRecording, loads: Anchors | None = None
+    ) -> tuple[str, Outcome | None]:
         registry = self._registry
         sha256 = registry.add_recording(order.lot_id, unit, "unit", actor=order.actor or None)
         entry = released_network(registry, order.lot_id)
@@ -146,7 +193,7 @@ class RunKeeper:
         lot = registry.lot(order.lot_id)
         limit = stated_limit(lot.reference_unit, lot.limit_rmse)
         line, reference = stated_line(registry, lot.id), lot_reference(registry, lot.id)
-        problem = UnitProblem(self._source_model(entry), unit, limit, line=line, reference=reference)
+        problem = UnitProblem(self._source_model(entry), unit, limit, loads, line=line, reference=reference)
         known = registry.find_calibration(unit.serial, problem.input_sha256, lot_id=lot.id)
         if known is not None:
             registry.put_in_use(lot.id, unit.serial, problem.input_sha256, "line", actor=order.actor or None)

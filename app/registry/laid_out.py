@@ -2,16 +2,21 @@
 
 from pathlib import Path
 
+from softcal.app.files.anchors import write_anchors
 from softcal.app.files.atomic import whole_folder
-from softcal.app.files.lot_folder import FOLDER_OF, write_lot_toml
+from softcal.app.files.lot_folder import ANCHOR_FILES, FOLDER_OF, write_lot_toml
 from softcal.app.files.recording_file import write_recording
+from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.reference import lot_reference
 from softcal.core.errors import InputError
 from softcal.db.registry import Registry
 
 
 def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str, list[str]]:
-    """Write the newest recording of each unit and kind, whole or not at all; return the serials by part.
+    """Write the newest recording of each unit and kind, and the known loads that belong to it, whole or not at all.
+
+    Returns:
+        The serials by part.
 
     Raises:
         InputError: no such lot, its source has no recording, or the folder exists and is not empty.
@@ -26,4 +31,8 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
         for (kind, serial), sha256 in newest.items():
             write_recording(part / FOLDER_OF[kind] / f"{serial}.csv", registry.recording(sha256))
             written[FOLDER_OF[kind]].append(serial)
+        kept = known_loads(registry, lot_id)
+        loads = {s: kept[sha].loads for (kind, s), sha in newest.items() if kind == "unit" and sha in kept}
+        if loads:
+            write_anchors(part / ANCHOR_FILES[0], loads)
     return written

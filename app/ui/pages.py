@@ -62,6 +62,7 @@ PAGES = (
     PageEntry("source", "straighten", ("set_up",), "calibrate"),
     PageEntry("networks", "hub", ("set_up", "release"), "calibrate"),
     PageEntry("limits", "rule", ("set_limit",), "calibrate"),
+    PageEntry("known_loads", "weight", ("set_up", "audit"), "calibrate"),
     PageEntry("gap", "troubleshoot", ("set_up",), "calibrate"),
     PageEntry("station", "precision_manufacturing", ("set_up", "override"), "rig"),
     PageEntry("profiles", "show_chart", ("set_up",), "rig"),

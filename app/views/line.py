@@ -7,6 +7,7 @@ from softcal.app.line.facts import SHOWN_RUNS, LineFacts, LineRun, standing_of
 from softcal.app.texts.reasons import plainly, said
 from softcal.app.views.common import number, phase_said
 from softcal.core.orders import Condition, OrderKind, Progress, RunState, Signal
+from softcal.core.quality.known_loads import KnownLoad, asked_loads
 from softcal.core.words.reason import Reason, plain, root_of
 
 Words = Callable[..., str]
@@ -38,6 +39,8 @@ TONES = {
     "ask": "repeat",
     "ask_new": "repeat",
     "used_up": "check",
+    "load": "load",
+    "reading": "running",
     "running": "running",
     "pass": "pass",
     "conditional": "check",
@@ -57,6 +60,8 @@ ACTIONS = {
     "ask_new": ("OK", "CANCEL"),
     "used_up": ("CANCEL",),
     "closed": ("CANCEL",),
+    "load": ("START", "CANCEL"),
+    "reading": ("STOP",),
     "running": ("STOP",),
     "stopped": ("OK",),
     "broken": ("OK",),
@@ -66,6 +71,9 @@ KEYS = {"START": "F2", "OK": "F4", "CANCEL": "F6", "STOP": "F8"}
 
 COMMAND_OF_KEY = {key: command for command, key in KEYS.items()}
 """Function key → command, in every state the same, so that no key is lost while a screen is drawn."""
+
+BUSY = ("running", "reading")
+"""States in which the station is at work."""
 
 BEFORE_RUN = ("armed", "armed_golden", "ask", "ask_new", "used_up", "closed")
 """States that are about the unit that was scanned, not about the one pressed last."""
@@ -137,7 +145,7 @@ class LineView:
     @property
     def is_busy(self) -> bool:
         """Whether a run is in progress, so that the screen looks often."""
-        return self.state == "running"
+        return self.state in BUSY
 
 
 def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
@@ -151,13 +159,13 @@ def line_view(facts: LineFacts, operator: str, words: Words) -> LineView:
     state, run = _state(facts)
     order = run[0] if run else None
     serial = facts.serial if state in BEFORE_RUN else order.serial if order else ""
-    progress = run[1] if run and state == "running" else None
+    progress = run[1] if run and state in BUSY else None
     return LineView(
         state=state,
         word=state_word(state, words),
         serial=serial,
         instruction=_instruction(facts, state, serial, run, words),
-        details=(*_details(facts, state, run, words), *_news(facts, state, words)),
+        details=(*_weight(state, run, words), *_details(facts, state, run, words), *_news(facts, state, words)),
         why=_why(facts, state, run, words),
         conditions=_conditions(facts, words) if state in ("armed", "closed", "ready", "hand") else (),
         cells=_cells(facts, operator, words),
@@ -200,7 +208,7 @@ def _state(facts: LineFacts) -> tuple[str, LineRun | None]:
     if not facts.is_answering:
         return "silent", facts.active
     if facts.active is not None:
-        return "running", facts.active
+        return "reading" if facts.active[0].kind is OrderKind.LOAD else "running", facts.active
     if facts.is_stopped:
         run = facts.newest
         return "stopped", run if run is not None and _is_why_stopped(facts, run) else None
@@ -232,7 +240,9 @@ def _after_run(facts: LineFacts, run: LineRun) -> tuple[str, LineRun | None]:
     order, progress = run
     if progress.state is not RunState.DONE:
         return "broken", run
-    if not order.kind.presses:
+    if facts.load is not None:
+        return "load", run
+    if not order.kind.presses and order.kind is not OrderKind.LOAD:
         return _idle(facts), None
     if order.kind is OrderKind.GOLDEN:
         return f"golden_{progress.verdict or 'fail'}", run
@@ -259,6 +269,8 @@ def _actions(facts: LineFacts, state: str) -> tuple[str, ...]:
 
 def _instruction(facts: LineFacts, state: str, serial: str, run: LineRun | None, words: Words) -> str:
     values = {"serial": serial, "lot": facts.lot.id if facts.lot else "", "station": facts.station}
+    if state == "load" and facts.load is not None and run is not None:
+        return words(f"line.load.do{'' if facts.load.value else '.nothing'}", **values, **_load_values(facts, run))
     if state == "ask":
         last = facts.standings.get(serial) or facts.results[-1]
         values |= {"verdict": words(f"verdict.{last.verdict}"), "at": f"{last.made_at.astimezone():%Y-%m-%d %H:%M}"}
@@ -275,22 +287,39 @@ def _details(facts: LineFacts, state: str, run: LineRun | None, words: Words) ->
     if state == "stopped" and beat is not None:
         code = (words("line.code", code=run[1].code),) if run else ()
         return (*(said(why, words) for why in beat.reasons), *code)
-    if state == "armed" and facts.lot is not None and facts.lot.network is None:
-        return (words("line.no_network"),)
+    if state == "armed" and facts.lot is not None:
+        bare = (words("line.no_network"),) if facts.lot.network is None else ()
+        return (*bare, words("line.no_weights")) if facts.lot.rules.loads else bare
     if state == "pass" and run is not None:
         return (*_result(facts, run, words), *_changed(facts, run, words))
-    code = (words("line.code", code=run[1].code),) if run is not None and run[1].code and state != "running" else ()
+    code = (words("line.code", code=run[1].code),) if run is not None and run[1].code and state not in BUSY else ()
     return (*_plain(_reasons(facts, state, run), words), *_changed(facts, run, words), *code)
+
+
+def _weight(state: str, run: LineRun | None, words: Words) -> tuple[str, ...]:
+    """Return the sentence that a weight lies on the unit still: its reading was the last thing that was done."""
+    is_on = run is not None and run[0].kind is OrderKind.LOAD and state not in (*BUSY, "load")
+    return (words("line.weight_off"),) if is_on else ()
 
 
 def _reasons(facts: LineFacts, state: str, run: LineRun | None) -> tuple[Reason, ...]:
     """Return why the unit of a card stands as it does."""
     if state in ("ask", "used_up"):
         return (facts.standings.get(facts.serial) or facts.results[-1]).reasons
-    if run is None or state == "running":
+    if run is None or state in BUSY:
+        return ()
+    if state == "load" and run[0].kind is not OrderKind.LOAD:
         return ()
     now = standing_of(facts, run)
     return now[0].reasons if now else run[1].message
+
+
+def _load_values(facts: LineFacts, run: LineRun) -> dict[str, object]:
+    """Return what the instruction names: which load of how many, and how well it must be known."""
+    load, loads = facts.load or KnownLoad(0.0), asked_loads(run[1].message)
+    unit = str(run[1].message[0].values.get("unit", ""))
+    known = f" ± {load.expanded:g}" if load.expanded else ""
+    return {"step": facts.load_step, "of": len(loads), "load": f"{load.value:.5g}{known} {unit}"}
 
 
 def _plain(reasons: tuple[Reason, ...], words: Words) -> tuple[str, ...]:
@@ -333,7 +362,7 @@ def _news(facts: LineFacts, state: str, words: Words) -> tuple[str, ...]:
     """Return the sentence that another network is in use since the last unit was pressed."""
     network = facts.lot.network if facts.lot else None
     pressed = [order.created for order, _ in facts.runs if order.kind is OrderKind.UNIT and order.created is not None]
-    if network is None or not network.reason or state in ("running", "stopped", "silent", "no_station"):
+    if network is None or not network.reason or state in (*BUSY, "load", "stopped", "silent", "no_station"):
         return ()
     if pressed and pressed[0] > network.since:
         return ()

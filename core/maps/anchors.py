@@ -177,12 +177,12 @@ def source_bend(source: LabelledRecording, config: AnchorConfig) -> float:
     return float(np.sqrt(np.mean((levels - chord)[1:-1] ** 2)) / max(abs(levels[-1] - levels[0]), 1e-12))
 
 
-def check_loads(source: LabelledRecording, loads: Anchors, nothing: str, config: AnchorConfig) -> None:
-    """Refuse known loads that cannot be true: one twice, out of the source's range, or against its direction.
+def check_values(source: LabelledRecording, load: Array, nothing: str, config: AnchorConfig) -> None:
+    """Refuse known loads, whatever was read under them, that are out of the source's range, or one twice.
 
     Args:
         source: labelled recording of the lot's source.
-        loads: outputs at rest under known loads.
+        load: (k,) in the source's reference unit.
         nothing: what was not done, the end of the message.
         config: which loads the source knows, and which are two.
 
@@ -190,7 +190,6 @@ def check_loads(source: LabelledRecording, loads: Anchors, nothing: str, config:
         InputError: which row is wrong, what was expected, and that nothing was changed.
     """
     unit = source.reference_unit
-    output, load = np.asarray(loads.output, np.float64), np.asarray(loads.reference, np.float64)
     low, high = float(source.reference.min()), float(source.reference.max())
     margin = config.beyond * (high - low)
     for row, value in enumerate(load, start=1):
@@ -207,6 +206,17 @@ def check_loads(source: LabelledRecording, loads: Anchors, nothing: str, config:
                 f"loads {rows[0]} and {rows[1]} are the same, {load[earlier]:g} {unit}; state one "
                 f"load once, as the mean of its readings; {nothing}"
             )
+
+
+def check_loads(source: LabelledRecording, loads: Anchors, nothing: str, config: AnchorConfig) -> None:
+    """Refuse known loads that cannot be true: as `check_values`, or against the source's direction.
+
+    Raises:
+        InputError: which row is wrong, what was expected, and that nothing was changed.
+    """
+    output, load = np.asarray(loads.output, np.float64), np.asarray(loads.reference, np.float64)
+    check_values(source, load, nothing, config)
+    order = np.argsort(load)
     rising = 1.0 if np.corrcoef(source.unlabelled.output, source.reference)[0, 1] >= 0 else -1.0
     steps = rising * np.diff(output[order])
     if np.any(steps <= 0):

@@ -127,9 +127,10 @@ def may_run(facts: StationFacts, kind: OrderKind = OrderKind.UNIT) -> Gate:
     """Return whether a station may run, and every reason why not.
 
     A golden unit may be pressed while only its own check is missing, so that a station can be qualified again; a
-    self-test may always run (the rule of SENAITE: an instrument out of control may still measure its reference).
+    self-test may always run (the rule of SENAITE: an instrument out of control may still measure its reference), and
+    so may a reading at rest, which needs no load cell and moves nothing.
     """
-    if kind is OrderKind.CHECK:
+    if kind in (OrderKind.CHECK, OrderKind.LOAD):
         return Gate()
     conditions = [*(_cell_conditions(facts) if facts.has_cell else []), _homing(facts.rig)]
     if kind is not OrderKind.GOLDEN and facts.needs_golden:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.quality.known_loads import MOST_LOADS, KnownLoad
+from softcal.core.words.reason import reason
 
 LETTERS = ("as scanned", "upper", "lower")
 RETESTS: Mapping[str, int] = {"pass": 1, "conditional": 1, "fail": 1, "retest": 3}
@@ -21,14 +23,22 @@ class LineRules:
         letters: `upper` or `lower` turn what was scanned; scanners turn it round when caps lock is on.
         target: units that are planned; None: nobody said.
         retests: verdict → how often a unit may be pressed again after it, over its whole life in this lot.
+        loads: known loads that are read on each unit after its run, in this order; given as kept, pairs of numbers.
     """
 
     serial_pattern: str = ""
     letters: str = "as scanned"
     target: int | None = None
     retests: Mapping[str, int] = field(default_factory=lambda: dict(RETESTS))
+    loads: tuple[KnownLoad, ...] = ()
 
     def __post_init__(self) -> None:
+        loads = tuple(load if isinstance(load, KnownLoad) else KnownLoad(*load) for load in self.loads)
+        object.__setattr__(self, "loads", loads)
+        if len(loads) > MOST_LOADS:
+            raise InputError(reason("load.too_many", count=len(loads), most=MOST_LOADS))
+        if len({load.value for load in loads}) < len(loads):
+            raise InputError(reason("load.twice", value=loads[0].value))
         try:
             re.compile(self.serial_pattern)
         except re.error as error:
@@ -60,7 +70,10 @@ class LineRules:
 
     def settings(self) -> dict[str, object]:
         """Return the rules as JSON values."""
-        return {**vars(self), "retests": dict(self.retests)}
+        told: dict[str, object] = {**vars(self), "retests": dict(self.retests)}
+        del told["loads"]
+        # Versions that know no loads can read rules without any.
+        return told | ({"loads": [[load.value, load.expanded] for load in self.loads]} if self.loads else {})
 
 
 def rules_for(lot: Lot) -> LineRules:

@@ -475,6 +475,31 @@ SENTENCES: Mapping[str, str] = {
     "chart.rule.6": "4 of 5 points beyond 1 sigma on one side",
     "chart.rule.7": "15 points in a row within 1 sigma",
     "chart.rule.8": "8 points in a row beyond 1 sigma on both sides",
+    # Known loads at the line.
+    "load.wanted": "recorded; {of} known loads are read next",
+    "load.read": "load {step} of {of} was read: {level:.5g}",
+    "load.unsteady": (
+        "the output moved by {drift:.1%} of its range during the reading, and scattered by "
+        "{spread:.1%}; it was not taken"
+    ),
+    "load.unloaded": "the output {level:.5g} is the same as without a load; it was not taken",
+    "load.same": "the output {level:.5g} is the same as under the load before; it was not taken",
+    "load.contradict": "the {of} loads do not go together: {why}",
+    "load.lost": "unit {serial}: this load is not due; nothing was read; scan the unit and press it again",
+    "load.no_step": "an order to read a load names none: {told}; order it at the line's screen",
+    "load.several": (
+        "{count} units were pressed at once, and a known load lies on one; nothing was kept; take the loads out of the "
+        "rules of the lot"
+    ),
+    "load.uncertain": (
+        "load {value:g} {unit} has U = {expanded:.3g} {unit}, a calibration counts on {most:.3g} {unit} at most; "
+        "nothing was pressed; take a better weight"
+    ),
+    "load.negative": "a load of {value:g}; a number of 0 or more was expected",
+    "load.bad_uncertainty": "the uncertainty of a load is {value:g}; a number of 0 or more was expected",
+    "load.too_many": "{count} loads; at most {most} can be used",
+    "load.twice": "the load {value:g} stands there twice; state each load once",
+    "rig.moves": "the stage moves; nothing was read; read again once it stands",
     # An order, a run and the service.
     "run.interrupted": "the station's service was started again; press the unit again",
     "run.defect": "a defect of softcal ended this run ({kind}); the details are in its log, press again",

@@ -50,6 +50,12 @@ class SimulatedLine:
             self._station.mount(self._unit_of(serial))
         self._release("")
 
+    def put_on(self, load: float) -> None:
+        """Put a weight of so many N on the unit."""
+        if self._station is not None:
+            self._station.rig.weight_N = load
+        self._release("")
+
     def follow(self, phase: str) -> None:
         """Take the phase a run is in; faults that wait for it come now."""
         if phase != self._phase:

@@ -8,6 +8,9 @@ import numpy as np
 from softcal.core.recording import Array
 from softcal.station.simulated.motion import Axis
 
+SINK_MM_N = 0.02
+"""How far a weight sinks from one reading to the next for each N the unit does not bear yet; softer than any unit."""
+
 
 class Physics(Protocol):
     """A unit under the stage that remembers its past; `softcal.core.twin.simulate.TwinStream` is one."""
@@ -20,8 +23,9 @@ class Physics(Protocol):
 class SimulatedRig:
     """Stage, unit and load cell in one frame.
 
-    `keeps_truth` keeps the true position at every sample, for tests that compare. Faults are switches: `force_fault`
-    and `output_fault` replace what a device would see: (time, true value) -> value.
+    `weight_N` is a dead weight on the unit. `keeps_truth` keeps the true position at every sample, for tests that
+    compare. Faults are switches: `force_fault` and `output_fault` replace what a device would see: (time, true value)
+    -> value.
 
     Args:
         axis: the drive; its position counts downward from the homing switch, mm.
@@ -29,6 +33,7 @@ class SimulatedRig:
 
     def __init__(self, axis: Axis) -> None:
         self.axis = axis
+        self.weight_N = self._sunk_mm = 0.0
         self.force_fault: Callable[[float, float], float] | None = None
         self.output_fault: Callable[[float, float], float] | None = None
         self._stands_at_mm: float | None = None
@@ -46,6 +51,7 @@ class SimulatedRig:
             now_s: the unit's own time 0.
         """
         self._units, self.clearance_mm, self._mounted_s = units, clearance_mm, now_s
+        self.weight_N = self._sunk_mm = 0.0
         self._read_s, self._force_N, self._outputs_V = -1.0, 0.0, (0.0,) * len(units)
 
     def read(self, now_s: float) -> tuple[float, tuple[float, ...]]:
@@ -75,6 +81,10 @@ class SimulatedRig:
             self.true_stage_mm.append(self.axis.position_mm)
         at_mm = self.axis.position_mm if self._stands_at_mm is None else self._stands_at_mm
         u_mm = at_mm - self._lost_mm - self.clearance_mm
+        if self.weight_N:
+            # A weight sinks until the unit bears it, whatever the stage does above it.
+            self._sunk_mm = max(0.0, self._sunk_mm + SINK_MM_N * (self.weight_N - self._force_N))
+            u_mm = max(u_mm, self._sunk_mm)
         since_s = now_s - self._mounted_s
         readings = [unit.advance(np.array([since_s]), np.array([u_mm])) for unit in self._units]
         self._force_N = float(readings[0][0][0])

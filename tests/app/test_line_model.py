@@ -1,12 +1,14 @@
-"""The line as a model: every event in every state that can be reached, and four properties that hold in all of them.
+"""The line as a model: every event in every state that can be reached, and the properties that hold in all of them.
 
-The use cases and the view are the product's own. The registry and the station are played by one frozen value, so that a
-state can be kept and gone on from in several ways. SOFTCAL_LINE_WORLDS sets how many states are gone through.
+It is gone through twice, without known loads and with two. Then the rules of the line are broken one by one, and each
+time the model must find it. The use cases and the view are the product's own. The registry and the station are played
+by one frozen value, so that a state can be kept and gone on from in several ways. SOFTCAL_LINE_WORLDS sets how many
+states are gone through.
 """
 
 import os
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -16,27 +18,32 @@ from typing import Any
 import pytest
 
 from softcal.app.line import line as use_cases
-from softcal.app.line.facts import Screen, read_line
-from softcal.app.line.line import take_scan
-from softcal.app.line.place import read_place
+from softcal.app.line.facts import LineFacts, Screen, read_line
+from softcal.app.line.line import Step, take_scan
+from softcal.app.line.place import Place, read_place
 from softcal.app.texts import catalogue as texts
 from softcal.app.views.line import BEFORE_RUN, LineView, line_view
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
+from softcal.core.quality.known_loads import KnownLoad, loads_text, ordered_load
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.words.reason import plain as sentence
+from softcal.core.words.reason import reason
 from softcal.db.entries import RunEntry, UnitStanding
 
 NOW = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
 SAY = partial(texts.text, "en")
 LOTS = {"L1": Lot("L1", "A0", 50.0), "L2": Lot("L2", "B0", 50.0)}
 RULES = LineRules(retests={"fail": 1, "retest": 1})
+LOADS = (KnownLoad(0.0), KnownLoad(2.0, 0.002))
 RESULTS = ("pass", "conditional", "fail", "retest", "recorded", "retest_used_up", "golden_pass", "golden_fail")
 REFUSED = ("A0", "X7", "not a serial!", "http://x", "LOT:L9")
 SCANS = ("A1", "A123", *REFUSED, "LOT:L1", "GOLDEN:G1", "BADGE:Kim")
 KEYS = ("CMD:START", "CMD:OK", "CMD:REPEAT", "CMD:CANCEL", "CMD:STOP")
 STATION = ("take", "pass", "fail", "retest", "break", "cut off", "restart", "restart stopped", "close", "open", "go")
+READINGS = {"unsteady": "load.unsteady", "contradict": "load.contradict"}
+"""What else the station says of a reading: it is taken again, or all of them are."""
 TABS = ("left", "right")
 
 
@@ -46,20 +53,23 @@ class World:
 
     Args:
         place: values of the line's row, as the registry keeps them.
-        orders: runs, newest first, as (id, kind, serial, state, verdict); the newest two matter.
+        orders: runs, newest first, as (id, kind, serial, state, verdict, what it said, its step); the newest two
+            matter.
         results: (serial, verdict) in the lot, at most two of a serial.
         station, process: of the heartbeat; `silent` gives none.
         is_read: whether somebody has acknowledged the stop.
-        shown: what each screen showed last: version of the place and serial it would press.
+        shown: what each screen showed last: version of the place, and what F2 would do there.
+        loads: that the lot asks for.
     """
 
     place: tuple[int, Any] = (0, None)
-    orders: tuple[tuple[str, OrderKind, str, RunState, str], ...] = ()
+    orders: tuple[tuple[str, OrderKind, str, RunState, str, str, int], ...] = ()
     results: tuple[tuple[str, str], ...] = ()
     station: StationState = StationState.READY
     process: int = 0
     is_read: bool = False
     shown: tuple[tuple[int, str], ...] = ((0, ""), (0, ""))
+    loads: tuple[KnownLoad, ...] = ()
 
 
 @dataclass
@@ -89,7 +99,7 @@ class Played:
                 for serial, verdict in self.world.results
                 if serial == count
             ]
-        return [_run(values) for values in self.world.orders]
+        return [_run(values, self.world.loads) for values in self.world.orders]
 
     def active(self, station: str) -> Any:
         return next((run for run in self.runs(station) if run[1].state.is_active), None)
@@ -99,7 +109,8 @@ class Played:
         if order.kind.is_run:
             if self.active("line-1"):
                 raise InputError("busy")
-            values = (order.order_id, order.kind, order.serial, RunState.QUEUED, "")
+            step = ordered_load(order.reason)[0] if order.kind is OrderKind.LOAD else 0
+            values = (order.order_id, order.kind, order.serial, RunState.QUEUED, "", "", step)
             self.world = replace(self.world, orders=(values, *self.world.orders[:1]))
         elif order.kind is OrderKind.ACKNOWLEDGE:
             self.world = replace(self.world, is_read=True)
@@ -124,7 +135,7 @@ class Played:
         return list(LOTS.values())
 
     def line_rules(self, lot: Lot) -> LineRules:
-        return RULES
+        return replace(RULES, loads=self.world.loads)
 
     def released_network(self, lot_id: str) -> None:
         return None
@@ -152,10 +163,13 @@ class Played:
         return [SimpleNamespace(lot_id=known[serial])]
 
 
-def _run(values: tuple[str, OrderKind, str, RunState, str]) -> tuple[Order, Progress]:
-    order_id, kind, serial, state, verdict = values
-    message = "gone" if state is RunState.ERROR else ""
-    progress = Progress(order_id, state, code="E-SILENT" if message else "", message=message, verdict=verdict)
+def _run(values: Any, loads: tuple[KnownLoad, ...]) -> tuple[Order, Progress]:
+    order_id, kind, serial, state, verdict, said, step = values
+    is_gone = state is RunState.ERROR
+    facts: dict[str, Any] = {"step": step, "of": len(loads), "loads": loads_text(loads), "unit": "N"}
+    facts |= {"level": 0.1, "drift": 0.1, "spread": 0.1, "why": "exchanged"}
+    message = (sentence("gone"),) if is_gone else (reason(said, **facts),) if said else ()
+    progress = Progress(order_id, state, code="E-SILENT" if is_gone else "", message=message, verdict=verdict)
     return Order(order_id, "line-1", kind, serial, "L1", "kim", created=NOW), progress
 
 
@@ -165,15 +179,22 @@ def played_station(world: World, event: str) -> World | None:
     state = newest[3] if newest else None
     if event == "take":
         return _ended(world, RunState.RUNNING) if state is RunState.QUEUED else None
+    if event in READINGS:
+        is_reading = newest is not None and newest[1] is OrderKind.LOAD and state is RunState.RUNNING
+        return _ended(world, RunState.DONE, "", READINGS[event]) if is_reading else None
     if event in ("pass", "fail", "retest"):
         if state is not RunState.RUNNING or newest is None:
             return None
+        if world.loads and newest[1] is OrderKind.UNIT:
+            return _ended(world, RunState.DONE, "", "load.wanted") if event == "pass" else None
+        if newest[1] is OrderKind.LOAD and newest[6] < len(world.loads):
+            return _ended(world, RunState.DONE, "", "load.read") if event == "pass" else None
         ended = _ended(
             world, RunState.DONE, event if newest[1] is not OrderKind.GOLDEN or event != "retest" else "fail"
         )
         own = [entry for entry in world.results if entry[0] == newest[2]][-1:]
         others = [entry for entry in world.results if entry[0] != newest[2]]
-        is_unit = newest[1] is OrderKind.UNIT
+        is_unit = newest[1] is not OrderKind.GOLDEN
         own = [(newest[2], event)] if own else []  # Which verdict came first changes nothing.
         return replace(ended, results=tuple(sorted([*others, *own, (newest[2], event)]))) if is_unit else ended
     if event == "break":
@@ -194,16 +215,19 @@ def played_station(world: World, event: str) -> World | None:
     return replace(world, station=StationState.OFF) if state not in (RunState.RUNNING, RunState.QUEUED) else None
 
 
-def _ended(world: World, state: RunState, verdict: str = "") -> World:
-    order_id, kind, serial, _, _ = world.orders[0]
-    return replace(world, orders=((order_id, kind, serial, state, verdict), *world.orders[1:]))
+def _ended(world: World, state: RunState, verdict: str = "", said: str = "") -> World:
+    order_id, kind, serial, _, _, _, step = world.orders[0]
+    return replace(world, orders=((order_id, kind, serial, state, verdict, said, step), *world.orders[1:]))
 
 
 def drawn(registry: Any, tab: str) -> LineView:
     return line_view(read_line(registry, Screen(tab=tab)), "", SAY)
 
 
-def pressable(view: LineView) -> str:
+def offered(view: LineView) -> str:
+    """What F2 does at a card: the serial it presses, or the load it reads."""
+    if view.state == "load":
+        return f"{view.serial}: {view.instruction}"
     return view.serial if view.state in ("armed", "armed_golden") else ""
 
 
@@ -211,10 +235,11 @@ def plain(world: World) -> tuple[Any, ...]:
     """Return what tells worlds apart by what can follow: notes and badges lead nowhere."""
     version, values = world.place
     place = dict(values or ())
-    newest = world.orders[0] if world.orders else ("", None, "", None, "")
+    newest = world.orders[0] if world.orders else ("", None, "", None, "", "", 0)
     is_in_doubt = place.get("after_run") == newest[0]
     serial = place.get("serial", "") if is_in_doubt else ""
     waits = (serial, place["process"] == f"elsewhere:{world.process}") if serial else ()
+    is_same = place.get("process") == f"elsewhere:{world.process}" if newest[5] else True
     asked = (place["is_new"], place["is_confirmed"], place["tab"]) if serial else ()
     screens = tuple((seen == version, shown) for seen, shown in world.shown)
     return (
@@ -222,6 +247,7 @@ def plain(world: World) -> tuple[Any, ...]:
         is_in_doubt,
         waits,
         asked,
+        is_same,
         newest[1:],
         world.results,
         world.station,
@@ -241,8 +267,8 @@ class Broken(AssertionError):
         return f"{self.what} after {' → '.join(self.trail)}"
 
 
-def events() -> Iterator[tuple[str, str]]:
-    yield from (("station", event) for event in STATION)
+def events(loads: tuple[KnownLoad, ...]) -> Iterator[tuple[str, str]]:
+    yield from (("station", event) for event in (*STATION, *(READINGS if loads else ())))
     yield from (("left", code) for code in (*SCANS, *KEYS, "look"))
     # The screens are alike: one of them does everything, the other one holds a stale picture and starts from it.
     yield from (("right", code) for code in ("CMD:START", "look"))
@@ -257,17 +283,22 @@ def after(world: World, who: str, event: str, trail: tuple[str, ...]) -> World |
         before = drawn(registry, who)
         seen, serial = world.shown[at]
         take_scan(registry, Screen(tab=who, seen=seen), event)
-        moved = [order for order in registry.ordered if order.kind.is_run]
-        if moved and event != "CMD:START":
-            raise Broken(f"{event} moved the stage", trail)
-        if moved and pressable(before) != moved[0].serial:
+        moved = [order for order in registry.ordered if order.kind.presses]
+        read = [order for order in registry.ordered if order.kind is OrderKind.LOAD]
+        if (moved or read) and event != "CMD:START":
+            raise Broken(f"{event} began a run", trail)
+        if read and (before.state != "load" or read[0].serial != before.serial):
+            raise Broken(f"a load was read on {read[0].serial} under a card of {before.state} {before.serial}", trail)
+        if read and offered(before) != serial:
+            raise Broken(f"a load was read at a screen that showed {serial or 'none'}", trail)
+        if moved and offered(before) != moved[0].serial:
             raise Broken(f"{moved[0].serial} was pressed under a card of {before.state} {before.serial}", trail)
         scanned_here = dict(world.place[1] or ()).get("tab") == who
         if moved and moved[0].serial != serial and not scanned_here:
             raise Broken(f"{moved[0].serial} was pressed at a screen that showed {serial or 'no unit'}", trail)
     view = drawn(registry, who)
     shown = list(registry.world.shown)
-    shown[at] = (view.seen, pressable(view))
+    shown[at] = (view.seen, offered(view))
     return replace(registry.world, shown=tuple(shown))
 
 
@@ -284,44 +315,196 @@ def check_card(world: World, who: str, event: str, before: LineView, trail: tupl
         raise Broken(f"{view.state} of {view.serial} though another unit may be in the hand", trail)
     if view.state in BEFORE_RUN and view.serial and view.serial != place.serial:
         raise Broken(f"{view.serial} stands there, {place.serial} was scanned", trail)
-    irregular = who != "station" and before.state not in ("running", "stopped") and event in REFUSED
+    if view.state == "load":
+        is_pressed = newest is not None and newest[3] is RunState.DONE and newest[2] == view.serial
+        if not is_pressed or newest is None or newest[1] is OrderKind.GOLDEN or place.after_run == newest[0]:
+            raise Broken(f"a load is asked for of {view.serial} though the newest run is {newest}", trail)
+        if place.process != f"elsewhere:{world.process}":
+            raise Broken(f"a load is asked for of {view.serial} after a restart", trail)
+    irregular = who != "station" and before.state not in ("running", "reading", "stopped") and event in REFUSED
     if irregular and view.state not in ("hand", "closed", "silent", "no_lot"):
         raise Broken(f"{view.state} of {view.serial} after a refused scan", trail)
     return view
 
 
-def test_all_events_in_all_states_keep_the_four_properties(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    ids = iter(range(10**9))
-    monkeypatch.setattr(use_cases.uuid, "uuid4", lambda: SimpleNamespace(hex=f"order-{next(ids)}"))
-    first = World()
+TO_FIRST_LOAD = (
+    ("left", "LOT:L1"),
+    ("left", "A1"),
+    ("left", "CMD:START"),
+    ("station", "take"),
+    ("station", "pass"),
+    ("left", "look"),
+)
+"""Where a lot asks for loads, the states behind its first run are gone through: those before it are as without."""
+
+
+TO_LAST_LOAD = (
+    *TO_FIRST_LOAD,
+    ("left", "CMD:START"),
+    ("station", "take"),
+    ("station", "pass"),
+    ("left", "look"),
+    ("left", "CMD:START"),
+    ("station", "take"),
+)
+
+
+def explore(
+    loads: tuple[KnownLoad, ...], most: int, begin: tuple[tuple[str, str], ...] = ()
+) -> tuple[int, int, set[str]]:
+    """Go through every event in so many states; return how many states, events and cards there were.
+
+    Raises:
+        Broken: the first property that does not hold, with the way there.
+    """
+    first, way = World(loads=loads), ()
+    for who, event in begin:
+        way = (*way, f"{who}: {event}")
+        first = after(first, who, event, way) or first
     known, steps, states = {plain(first)}, 0, set()
-    open_worlds: deque[tuple[World, tuple[str, ...]]] = deque([(first, ())])
+    open_worlds: deque[tuple[World, tuple[str, ...]]] = deque([(first, way)])
     while open_worlds:
         world, trail = open_worlds.popleft()
         before = drawn(Played(world), "left")
-        for who, event in events():
+        for who, event in events(loads):
             told = (*trail, f"{who}: {event}")
             then = after(world, who, event, told)
             if then is None:
                 continue
             steps += 1
             states.add(check_card(then, who, event, before, told).state)
-            if plain(then) not in known and len(known) < int(os.environ.get("SOFTCAL_LINE_WORLDS", MOST_WORLDS)):
+            if plain(then) not in known and len(known) < most:
                 known.add(plain(then))
                 open_worlds.append((then, told))
+    return len(known), steps, states
+
+
+MOST_WORLDS = int(os.environ.get("SOFTCAL_LINE_WORLDS", "800"))
+CARDS = {"armed", "armed_golden", "ask", "ask_new", "used_up", "hand", "stopped", "broken", "pass", "fail", "retest"}
+
+
+@pytest.fixture(autouse=True)
+def numbered_orders(monkeypatch: pytest.MonkeyPatch) -> None:
+    ids = iter(range(10**9))
+    monkeypatch.setattr(use_cases.uuid, "uuid4", lambda: SimpleNamespace(hex=f"order-{next(ids)}"))
+
+
+@pytest.mark.parametrize(
+    ("loads", "begin", "cards"),
+    [
+        ((), (), CARDS),
+        (LOADS, TO_FIRST_LOAD, {"load", "reading", "armed", "hand", "recorded", "stopped", "broken"}),
+        (LOADS, TO_LAST_LOAD, {"load", "reading", "armed", "hand", "pass", "fail", "stopped", "broken", "ask"}),
+    ],
+    ids=["no loads", "two loads, from the first", "two loads, from the last"],
+)
+def test_all_events_in_all_states_keep_the_properties(
+    loads: tuple[KnownLoad, ...], begin: tuple[tuple[str, str], ...], cards: set[str], capsys: Any
+) -> None:
+    worlds, steps, states = explore(loads, MOST_WORLDS // 2 if loads else MOST_WORLDS, begin)
     with capsys.disabled():
-        print(f"\nline model: {len(known)} worlds, {steps} events, {len(states)} cards: {', '.join(sorted(states))}")
-    assert states >= {
-        "armed",
-        "armed_golden",
-        "ask",
-        "ask_new",
-        "used_up",
-        "hand",
-        "stopped",
-        "broken",
-        *RESULTS[:4],
-    } - {"conditional"}
+        print(f"\nline model: {worlds} worlds, {steps} events, {len(states)} cards: {', '.join(sorted(states))}")
+    assert states >= cards
 
 
-MOST_WORLDS = 800
+REAL = SimpleNamespace(
+    told=use_cases._told,
+    start=use_cases._start,
+    refusal=use_cases._start_refusal,
+    step=use_cases._step,
+    emptied=Place.emptied,
+    serial=LineFacts.serial.fget,
+    in_doubt=LineFacts.is_in_doubt.fget,
+)
+
+
+def _pressed_at_once(registry: Any, facts: Any, screen: Any, scan: Any, who: str) -> Step:
+    found = REAL.step(registry, facts, screen, scan, who)
+    is_unit = scan.kind == "serial" and found.place.serial and not facts.active
+    return Step(found.place, Order("at-once", "line-1", OrderKind.UNIT, found.place.serial)) if is_unit else found
+
+
+def _press_for_reading(facts: Any, screen: Any, who: str) -> Step:
+    found = REAL.start(facts, screen, who)
+    is_reading = found.order is not None and found.order.kind is OrderKind.LOAD
+    return replace(found, order=replace(found.order, kind=OrderKind.UNIT)) if is_reading else found
+
+
+def _same_service(facts: Any) -> int:
+    seen = replace(facts.place, process=facts.heartbeat.process) if facts.heartbeat else facts.place
+    return REAL.load_step(replace(facts, place=seen))
+
+
+REAL.load_step = LineFacts.load_step.fget
+HAZARDS: dict[str, tuple[Any, str, Any, bool]] = {
+    "F4 starts": (use_cases._COMMANDS, "OK", REAL.start, False),
+    "F6 starts": (use_cases._COMMANDS, "CANCEL", REAL.start, False),
+    "an old REPEAT label starts": (use_cases._COMMANDS, "REPEAT", REAL.start, False),
+    "a scan starts": (use_cases, "_step", _pressed_at_once, False),
+    "a refused scan leaves READY under the old serial": (
+        use_cases,
+        "_told",
+        lambda facts, note, place=None: REAL.told(facts, note, None if note.is_refusal else place),
+        False,
+    ),
+    "a unit that nobody knows in the hand stays the old one": (
+        Place,
+        "emptied",
+        lambda place, newest: replace(REAL.emptied(place, newest), serial=place.serial),
+        False,
+    ),
+    "a question need not be answered": (
+        use_cases,
+        "_start_refusal",
+        lambda facts, screen: None if facts.open_question and not facts.active else REAL.refusal(facts, screen),
+        False,
+    ),
+    "F2 at a screen that showed another unit": (
+        use_cases,
+        "_start_refusal",
+        lambda facts, screen: REAL.refusal(facts, replace(screen, seen=None)),
+        False,
+    ),
+    "a result stands there though another unit may be in the hand": (
+        LineFacts,
+        "is_in_doubt",
+        property(lambda facts: REAL.in_doubt(facts) and bool(facts.place.serial)),
+        False,
+    ),
+    "F2 presses where a load is asked for": (use_cases._COMMANDS, "START", _press_for_reading, True),
+    "F2 reads a load that its screen had not shown": (
+        use_cases,
+        "_start_refusal",
+        lambda facts, screen: REAL.refusal(facts, replace(screen, seen=None) if facts.load else screen),
+        True,
+    ),
+    "a load is asked for after a restart": (LineFacts, "load_step", property(_same_service), True),
+    "F4 reads a load": (
+        use_cases._COMMANDS,
+        "OK",
+        lambda facts, screen, who: (REAL.start if facts.load else REAL.confirm)(facts, screen, who),
+        True,
+    ),
+    "a load is asked for though another unit was scanned": (
+        LineFacts,
+        "is_in_doubt",
+        property(lambda facts: REAL.in_doubt(facts) and not _was_load(facts)),
+        True,
+    ),
+}
+"""A rule of the line that is broken: where, its name, what stands in its place, whether it is about known loads."""
+
+REAL.confirm = use_cases._confirm
+
+
+def _was_load(facts: Any) -> bool:
+    return bool(facts.newest and facts.newest[1].message and facts.newest[1].message[0].code.startswith("load."))
+
+
+@pytest.mark.parametrize("hazard", HAZARDS)
+def test_the_model_finds_every_rule_that_is_broken(hazard: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    where, name, instead, needs_loads = HAZARDS[hazard]
+    change: Callable[..., None] = monkeypatch.setitem if isinstance(where, dict) else monkeypatch.setattr
+    change(where, name, instead)
+    with pytest.raises(Broken):
+        explore(LOADS if needs_loads else (), MOST_WORLDS, TO_FIRST_LOAD if needs_loads else ())

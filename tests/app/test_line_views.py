@@ -17,6 +17,7 @@ from softcal.app.views import line as views_line
 from softcal.app.views.line import ACTIONS, KEYS, TONES, away_view, line_view
 from softcal.core.lot import Lot
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
+from softcal.core.quality.known_loads import KnownLoad, loads_text
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import Reason, plain, reason
@@ -57,6 +58,9 @@ def shown(**changes):
 
 
 ERROR = Progress("o1", RunState.ERROR, code="E-SILENT", message="the load cell does not answer; the stage stands")
+ASKED = {"loads": loads_text((KnownLoad(0.0), KnownLoad(2.0, 0.002))), "of": 2, "unit": "N"}
+WANTED = replace(UNIT_DONE, verdict="", message=(reason("load.wanted", step=0, **ASKED),))
+SCANNED = Place(3, "an older run", process="")
 SITUATIONS = {
     "no_station": {"heartbeat": None},
     "silent": {"heartbeat": replace(heartbeat(), at=NOW - timedelta(seconds=4))},
@@ -77,6 +81,8 @@ SITUATIONS = {
     "fail": {"runs": (run(replace(UNIT_DONE, verdict="fail")),)},
     "retest": {"runs": (run(replace(UNIT_DONE, verdict="retest")),), "results": result("retest")},
     "retest_used_up": {"runs": (run(replace(UNIT_DONE, verdict="retest")),), "results": result("retest", 4)},
+    "load": {"runs": (run(WANTED),), "place": SCANNED},
+    "reading": {"active": run(Progress("o1", RunState.RUNNING, "reading at rest", 0.4, 3.0), OrderKind.LOAD)},
     "recorded": {"runs": (run(replace(UNIT_DONE, verdict="")),)},
     "golden_pass": {"runs": (run(kind=OrderKind.GOLDEN),)},
     "golden_fail": {"runs": (run(replace(UNIT_DONE, verdict="fail"), OrderKind.GOLDEN),)},
@@ -92,6 +98,45 @@ def test_every_situation_has_its_state_with_a_word_and_an_instruction(state):
 
 def test_every_state_has_a_situation_here():
     assert {*SITUATIONS, "away"} == set(TONES)
+
+
+@pytest.mark.parametrize(
+    ("code", "facts_of_it", "step", "said"),
+    [
+        ("load.wanted", {"step": 0}, 1, ""),
+        ("load.read", {"step": 1, "level": 0.1}, 2, "was taken"),
+        ("load.unsteady", {"step": 2, "drift": 0.1, "spread": 0.1}, 2, "not steady"),
+        ("load.unloaded", {"step": 2, "level": 0.1}, 2, "does not lie on the unit"),
+        ("load.same", {"step": 2, "level": 0.1}, 2, "that one lies there still"),
+        ("load.contradict", {"step": 2, "why": "they fall"}, 1, "Nothing was calibrated"),
+    ],
+)
+@pytest.mark.parametrize("language", texts.LANGUAGES)
+def test_the_card_names_the_load_to_put_on_and_what_was_wrong_with_the_last(
+    code: str, facts_of_it: dict, step: int, said: str, language: str
+):
+    done = replace(UNIT_DONE, verdict="", message=(reason(code, **facts_of_it, **ASKED),))
+    kind = OrderKind.UNIT if code == "load.wanted" else OrderKind.LOAD
+    view = line_view(facts(runs=(run(done, kind),), place=SCANNED), "Kim", partial(texts.text, language))
+    assert (view.state, view.serial, view.actions) == ("load", "A1", ("START", "CANCEL"))
+    assert ("2 ± 0.002 N" in view.instruction) == (step == 2) and "F2" in view.instruction
+    assert bool(view.details) == bool(said)
+    if language == "en":
+        assert said in " ".join(view.details) and ("take everything off" in view.instruction) == (step == 1)
+
+
+def test_a_load_is_not_asked_for_by_another_service_or_with_another_unit_in_the_hand():
+    assert shown(runs=(run(WANTED),), place=replace(SCANNED, process="before:1")).state == "recorded"
+    assert shown(runs=(run(WANTED),), place=Place(3, "o1")).state == "hand"
+    assert shown(runs=(run(WANTED),), place=waits("A2", "o1")).state == "armed"
+
+
+def test_a_weight_that_lies_on_the_unit_is_named_before_what_comes_next():
+    view = shown(runs=(run(UNIT_DONE, OrderKind.LOAD),))
+    assert view.state == "pass" and view.details[0] == "Take the weight off the unit first."
+    asks = replace(LOT, rules=LineRules(loads=(KnownLoad(0.0), KnownLoad(2.0))))
+    armed = shown(place=waits(), lot=asks)
+    assert any(line.startswith("No weight may lie on the unit") for line in armed.details)
 
 
 def test_an_old_station_that_ended_in_good_order_is_not_there_either():

@@ -85,7 +85,8 @@ def _actions(view: LineView) -> None:
     say = words()
     for number, command in enumerate(view.actions):
         asks = command == "OK" and view.state in ("ask", "ask_new")
-        label = say(f"line.action.OK.{view.state}") if asks else say(f"line.action.{command}")
+        reads = command == "START" and view.state == "load"
+        label = say(f"line.action.{command}.{view.state}") if asks or reads else say(f"line.action.{command}")
         draw = partial(st.button, f"{label} · {KEYS[command]}", key=f"line-{command}", on_click=_on_scan)
         draw(args=(f"CMD:{command}", view.seen), type="primary" if number == 0 else "secondary")
 

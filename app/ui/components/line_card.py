@@ -18,6 +18,7 @@ MARKS = {
     "stopped": '<path d="M32 5l28 51H4z"/><path d="M32 23v15M32 46v1"/>',
     "closed": '<rect x="12" y="28" width="40" height="30" rx="4"/><path d="M20 28v-8a12 12 0 0 1 24 0v8"/>',
     "golden": '<path d="M32 4l8 17 19 2-14 13 4 19-17-9-17 9 4-19L5 23l19-2z"/>',
+    "load": '<circle cx="32" cy="14" r="8"/><path d="M20 26h24l10 30H10z"/>',
     "running": '<path d="M4 34h12l7-20 11 38 8-26 5 8h13"/>',
     "yes": '<path d="M8 34l16 16 32-36"/>',
     "no": '<path d="M12 12l40 40M52 12L12 52"/>',

@@ -5,13 +5,17 @@ from typing import Any
 
 import streamlit as st
 
+from softcal.app.line.load_readings import check_stated
+from softcal.app.registry.source import source_recording
 from softcal.app.ui.account import actor
 from softcal.app.ui.desk import ask_reason, in_words, registry, words
 from softcal.app.ui.panels import table
 from softcal.app.views.common import instant
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.quality.known_loads import MOST_LOADS
 from softcal.core.quality.line_rules import LETTERS, LineRules
+from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import LineRulesEntry
 
@@ -37,13 +41,16 @@ def _change(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
     # The version a person decides on is the one first drawn, not one that somebody else has written meanwhile.
     looked_at = f"rules-seen-{lot.id}"
     version = st.session_state.setdefault(looked_at, versions[-1].version if versions else 0)
-    wanted = _asked(registry().line_rules(lot), f"{lot.id}-{version}")
+    wanted = _asked(registry().line_rules(lot), lot.reference_unit, f"{lot.id}-{version}")
     reason = ask_reason(f"rules-{lot.id}-{version}", words()("rules.set"), "set_limit")
     if reason is None:
         return
     st.session_state.pop(looked_at)
     try:
         rules = LineRules(**wanted)
+        state = registry().released_network(lot.id)
+        if state is not None and rules.loads:
+            check_stated(rules.loads, source_recording(registry(), state.network.id), Method().map.anchors)
         registry().set_line_rules(lot.id, rules, reason=reason, actor=actor(), expected_version=version)
     except InputError as error:
         st.error(in_words(error), icon=":material/error:")
@@ -52,7 +59,7 @@ def _change(lot: Lot, versions: Sequence[LineRulesEntry]) -> None:
     st.rerun()
 
 
-def _asked(now: LineRules, mark: str) -> dict[str, Any]:
+def _asked(now: LineRules, unit: str, mark: str) -> dict[str, Any]:
     """Draw one field per rule with what holds now; return what stands in them."""
     say = words()
     left, middle, right = st.columns([3, 2, 2])
@@ -78,7 +85,35 @@ def _asked(now: LineRules, mark: str) -> dict[str, Any]:
         )
         for verdict, column in zip(VERDICTS, st.columns(len(VERDICTS)), strict=True)
     }
-    return {"serial_pattern": str(pattern).strip(), "letters": letters, "target": target, "retests": retests}
+    fixed = {"serial_pattern": str(pattern).strip(), "letters": letters, "target": target, "retests": retests}
+    return fixed | {"loads": _loads(now, unit, mark)}
+
+
+def _loads(now: LineRules, unit: str, mark: str) -> tuple[tuple[float, float], ...]:
+    """Draw the known loads the line asks for; return those that are given, as (load, U) in the lot's unit."""
+    say = words()
+    st.markdown(say("rules.loads"), help=say("rules.loads.help"))
+    found = []
+    cells = st.columns(2 * MOST_LOADS)
+    for number, columns in enumerate(zip(cells[::2], cells[1::2], strict=True), 1):
+        load = now.loads[number - 1] if number <= len(now.loads) else None
+        value = columns[0].number_input(
+            f"{say('rules.load', number=number)} [{unit}]",
+            0.0,
+            value=load.value if load else None,
+            format="%.5g",
+            key=f"rules-load-{number}-{mark}",
+        )
+        expanded = columns[1].number_input(
+            f"{say('rules.load_uncertainty')} [{unit}]",
+            0.0,
+            value=load.expanded if load else 0.0,
+            format="%.5g",
+            key=f"rules-load-u-{number}-{mark}",
+        )
+        if value is not None:
+            found.append((float(value), float(expanded or 0.0)))
+    return tuple(found)
 
 
 def _row(entry: LineRulesEntry) -> dict[str, object]:
@@ -90,6 +125,7 @@ def _row(entry: LineRulesEntry) -> dict[str, object]:
         say("rules.letters"): say(f"rules.letters.{rules.letters.replace(' ', '_')}"),
         say("rules.target"): rules.target,
         say("rules.retests.column"): retests,
+        say("rules.loads.column"): ", ".join(f"{load.value:.5g} ± {load.expanded:.2g}" for load in rules.loads),
         say("column.made"): instant(entry.made_at),
         say("column.actor"): entry.actor,
         say("column.reason"): entry.reason,

@@ -1,0 +1,119 @@
+"""The known loads of the unit that was pressed last: which were read, and what is wrong with one that was not taken."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.maps.anchors import check_loads, check_values
+from softcal.core.maps.config import AnchorConfig
+from softcal.core.maps.interface import Anchors
+from softcal.core.orders import Order
+from softcal.core.quality.known_loads import (
+    FROM_START,
+    READ,
+    WANTED,
+    KnownLoad,
+    ReadingConfig,
+    level_at_rest,
+    loads_text,
+    ordered_load,
+)
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.budget import COVERAGE
+from softcal.core.words.reason import Reason, Value, reason
+
+NOTHING = "nothing was pressed"
+DIGITS = 7
+"""As many decimals of a level as the files of recordings keep."""
+
+
+class LoadReadings:
+    """What was read on one unit since its run. It ends with the station's service, and with the next run."""
+
+    def __init__(self, config: ReadingConfig = ReadingConfig()) -> None:  # noqa: B008 - frozen
+        self._config = config
+        self.forget()
+
+    def forget(self) -> None:
+        """Another unit may be in the hand."""
+        self._unit: OutputRecording | None = None
+        self._lot_id, self._reference_unit = "", ""
+        self._loads: tuple[KnownLoad, ...] = ()
+        self._levels: dict[int, float] = {}
+
+    def begin(self, order: Order, unit: OutputRecording, loads: Sequence[KnownLoad], reference_unit: str) -> Reason:
+        """Begin with a unit that was pressed; return what its run says: loads are wanted."""
+        self.forget()
+        self._unit, self._lot_id, self._reference_unit = unit, order.lot_id, reference_unit
+        self._loads = tuple(loads)
+        return reason(WANTED, step=0, **self._asked)
+
+    def check(self, order: Order) -> None:
+        """Raise `InputError` where a reading is not the one that is due: of that unit, that step, that load."""
+        step, value = ordered_load(order.reason)
+        unit = self._unit
+        is_due = unit is not None and (unit.serial, self._lot_id) == (order.serial, order.lot_id)
+        if not is_due or step > len(self._levels) + 1 or not 1 <= step <= len(self._loads):
+            raise InputError(reason("load.lost", serial=order.serial))
+        if self._loads[step - 1].value != value:
+            raise InputError(reason("load.lost", serial=order.serial))
+
+    def take(
+        self, order: Order, output: Array, source: LabelledRecording | None, config: AnchorConfig
+    ) -> Reason | tuple[OutputRecording, Anchors]:
+        """Take one reading.
+
+        Args:
+            order: names step and load.
+            output: (n,) what was read.
+            source: of the lot; None while it has none.
+            config: which loads are plausible.
+
+        Returns:
+            What the run says, or, with the last load, the unit's recording and all its loads.
+        """
+        self.check(order)
+        step = ordered_load(order.reason)[0]
+        recorded, load = self._recorded, self._loads[step - 1]
+        self._levels = {number: level for number, level in self._levels.items() if number < step}
+        try:
+            level = level_at_rest(output, recorded.output, load, list(self._levels.values()), self._config)
+        except InputError as error:
+            return reason(error.reason.code, **{**error.reason.values, "step": step, **self._asked})
+        self._levels[step] = round(level, DIGITS)
+        if len(self._levels) < len(self._loads):
+            return reason(READ, step=step, level=level, **self._asked)
+        loads = Anchors(np.array(list(self._levels.values())), np.array([load.value for load in self._loads]))
+        if source is not None:
+            try:
+                check_loads(source, loads, "the unit was not calibrated", config)
+            except InputError as error:
+                self._levels = {}
+                return reason(FROM_START, step=step, why=str(error), **self._asked)
+        return recorded, loads
+
+    @property
+    def _recorded(self) -> OutputRecording:
+        if self._unit is None:
+            raise InputError(reason("load.lost", serial="–"))
+        return self._unit
+
+    @property
+    def _asked(self) -> dict[str, Value]:
+        """What every answer carries: the loads as they were when the unit was pressed."""
+        return {"loads": loads_text(self._loads), "of": len(self._loads), "unit": self._reference_unit}
+
+
+def check_stated(loads: Sequence[KnownLoad], source: LabelledRecording, config: AnchorConfig) -> None:
+    """Refuse loads, before any was read, that the calibration could not use.
+
+    Raises:
+        InputError: out of the source's range, one twice, or known less well than the calibration counts on.
+    """
+    check_values(source, np.array([load.value for load in loads]), NOTHING, config)
+    most = COVERAGE * config.load_error * float(np.ptp(source.reference))
+    for load in loads:
+        if load.expanded > most:
+            unit = source.reference_unit
+            raise InputError(reason("load.uncertain", value=load.value, expanded=load.expanded, most=most, unit=unit))

@@ -1,0 +1,79 @@
+"""Known loads of a lot's units: what was read at rest under which load, kept with the recording it belongs to.
+
+One home for all of them: the line reads them, a file or a page brings them, and every calibration of that recording
+takes them from here, so that none is put into use without them. They are rows of the audit trail.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+from softcal.core.maps.interface import Anchors
+from softcal.db.registry import Registry
+
+ENTITY = "known_loads"
+
+
+@dataclass(frozen=True, eq=False)
+class UnitLoads:
+    """The known loads that belong to one recording.
+
+    Args:
+        serial, recording_sha256: the unit, and its run.
+        loads: outputs at rest and loads.
+        at, actor: when and by whom they were brought.
+        where: `line`, `file` or `page`.
+    """
+
+    serial: str
+    recording_sha256: str
+    loads: Anchors
+    at: datetime
+    actor: str
+    where: str
+
+
+def known_loads(registry: Registry, lot_id: str) -> Mapping[str, UnitLoads]:
+    """Return the known loads of a lot by the hash of the recording they belong to; the newest of each."""
+    found: dict[str, UnitLoads] = {}
+    for row in registry.events(ENTITY, (lot_id,)):
+        told: dict[str, Any] = json.loads(row.after or "{}")
+        for sha256, one in told["recordings"].items():
+            loads = Anchors(np.array(one["output"], np.float64), np.array(one["reference"], np.float64))
+            found[sha256] = UnitLoads(one["serial"], sha256, loads, row.at, row.actor, told["where"])
+    return found
+
+
+def keep_loads(
+    registry: Registry,
+    lot_id: str,
+    loads: Mapping[str, tuple[str, Anchors]],
+    where: str,
+    *,
+    actor: str | None = None,
+) -> int:
+    """Keep known loads that are new, in one row; return of how many units.
+
+    Args:
+        loads: hash of a recording → (serial, loads).
+        where: `line`, `file` or `page`.
+    """
+    before = known_loads(registry, lot_id)
+    new = {sha: one for sha, one in loads.items() if sha not in before or not _is_same(before[sha].loads, one[1])}
+    if new:
+        facts = {sha: {"serial": serial, **values(anchors)} for sha, (serial, anchors) in new.items()}
+        registry.add_event("state", ENTITY, (lot_id,), {"where": where, "recordings": facts}, actor=actor)
+    return len(new)
+
+
+def values(loads: Anchors) -> dict[str, list[float]]:
+    """Return loads as JSON values."""
+    return {"output": loads.output.tolist(), "reference": loads.reference.tolist()}
+
+
+def _is_same(one: Anchors, other: Anchors) -> bool:
+    return values(one) == values(other)

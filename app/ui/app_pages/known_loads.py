@@ -1,0 +1,139 @@
+"""The known loads of a lot: what was read under which load on which unit, and a way to bring more."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import streamlit as st
+
+from softcal.app.files.anchors import read_anchors
+from softcal.app.jobs.process import start_job
+from softcal.app.registry.known_loads import UnitLoads, keep_loads, known_loads
+from softcal.app.registry.source import source_recording
+from softcal.app.ui.account import actor, permit, person
+from softcal.app.ui.components.job_panel import job_panel, newest_job
+from softcal.app.ui.components.lot_upload import dropped_files, forget_files
+from softcal.app.ui.desk import errors_in_words, in_words, registry, words
+from softcal.app.ui.panels import go_to, lot_heading, table, units_of
+from softcal.app.views.common import instant
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+from softcal.core.maps.anchors import check_loads
+from softcal.core.maps.interface import Anchors
+from softcal.core.unit.method import Method
+from softcal.db.people import may
+
+ASKED, UPLOAD, DONE = "known-loads-asked", "known-loads", "known-loads-done"
+ACTION = "set_up"
+NOTHING = "nothing was kept"
+
+
+def render() -> None:
+    """Draw the page."""
+    say = words()
+    with errors_in_words():
+        lot_id = lot_heading("known_loads", registry().lot_ids())
+        if lot_id is None:
+            return
+        lot, newest = registry().lot(lot_id), _newest(lot_id)
+        # A unit that was pressed has loads before it has a result.
+        if not newest and not units_of(lot_id):
+            return
+        st.markdown(say("known_loads.what"))
+        found = list(known_loads(registry(), lot_id).values())
+        if found:
+            table([_row(one, lot, newest) for one in reversed(found)])
+        else:
+            st.caption(say("known_loads.none"))
+        st.caption(say("known_loads.line"))
+        if may(person(), "set_limit") and st.button(
+            say("known_loads.to_rules"), icon=":material/arrow_forward:", key="known-loads-rules"
+        ):
+            go_to("limits", lot=lot_id)
+        if may(person(), ACTION):
+            with st.container(border=True):
+                _bring(lot, newest)
+
+
+def _newest(lot_id: str) -> dict[str, str]:
+    """Return the hash of the newest recording of each unit."""
+    return {entry.serial: entry.sha256 for entry in registry().recordings(lot_id, kind="unit")}
+
+
+def _row(one: UnitLoads, lot: Lot, newest: Mapping[str, str]) -> dict[str, object]:
+    say = words()
+    is_newest = newest.get(one.serial) == one.recording_sha256
+    return {
+        say("column.serial"): one.serial,
+        say("known_loads.loads", unit=lot.reference_unit): ", ".join(f"{x:.5g}" for x in one.loads.reference),
+        say("known_loads.outputs", unit=lot.output_unit): ", ".join(f"{x:.5g}" for x in one.loads.output),
+        say("known_loads.where"): say(f"known_loads.where.{one.where}"),
+        say("known_loads.newest"): say("trail.yes" if is_newest else "trail.no"),
+        say("column.made"): instant(one.at),
+        say("column.actor"): one.actor,
+    }
+
+
+def _bring(lot: Lot, newest: Mapping[str, str]) -> None:
+    """Draw the field for a table, what would become of each unit, and how far the calibration is."""
+    say = words()
+    st.markdown(f"## {say('known_loads.bring')}")
+    job = newest_job("calibrate", lot=lot.id)
+    if job is not None and st.session_state.get(ASKED) == job.job_id:
+        if job_panel(job):
+            del st.session_state[ASKED]
+            st.session_state[DONE] = "known_loads.done"
+            st.rerun()
+        if job.state.is_active:
+            return
+    if done := st.session_state.pop(DONE, ""):
+        st.success(say(done), icon=":material/check:")
+    st.caption(say("known_loads.bring.how"))
+    files = dropped_files(UPLOAD)
+    if not files:
+        return
+    taken, refused = _looked_at(lot, files, newest)
+    rows = [{say("column.serial"): serial, say("column.reasons"): why or None} for serial, why in refused.items()]
+    if rows:
+        table(rows)
+    label = say("known_loads.take", count=len(taken))
+    if st.button(label, type="primary", disabled=not taken, key="known-loads-take"):
+        _take(lot.id, taken, newest)
+
+
+def _looked_at(lot: Lot, files: Sequence[Path], newest: Mapping[str, str]) -> tuple[dict[str, Anchors], dict[str, str]]:
+    """Return the loads by serial that can be taken, and why others are refused."""
+    say = words()
+    units = [unit.serial for unit in registry().units(lot.id) if unit.role == "target"]
+    state = registry().released_network(lot.id)
+    source = None if state is None else source_recording(registry(), state.network.id)
+    taken: dict[str, Anchors] = {}
+    refused: dict[str, str] = {}
+    for file in files:
+        try:
+            found = read_anchors(file, units)
+        except InputError as error:
+            refused[file.name] = in_words(str(error).replace(f"{file}: ", ""))
+            continue
+        for serial, loads in found.items():
+            try:
+                if source is not None:
+                    check_loads(source, loads, NOTHING, Method().map.anchors)
+            except InputError as error:
+                refused[serial] = in_words(error)
+                continue
+            if serial in newest:
+                taken[serial] = loads
+            else:
+                refused[serial] = say("known_loads.refused.recording")
+    return taken, refused
+
+
+def _take(lot_id: str, taken: Mapping[str, Anchors], newest: Mapping[str, str]) -> None:
+    permit(ACTION)
+    loads = {newest[serial]: (serial, one) for serial, one in taken.items()}
+    if keep_loads(registry(), lot_id, loads, "page", actor=actor()):
+        st.session_state[ASKED] = start_job(registry(), "calibrate", {"lot": lot_id}, actor())
+    else:
+        st.session_state[DONE] = "known_loads.no_change"
+    forget_files(UPLOAD)
+    st.rerun()

@@ -1,0 +1,89 @@
+"""Known loads from their page and in the rules: what is refused and why, and that a calibration uses what was taken."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from softcal.app.registry.known_loads import known_loads
+from softcal.app.texts.catalogue import text
+from softcal.core.errors import InputError
+from softcal.core.quality.known_loads import KnownLoad
+from softcal.core.quality.line_rules import LineRules
+from softcal.db.connection import open_registry
+
+pytestmark = pytest.mark.usefixtures("own_data")
+
+
+def say(key: str, **values: object) -> str:
+    return text("en", key, **values)
+
+
+def table_of(folder: Path) -> bytes:
+    """Return loads of A1 that its own recording may have given, of A2 in another unit, of a unit against its source."""
+    rows = []
+    for serial, loads in (("A1", (0.0, 2.0)), ("A2", (0.0, 2000.0)), ("A3", (2.0, 0.0))):
+        output = pd.read_csv(folder / "units" / f"{serial}.csv")["output"]
+        ends = sorted((output.quantile(0.02), output.quantile(0.85)), key=lambda level: abs(level - output.iloc[0]))
+        rows += [f"{serial},{level},{load}" for level, load in zip(ends, loads, strict=True)]
+    return ("serial,output,reference\n" + "\n".join(rows)).encode()
+
+
+def test_loads_are_looked_at_taken_and_used(calibrated: str, lot_folder: Path, show, jobs_at_once: None) -> None:
+    screen = show(calibrated, "known_loads", lot="small")
+    assert not screen.exception and say("known_loads.none") in [one.value for one in screen.caption]
+    screen.file_uploader[0].set_value([("loads.csv", table_of(lot_folder), "text/csv")]).run()
+    assert not screen.exception and not screen.error, [one.value for one in screen.error]
+    why = {row.iloc[0]: row.iloc[-1] for _, row in screen.table[-1].value.iterrows()}
+    assert set(why) == {"A2", "A3"} and "another unit" in why["A2"] and "exchanged" in why["A3"]
+    with open_registry(calibrated) as registry:
+        assert not registry.calibration("A1", lot_id="small").record.knowledge.is_anchored
+    next(one for one in screen.button if one.key == "known-loads-take").click().run(timeout=300)
+    assert not screen.exception and not screen.error, [one.value for one in screen.error]
+    with open_registry(calibrated) as registry:
+        made = registry.calibration("A1", lot_id="small")
+        (kept,) = known_loads(registry, "small").values()
+        assert made.record.knowledge.is_anchored and made.record.recording_sha256 == kept.recording_sha256
+        assert (kept.serial, kept.actor, kept.where) == ("A1", "Erin", "page")
+        assert not registry.calibration("A2", lot_id="small").record.knowledge.is_anchored
+    shown = show(calibrated, "known_loads", lot="small").table[0].value
+    assert list(shown.iloc[0])[:2] == ["A1", "0, 2"]
+
+
+@pytest.mark.parametrize("language", ["en", "ko"])
+def test_who_may_only_audit_sees_them_and_brings_none(calibrated: str, show, language: str) -> None:
+    screen = show(calibrated, "known_loads", role="quality", lot="small", lang=language)
+    assert not screen.exception and not screen.error and not screen.file_uploader
+
+
+@pytest.mark.parametrize(
+    ("load", "expanded", "refusal"),
+    [(2.0, 0.002, ""), (2000.0, 0.0, "another unit"), (2.0, 1.0, "better weight")],
+    ids=["good", "in another unit", "not known well enough"],
+)
+def test_the_rules_take_loads_that_a_calibration_can_use(
+    calibrated: str, show, load: float, expanded: float, refusal: str
+) -> None:
+    screen = show(calibrated, "limits", lot="small")
+    for key, value in (("rules-load-1", 0.0), ("rules-load-2", load), ("rules-load-u-2", expanded)):
+        screen.number_input(key=f"{key}-small-0").set_value(value)
+    screen.text_input(key="reason-text-rules-small-0").set_value("two weights")
+    button = next(one for one in screen.button if one.label == say("rules.set"))
+    button.click().run()
+    assert not screen.exception
+    with open_registry(calibrated) as registry:
+        loads = registry.line_rules(registry.lot("small")).loads
+    assert [one.value for one in screen.error if refusal and refusal in one.value] or not refusal
+    assert loads == (() if refusal else (KnownLoad(0.0), KnownLoad(load, expanded)))
+
+
+@pytest.mark.parametrize("loads", [((-1.0, 0.0),), ((1.0, -1.0),), ((1.0, 0.0),) * 2, ((0.0,), (1.0,), (2.0,))])
+def test_rules_with_loads_that_make_no_sense_are_refused(loads: tuple) -> None:
+    with pytest.raises(InputError, match="load"):
+        LineRules(loads=loads)
+
+
+def test_rules_without_loads_are_kept_as_versions_before_knew_them() -> None:
+    assert "loads" not in LineRules().settings()
+    rules = LineRules(loads=(KnownLoad(0.0), KnownLoad(2.0, 0.002)))
+    assert LineRules(**rules.settings()) == rules  # type: ignore[arg-type]
