@@ -34,9 +34,9 @@ def with_scipy(problem: Problem, hypothesis: Hypothesis, start: Array) -> float:
         return kept[x.tobytes()]
 
     found = least_squares(
-        lambda x: (predicted(x) - problem.measured) * problem.weights,
+        lambda x: problem.whitened(predicted(x) - problem.measured),
         np.clip(start, space.low + 1e-12, space.high - 1e-12),
-        jac=lambda x: space.jacobian(x, predicted(x)).T,
+        jac=lambda x: np.array([problem.whitened(row) for row in space.slopes(x, predicted(x))]).T,
         bounds=(space.low, space.high),
         x_scale=space.scale,
         ftol=1e-7,

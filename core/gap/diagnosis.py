@@ -13,6 +13,7 @@ from softcal.core.gap.candidates import is_told
 from softcal.core.gap.case import Case
 from softcal.core.gap.explained import explained_twin, in_catalogue_form
 from softcal.core.gap.fit import BASE, Fit, from_fit
+from softcal.core.gap.floor import coloured, is_noise
 from softcal.core.gap.next_experiment import NextExperiment, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.offsets import Offsets, offsets
@@ -194,6 +195,11 @@ class Diagnosis:
             "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
             "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
             "on_bound": self.on_bound,
+            "noise": {
+                channel.split("_")[0]: {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}
+                for channel, sigma in self.named.problem.sigma.items()
+                if (fades := self.named.problem.colour.get(channel)) is not None
+            },
             "offsets": [vars(one) | {"run": one.run + 1} for one in self.offsets],
             "twin": None if self.verdict == "data" else twin_record(self.explained),
             "base_twin": None if self.verdict == "data" else twin_record(explained_twin(self.base)),
@@ -218,6 +224,7 @@ def diagnose(
     if (odd := odd_run(search.base)) is not None:
         return _stopped(search.base, (odd,))
     search.run()
+    search = _under_its_floor(case, search, config, say)
     best = search.best
     if (odd := odd_run_beside(search)) is not None:
         return _stopped(search.base, (odd,))
@@ -260,6 +267,23 @@ def diagnose(
     )
 
 
+def _under_its_floor(
+    case: Case, search: EffectSearch, config: SearchConfig | None, say: Callable[[str], None]
+) -> EffectSearch:
+    """Search once more where what is left may be noise that fades; keep that only where it is shown to be noise."""
+    if search.is_clean(search.best) and loose_noise(search.best) is None:
+        return search
+    closest = min(search.fits.values(), key=lambda found: found.chi2)
+    problem = coloured(closest)
+    if problem is None:
+        return search
+    say("searching once more under noise that fades")
+    again = EffectSearch(case, config, say, problem)
+    again.run()
+    is_floor = again.stranger is None and again.is_clean(again.best) and is_noise(again.best)
+    return again if is_floor else search
+
+
 def _nearest(search: EffectSearch) -> Partial | None:
     """Return the hypothesis that takes most of the gap away; of those within a hundredth of it, the simplest."""
     shares = {ids: float(np.clip(search.share(found), 0.0, 1.0)) for ids, found in search.fits.items() if ids}
@@ -277,7 +301,7 @@ def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
     for channel in problem.scored_channels:
         parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks if b.channel == channel]
         rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
-        gap[channel] = ChannelGap(rms, rms, problem.sigma[channel])
+        gap[channel] = ChannelGap(rms, rms, problem.floor(channel))
     return Diagnosis(
         case=problem.case,
         verdict="data",

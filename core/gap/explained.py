@@ -17,12 +17,16 @@ def explained_twin(found: Fit) -> Twin:
     bad contacts are repaired, not simulated.
     """
     found = in_catalogue_form(found)
-    sigma, readout = found.problem.sigma, found.problem.case.readout
+    readout = found.problem.case.readout
     base = found.base.with_values(
-        sigma_output_V=_white(sigma.get("output_V", 0.0), found.problem.dither_V, readout.step_V),
-        sigma_force_N=sigma.get("force_N", 0.0),
+        sigma_output_V=_white(_floor(found, "output_V"), found.problem.dither_V, readout.step_V),
+        sigma_force_N=_floor(found, "force_N"),
     )
     return Twin(base, tuple(_settings(found)), readout)
+
+
+def _floor(found: Fit, channel: str) -> float:
+    return found.problem.floor(channel) if channel in found.problem.sigma else 0.0
 
 
 def in_catalogue_form(found: Fit) -> Fit:

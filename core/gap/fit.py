@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run
+from softcal.core.gap.colour import Colour, filter_of, filtered
 from softcal.core.gap.forward import predict
 from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.gap.offsets import largest_offsets, with_offsets
@@ -143,6 +144,7 @@ class Problem:
         case: the runs.
         sigma: per channel, standard deviation of the white noise, (n,) or a number, in the channel's unit.
         use: (samples,) which samples a fit may see; all where None.
+        colour: per channel whose noise is not white, the part that fades.
     """
 
     case: Case
@@ -152,6 +154,7 @@ class Problem:
     """(samples,) variance that comes with the noise of the driving channel, in the units of the samples squared."""
     has_offsets: bool = True
     """Whether every run may have a zero of the force, an unloaded resistance and a seat of its own."""
+    colour: Mapping[str, Colour] = field(default_factory=dict)
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
@@ -183,7 +186,7 @@ class Problem:
 
     def of_run(self, run: Run) -> "Problem":
         """Return the problem of a run that is not recorded yet, under the same noise."""
-        return Problem(Case(self.case.serial, (run,), is_planned=True), self.sigma)
+        return Problem(Case(self.case.serial, (run,), is_planned=True), self.sigma, colour=self.colour)
 
     @cached_property
     def noise(self) -> Array:
@@ -192,9 +195,49 @@ class Problem:
         return noise if self.extra_variance is None else np.sqrt(noise**2 + self.extra_variance)
 
     @cached_property
+    def slow_noise(self) -> Array:
+        """(samples,) standard deviation of white noise that is as strong as this one near zero frequency."""
+        if not self.colour:
+            return self.noise
+        variance = self.noise**2
+        for block in (b for b in self.blocks if b.channel in self.colour):
+            step_s = float(np.median(self.case.runs[block.run].step_s))
+            variance[block.place] += self.colour[block.channel].slow_variance(step_s)
+        return np.sqrt(variance)
+
+    @cached_property
+    def whole_noise(self) -> Array:
+        """(samples,) standard deviation of the noise of every sample, the part that fades included."""
+        noise = self.noise.copy()
+        for block in (b for b in self.blocks if b.channel in self.colour):
+            noise[block.place] = np.hypot(noise[block.place], self.colour[block.channel].spread)
+        return noise
+
+    def floor(self, channel: str) -> float:
+        """Return the standard deviation of the noise of a channel in its unit, the part that fades included."""
+        fading = self.colour[channel].spread if channel in self.colour else 0.0
+        return float(np.hypot(self.sigma[channel], fading))
+
+    @cached_property
     def weights(self) -> Array:
-        """(samples,) 1/σ, 0 where a fit may not look."""
+        """(samples,) 1/σ of the white noise, 0 where a fit may not look."""
         return 1.0 / self.noise if self.use is None else self.use / self.noise
+
+    def whitened(self, values: Array) -> Array:
+        """Return (samples,) values as independent ones in units of their noise, 0 where a fit may not look."""
+        out = np.asarray(values * self.weights)
+        for block, steps in self._filters:
+            out[block.place] = filtered(values[block.place], steps)
+        return out
+
+    @cached_property
+    def _filters(self) -> list[tuple[Block, Array]]:
+        use, found = np.ones(len(self.measured)) if self.use is None else self.use, []
+        for block in (b for b in self.blocks if b.channel in self.colour):
+            step_s, of = self.case.runs[block.run].step_s, self.colour[block.channel]
+            seen = use[block.place].astype(np.float64)
+            found.append((block, filter_of(self.noise[block.place], seen, step_s, of.spread, of.fading_s)))
+        return found
 
     @cached_property
     def is_free(self) -> Array:
@@ -217,8 +260,9 @@ class Problem:
     @cached_property
     def dither_V(self) -> float | None:
         """Noise before an ADC that is coarse against it; None where the stairs of its codes do not show."""
-        sigma_V = self.sigma.get("output_V")
-        return None if sigma_V is None else dither_V(sigma_V, self.case.readout.step_V)
+        if "output_V" not in self.sigma:
+            return None
+        return dither_V(self.floor("output_V"), self.case.readout.step_V)
 
     @property
     def count(self) -> int:
@@ -228,21 +272,28 @@ class Problem:
     def predict(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
         """Return the clean prediction, (samples,), at these coordinates of the fit."""
         base, values = hypothesis.split(coordinates)
+        out = self._clean(hypothesis, base, values, {})
+        if self.has_offsets and not self.case.is_planned:
+            out = with_offsets(self, base, out, lambda own: self._clean(hypothesis, base, values, own))
+        # A sample nobody can foretell costs as much as a right prediction would: nothing is won by not knowing.
+        return np.where(np.isnan(out), self.measured - self.noise, out)
+
+    def _clean(
+        self, hypothesis: Hypothesis, base: BaseParameters, values: list[list[float]], own: Mapping[int, BaseParameters]
+    ) -> Array:
+        """Return the prediction with a base of its own for some runs, NaN where nobody can know."""
         out = np.empty(len(self.measured))
         last, prediction = -1, None
         for block in self.blocks:
             # One pass of the chain gives all channels of a run.
             if block.run != last:
-                run, last = self.case.runs[block.run], block.run
-                prediction = predict(run, last, base, hypothesis.chain, values, hypothesis.episodes_of(last))
+                run, last, mine = self.case.runs[block.run], block.run, own.get(block.run, base)
+                prediction = predict(run, last, mine, hypothesis.chain, values, hypothesis.episodes_of(last))
             channel = prediction.channel(block.channel) if prediction is not None else None
             if block.channel == "output_V" and self.dither_V is not None and channel is not None:
                 channel = mean_code_V(channel, self.dither_V, self.case.readout.step_V)
             out[block.place] = self.measured[block.place] if channel is None else channel
-        if self.has_offsets and not self.case.is_planned:
-            out = with_offsets(self, base, out)
-        # A sample nobody can foretell costs as much as a right prediction would: nothing is won by not knowing.
-        return np.where(np.isnan(out), self.measured - self.noise, out)
+        return out
 
     def seeing(self, use: Array) -> "Problem":
         """Return the same problem with other samples open to the fit."""
@@ -253,9 +304,9 @@ class Problem:
         """The same problem with one zero, one resistance and one seat for all runs."""
         return replace(self, has_offsets=False)
 
-    def with_noise(self, sigma: Mapping[str, float]) -> "Problem":
-        """Return the same problem under another noise level."""
-        return replace(self, sigma=sigma)
+    def with_noise(self, sigma: Mapping[str, float], colour: Mapping[str, Colour] | None = None) -> "Problem":
+        """Return the same problem under another noise level, and the same colour where none is given."""
+        return replace(self, sigma=sigma, colour=self.colour if colour is None else colour)
 
 
 def predicted_channels(run: Run) -> tuple[str, ...]:
@@ -277,7 +328,7 @@ class Fit:
         coordinates: (parameters,) in the coordinates of the fit.
         predicted: (samples,) clean prediction.
         chi2: sum of squared residuals over σ², over the samples the fit saw.
-        jacobian: (parameters, samples) of the weighted prediction; rows that were held fixed are 0.
+        slopes: (parameters, samples) derivative of the prediction; rows that were held fixed are 0.
     """
 
     problem: Problem
@@ -285,7 +336,12 @@ class Fit:
     coordinates: Array
     predicted: Array
     chi2: float
-    jacobian: Array = field(repr=False)
+    slopes: Array = field(repr=False)
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """(parameters, samples) derivative of the whitened prediction; rows that were held fixed are 0."""
+        return np.array([self.problem.whitened(row) for row in self.slopes])
 
     @cached_property
     def base(self) -> BaseParameters:
@@ -297,8 +353,8 @@ class Fit:
 
     @cached_property
     def residual(self) -> Array:
-        """(samples,) measured − predicted over σ."""
-        return (self.problem.measured - self.predicted) * self.problem.weights
+        """(samples,) measured − predicted, whitened: in white noise over σ."""
+        return self.problem.whitened(self.problem.measured - self.predicted)
 
     @cached_property
     def covariance(self) -> Array:
@@ -312,9 +368,8 @@ class Fit:
 
     def under(self, problem: Problem) -> "Fit":
         """Return the same parameters scored under another noise level."""
-        residual = (problem.measured - self.predicted) * problem.weights
-        ratio = np.divide(problem.weights, self.problem.weights, out=np.ones(len(residual)), where=problem.weights > 0)
-        return replace(self, problem=problem, chi2=energy(residual), jacobian=self.jacobian * ratio)
+        residual = problem.whitened(problem.measured - self.predicted)
+        return replace(self, problem=problem, chi2=energy(residual))
 
     @property
     def parameter_count(self) -> float:
@@ -347,15 +402,16 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
     space = _Space(problem, hypothesis)
     x = np.clip(start, space.low, space.high)
     predicted = problem.predict(hypothesis, x)
-    residual = (problem.measured - predicted) * problem.weights
+    residual = problem.whitened(problem.measured - predicted)
     chi2, damping = energy(residual), 1e-4
-    jacobian = space.jacobian(x, predicted)
+    slopes = space.slopes(x, predicted)
     for _ in range(steps):
+        jacobian = np.array([problem.whitened(row) for row in slopes])
         accepted = False
         for _ in range(6):
             candidate = space.step(x, jacobian, residual, damping)
             trial = problem.predict(hypothesis, candidate)
-            trial_residual = (problem.measured - trial) * problem.weights
+            trial_residual = problem.whitened(problem.measured - trial)
             trial_chi2 = energy(trial_residual)
             if trial_chi2 < chi2:
                 accepted = True
@@ -370,8 +426,8 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
         # A huge χ² is summed with rounding: below a ten-millionth of it no gain is real.
         if gain < tolerance + 1e-7 * chi2:
             break
-        jacobian = space.jacobian(x, predicted)
-    return Fit(problem, hypothesis, x, predicted, chi2, jacobian)
+        slopes = space.slopes(x, predicted)
+    return Fit(problem, hypothesis, x, predicted, chi2, slopes)
 
 
 class _Space:
@@ -391,8 +447,8 @@ class _Space:
             [problem.is_free, np.ones(len(self.low) - hypothesis.of_base.stop, dtype=np.bool_)]
         )
 
-    def jacobian(self, x: Array, predicted: Array) -> Array:
-        """(parameters, samples) derivative of the weighted prediction, one-sided, away from a bound."""
+    def slopes(self, x: Array, predicted: Array) -> Array:
+        """(parameters, samples) derivative of the prediction, one-sided, away from a bound."""
         out = np.zeros((len(x), len(predicted)))
         for k in np.flatnonzero(self.is_free):
             # One-sided: a central difference costs a second pass of the chain and gains nothing on kinked effects.
@@ -401,7 +457,7 @@ class _Space:
                 step = -step
             moved = x.copy()
             moved[k] += step
-            out[k] = (self._problem.predict(self._hypothesis, moved) - predicted) / step * self._problem.weights
+            out[k] = (self._problem.predict(self._hypothesis, moved) - predicted) / step
         return out
 
     def step(self, x: Array, jacobian: Array, residual: Array, damping: float) -> Array:

@@ -91,11 +91,11 @@ class Tangent:
         self._residual = found.residual
 
     def signature(self, probe: Probe) -> Array:
-        """(samples,) change of the weighted prediction when the probe is switched on at the fitted parameters."""
+        """(samples,) change of the whitened prediction when the probe is switched on at the fitted parameters."""
         found = self._found
         hypothesis = found.hypothesis.adding(probe.effect)
         x = np.concatenate([found.coordinates, start_coordinates([probe.effect], [probe.values])])
-        return np.asarray((found.problem.predict(hypothesis, x) - found.predicted) * found.problem.weights)
+        return found.problem.whitened(found.problem.predict(hypothesis, x) - found.predicted)
 
     def visible(self, signature: Array) -> Array:
         """Return the part of a signature that the fitted parameters cannot imitate."""

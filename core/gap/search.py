@@ -8,12 +8,13 @@ import numpy as np
 from softcal.core.gap.candidates import Probe, extent_of, probes, visible_effects
 from softcal.core.gap.case import Case
 from softcal.core.gap.episodes import PLACERS, placed_again
-from softcal.core.gap.fit import Fit, fit, start_coordinates
+from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit, start_coordinates
+from softcal.core.gap.floor import noise_of
 from softcal.core.gap.forms import FORMS
 from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import hiding, screen
-from softcal.core.gap.start import base_fit, noise_levels, rough_start, with_driving_noise
+from softcal.core.gap.start import base_fit, rough_start, with_driving_noise
 from softcal.core.gap.strangers import stranger
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Form, Placing
@@ -60,10 +61,18 @@ class SearchConfig:
 class EffectSearch:
     """All hypotheses fitted to one case, under one noise level."""
 
-    def __init__(self, case: Case, config: SearchConfig | None = None, progress: Progress | None = None) -> None:
+    def __init__(
+        self,
+        case: Case,
+        config: SearchConfig | None = None,
+        progress: Progress | None = None,
+        problem: Problem | None = None,
+    ) -> None:
         say = progress or (lambda _: None)
         say("fitting the base twin to all runs")
         base = base_fit(case)
+        # Under noise that is known already, as one that is not white.
+        base = base if problem is None else fit(problem, Hypothesis(), base.coordinates)
         extent = _extent(base)
         to_place = [e for e in visible_effects(case) if e.signs.placing is not None]
         self._begin(base, probes(case, extent), to_place, extent, config or SearchConfig(), say)
@@ -320,8 +329,13 @@ class EffectSearch:
 
     def _settle_noise(self, best: Fit) -> None:
         """Score all hypotheses under the noise that the best one leaves, so that their χ² can be compared."""
-        problem = with_driving_noise(best.problem.with_noise(noise_levels(best)), best)
+        problem = with_driving_noise(best.problem.with_noise(*noise_of(best)), best)
         self.fits = {ids: found.under(problem) for ids, found in self.fits.items()}
+        if problem.colour:
+            # Under noise of another colour the least squares lie elsewhere: the likeliest are fitted on from there.
+            likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
+            for found in {id(f): f for f in (self.fits[()], *likely)}.values():
+                self.fits[found.hypothesis.ids] = fit(problem, found.hypothesis, found.coordinates, steps=6)
         self.base = self.fits[()]
 
 
