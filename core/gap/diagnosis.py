@@ -1,7 +1,7 @@
 """The diagnosis of a case: where the twin is wrong, why, how much it gains, how sure that is, what to press next."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -11,8 +11,9 @@ from softcal.core.errors import InputError
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.candidates import is_told
 from softcal.core.gap.case import Case
+from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.explained import explained_twin, in_catalogue_form
-from softcal.core.gap.fit import BASE, Fit, from_fit
+from softcal.core.gap.fit import BASE, Fit
 from softcal.core.gap.floor import coloured, is_noise
 from softcal.core.gap.next_experiment import NextExperiment, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
@@ -27,7 +28,7 @@ from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import name_of
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
-from softcal.core.twin.effects import Alias, Effect, Parameter
+from softcal.core.twin.effects import Alias, Parameter
 from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.record import twin_record
 from softcal.core.twin.simulate import Twin
@@ -152,7 +153,8 @@ class Diagnosis:
         """Base parameters that the fit left on a bound, with their value: most often the recordings are to blame."""
         values = {p: getattr(self.named.base, p.name) for p in BASE}
         free = dict(zip(BASE, self.named.problem.is_free, strict=True))
-        return {p.name: v for p, v in values.items() if free[p] and _is_on_bound(p, v)}
+        sized = self.named.problem.scale.sized
+        return {p.name: v for p, v in values.items() if free[p] and _is_on_bound(sized(p), v)}
 
     @property
     def offsets(self) -> list[Offsets]:
@@ -389,13 +391,14 @@ def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
     for effect in found.hypothesis.effects:
         if effect.id == effect_id:
             at = found.hypothesis.slices[effect_id]
-            return _named(effect, found.coordinates[at], 1.645 * spread[at])
+            parameters = [found.problem.scale.sized(p) for p in effect.parameters]
+            return _named(parameters, found.coordinates[at], 1.645 * spread[at])
     return {}
 
 
-def _named(effect: Effect, coordinates: Array, margin: Array) -> dict[str, ParameterEstimate]:
+def _named(parameters: Sequence[Parameter], coordinates: Array, margin: Array) -> dict[str, ParameterEstimate]:
     out = {}
-    for k, p in enumerate(effect.parameters):
+    for k, p in enumerate(parameters):
         ends = [from_fit(p, float(coordinates[k] + side * margin[k])) for side in (-1.0, 1.0)]
         low, high = (float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in sorted(ends))
         value = float(np.nan_to_num(from_fit(p, float(coordinates[k])), posinf=p.high, neginf=p.low))

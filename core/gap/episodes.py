@@ -7,7 +7,8 @@ from typing import TypeAlias
 import numpy as np
 
 from softcal.core.gap.case import Mask
-from softcal.core.gap.fit import EPISODE_COST, Block, Episodes, Fit, fit, start_coordinates
+from softcal.core.gap.coordinates import start_coordinates
+from softcal.core.gap.fit import EPISODE_COST, Block, Episodes, Fit, fit
 from softcal.core.gap.linear import energy
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Placing

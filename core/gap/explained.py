@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit, start_coordinates
+from softcal.core.gap.coordinates import start_coordinates
+from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit
 from softcal.core.gap.forms import FORMS
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Effect

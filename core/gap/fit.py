@@ -1,6 +1,6 @@
 """Fit base parameters and effects jointly to all runs: Levenberg–Marquardt within bounds, channels weighted."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -8,21 +8,23 @@ import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run
 from softcal.core.gap.colour import Colour, filter_of, filtered
+from softcal.core.gap.coordinates import fit_scale, from_fit, to_fit
 from softcal.core.gap.forward import predict
 from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.gap.offsets import largest_offsets, with_offsets
 from softcal.core.gap.rounding import dither_V, mean_code_V
+from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Chain
 
 BASE = (
-    Parameter("u0_mm", "mm", -5.0, 50.0, 0.3),
+    Parameter("u0_mm", "mm", -1e4, 1e4, 0.3),
     Parameter("k1_N_mm", "N/mm", 0.0, 1e4, 1.0),
     Parameter("k3_N_mm3", "N/mm³", 0.0, 1e4, 0.1),
     Parameter("r0_ohm", "ohm", 1e-6, 1e9, 4.0, scale="log"),
-    Parameter("kappa_per_N", "1/N", 0.0, 10.0, 0.07),
+    Parameter("kappa_per_N", "1/N", 0.0, 1e3, 0.07),
 )
 DIFFERENCE = 2e-4
 """Step of a numerical derivative, in units of the parameter's usual size: above the corners of play and clipping."""
@@ -38,22 +40,6 @@ EPISODE_COST = 5
 """Parameters an episode counts as in Schwarz's criterion: two times, a size, and the places it was not found in."""
 
 Episodes = tuple[Mapping[str, Array], ...]
-
-
-def to_fit(parameter: Parameter, value: float) -> float:
-    """Return the coordinate in which the fit moves this parameter."""
-    if parameter.scale == "log":
-        return float(np.log(value))
-    return 0.0 if np.isinf(value) else (1.0 / value**2 if parameter.scale == "inverse_square" else value)
-
-
-def from_fit(parameter: Parameter, coordinate: float) -> float:
-    """Return the physical value at this coordinate of the fit."""
-    if parameter.scale == "log":
-        return float(np.exp(coordinate))
-    if parameter.scale == "inverse_square":
-        return float(coordinate**-0.5) if coordinate > 0 else float("inf")
-    return coordinate
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +141,12 @@ class Problem:
     has_offsets: bool = True
     """Whether every run may have a zero of the force, an unloaded resistance and a seat of its own."""
     colour: Mapping[str, Colour] = field(default_factory=dict)
+    of_rig: RigScale | None = None
+    """The size of the rig; read off the runs where None."""
+
+    @cached_property
+    def scale(self) -> RigScale:
+        return self.of_rig or RigScale.of(self.case)
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
@@ -186,7 +178,9 @@ class Problem:
 
     def of_run(self, run: Run) -> "Problem":
         """Return the problem of a run that is not recorded yet, under the same noise."""
-        return Problem(Case(self.case.serial, (run,), is_planned=True), self.sigma, colour=self.colour)
+        return Problem(
+            Case(self.case.serial, (run,), is_planned=True), self.sigma, colour=self.colour, of_rig=self.scale
+        )
 
     @cached_property
     def noise(self) -> Array:
@@ -435,14 +429,15 @@ class _Space:
 
     def __init__(self, problem: Problem, hypothesis: Hypothesis) -> None:
         self._problem, self._hypothesis = problem, hypothesis
-        bounds = [sorted((to_fit(p, p.low), to_fit(p, p.high))) for p in hypothesis.parameters]
+        parameters = [problem.scale.sized(p) for p in hypothesis.parameters]
+        bounds = [sorted((to_fit(p, p.low), to_fit(p, p.high))) for p in parameters]
         self.low = np.array([b[0] for b in bounds])
         self.high = np.array([b[1] for b in bounds])
         for k, p in enumerate(hypothesis.parameters):
             if p.scale == "inverse_square":
                 # Coordinate 0 stands for an infinite value, "no such effect": the fit must be able to reach it.
                 self.low[k] = 0.0
-        self.scale = np.array([fit_scale(p) for p in hypothesis.parameters])
+        self.scale = np.array([fit_scale(p) for p in parameters])
         self.is_free = np.concatenate(
             [problem.is_free, np.ones(len(self.low) - hypothesis.of_base.stop, dtype=np.bool_)]
         )
@@ -479,21 +474,3 @@ class _Space:
                 break
             free &= ~held
         return candidate
-
-
-def fit_scale(parameter: Parameter) -> float:
-    """Return a natural step of this parameter in the coordinates of the fit."""
-    if parameter.scale == "log":
-        return 1.0
-    return abs(to_fit(parameter, parameter.usual)) or 1.0
-
-
-def start_coordinates(effects: Sequence[Effect], values: Sequence[Sequence[float]]) -> Array:
-    """Return the coordinates of effect values, to be put after those of a base."""
-    return np.array(
-        [
-            to_fit(p, float(np.clip(v, p.low, p.high)) if np.isfinite(v) else v)
-            for effect, row in zip(effects, values, strict=True)
-            for p, v in zip(effect.parameters, row, strict=True)
-        ]
-    )

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.gap.candidates import Probe
-from softcal.core.gap.fit import Fit, start_coordinates
+from softcal.core.gap.coordinates import start_coordinates
+from softcal.core.gap.fit import Fit
 from softcal.core.gap.linear import combine, dots, energy, gram
+from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
 
@@ -117,12 +119,12 @@ class Tangent:
         stretch = float(np.clip(times, -30.0, 30.0))
         shift = np.zeros(len(self._found.coordinates))
         shift[self._rows] = -stretch * (self._turn.T @ dots(self._basis, signature))
-        return Lead(probe.effect, stretched(probe, stretch), gain, 1.0 - power / size, shift)
+        return Lead(probe.effect, stretched(probe, stretch, self._found.problem.scale), gain, 1.0 - power / size, shift)
 
 
-def stretched(probe: Probe, times: float) -> tuple[float, ...]:
+def stretched(probe: Probe, times: float, scale: RigScale) -> tuple[float, ...]:
     """Return the probe's values with its size multiplied, kept within bounds."""
-    first = probe.effect.parameters[0]
+    first = scale.sized(probe.effect.parameters[0])
     if first.scale == "inverse_square":
         size = probe.values[0] / max(times, 1e-3) ** 0.5
     elif first.neutral == np.inf:

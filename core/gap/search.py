@@ -7,8 +7,9 @@ import numpy as np
 
 from softcal.core.gap.candidates import Probe, extent_of, probes, visible_effects
 from softcal.core.gap.case import Case
+from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.episodes import PLACERS, placed_again
-from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit, start_coordinates
+from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit
 from softcal.core.gap.floor import noise_of
 from softcal.core.gap.forms import FORMS
 from softcal.core.gap.posterior import Yardstick, log_evidences
