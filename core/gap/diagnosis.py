@@ -476,8 +476,9 @@ def _unknown_places(
 
 
 def _next(case: Case, search: EffectSearch, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
-    proposed = propose(case, group, search.depth_mm, search.force_N) if verdict != "unknown" else None
-    if proposed is not None:
+    # Where something is left besides, causes that look alike are told apart all the same, if a run can.
+    proposed = propose(case, group, search.depth_mm, search.force_N)
+    if proposed is not None and (verdict != "unknown" or proposed.profile != "none"):
         return proposed
     if verdict == "unknown":
         return NextExperiment(

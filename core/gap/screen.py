@@ -7,11 +7,17 @@ import numpy as np
 
 from softcal.core.gap.candidates import Probe
 from softcal.core.gap.coordinates import start_coordinates
-from softcal.core.gap.fit import Fit
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import combine, dots, energy, gram
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
+
+GENTLER = (0.1, 0.003)
+"""Shares of a promised size from which a fit begins once more."""
+
+KEPT = 0.1
+"""Share of the promised drop of χ² that a fit must bring, or it begins once more: a promise is first order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +37,33 @@ class Lead:
     hidden: float
     shift: Array
 
-    def start(self, found: Fit) -> Array:
-        """Return the coordinates at which a fit of the larger hypothesis should begin."""
+    def start(self, found: Fit, share: float = 1.0) -> Array:
+        """Return the coordinates at which a fit of the larger hypothesis should begin.
+
+        Args:
+            share: of the promised size, and of what the fit's own coordinates would move along.
+        """
         _, left = found.hypothesis.without(self.effect.id)
-        kept = (found.coordinates + self.shift)[left]
-        return np.concatenate([kept, start_coordinates([self.effect], [self.values])])
+        kept = (found.coordinates + share * self.shift)[left]
+        first = self.effect.parameters[0]
+        size = self.values[0] * share if first.neutral == 0.0 else self.values[0] / share
+        values = (size, *self.values[1:]) if first.neutral in (0.0, np.inf) and share < 1.0 else self.values
+        return np.concatenate([kept, start_coordinates([self.effect], [values])])
+
+
+def joined(parent: Fit, lead: Lead, steps: int = 20) -> Fit:
+    """Fit an effect jointly with everything of its parent, from other starts too where the first leads nowhere.
+
+    A step along the slopes ends far off where the surface bends. An effect that is nearly off can only gain.
+    """
+    hypothesis = parent.hypothesis.adding(lead.effect)
+    best = fit(parent.problem, hypothesis, lead.start(parent), steps=steps)
+    for share in GENTLER:
+        if best.chi2 < parent.chi2 - KEPT * lead.gain:
+            break
+        again = fit(parent.problem, hypothesis, lead.start(parent, share), steps=2 * steps)
+        best = min(best, again, key=lambda found: found.chi2)
+    return best
 
 
 def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:

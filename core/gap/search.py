@@ -14,7 +14,7 @@ from softcal.core.gap.floor import noise_of
 from softcal.core.gap.forms import FORMS
 from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.residual import structure
-from softcal.core.gap.screen import hiding, screen
+from softcal.core.gap.screen import hiding, joined, screen
 from softcal.core.gap.start import base_fit, rough_start, with_driving_noise
 from softcal.core.gap.strangers import stranger
 from softcal.core.recording import Array
@@ -178,7 +178,7 @@ class EffectSearch:
             if not parent.hypothesis.ids:
                 return
             larger = [
-                fit(parent.problem, parent.hypothesis.adding(lead.effect), lead.start(parent), steps=40)
+                joined(parent, lead, steps=40)
                 for lead in screen(parent, self._probes)
                 if lead.gain > self._config.beside or lead.hidden > self._config.hiding
             ]
@@ -297,9 +297,7 @@ class EffectSearch:
     def grown_from(self, parent: Fit) -> list[Fit]:
         """Return fits of another start than the base with each of its likeliest effects; none of them is kept."""
         leads = screen(parent, self._probes)[: self._config.leads[-1]]
-        return [fit(parent.problem, parent.hypothesis.adding(e.effect), e.start(parent)) for e in leads] + self._placed(
-            parent
-        )
+        return [joined(parent, lead) for lead in leads] + self._placed(parent)
 
     def _grow(self, parent: Fit, count: int) -> list[Fit]:
         leads = screen(parent, self._probes)
@@ -311,7 +309,7 @@ class EffectSearch:
             ids = tuple(sorted({*parent.hypothesis.ids, lead.effect.id}))
             if lead.gain < need or ids in self.fits:
                 continue
-            children.append(fit(parent.problem, parent.hypothesis.adding(lead.effect), lead.start(parent)))
+            children.append(joined(parent, lead))
         children += self._placed(parent)
         for child in children:
             self.keep(child)

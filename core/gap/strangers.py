@@ -11,11 +11,11 @@ import numpy as np
 
 from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
-from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.fit import Fit
 from softcal.core.gap.posterior import Yardstick
 from softcal.core.gap.residual import structure
 from softcal.core.gap.scale import RigScale
-from softcal.core.gap.screen import screen
+from softcal.core.gap.screen import joined, screen
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, Memory, Parameter, Step
 from softcal.core.twin.signals import low_pass
@@ -125,7 +125,7 @@ def name_of(found: Fit) -> Effect:
 
 def _grown(parent: Fit) -> list[Fit]:
     leads = screen(parent, _probes(parent.problem.case, parent.problem.scale))[:1]
-    return [fit(parent.problem, parent.hypothesis.adding(lead.effect), lead.start(parent)) for lead in leads]
+    return [joined(parent, lead) for lead in leads]
 
 
 def _probes(case: Case, scale: RigScale) -> list[Probe]:
