@@ -16,7 +16,8 @@ from scipy.optimize import least_squares
 
 from softcal.core.challenge.draw import draw_case
 from softcal.core.gap.candidates import Probe, extent_of, probes
-from softcal.core.gap.fit import Hypothesis, Problem, _Space, fit, start_coordinates
+from softcal.core.gap.coordinates import start_coordinates
+from softcal.core.gap.fit import Hypothesis, Problem, _Space, fit
 from softcal.core.gap.start import base_fit
 from softcal.core.recording import Array
 
@@ -34,9 +35,9 @@ def with_scipy(problem: Problem, hypothesis: Hypothesis, start: Array) -> float:
         return kept[x.tobytes()]
 
     found = least_squares(
-        lambda x: (predicted(x) - problem.measured) * problem.weights,
+        lambda x: problem.whitened(predicted(x) - problem.measured),
         np.clip(start, space.low + 1e-12, space.high - 1e-12),
-        jac=lambda x: space.jacobian(x, predicted(x)).T,
+        jac=lambda x: np.array([problem.whitened(row) for row in space.slopes(x, predicted(x))]).T,
         bounds=(space.low, space.high),
         x_scale=space.scale,
         ftol=1e-7,

@@ -108,6 +108,7 @@ def _headline(report: Mapping[str, Any], serial: str) -> str:
         f"<p class='lead'>Cause: {names}.</p>" if names else "",
         _partly(report),
         _offsets(report),
+        _noise(report),
         f"<p class='note'>Not recorded: {missing}.{_unseen(report)}</p>" if missing else "",
     ]
     return f"<header>{''.join(lines)}</header>"
@@ -134,6 +135,18 @@ def _offsets(report: Mapping[str, Any]) -> str:
         f"resistance that differs by up to {100 * most['resistance']:.2f} %, a surface that differs by up to "
         f"{1e3 * most['seat_mm']:.0f} µm.</p>"
     )
+
+
+def _noise(report: Mapping[str, Any]) -> str:
+    """Say which channels have noise that is not white, and that the floor holds it."""
+    units = {"output": (1e3, "mV"), "force": (1e3, "mN")}
+    told = [
+        f"{_words(channel)} {units[channel][0] * found['fading']:.1f} {units[channel][1]}, "
+        f"fading within {found['fading_s']:.2g} s"
+        for channel, found in report.get("noise", {}).items()
+        if channel in units
+    ]
+    return f"<p class='note'>Noise that is not white, part of the floor: {'; '.join(told)}.</p>" if told else ""
 
 
 def _unseen(report: Mapping[str, Any]) -> str:

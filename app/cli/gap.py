@@ -179,6 +179,8 @@ def _show(diagnosis: "Diagnosis", target: str | None) -> None:
         print(f"partly      {effects}: {diagnosis.partial.share:.0%} of the gap on these runs; the rest has no name")
     for name, value in diagnosis.on_bound.items():
         print(f"on bound    {name} = {value:.4g}: these recordings do not determine it, or they hold a mistake")
+    for channel, fades in diagnosis.named.problem.colour.items():
+        print(f"noise       {channel}: {fades.spread:.3g} beside the white noise, fading within {fades.fading_s:.2g} s")
     if diagnosis.case.missing_channels:
         print(f"missing     {', '.join(diagnosis.case.missing_channels)}")
     if diagnosis.case.unseen_stages:

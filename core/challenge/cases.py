@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
 
 from softcal.core.challenge.catalogue_equations import CATALOGUE, CATALOGUE_FORM
 from softcal.core.challenge.chain import BLOCK_COMPLIANCE_MM_PER_N, Equation, Rack, record
@@ -217,17 +218,41 @@ def distance_sigma(case: SealedCase) -> float:
         return _distance_without_stage(case)
     base = replace(case, causes=())
     gap = _clean(case) - _clean(base)
-    slopes = []
+    slopes: list[Array] = []
     for name, step in _STEPS.items():
         size = step * max(abs(float(getattr(case.rig, name))), 0.01)
         moved = replace(base, rig=replace(case.rig, **{name: getattr(case.rig, name) + size}))
         slopes.append((_clean(moved) - _clean(base)) / size)
+    if case.rig.coloured_V or case.rig.coloured_N:
+        return _left_in_colour(case, np.column_stack([gap, *slopes]))
     return _left(gap, np.column_stack(slopes))
+
+
+def _left_in_colour(case: SealedCase, columns: Array) -> float:
+    """Return how far the first column stands out, beyond what the others imitate, of noise that is not white.
+
+    Args:
+        columns: (samples, 6) in units of the white noise, ordered as `_clean` has them.
+    """
+    rig, at, products = case.rig, 0, np.zeros((columns.shape[1], columns.shape[1]))
+    for plan in case.plans:
+        measured = case.measure(plan).columns
+        fade = np.exp(-measured["t_s"] / rig.coloured_s)
+        ratios = [rig.coloured_V / rig.floor_V]
+        ratios += [rig.coloured_N / rig.noise_N] if "force_N" in measured else []
+        for ratio in ratios:
+            covariance = ratio**2 * fade
+            covariance[0] += 1.0
+            part = columns[at : at + len(fade)]
+            products += part.T @ solve_toeplitz(covariance, part)
+            at += len(fade)
+    imitated = products[0, 1:] @ np.linalg.pinv(products[1:, 1:]) @ products[1:, 0]
+    return float(np.sqrt(max(products[0, 0] - imitated, 0.0)))
 
 
 def _clean(case: SealedCase) -> Array:
     """All channels of all runs in units of their noise, without noise and rounding."""
-    silent = replace(case, rig=replace(case.rig, noise_V=0.0, noise_N=0.0, adc_bits=30))
+    silent = replace(case, rig=replace(case.rig.without_noise(), adc_bits=30))
     parts = []
     for plan in case.plans:
         columns = silent.measure(plan).columns
@@ -238,7 +263,7 @@ def _clean(case: SealedCase) -> Array:
 
 
 def _distance_without_stage(case: SealedCase) -> float:
-    silent = replace(case, rig=replace(case.rig, noise_V=0.0, noise_N=0.0, adc_bits=30))
+    silent = replace(case, rig=replace(case.rig.without_noise(), adc_bits=30))
     gaps, slopes = [], []
     for plan in case.plans:
         columns = silent.measure(plan).columns

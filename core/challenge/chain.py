@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
+from scipy.signal import lfilter
 
 from softcal.core.challenge.rig import (
     DEAD_WEIGHTS,
@@ -133,6 +134,7 @@ def record(
     volts = _output(rack, moment, sample_s, dummy_ohm)
     cell_N = rack.pass_through("cell", moment.force_N, moment)
     force_N = np.interp(sample_s, moment.t_s, cell_N) + rng.normal(0.0, rig.noise_N, len(sample_s))
+    force_N = force_N + _wander(rig, rig.coloured_N, rng, len(sample_s))
     columns = {
         "t_s": sample_s,
         "stage_mm": path.position_mm(sample_s),
@@ -213,8 +215,20 @@ def _output(rack: Rack, moment: Moment, sample_s: Array, dummy_ohm: float | None
     at_samples = replace(moment, t_s=instants_s, step_s=1.0 / rig.sample_rate_Hz)
     sampled = rack.pass_through("pickup", sampled, at_samples)
     noisy = sampled + moment.rng.normal(0.0, rig.noise_V, len(sampled))
+    noisy = noisy + _wander(rig, rig.coloured_V, moment.rng, len(sampled))
     clipped = np.clip(rack.pass_through("limit", noisy, at_samples), 0.0, rig.vref_V)
     return np.asarray(np.round(clipped / rig.lsb_V) * rig.lsb_V)
+
+
+def _wander(rig: Rig, spread: float, rng: np.random.Generator, count: int) -> Array:
+    """(count,) noise of this standard deviation whose correlation fades with exp(-t/coloured_s)."""
+    if spread == 0.0:
+        return np.zeros(count)
+    keep = np.exp(-1.0 / (rig.sample_rate_Hz * rig.coloured_s))
+    kicks = rng.normal(0.0, spread * np.sqrt(1.0 - keep**2), count)
+    # It has been running for ever when the recording begins.
+    kicks[0] = rng.normal(0.0, spread)
+    return np.asarray(lfilter([1.0], [1.0, -keep], kicks))
 
 
 def _resistance(rack: Rack, moment: Moment) -> Array:

@@ -1,6 +1,7 @@
 """Draw sealed cases: the lines of the benchmark, each a stratum with its own kind of rig, causes and runs."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -44,6 +45,18 @@ def draw_rig(rng: Rng, adc_bits: int | None = None) -> tuple[Rig, float]:
         sample_rate_Hz=float(rng.choice([50.0, 50.0, 50.0, 50.0, 40.0, 80.0])),
     )
     return rig, peak_N
+
+
+def _coloured(rng: Rng, rig: Rig, scope: Scope) -> Rig:
+    """Give the output, the force or both noise of 0.1–1 % of the range used that fades within 0.1–2 s."""
+    channel = rng.choice(["output", "force", "both"])
+    share, fading_s = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in ((0.001, 0.01), (0.1, 2.0)))
+    return replace(
+        rig,
+        coloured_V=share * scope.span_V if channel != "force" else 0.0,
+        coloured_N=share * scope.peak_N if channel != "output" else 0.0,
+        coloured_s=fading_s,
+    )
 
 
 def printed_ohm(resistance_ohm: float) -> float:
@@ -134,12 +147,13 @@ LINES: Mapping[str, Callable[[Rng, Scope], tuple[Cause, ...]]] = {
     "mistakes": _seldom_single,
     "untared": _half_single,
     "reseated": _half_single,
+    "coloured": _half_single,
 }
 """The strata: singles at a rig's usual size and at 0.3 and 0.1 of it, the same causes by other equations, pairs,
 triples, none, effects outside the catalogue, poor recordings, singles on a stage that turns between samples, causes and
 effects by published equations nobody wrote the solver for, mistakes in the recordings, a third of them beside an
 effect, and what every rig has, half of it beside an effect: a cell that was not tared, a unit that sits anew in every
-run."""
+run, noise that is not white."""
 
 _SHARES = {"usual": 6, "third": 4, "tenth": 4, "form": 4, "pair": 5, "triple": 2, "none": 5, "outside": 5}
 """The mix of a challenge; every poor line counts 1."""
@@ -159,6 +173,7 @@ def draw_case(seed: int, name: str, line: str) -> SealedCase:
     rng = np.random.default_rng([seed, list(LINES).index(line)])
     rig, peak_N = draw_rig(rng, adc_bits=10 if line == "ten_bit" else None)
     scope = _scope(rig, peak_N)
+    rig = _coloured(rng, rig, scope) if line == "coloured" else rig
     causes = LINES[line](rng, scope)
     plans = tuple(RunPlan(name_, drawn_seed(rng)) for name_ in _PROTOCOLS.get(line, FOUR_RUNS))
     needs_temperature = any("coefficient_per_K" in cause.values for cause in causes)

@@ -104,7 +104,7 @@ def _gap(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ..
 
 def _left_over(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> list[float]:
     """RMS of measured − predicted per channel, in units of its noise."""
-    model = replace(case, rig=replace(rig, noise_V=0.0, noise_N=0.0), causes=causes)
+    model = replace(case, rig=rig.without_noise(), causes=causes)
     predicted = model.measure(case.kept_back).columns
     return [float(np.sqrt(np.mean(part**2))) for part in _residuals(case.rig, measured.columns, predicted)]
 
@@ -123,7 +123,7 @@ def refitted_base(case: SealedCase) -> Rig:
         return with_base(case.rig, dict(zip(BASE, (start * factors).tolist(), strict=True)))
 
     def residuals(factors: Array) -> Array:
-        model = replace(case, rig=replace(moved(factors), noise_V=0.0, noise_N=0.0), causes=())
+        model = replace(case, rig=moved(factors).without_noise(), causes=())
         parts = [_residuals(case.rig, columns, model.measure(plan).columns) for plan, columns in recordings]
         return np.concatenate([part for run in parts for part in run])
 

@@ -1,7 +1,7 @@
 """What a sealed rig is: its base parameters and the causes that make it differ from the base model."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,8 @@ PRESS, RIGID_BLOCK, DUMMY_RESISTOR, DEAD_WEIGHTS, REST = (
 class Rig:
     """Base parameters and metadata of one unit on one rig (TWIN.md, base model).
 
-    `kappa_per_N` is in 1/N, or in 1/mm where `sensor_type` is `strain`.
+    `kappa_per_N` is in 1/N, or in 1/mm where `sensor_type` is `strain`. Beside the white noise, each channel may have
+    noise that fades with `coloured_s`, of this standard deviation.
     """
 
     u0_mm: float
@@ -37,6 +38,13 @@ class Rig:
     adc_bits: int
     sample_rate_Hz: float
     sensor_type: str = "pressure"
+    coloured_V: float = 0.0
+    coloured_N: float = 0.0
+    coloured_s: float = 1.0
+
+    def without_noise(self) -> "Rig":
+        """Return the same rig with channels that do not scatter."""
+        return replace(self, noise_V=0.0, noise_N=0.0, coloured_V=0.0, coloured_N=0.0)
 
     @property
     def lsb_V(self) -> float:

@@ -110,7 +110,7 @@ def hidden_fraction(found: Fit, effect_id: str) -> float:
 
 
 def _signature(found: Fit, effect_id: str) -> Array:
-    """(samples,) change of the weighted prediction when an effect of a fit is switched off."""
+    """(samples,) change of the whitened prediction when an effect of a fit is switched off."""
     smaller, left = found.hypothesis.without(effect_id)
     without = found.problem.predict(smaller, found.coordinates[left])
-    return np.asarray((found.predicted - without) * found.problem.weights)
+    return found.problem.whitened(found.predicted - without)

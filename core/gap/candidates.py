@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.gap.case import Case
+from softcal.core.gap.scale import RigScale
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Alias, Effect
 from softcal.core.twin.probes import Extent
@@ -29,12 +30,13 @@ def extent_of(case: Case, deformation_mm: float, force_N: float) -> Extent:
     outputs = [run.output_V for run in case.presses if run.output_V is not None]
     every_V = np.concatenate(outputs) if outputs else np.array([0.0, 1.0])
     return Extent(
-        depth_mm=max(deformation_mm, 1e-3),
-        force_N=max(force_N, 1e-3),
+        depth_mm=max(deformation_mm, 1e-9),
+        force_N=max(force_N, 1e-9),
         lowest_V=float(every_V.min()),
         highest_V=float(every_V.max()),
         duration_s=max(float(run.elapsed_s[-1]) for run in case.presses),
         period_s=1.0 / case.readout.sample_rate_Hz,
+        series_ohm=case.readout.r_series_ohm,
     )
 
 
@@ -51,7 +53,8 @@ def _has_what_it_needs(case: Case, effect: Effect) -> bool:
 
 def probes(case: Case, extent: Extent) -> tuple[Probe, ...]:
     """Return the probes of every visible effect whose place in time need not be searched first."""
-    return tuple(Probe(e, row, e.is_one_sided) for e in visible_effects(case) for row in e.probes(extent))
+    sized = RigScale.of(case).sized
+    return tuple(Probe(e, row, e.is_one_sided) for e in visible_effects(case) for row in e.probes(extent, sized))
 
 
 def is_told(case: Case, alias: Alias) -> bool:

@@ -1,7 +1,7 @@
 """The diagnosis of a case: where the twin is wrong, why, how much it gains, how sure that is, what to press next."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -11,8 +11,10 @@ from softcal.core.errors import InputError
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.candidates import is_told
 from softcal.core.gap.case import Case
+from softcal.core.gap.coordinates import from_fit
 from softcal.core.gap.explained import explained_twin, in_catalogue_form
-from softcal.core.gap.fit import BASE, Fit, from_fit
+from softcal.core.gap.fit import BASE, Fit
+from softcal.core.gap.floor import coloured, is_noise
 from softcal.core.gap.next_experiment import NextExperiment, propose
 from softcal.core.gap.odd_run import odd_run, odd_run_beside
 from softcal.core.gap.offsets import Offsets, offsets
@@ -26,7 +28,7 @@ from softcal.core.gap.start import unfitted
 from softcal.core.gap.strangers import name_of
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
-from softcal.core.twin.effects import Alias, Effect, Parameter
+from softcal.core.twin.effects import Alias, Parameter
 from softcal.core.twin.mechanics import elastic_force
 from softcal.core.twin.record import twin_record
 from softcal.core.twin.simulate import Twin
@@ -151,7 +153,8 @@ class Diagnosis:
         """Base parameters that the fit left on a bound, with their value: most often the recordings are to blame."""
         values = {p: getattr(self.named.base, p.name) for p in BASE}
         free = dict(zip(BASE, self.named.problem.is_free, strict=True))
-        return {p.name: v for p, v in values.items() if free[p] and _is_on_bound(p, v)}
+        sized = self.named.problem.scale.sized
+        return {p.name: v for p, v in values.items() if free[p] and _is_on_bound(sized(p), v)}
 
     @property
     def offsets(self) -> list[Offsets]:
@@ -194,6 +197,11 @@ class Diagnosis:
             "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
             "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
             "on_bound": self.on_bound,
+            "noise": {
+                channel.split("_")[0]: {"white": sigma, "fading": fades.spread, "fading_s": fades.fading_s}
+                for channel, sigma in self.named.problem.sigma.items()
+                if (fades := self.named.problem.colour.get(channel)) is not None
+            },
             "offsets": [vars(one) | {"run": one.run + 1} for one in self.offsets],
             "twin": None if self.verdict == "data" else twin_record(self.explained),
             "base_twin": None if self.verdict == "data" else twin_record(explained_twin(self.base)),
@@ -218,6 +226,7 @@ def diagnose(
     if (odd := odd_run(search.base)) is not None:
         return _stopped(search.base, (odd,))
     search.run()
+    search = _under_its_floor(case, search, config, say)
     best = search.best
     if (odd := odd_run_beside(search)) is not None:
         return _stopped(search.base, (odd,))
@@ -260,6 +269,23 @@ def diagnose(
     )
 
 
+def _under_its_floor(
+    case: Case, search: EffectSearch, config: SearchConfig | None, say: Callable[[str], None]
+) -> EffectSearch:
+    """Search once more where what is left may be noise that fades; keep that only where it is shown to be noise."""
+    if search.is_clean(search.best) and loose_noise(search.best) is None:
+        return search
+    closest = min(search.fits.values(), key=lambda found: found.chi2)
+    problem = coloured(closest)
+    if problem is None:
+        return search
+    say("searching once more under noise that fades")
+    again = EffectSearch(case, config, say, problem)
+    again.run()
+    is_floor = again.stranger is None and again.is_clean(again.best) and is_noise(again.best)
+    return again if is_floor else search
+
+
 def _nearest(search: EffectSearch) -> Partial | None:
     """Return the hypothesis that takes most of the gap away; of those within a hundredth of it, the simplest."""
     shares = {ids: float(np.clip(search.share(found), 0.0, 1.0)) for ids, found in search.fits.items() if ids}
@@ -277,7 +303,7 @@ def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
     for channel in problem.scored_channels:
         parts = [(problem.measured - base.predicted)[b.place] for b in problem.blocks if b.channel == channel]
         rms = float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
-        gap[channel] = ChannelGap(rms, rms, problem.sigma[channel])
+        gap[channel] = ChannelGap(rms, rms, problem.floor(channel))
     return Diagnosis(
         case=problem.case,
         verdict="data",
@@ -365,13 +391,14 @@ def estimates_of(found: Fit, effect_id: str) -> dict[str, ParameterEstimate]:
     for effect in found.hypothesis.effects:
         if effect.id == effect_id:
             at = found.hypothesis.slices[effect_id]
-            return _named(effect, found.coordinates[at], 1.645 * spread[at])
+            parameters = [found.problem.scale.sized(p) for p in effect.parameters]
+            return _named(parameters, found.coordinates[at], 1.645 * spread[at])
     return {}
 
 
-def _named(effect: Effect, coordinates: Array, margin: Array) -> dict[str, ParameterEstimate]:
+def _named(parameters: Sequence[Parameter], coordinates: Array, margin: Array) -> dict[str, ParameterEstimate]:
     out = {}
-    for k, p in enumerate(effect.parameters):
+    for k, p in enumerate(parameters):
         ends = [from_fit(p, float(coordinates[k] + side * margin[k])) for side in (-1.0, 1.0)]
         low, high = (float(np.nan_to_num(v, posinf=p.high, neginf=p.low)) for v in sorted(ends))
         value = float(np.nan_to_num(from_fit(p, float(coordinates[k])), posinf=p.high, neginf=p.low))
@@ -449,8 +476,9 @@ def _unknown_places(
 
 
 def _next(case: Case, search: EffectSearch, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
-    proposed = propose(case, group, search.depth_mm, search.force_N) if verdict != "unknown" else None
-    if proposed is not None:
+    # Where something is left besides, causes that look alike are told apart all the same, if a run can.
+    proposed = propose(case, group, search.depth_mm, search.force_N)
+    if proposed is not None and (verdict != "unknown" or proposed.profile != "none"):
         return proposed
     if verdict == "unknown":
         return NextExperiment(

@@ -7,7 +7,8 @@ from typing import TypeAlias
 import numpy as np
 
 from softcal.core.gap.case import Mask
-from softcal.core.gap.fit import EPISODE_COST, Block, Episodes, Fit, fit, start_coordinates
+from softcal.core.gap.coordinates import start_coordinates
+from softcal.core.gap.fit import EPISODE_COST, Block, Episodes, Fit, fit
 from softcal.core.gap.linear import energy
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Placing
@@ -84,7 +85,7 @@ def _with_clock_to_place_by(found: Fit, effect: Effect) -> Fit:
         rows, _ = _lost_samples(start, effect.id)
         placed = found.hypothesis.adding(effect, _merged(found, effect.id, rows))
         predicted = problem.predict(placed, np.append(coordinates, 0.0))
-        left = energy((problem.measured - predicted) * problem.weights)
+        left = energy(problem.whitened(problem.measured - predicted))
         cost = left + EPISODE_COST * float(np.log(problem.count)) * placed.episode_count
         if cost < least:
             best, least = start, cost
@@ -149,8 +150,9 @@ def _output_blocks(found: Fit) -> list[Block]:
 
 
 def _robust_noise(found: Fit, blocks: list[Block]) -> float:
-    """Return the level of the residual of the output in units of its white noise, at least 1."""
-    parts = np.concatenate([np.abs(found.residual[b.place]) for b in blocks])
+    """Return the level of the error of the output in units of its white noise, at least 1."""
+    error = np.abs(found.problem.measured - found.predicted) * found.problem.weights
+    parts = np.concatenate([error[b.place] for b in blocks])
     return max(1.0, 1.48 * float(np.median(parts)))
 
 
@@ -294,7 +296,7 @@ def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
         sums[block.run] = wave @ (problem.measured - found.predicted)[block.place]
         power += np.abs(sums[block.run]) ** 2 / (block.place.stop - block.place.start)
     at = int(np.argmax(power))
-    gain = 2 * power[at] / problem.sigma["output_V"] ** 2
+    gain = 2 * power[at] / problem.floor("output_V") ** 2
     if gain < max(LINE_GAIN, LINE_SHARE * (found.chi2 - problem.count)):
         return None
     effect = effect if effect.of_runs is None else effect.of_runs(len(case.runs))
@@ -337,7 +339,7 @@ def with_level(found: Fit, effect: Effect, extent: Extent) -> Fit | None:
     if not blocks:
         return None
     # Noise on a flat top reaches 3.5 σ above it and as far below.
-    margin_V = 7 * problem.sigma["output_V"] + problem.case.readout.step_V
+    margin_V = 7 * problem.floor("output_V") + problem.case.readout.step_V
     near = np.zeros(len(problem.measured), dtype=np.bool_)
     for block in blocks:
         if side > 0:
@@ -348,7 +350,7 @@ def with_level(found: Fit, effect: Effect, extent: Extent) -> Fit | None:
         return None
     open_use = ~near if problem.use is None else problem.use * ~near
     rest = fit(problem.seeing(open_use.astype(np.float64)), found.hypothesis, found.coordinates)
-    excess = side * (rest.predicted - problem.measured) / problem.noise
+    excess = side * (rest.predicted - problem.measured) / problem.whole_noise
     over = near & (excess > 0)
     excess = excess[over]
     if np.count_nonzero(excess > 3) < FLAT_SAMPLES:

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit, start_coordinates
+from softcal.core.gap.coordinates import start_coordinates
+from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit
 from softcal.core.gap.forms import FORMS
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Effect
@@ -17,12 +18,16 @@ def explained_twin(found: Fit) -> Twin:
     bad contacts are repaired, not simulated.
     """
     found = in_catalogue_form(found)
-    sigma, readout = found.problem.sigma, found.problem.case.readout
+    readout = found.problem.case.readout
     base = found.base.with_values(
-        sigma_output_V=_white(sigma.get("output_V", 0.0), found.problem.dither_V, readout.step_V),
-        sigma_force_N=sigma.get("force_N", 0.0),
+        sigma_output_V=_white(_floor(found, "output_V"), found.problem.dither_V, readout.step_V),
+        sigma_force_N=_floor(found, "force_N"),
     )
     return Twin(base, tuple(_settings(found)), readout)
+
+
+def _floor(found: Fit, channel: str) -> float:
+    return found.problem.floor(channel) if channel in found.problem.sigma else 0.0
 
 
 def in_catalogue_form(found: Fit) -> Fit:

@@ -1,27 +1,30 @@
 """Fit base parameters and effects jointly to all runs: Levenberg–Marquardt within bounds, channels weighted."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from softcal.core.gap.case import Case, Mask, Run
+from softcal.core.gap.colour import Colour, filter_of, filtered
+from softcal.core.gap.coordinates import fit_scale, from_fit, to_fit
 from softcal.core.gap.forward import predict
 from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.gap.offsets import largest_offsets, with_offsets
 from softcal.core.gap.rounding import dither_V, mean_code_V
+from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.simulate import Chain
 
 BASE = (
-    Parameter("u0_mm", "mm", -5.0, 50.0, 0.3),
+    Parameter("u0_mm", "mm", -1e4, 1e4, 0.3),
     Parameter("k1_N_mm", "N/mm", 0.0, 1e4, 1.0),
     Parameter("k3_N_mm3", "N/mm³", 0.0, 1e4, 0.1),
     Parameter("r0_ohm", "ohm", 1e-6, 1e9, 4.0, scale="log"),
-    Parameter("kappa_per_N", "1/N", 0.0, 10.0, 0.07),
+    Parameter("kappa_per_N", "1/N", 0.0, 1e3, 0.07),
 )
 DIFFERENCE = 2e-4
 """Step of a numerical derivative, in units of the parameter's usual size: above the corners of play and clipping."""
@@ -37,22 +40,6 @@ EPISODE_COST = 5
 """Parameters an episode counts as in Schwarz's criterion: two times, a size, and the places it was not found in."""
 
 Episodes = tuple[Mapping[str, Array], ...]
-
-
-def to_fit(parameter: Parameter, value: float) -> float:
-    """Return the coordinate in which the fit moves this parameter."""
-    if parameter.scale == "log":
-        return float(np.log(value))
-    return 0.0 if np.isinf(value) else (1.0 / value**2 if parameter.scale == "inverse_square" else value)
-
-
-def from_fit(parameter: Parameter, coordinate: float) -> float:
-    """Return the physical value at this coordinate of the fit."""
-    if parameter.scale == "log":
-        return float(np.exp(coordinate))
-    if parameter.scale == "inverse_square":
-        return float(coordinate**-0.5) if coordinate > 0 else float("inf")
-    return coordinate
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +130,7 @@ class Problem:
         case: the runs.
         sigma: per channel, standard deviation of the white noise, (n,) or a number, in the channel's unit.
         use: (samples,) which samples a fit may see; all where None.
+        colour: per channel whose noise is not white, the part that fades.
     """
 
     case: Case
@@ -152,6 +140,13 @@ class Problem:
     """(samples,) variance that comes with the noise of the driving channel, in the units of the samples squared."""
     has_offsets: bool = True
     """Whether every run may have a zero of the force, an unloaded resistance and a seat of its own."""
+    colour: Mapping[str, Colour] = field(default_factory=dict)
+    of_rig: RigScale | None = None
+    """The size of the rig; read off the runs where None."""
+
+    @cached_property
+    def scale(self) -> RigScale:
+        return self.of_rig or RigScale.of(self.case)
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
@@ -183,7 +178,9 @@ class Problem:
 
     def of_run(self, run: Run) -> "Problem":
         """Return the problem of a run that is not recorded yet, under the same noise."""
-        return Problem(Case(self.case.serial, (run,), is_planned=True), self.sigma)
+        return Problem(
+            Case(self.case.serial, (run,), is_planned=True), self.sigma, colour=self.colour, of_rig=self.scale
+        )
 
     @cached_property
     def noise(self) -> Array:
@@ -192,9 +189,49 @@ class Problem:
         return noise if self.extra_variance is None else np.sqrt(noise**2 + self.extra_variance)
 
     @cached_property
+    def slow_noise(self) -> Array:
+        """(samples,) standard deviation of white noise that is as strong as this one near zero frequency."""
+        if not self.colour:
+            return self.noise
+        variance = self.noise**2
+        for block in (b for b in self.blocks if b.channel in self.colour):
+            step_s = float(np.median(self.case.runs[block.run].step_s))
+            variance[block.place] += self.colour[block.channel].slow_variance(step_s)
+        return np.sqrt(variance)
+
+    @cached_property
+    def whole_noise(self) -> Array:
+        """(samples,) standard deviation of the noise of every sample, the part that fades included."""
+        noise = self.noise.copy()
+        for block in (b for b in self.blocks if b.channel in self.colour):
+            noise[block.place] = np.hypot(noise[block.place], self.colour[block.channel].spread)
+        return noise
+
+    def floor(self, channel: str) -> float:
+        """Return the standard deviation of the noise of a channel in its unit, the part that fades included."""
+        fading = self.colour[channel].spread if channel in self.colour else 0.0
+        return float(np.hypot(self.sigma[channel], fading))
+
+    @cached_property
     def weights(self) -> Array:
-        """(samples,) 1/σ, 0 where a fit may not look."""
+        """(samples,) 1/σ of the white noise, 0 where a fit may not look."""
         return 1.0 / self.noise if self.use is None else self.use / self.noise
+
+    def whitened(self, values: Array) -> Array:
+        """Return (samples,) values as independent ones in units of their noise, 0 where a fit may not look."""
+        out = np.asarray(values * self.weights)
+        for block, steps in self._filters:
+            out[block.place] = filtered(values[block.place], steps)
+        return out
+
+    @cached_property
+    def _filters(self) -> list[tuple[Block, Array]]:
+        use, found = np.ones(len(self.measured)) if self.use is None else self.use, []
+        for block in (b for b in self.blocks if b.channel in self.colour):
+            step_s, of = self.case.runs[block.run].step_s, self.colour[block.channel]
+            seen = use[block.place].astype(np.float64)
+            found.append((block, filter_of(self.noise[block.place], seen, step_s, of.spread, of.fading_s)))
+        return found
 
     @cached_property
     def is_free(self) -> Array:
@@ -217,8 +254,9 @@ class Problem:
     @cached_property
     def dither_V(self) -> float | None:
         """Noise before an ADC that is coarse against it; None where the stairs of its codes do not show."""
-        sigma_V = self.sigma.get("output_V")
-        return None if sigma_V is None else dither_V(sigma_V, self.case.readout.step_V)
+        if "output_V" not in self.sigma:
+            return None
+        return dither_V(self.floor("output_V"), self.case.readout.step_V)
 
     @property
     def count(self) -> int:
@@ -228,21 +266,28 @@ class Problem:
     def predict(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
         """Return the clean prediction, (samples,), at these coordinates of the fit."""
         base, values = hypothesis.split(coordinates)
+        out = self._clean(hypothesis, base, values, {})
+        if self.has_offsets and not self.case.is_planned:
+            out = with_offsets(self, base, out, lambda own: self._clean(hypothesis, base, values, own))
+        # A sample nobody can foretell costs as much as a right prediction would: nothing is won by not knowing.
+        return np.where(np.isnan(out), self.measured - self.noise, out)
+
+    def _clean(
+        self, hypothesis: Hypothesis, base: BaseParameters, values: list[list[float]], own: Mapping[int, BaseParameters]
+    ) -> Array:
+        """Return the prediction with a base of its own for some runs, NaN where nobody can know."""
         out = np.empty(len(self.measured))
         last, prediction = -1, None
         for block in self.blocks:
             # One pass of the chain gives all channels of a run.
             if block.run != last:
-                run, last = self.case.runs[block.run], block.run
-                prediction = predict(run, last, base, hypothesis.chain, values, hypothesis.episodes_of(last))
+                run, last, mine = self.case.runs[block.run], block.run, own.get(block.run, base)
+                prediction = predict(run, last, mine, hypothesis.chain, values, hypothesis.episodes_of(last))
             channel = prediction.channel(block.channel) if prediction is not None else None
             if block.channel == "output_V" and self.dither_V is not None and channel is not None:
                 channel = mean_code_V(channel, self.dither_V, self.case.readout.step_V)
             out[block.place] = self.measured[block.place] if channel is None else channel
-        if self.has_offsets and not self.case.is_planned:
-            out = with_offsets(self, base, out)
-        # A sample nobody can foretell costs as much as a right prediction would: nothing is won by not knowing.
-        return np.where(np.isnan(out), self.measured - self.noise, out)
+        return out
 
     def seeing(self, use: Array) -> "Problem":
         """Return the same problem with other samples open to the fit."""
@@ -253,9 +298,9 @@ class Problem:
         """The same problem with one zero, one resistance and one seat for all runs."""
         return replace(self, has_offsets=False)
 
-    def with_noise(self, sigma: Mapping[str, float]) -> "Problem":
-        """Return the same problem under another noise level."""
-        return replace(self, sigma=sigma)
+    def with_noise(self, sigma: Mapping[str, float], colour: Mapping[str, Colour] | None = None) -> "Problem":
+        """Return the same problem under another noise level, and the same colour where none is given."""
+        return replace(self, sigma=sigma, colour=self.colour if colour is None else colour)
 
 
 def predicted_channels(run: Run) -> tuple[str, ...]:
@@ -277,7 +322,7 @@ class Fit:
         coordinates: (parameters,) in the coordinates of the fit.
         predicted: (samples,) clean prediction.
         chi2: sum of squared residuals over σ², over the samples the fit saw.
-        jacobian: (parameters, samples) of the weighted prediction; rows that were held fixed are 0.
+        slopes: (parameters, samples) derivative of the prediction; rows that were held fixed are 0.
     """
 
     problem: Problem
@@ -285,7 +330,12 @@ class Fit:
     coordinates: Array
     predicted: Array
     chi2: float
-    jacobian: Array = field(repr=False)
+    slopes: Array = field(repr=False)
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """(parameters, samples) derivative of the whitened prediction; rows that were held fixed are 0."""
+        return np.array([self.problem.whitened(row) for row in self.slopes])
 
     @cached_property
     def base(self) -> BaseParameters:
@@ -297,8 +347,8 @@ class Fit:
 
     @cached_property
     def residual(self) -> Array:
-        """(samples,) measured − predicted over σ."""
-        return (self.problem.measured - self.predicted) * self.problem.weights
+        """(samples,) measured − predicted, whitened: in white noise over σ."""
+        return self.problem.whitened(self.problem.measured - self.predicted)
 
     @cached_property
     def covariance(self) -> Array:
@@ -312,9 +362,8 @@ class Fit:
 
     def under(self, problem: Problem) -> "Fit":
         """Return the same parameters scored under another noise level."""
-        residual = (problem.measured - self.predicted) * problem.weights
-        ratio = np.divide(problem.weights, self.problem.weights, out=np.ones(len(residual)), where=problem.weights > 0)
-        return replace(self, problem=problem, chi2=energy(residual), jacobian=self.jacobian * ratio)
+        residual = problem.whitened(problem.measured - self.predicted)
+        return replace(self, problem=problem, chi2=energy(residual))
 
     @property
     def parameter_count(self) -> float:
@@ -347,15 +396,16 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
     space = _Space(problem, hypothesis)
     x = np.clip(start, space.low, space.high)
     predicted = problem.predict(hypothesis, x)
-    residual = (problem.measured - predicted) * problem.weights
+    residual = problem.whitened(problem.measured - predicted)
     chi2, damping = energy(residual), 1e-4
-    jacobian = space.jacobian(x, predicted)
+    slopes = space.slopes(x, predicted)
     for _ in range(steps):
+        jacobian = np.array([problem.whitened(row) for row in slopes])
         accepted = False
         for _ in range(6):
             candidate = space.step(x, jacobian, residual, damping)
             trial = problem.predict(hypothesis, candidate)
-            trial_residual = (problem.measured - trial) * problem.weights
+            trial_residual = problem.whitened(problem.measured - trial)
             trial_chi2 = energy(trial_residual)
             if trial_chi2 < chi2:
                 accepted = True
@@ -370,8 +420,8 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
         # A huge χ² is summed with rounding: below a ten-millionth of it no gain is real.
         if gain < tolerance + 1e-7 * chi2:
             break
-        jacobian = space.jacobian(x, predicted)
-    return Fit(problem, hypothesis, x, predicted, chi2, jacobian)
+        slopes = space.slopes(x, predicted)
+    return Fit(problem, hypothesis, x, predicted, chi2, slopes)
 
 
 class _Space:
@@ -379,20 +429,21 @@ class _Space:
 
     def __init__(self, problem: Problem, hypothesis: Hypothesis) -> None:
         self._problem, self._hypothesis = problem, hypothesis
-        bounds = [sorted((to_fit(p, p.low), to_fit(p, p.high))) for p in hypothesis.parameters]
+        parameters = [problem.scale.sized(p) for p in hypothesis.parameters]
+        bounds = [sorted((to_fit(p, p.low), to_fit(p, p.high))) for p in parameters]
         self.low = np.array([b[0] for b in bounds])
         self.high = np.array([b[1] for b in bounds])
         for k, p in enumerate(hypothesis.parameters):
             if p.scale == "inverse_square":
                 # Coordinate 0 stands for an infinite value, "no such effect": the fit must be able to reach it.
                 self.low[k] = 0.0
-        self.scale = np.array([fit_scale(p) for p in hypothesis.parameters])
+        self.scale = np.array([fit_scale(p) for p in parameters])
         self.is_free = np.concatenate(
             [problem.is_free, np.ones(len(self.low) - hypothesis.of_base.stop, dtype=np.bool_)]
         )
 
-    def jacobian(self, x: Array, predicted: Array) -> Array:
-        """(parameters, samples) derivative of the weighted prediction, one-sided, away from a bound."""
+    def slopes(self, x: Array, predicted: Array) -> Array:
+        """(parameters, samples) derivative of the prediction, one-sided, away from a bound."""
         out = np.zeros((len(x), len(predicted)))
         for k in np.flatnonzero(self.is_free):
             # One-sided: a central difference costs a second pass of the chain and gains nothing on kinked effects.
@@ -401,7 +452,7 @@ class _Space:
                 step = -step
             moved = x.copy()
             moved[k] += step
-            out[k] = (self._problem.predict(self._hypothesis, moved) - predicted) / step * self._problem.weights
+            out[k] = (self._problem.predict(self._hypothesis, moved) - predicted) / step
         return out
 
     def step(self, x: Array, jacobian: Array, residual: Array, damping: float) -> Array:
@@ -423,21 +474,3 @@ class _Space:
                 break
             free &= ~held
         return candidate
-
-
-def fit_scale(parameter: Parameter) -> float:
-    """Return a natural step of this parameter in the coordinates of the fit."""
-    if parameter.scale == "log":
-        return 1.0
-    return abs(to_fit(parameter, parameter.usual)) or 1.0
-
-
-def start_coordinates(effects: Sequence[Effect], values: Sequence[Sequence[float]]) -> Array:
-    """Return the coordinates of effect values, to be put after those of a base."""
-    return np.array(
-        [
-            to_fit(p, float(np.clip(v, p.low, p.high)) if np.isfinite(v) else v)
-            for effect, row in zip(effects, values, strict=True)
-            for p, v in zip(effect.parameters, row, strict=True)
-        ]
-    )

@@ -129,9 +129,8 @@ def _distance(mine: Fit, other: Fit, run: Run) -> float:
     """Return how far `other` stays from `mine` on a new run after `mine` was refitted to the old runs and this one."""
     problem = mine.problem.of_run(run)
     hypothesis = mine.hypothesis.without_episodes()
-    theirs = problem.predict(other.hypothesis.without_episodes(), other.coordinates) / problem.noise
-    own = problem.predict(hypothesis, mine.coordinates) / problem.noise
-    parted = theirs - own
+    theirs = problem.predict(other.hypothesis.without_episodes(), other.coordinates)
+    parted = problem.whitened(theirs - problem.predict(hypothesis, mine.coordinates))
     jacobian = fit(problem, hypothesis, mine.coordinates, steps=0).jacobian
     old = gram(mine.jacobian)
     free = np.flatnonzero(np.diag(old) > 0)

@@ -167,8 +167,8 @@ def _promised(base: Fit, runs: Sequence[int]) -> list[tuple[float, int, _Oddity]
         rows: dict[tuple[str, str], list[Array]] = {("other_unit", ""): [row * inside for row in slopes]}
         for short, at in of_channel.items():
             if np.any(at):
-                rows["zero", short] = [np.asarray(at * problem.weights)]
-                rows["gain", short] = [np.asarray(at * problem.weights * base.predicted)]
+                rows["zero", short] = [problem.whitened(np.asarray(at))]
+                rows["gain", short] = [problem.whitened(np.asarray(at * base.predicted))]
         if problem.is_free[0]:
             rows["zero", "stage"] = [slopes[0] * inside]
         for oddity in ODDITIES:

@@ -1,6 +1,8 @@
 """What every rig has and no cause has to explain: a cell that was not tared, a unit that sits anew in every run."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +24,9 @@ RESISTANCE = 0.02
 
 SEAT = 0.03
 """Largest change of the height of the surface from run to run that counts as seating, as a share of the stroke."""
+
+STRAIGHT_SIGMA = 0.5
+"""Noise of one sample up to which an offset may move it along the slope: where it bends, the error is far smaller."""
 
 RESISTANCE_AT, SEAT_AT = 1, 2
 """Where these stand among the three offsets of a run; the zero of the force comes first."""
@@ -61,15 +66,43 @@ def offsets(problem: "Problem", base: BaseParameters, clean: Array) -> list[Offs
     return [Offsets(run, *map(float, row)) for run, row in zip(runs, sizes, strict=True)]
 
 
-def with_offsets(problem: "Problem", base: BaseParameters, clean: Array) -> Array:
+Again = Callable[[Mapping[int, BaseParameters]], Array]
+"""Predict once more, with a base of its own for every run."""
+
+
+def with_offsets(problem: "Problem", base: BaseParameters, clean: Array, again: Again) -> Array:
     """Return a prediction, (samples,), with the offsets of every run in it."""
-    out = clean.copy()
     directions = _all_directions(problem, base, clean)
-    sizes = dict(zip(*_solved(problem, directions, clean), strict=True))
+    runs, sizes = _solved(problem, directions, clean)
+    tares = dict(zip(runs, sizes[:, 0], strict=True))
+    if _is_bent(problem, directions, dict(zip(runs, sizes, strict=True))):
+        # A surface that lies lower moves the corner of first touch: a straight step along the slope would leave it.
+        own = {
+            run: base.with_values(u0_mm=base.u0_mm + seat, r0_ohm=base.r0_ohm * (1.0 + resistance))
+            for run, (_, resistance, seat) in zip(runs, sizes, strict=True)
+        }
+        clean = again(own)
+        for block in problem.blocks:
+            if block.channel == "force_N":
+                clean[block.place] += tares.get(block.run, 0.0)
+        directions = _all_directions(problem, base, clean, own)
+        runs, sizes = _solved(problem, directions, clean)
+    out, found = clean.copy(), dict(zip(runs, sizes, strict=True))
     for block, rows in zip(problem.blocks, directions, strict=True):
         if rows is not None:
-            out[block.place] += combine(sizes[block.run], rows)
+            out[block.place] += combine(found[block.run], rows)
     return out
+
+
+def _is_bent(problem: "Problem", directions: list[Array | None], sizes: Mapping[int, Array]) -> bool:
+    """Whether a resistance or a seat moves a channel by so much that its slope does not foretell it."""
+    for block, rows in zip(problem.blocks, directions, strict=True):
+        if rows is None:
+            continue
+        largest = np.max(np.abs(rows[RESISTANCE_AT:]), axis=1) * np.abs(sizes[block.run][RESISTANCE_AT:])
+        if np.any(largest > STRAIGHT_SIGMA * float(np.min(problem.noise[block.place]))):
+            return True
+    return False
 
 
 def _solved(problem: "Problem", directions: list[Array | None], clean: Array) -> tuple[list[int], Array]:
@@ -79,7 +112,7 @@ def _solved(problem: "Problem", directions: list[Array | None], clean: Array) ->
     for block, rows in zip(problem.blocks, directions, strict=True):
         if rows is not None:
             k, at = runs.index(block.run), block.place
-            _add_normal_equations(normal[k], slope[k], rows, problem.measured[at] - clean[at], problem.noise[at])
+            _add_normal_equations(normal[k], slope[k], rows, problem.measured[at] - clean[at], problem.slow_noise[at])
     if not runs:
         return [], np.zeros((0, 3))
     free = _least_squares(normal, slope)
@@ -109,11 +142,15 @@ def _range(case: Case, channel: str) -> float:
     return max((float(np.ptp(v)) for v in values if v is not None), default=0.0)
 
 
-def _all_directions(problem: "Problem", base: BaseParameters, clean: Array) -> list[Array | None]:
+def _all_directions(
+    problem: "Problem", base: BaseParameters, clean: Array, own: Mapping[int, BaseParameters] = MappingProxyType({})
+) -> list[Array | None]:
     """Return per block, (3, n), how the channel changes with each offset; None where the unit is not in the run."""
     runs = problem.case.runs
     return [
-        _directions(runs[b.run], base, b.channel, clean[b.place]) if runs[b.run].kind in SEATED else None
+        _directions(runs[b.run], own.get(b.run, base), b.channel, clean[b.place])
+        if runs[b.run].kind in SEATED
+        else None
         for b in problem.blocks
     ]
 

@@ -87,7 +87,7 @@ def _loose_output(found: Fit) -> LooseNoise | None:
 
 def _is_clipped(found: Fit, block: Block) -> Mask:
     """(n,) where the output stands within its noise at a level that it was fitted to be clipped at."""
-    output_V, near_V = found.predicted[block.place], CLIPPED_SIGMA * found.problem.sigma["output_V"]
+    output_V, near_V = found.predicted[block.place], CLIPPED_SIGMA * found.problem.floor("output_V")
     out = np.zeros(len(output_V), dtype=np.bool_)
     for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
         if effect.signs.placing in (Placing.CEILING, Placing.FLOOR):

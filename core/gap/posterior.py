@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softcal.core.gap.fit import DRIVEN_COST, EPISODE_COST, Fit, fit_scale
+from softcal.core.gap.coordinates import fit_scale
+from softcal.core.gap.fit import DRIVEN_COST, EPISODE_COST, Fit
 from softcal.core.gap.residual import structure
 from softcal.core.twin.catalogue import EFFECTS
 
@@ -91,7 +92,7 @@ def _spared(found: Fit) -> float:
     spared, most = 0.0, float(np.log(found.problem.count))
     for effect in found.hypothesis.effects:
         at = found.hypothesis.place_of(effect.id)
-        size, variance = effect.parameters[0], float(found.covariance[at, at])
+        size, variance = found.problem.scale.sized(effect.parameters[0]), float(found.covariance[at, at])
         if variance > 0.0 and not effect.is_episodic:
             width = USUAL_RANGE * fit_scale(size) / np.sqrt(2.0 * np.pi * variance)
             spared += size.weight * max(0.0, most - 2.0 * float(np.log(max(width, 1.0))))
@@ -102,7 +103,7 @@ def sizes_on_bound(found: Fit) -> int:
     """Return how many causes have ended at the largest size that a rig can show."""
     count = 0
     for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
-        size = effect.parameters[0]
+        size = found.problem.scale.sized(effect.parameters[0])
         far = [end for end in (size.low, size.high) if end not in (0.0, size.neutral)]
         if size.scale == "linear" and any(abs(values[0] - end) < 0.01 * abs(end) for end in far):
             count += 1

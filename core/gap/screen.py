@@ -6,10 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.gap.candidates import Probe
-from softcal.core.gap.fit import Fit, start_coordinates
+from softcal.core.gap.coordinates import start_coordinates
+from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import combine, dots, energy, gram
+from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect
+
+GENTLER = (0.1, 0.003)
+"""Shares of a promised size from which a fit begins once more."""
+
+KEPT = 0.1
+"""Share of the promised drop of χ² that a fit must bring, or it begins once more: a promise is first order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +37,33 @@ class Lead:
     hidden: float
     shift: Array
 
-    def start(self, found: Fit) -> Array:
-        """Return the coordinates at which a fit of the larger hypothesis should begin."""
+    def start(self, found: Fit, share: float = 1.0) -> Array:
+        """Return the coordinates at which a fit of the larger hypothesis should begin.
+
+        Args:
+            share: of the promised size, and of what the fit's own coordinates would move along.
+        """
         _, left = found.hypothesis.without(self.effect.id)
-        kept = (found.coordinates + self.shift)[left]
-        return np.concatenate([kept, start_coordinates([self.effect], [self.values])])
+        kept = (found.coordinates + share * self.shift)[left]
+        first = self.effect.parameters[0]
+        size = self.values[0] * share if first.neutral == 0.0 else self.values[0] / share
+        values = (size, *self.values[1:]) if first.neutral in (0.0, np.inf) and share < 1.0 else self.values
+        return np.concatenate([kept, start_coordinates([self.effect], [values])])
+
+
+def joined(parent: Fit, lead: Lead, steps: int = 20) -> Fit:
+    """Fit an effect jointly with everything of its parent, from other starts too where the first leads nowhere.
+
+    A step along the slopes ends far off where the surface bends. An effect that is nearly off can only gain.
+    """
+    hypothesis = parent.hypothesis.adding(lead.effect)
+    best = fit(parent.problem, hypothesis, lead.start(parent), steps=steps)
+    for share in GENTLER:
+        if best.chi2 < parent.chi2 - KEPT * lead.gain:
+            break
+        again = fit(parent.problem, hypothesis, lead.start(parent, share), steps=2 * steps)
+        best = min(best, again, key=lambda found: found.chi2)
+    return best
 
 
 def screen(found: Fit, candidates: Sequence[Probe]) -> list[Lead]:
@@ -91,11 +121,11 @@ class Tangent:
         self._residual = found.residual
 
     def signature(self, probe: Probe) -> Array:
-        """(samples,) change of the weighted prediction when the probe is switched on at the fitted parameters."""
+        """(samples,) change of the whitened prediction when the probe is switched on at the fitted parameters."""
         found = self._found
         hypothesis = found.hypothesis.adding(probe.effect)
         x = np.concatenate([found.coordinates, start_coordinates([probe.effect], [probe.values])])
-        return np.asarray((found.problem.predict(hypothesis, x) - found.predicted) * found.problem.weights)
+        return found.problem.whitened(found.problem.predict(hypothesis, x) - found.predicted)
 
     def visible(self, signature: Array) -> Array:
         """Return the part of a signature that the fitted parameters cannot imitate."""
@@ -117,12 +147,12 @@ class Tangent:
         stretch = float(np.clip(times, -30.0, 30.0))
         shift = np.zeros(len(self._found.coordinates))
         shift[self._rows] = -stretch * (self._turn.T @ dots(self._basis, signature))
-        return Lead(probe.effect, stretched(probe, stretch), gain, 1.0 - power / size, shift)
+        return Lead(probe.effect, stretched(probe, stretch, self._found.problem.scale), gain, 1.0 - power / size, shift)
 
 
-def stretched(probe: Probe, times: float) -> tuple[float, ...]:
+def stretched(probe: Probe, times: float, scale: RigScale) -> tuple[float, ...]:
     """Return the probe's values with its size multiplied, kept within bounds."""
-    first = probe.effect.parameters[0]
+    first = scale.sized(probe.effect.parameters[0])
     if first.scale == "inverse_square":
         size = probe.values[0] / max(times, 1e-3) ** 0.5
     elif first.neutral == np.inf:

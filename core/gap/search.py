@@ -7,13 +7,15 @@ import numpy as np
 
 from softcal.core.gap.candidates import Probe, extent_of, probes, visible_effects
 from softcal.core.gap.case import Case
+from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.episodes import PLACERS, placed_again
-from softcal.core.gap.fit import Fit, fit, start_coordinates
+from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit
+from softcal.core.gap.floor import noise_of
 from softcal.core.gap.forms import FORMS
 from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.residual import structure
-from softcal.core.gap.screen import hiding, screen
-from softcal.core.gap.start import base_fit, noise_levels, rough_start, with_driving_noise
+from softcal.core.gap.screen import hiding, joined, screen
+from softcal.core.gap.start import base_fit, rough_start, with_driving_noise
 from softcal.core.gap.strangers import stranger
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Form, Placing
@@ -60,10 +62,18 @@ class SearchConfig:
 class EffectSearch:
     """All hypotheses fitted to one case, under one noise level."""
 
-    def __init__(self, case: Case, config: SearchConfig | None = None, progress: Progress | None = None) -> None:
+    def __init__(
+        self,
+        case: Case,
+        config: SearchConfig | None = None,
+        progress: Progress | None = None,
+        problem: Problem | None = None,
+    ) -> None:
         say = progress or (lambda _: None)
         say("fitting the base twin to all runs")
         base = base_fit(case)
+        # Under noise that is known already, as one that is not white.
+        base = base if problem is None else fit(problem, Hypothesis(), base.coordinates)
         extent = _extent(base)
         to_place = [e for e in visible_effects(case) if e.signs.placing is not None]
         self._begin(base, probes(case, extent), to_place, extent, config or SearchConfig(), say)
@@ -168,7 +178,7 @@ class EffectSearch:
             if not parent.hypothesis.ids:
                 return
             larger = [
-                fit(parent.problem, parent.hypothesis.adding(lead.effect), lead.start(parent), steps=40)
+                joined(parent, lead, steps=40)
                 for lead in screen(parent, self._probes)
                 if lead.gain > self._config.beside or lead.hidden > self._config.hiding
             ]
@@ -287,9 +297,7 @@ class EffectSearch:
     def grown_from(self, parent: Fit) -> list[Fit]:
         """Return fits of another start than the base with each of its likeliest effects; none of them is kept."""
         leads = screen(parent, self._probes)[: self._config.leads[-1]]
-        return [fit(parent.problem, parent.hypothesis.adding(e.effect), e.start(parent)) for e in leads] + self._placed(
-            parent
-        )
+        return [joined(parent, lead) for lead in leads] + self._placed(parent)
 
     def _grow(self, parent: Fit, count: int) -> list[Fit]:
         leads = screen(parent, self._probes)
@@ -301,7 +309,7 @@ class EffectSearch:
             ids = tuple(sorted({*parent.hypothesis.ids, lead.effect.id}))
             if lead.gain < need or ids in self.fits:
                 continue
-            children.append(fit(parent.problem, parent.hypothesis.adding(lead.effect), lead.start(parent)))
+            children.append(joined(parent, lead))
         children += self._placed(parent)
         for child in children:
             self.keep(child)
@@ -320,8 +328,13 @@ class EffectSearch:
 
     def _settle_noise(self, best: Fit) -> None:
         """Score all hypotheses under the noise that the best one leaves, so that their χ² can be compared."""
-        problem = with_driving_noise(best.problem.with_noise(noise_levels(best)), best)
+        problem = with_driving_noise(best.problem.with_noise(*noise_of(best)), best)
         self.fits = {ids: found.under(problem) for ids, found in self.fits.items()}
+        if problem.colour:
+            # Under noise of another colour the least squares lie elsewhere: the likeliest are fitted on from there.
+            likely = sorted(self.fits.values(), key=lambda f: f.bic)[: self._config.again]
+            for found in {id(f): f for f in (self.fits[()], *likely)}.values():
+                self.fits[found.hypothesis.ids] = fit(problem, found.hypothesis, found.coordinates, steps=6)
         self.base = self.fits[()]
 
 

@@ -64,8 +64,7 @@ def quantify(base: Fit, best: Fit) -> Quantified:
     gap = {c: _channel_gap(seen, best.problem, c) for c in _channels(best.problem)}
     if not best.hypothesis.ids:
         return Quantified(gap, Shrink(0.0, 0.0, 0.0, 0.0), protocol)
-    sigma = best.problem.sigma
-    held_out = _ratio([(g.rmse_before, g.rmse_after, g.noise_floor, sigma[c]) for c, g in gap.items()])
+    held_out = _ratio([(g.rmse_before, g.rmse_after, g.noise_floor, g.noise_floor) for g in gap.values()])
     predicted, low, high = _forecast(seen, best)
     return Quantified(gap, Shrink(predicted, low, high, held_out), protocol, _held_out_gain(seen, best.problem))
 
@@ -121,7 +120,7 @@ def _held_out_gain(folds: list[_Fold], problem: Problem) -> float:
     gain = 0.0
     for fold in folds:
         before, after = (
-            ((problem.measured - f.predicted) / problem.noise)[fold.unseen] for f in (fold.before, fold.after)
+            problem.whitened(problem.measured - f.predicted)[fold.unseen] for f in (fold.before, fold.after)
         )
         gain += energy(before) - energy(after)
     return gain
@@ -131,7 +130,7 @@ def _channel_gap(folds: list[_Fold], problem: Problem, channel: str) -> ChannelG
     measured = problem.measured
     before = _pooled(folds, problem, channel, [measured - f.before.predicted for f in folds])
     after = _pooled(folds, problem, channel, [measured - f.after.predicted for f in folds])
-    return ChannelGap(before, after, problem.sigma[channel])
+    return ChannelGap(before, after, problem.floor(channel))
 
 
 def _ratio(channels: list[tuple[float, float, float, float]]) -> float:
@@ -152,7 +151,7 @@ def _forecast(folds: list[_Fold], best: Fit) -> tuple[float, float, float]:
     is_clean = not structure(best).is_significant
     rows, wide = [], []
     for channel in _channels(problem):
-        floor = sigma = problem.sigma[channel]
+        floor = sigma = problem.floor(channel)
         left = _left_over(best, channel)
         parted = _pooled(folds, problem, channel, [f.after.predicted - f.before.predicted for f in folds])
         spread = _pooled(folds, problem, channel, [_spread(f) for f in folds])
@@ -173,17 +172,17 @@ def _left_over(best: Fit, channel: str) -> float:
     """
     problem = best.problem
     parts = [b.place for b in problem.blocks if b.channel == channel]
-    error = np.concatenate([(problem.measured - best.predicted)[p] for p in parts]) / problem.sigma[channel]
+    error = np.concatenate([(problem.measured - best.predicted)[p] for p in parts]) / problem.floor(channel)
     # Below, one standard error is taken off: a right hypothesis leaves a mean square that scatters about 1.
     excess = float(np.mean(error**2)) - 1.0
-    return problem.sigma[channel] * float(np.sqrt(max(0.0, excess - np.sqrt(2.0 / len(error)))))
+    return problem.floor(channel) * float(np.sqrt(max(0.0, excess - np.sqrt(2.0 / len(error)))))
 
 
 def _spread(fold: _Fold) -> Array:
     """(samples,) standard deviation of the prediction from the uncertainty of the fitted parameters."""
     found = fold.after
     whole = found.problem.seeing(np.ones(len(found.problem.measured)))
-    jacobian = fit(whole, found.hypothesis, found.coordinates, steps=0).jacobian
+    slopes = fit(whole, found.hypothesis, found.coordinates, steps=0).slopes
     # The diagonal of J C Jᵀ alone: the whole matrix would be samples by samples.
-    carried = np.array([combine(row, jacobian) for row in found.covariance])
-    return np.asarray(np.sqrt(np.maximum(np.sum(carried * jacobian, axis=0), 0.0)) * whole.noise)
+    carried = np.array([combine(row, slopes) for row in found.covariance])
+    return np.asarray(np.sqrt(np.maximum(np.sum(carried * slopes, axis=0), 0.0)))

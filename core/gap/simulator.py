@@ -22,7 +22,9 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.gap.case import SHORTEST, Case, Run
-from softcal.core.gap.fit import Fit, Hypothesis, Problem, from_fit
+from softcal.core.gap.coordinates import from_fit
+from softcal.core.gap.fit import Fit, Hypothesis, Problem
+from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs
 from softcal.core.twin.parameters import ReadoutMetadata
@@ -224,6 +226,11 @@ class SimulatorProblem(Problem):
     @cached_property
     def is_free(self) -> Array:
         return np.ones(len(self.of.base), dtype=np.bool_)
+
+    @cached_property
+    def scale(self) -> RigScale:
+        # A simulator states the bounds of its own parameters.
+        return RigScale()
 
     @property
     def is_driven_by_force(self) -> bool:

@@ -14,6 +14,7 @@ from softcal.core.gap import next_experiment
 from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
+from softcal.core.gap.coordinates import fit_scale, to_fit
 from softcal.core.gap.diagnosis import (
     SCHEMA,
     UNKNOWN_TRUST,
@@ -24,7 +25,7 @@ from softcal.core.gap.diagnosis import (
     estimates_of,
     shares_of,
 )
-from softcal.core.gap.fit import Block, Fit, fit, fit_scale, to_fit
+from softcal.core.gap.fit import Block, Fit, fit
 from softcal.core.gap.next_experiment import NextExperiment
 from softcal.core.gap.posterior import log_evidences
 from softcal.core.gap.residual import Regime, structure

@@ -6,9 +6,14 @@ import numpy as np
 from scipy.optimize import nnls
 
 from softcal.core.gap.case import Case
+from softcal.core.gap.coordinates import to_fit
 from softcal.core.gap.drive import HALF_WIDTH
-from softcal.core.gap.fit import BASE, Fit, Hypothesis, Problem, fit, to_fit
+from softcal.core.gap.fit import BASE, Fit, Hypothesis, Problem, fit
+from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
+
+QUIETEST = 1e-6
+"""Least noise of a force that is believed, N on the common rig: a force without any has no weight."""
 
 TRIMMED = 0.02
 """Share of the largest squared differences left out of a noise estimate: steps and drop-outs are not noise."""
@@ -45,7 +50,7 @@ def noise_levels(found: Fit) -> dict[str, float]:
         kept = every[: max(1, int(len(every) * (1 - TRIMMED)))]
         # A Gaussian without its largest 2 % of squares keeps 0.873 of its variance.
         variance = float(np.mean(kept)) / 0.873
-        least = 0.1 * problem.case.readout.step_V if channel == "output_V" else 1e-6
+        least = 0.1 * problem.case.readout.step_V if channel == "output_V" else QUIETEST * problem.scale.factor("N")
         levels[channel] = max(float(np.sqrt(variance)), least)
     return levels
 
@@ -74,25 +79,30 @@ def _slope(force_N: Array, output_V: Array) -> Array:
     x, y = force_N[order], output_V[order]
     # A slope from neighbours would be noise over noise; over a 24th of the samples it is the curve's.
     edges = np.linspace(0, len(x) - 1, 25).astype(int)
-    keep = np.concatenate([[True], np.diff(x[edges]) > 1e-6])
+    keep = np.concatenate([[True], np.diff(x[edges]) > 1e-7 * np.ptp(x)])
     slopes = np.gradient(y[edges][keep], x[edges][keep]) if keep.sum() > 2 else np.zeros(int(keep.sum()))
     return np.asarray(np.interp(force_N, x[edges][keep], slopes))
 
 
 def _first_noise(case: Case) -> dict[str, float]:
-    levels = {"force_N": 0.02, "output_V": case.readout.step_V, "stage_mm": 0.002}
+    of_rig = RigScale.of(case)
+    levels = {
+        "force_N": 0.02 * of_rig.factor("N"),
+        "output_V": case.readout.step_V,
+        "stage_mm": 0.002 * of_rig.factor("mm"),
+    }
     for channel in ("force_N", "output_V"):
         values = [getattr(run, channel) for run in case.presses if getattr(run, channel) is not None]
         if values:
             spread = float(np.std(np.concatenate(values)))
-            levels[channel] = max(0.02 * spread, 1e-6)
+            levels[channel] = max(0.02 * spread, 1e-5 * levels[channel])
     return levels
 
 
 def rough_start(case: Case) -> Array:
     """Return base coordinates read off the recordings, (5,)."""
     stage, force, output = (_joined(case, c) for c in ("stage_mm", "force_N", "output_V"))
-    u0, k1, k3, r0, kappa = 0.3, 1.0, 0.1, 4.0, 0.05
+    u0, k1, k3, r0, kappa = (RigScale.of(case).sized(p).usual for p in BASE)
     loaded = force if force is not None else output
     if stage is not None and loaded is not None:
         # The lowest twentieth of the stroke is off the pad in every profile.
@@ -112,8 +122,8 @@ def rough_start(case: Case) -> Array:
         r0 = float(np.median(resistance[drive <= max(np.quantile(drive, 0.1), 0.02 * drive.max())]))
         # At the largest loads the resistance has grown most, so that kappa shows best.
         top = drive >= np.quantile(drive, 0.98)
-        kappa = max((1.0 - r0 / float(np.median(resistance[top]))) / float(np.median(drive[top])), 1e-4)
-    values = (u0, k1, k3, max(r0, 1e-3), kappa)
+        kappa = max((1.0 - r0 / float(np.median(resistance[top]))) / float(np.median(drive[top])), 1e-3 * kappa)
+    values = (u0, k1, k3, max(r0, 1e-4 * case.readout.r_series_ohm), kappa)
     return np.array([to_fit(p, v) for p, v in zip(BASE, values, strict=True)])
 
 

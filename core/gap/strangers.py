@@ -11,10 +11,11 @@ import numpy as np
 
 from softcal.core.gap.candidates import Probe
 from softcal.core.gap.case import Case
-from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.fit import Fit
 from softcal.core.gap.posterior import Yardstick
 from softcal.core.gap.residual import structure
-from softcal.core.gap.screen import screen
+from softcal.core.gap.scale import RigScale
+from softcal.core.gap.screen import joined, screen
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, Memory, Parameter, Step
 from softcal.core.twin.signals import low_pass
@@ -123,12 +124,12 @@ def name_of(found: Fit) -> Effect:
 
 
 def _grown(parent: Fit) -> list[Fit]:
-    leads = screen(parent, _probes(parent.problem.case))[:1]
-    return [fit(parent.problem, parent.hypothesis.adding(lead.effect), lead.start(parent)) for lead in leads]
+    leads = screen(parent, _probes(parent.problem.case, parent.problem.scale))[:1]
+    return [joined(parent, lead) for lead in leads]
 
 
-def _probes(case: Case) -> list[Probe]:
+def _probes(case: Case, scale: RigScale) -> list[Probe]:
     is_warming = any(run.temperature_C is not None and np.ptp(run.temperature_C) > 0 for run in case.presses)
     seen = [e for e in STRANGERS if e.stage not in case.unseen_stages and (is_warming or WARM not in e.id)]
     seen += [WARM_DIVIDER] if case.has_warmed_dummy else []
-    return [Probe(e, (e.parameters[0].usual,), e.parameters[0].low == 0.0) for e in seen]
+    return [Probe(e, (scale.sized(e.parameters[0]).usual,), e.parameters[0].low == 0.0) for e in seen]

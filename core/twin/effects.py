@@ -43,6 +43,7 @@ class Parameter:
         neutral: value that switches the effect off, None for a shape parameter.
         scale: how a fit moves it; `inverse_square` for a level whose absence is infinity.
         weight: what it counts as when flexibility is penalised; less than 1 for a nuisance of one run.
+        follows: the unit that its bounds grow with from rig to rig, where that is not its own.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Parameter:
     neutral: float | None = None
     scale: Scale = "linear"
     weight: float = 1.0
+    follows: str = ""
 
 
 def _not_yet() -> Array:
@@ -216,18 +218,24 @@ class Effect:
         every = (self, *self.sides)
         return next((side for side in every if set(names) <= {p.name for p in side.parameters}), self)
 
-    def probes(self, at: Extent) -> list[tuple[float, ...]]:
-        """Return the parameter values at which a search on such a case begins, shapes within their bounds."""
+    def probes(
+        self, at: Extent, sized: Callable[[Parameter], Parameter] = lambda parameter: parameter
+    ) -> list[tuple[float, ...]]:
+        """Return the parameter values at which a search on such a case begins, shapes within their bounds.
+
+        Args:
+            sized: gives a parameter the bounds it has on a rig of this size.
+        """
         if self.signs.placing in (Placing.LOSSES, Placing.INTERVALS, Placing.LINE):
             return []
-        rows = self._usual_probes() if self.signs.probes is None else self.signs.probes(at)
-        shapes = self.parameters[1:]
+        rows = self._usual_probes(sized) if self.signs.probes is None else self.signs.probes(at)
+        shapes = [sized(p) for p in self.parameters[1:]]
         return [
             (row[0], *(float(np.clip(v, p.low, p.high)) for p, v in zip(shapes, row[1:], strict=True))) for row in rows
         ]
 
-    def _usual_probes(self) -> list[tuple[float, ...]]:
-        size, usual = 0.2 * self.parameters[0].usual, [p.usual for p in self.parameters[1:]]
+    def _usual_probes(self, sized: Callable[[Parameter], Parameter]) -> list[tuple[float, ...]]:
+        size, usual = 0.2 * sized(self.parameters[0]).usual, [sized(p).usual for p in self.parameters[1:]]
         if not usual:
             return [(size,)]
         return [(size, factor * usual[0], *usual[1:]) for factor in (0.25, 1.0, 4.0)]

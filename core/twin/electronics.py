@@ -178,7 +178,7 @@ EFFECTS = (
         parameters=(Parameter("Rw", "ohm", 0.0, 50.0, 0.5, neutral=0.0),),
         step=_wiring_resistance,
         signs=Signs(
-            probes=Sizes((0.1, 1.0)),
+            probes=Sizes((0.01, 0.1), "series_ohm"),
             hides_behind=("channel_collapse", "loadcell_nonlinearity"),
             shown_by=("dummy_resistor",),
         ),

@@ -82,7 +82,7 @@ EFFECTS = (
         hook=Hook.READING,
         equation="F_meas = F + λ·F·(1 − F/F_max)",
         source="terminal-line nonlinearity of a strain-gauge cell; 0.02–3 % of full scale",
-        parameters=(Parameter("lambda", "", -0.25, 0.25, 0.03, neutral=0.0),),
+        parameters=(Parameter("lambda", "", -0.25, 0.25, 0.03, neutral=0.0, follows="1/N"),),
         step=_nonlinearity,
         signs=Signs(
             probes=Sizes((0.01,)),
@@ -93,8 +93,8 @@ EFFECTS = (
         plus(
             _cell_curve,
             "cubic and quartic term",
-            (Parameter("quadratic", "", -0.5, 0.5, 0.01), 0.0),
-            (Parameter("cubic", "", -0.5, 0.5, 0.01), 0.0),
+            (Parameter("quadratic", "", -0.5, 0.5, 0.01, follows="1/N²"), 0.0),
+            (Parameter("cubic", "", -0.5, 0.5, 0.01, follows="1/N³"), 0.0),
         )
     ),
     Effect(

@@ -51,7 +51,7 @@ def soft_contact(travel: Array, toe: float, compliance: float, k1: float, k3: fl
             slope = 1.0 + compliance * (k1 + 3.0 * k3 * deformation * deformation) * (1.0 - bend)
             # The root lies between no compression and the whole travel: a step beyond either would only come back.
             x = min(max(x - error / slope, 0.0), target)
-            if abs(error) < 1e-10:
+            if abs(error) <= 1e-11 * target:
                 break
         bend = np.exp(-x / toe) if toe > 0.0 else 0.0
         out[k] = x - toe * (1.0 - bend)
@@ -145,7 +145,7 @@ EFFECTS = (
         ),
         step=_contact_shift,
         signs=Signs(
-            probes=Shapes(0.02, (0.05, 0.15, 0.5, 1.5), "duration_s"),
+            probes=Shapes(0.007, (0.05, 0.15, 0.5, 1.5), "duration_s", "depth_mm"),
             hides_behind=("mullins_softening", "stress_relaxation"),
             shown_by=("slow_touch_down",),
             remedy=PLATEN,

@@ -24,7 +24,7 @@ BACKLASH = Effect(
     parameters=(Parameter("b", "mm", 0.0, 1.0, 0.05, neutral=0.0),),
     step=_backlash,
     signs=Signs(
-        probes=Sizes((0.02, 0.1)),
+        probes=Sizes((0.007, 0.035), "depth_mm"),
         hides_behind=("loadcell_creep", "mechanical_hysteresis"),
         shown_by=("small_reversals", "rigid_block"),
         remedy=PLATEN,

@@ -8,13 +8,22 @@ TAU_s = (0.05, 0.2, 0.6, 2.0, 6.0, 20.0, 60.0)
 """Time constants tried for an effect with a memory, as far as the longest run reaches."""
 
 Measure = Literal[
-    "one", "depth_mm", "force_N", "duration_s", "period_s", "softness_mm_N", "rate_per_s", "period_per_duration"
+    "one",
+    "depth_mm",
+    "force_N",
+    "series_ohm",
+    "duration_s",
+    "period_s",
+    "softness_mm_N",
+    "rate_per_s",
+    "period_per_duration",
+    "per_force2",
 ]
 
 
 @dataclass(frozen=True)
 class Extent:
-    """How far a case reaches: deepest press, largest force, outputs, longest run, sample period."""
+    """How far a case reaches: deepest press, largest force, outputs, longest run, sample period, series resistor."""
 
     depth_mm: float
     force_N: float
@@ -22,12 +31,14 @@ class Extent:
     highest_V: float
     duration_s: float
     period_s: float
+    series_ohm: float = 10.0
 
     def measure(self, name: Measure) -> float:
         """Return one of the natural units of this case."""
         derived = {
             "one": 1.0,
             "softness_mm_N": self.depth_mm / self.force_N,
+            "per_force2": 1.0 / self.force_N**2,
             "rate_per_s": 1.0 / self.duration_s,
             "period_per_duration": self.period_s / self.duration_s,
         }
@@ -51,14 +62,17 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Shapes:
-    """One small size and several shapes, the shapes as multiples of a natural unit of the case."""
+    """One small size and several shapes, each as multiples of a natural unit of the case."""
 
     size: float
     multiples: tuple[float, ...]
     unit: Measure = "one"
+    size_unit: Measure = "one"
 
     def __call__(self, at: Extent) -> list[tuple[float, ...]]:
-        return [(self.size, multiple * at.measure(self.unit)) for multiple in self.multiples]
+        return [
+            (self.size * at.measure(self.size_unit), multiple * at.measure(self.unit)) for multiple in self.multiples
+        ]
 
 
 @dataclass(frozen=True)

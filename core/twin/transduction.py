@@ -157,7 +157,7 @@ EFFECTS = (
         ),
         step=_channel_collapse,
         signs=Signs(
-            probes=Shapes(0.01, (0.1, 0.3, 0.5, 0.65, 0.8, 0.9), "force_N"),
+            probes=Shapes(0.6, (0.1, 0.3, 0.5, 0.65, 0.8, 0.9), "force_N", "per_force2"),
             hides_behind=("wiring_resistance", "loadcell_nonlinearity", "loadcell_saturation"),
             shown_by=("dummy_resistor", "dead_weights"),
         ),

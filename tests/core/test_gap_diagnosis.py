@@ -9,9 +9,10 @@ import pytest
 from softcal.core import profiles
 from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
+from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.explained import explained_twin
-from softcal.core.gap.fit import Hypothesis, fit, start_coordinates
+from softcal.core.gap.fit import Hypothesis, fit
 from softcal.core.gap.forms import FORMS
 from softcal.core.gap.start import base_fit
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata

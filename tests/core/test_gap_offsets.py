@@ -133,3 +133,19 @@ def test_a_tone_is_not_taken_for_noise(channel: str) -> None:
 
 def test_white_noise_has_no_tone() -> None:
     assert strongest_tone(base_fit(_case(_runs()))) is None
+
+
+def test_a_surface_that_lies_lower_leaves_no_corner_at_first_touch() -> None:
+    quiet = dataclasses.replace(BASE, sigma_force_N=0.0, sigma_output_V=0.0)
+    runs, seats_mm = [], (0.0, 0.04, -0.03)
+    for seat_mm, resistance in zip(seats_mm, (0.0, 0.015, -0.01), strict=True):
+        t_s, stage_mm = profiles.ramps([DEPTH_mm] * 3, 1.0).sample(50.0)
+        unit = dataclasses.replace(quiet, r0_ohm=quiet.r0_ohm * (1.0 + resistance), u0_mm=quiet.u0_mm + seat_mm)
+        force_N, output_V = simulate(Twin(unit, (), READOUT), t_s, stage_mm, np.random.default_rng(0))
+        runs.append(Run("ramps", t_s, READOUT, stage_mm, force_N, output_V))
+    problem = Problem(_case(runs), SIGMA)
+    error = problem.measured - _true_prediction(problem)
+    left = {c: max(float(np.max(np.abs(error[b.place]))) for b in problem.blocks if b.channel == c) for c in SIGMA}
+    # A straight step along the slopes leaves k1·40 µm = 44 mN and 0.1 mV.
+    assert left["force_N"] < 0.003
+    assert left["output_V"] < READOUT.step_V + 5e-5

@@ -1,0 +1,150 @@
+"""The noise floor: is what a hypothesis leaves noise, and is it the same noise everywhere?
+
+Noise that fades looks like a gap, and a gap that nothing explains could be called noise. What is left counts as noise
+only where it passes three tests. It is as strong at rest as under load. It follows nothing that the chain knows: depth,
+speed, load, time, temperature, what came before. And nothing of it is seen in two channels at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from softcal.core.gap.colour import Colour, ColourConfig, Stretch, log_likelihood, read_noise
+from softcal.core.gap.fit import Block, Fit, Problem
+from softcal.core.gap.library import variables
+from softcal.core.gap.linear import combine, dots
+from softcal.core.gap.start import noise_levels
+from softcal.core.recording import Array
+
+
+@dataclass(frozen=True)
+class FloorConfig:
+    """When what is left counts as noise.
+
+    Args:
+        colour: how noise is read.
+        uneven: log likelihood that noise of its own at rest, and of its own under load, may gain over the same noise
+            in both: three numbers more gain 1.5 on average and 10 in one of 10,000.
+        coherent: standard errors by which what is left may follow the variables of the chain.
+        fewest: samples at rest and under load, each, that tell; fewer do not test.
+    """
+
+    colour: ColourConfig = ColourConfig()
+    uneven: float = 14.0
+    coherent: float = 6.0
+    fewest: int = 100
+
+
+CONFIG = FloorConfig()
+
+
+def noise_of(found: Fit) -> tuple[dict[str, float], dict[str, Colour]]:
+    """Return the white noise of every channel and, where the problem has some that fades, that part anew."""
+    levels = noise_levels(found)
+    if not found.problem.colour:
+        return levels, {}
+    return _noise_of(found, levels, tuple(found.problem.colour))
+
+
+def coloured(found: Fit) -> Problem | None:
+    """Return the problem of a fit with noise that fades, read from what the fit leaves; None where it is white."""
+    problem = found.problem
+    # A measured force that drives the chain brings its own noise along; it cannot be told from the output's.
+    if problem.is_driven_by_force:
+        return None
+    levels, colours = _noise_of(found, noise_levels(found), problem.scored_channels)
+    return problem.with_noise(levels, colours) if colours else None
+
+
+def _noise_of(
+    found: Fit, levels: dict[str, float], channels: Sequence[str]
+) -> tuple[dict[str, float], dict[str, Colour]]:
+    colours = {}
+    for channel in channels:
+        noise = read_noise([_stretch(found, b) for b in _blocks(found, channel)], CONFIG.colour)
+        if noise.gain > CONFIG.colour.gain:
+            levels[channel], colours[channel] = noise.white, noise.colour
+    return levels, colours
+
+
+def _blocks(found: Fit, channel: str) -> list[Block]:
+    return [b for b in found.problem.blocks if b.channel == channel]
+
+
+def _stretch(found: Fit, block: Block, use: Array | None = None) -> Stretch:
+    error = (found.problem.measured - found.predicted)[block.place]
+    step_s = found.problem.case.runs[block.run].step_s
+    return Stretch(error, step_s, np.ones(len(error)) if use is None else use)
+
+
+def is_noise(found: Fit) -> bool:
+    """Whether what a fit leaves in its channels of coloured noise passes the three tests."""
+    return all(_is_even(found, channel) and _is_free(found, channel) for channel in found.problem.colour)
+
+
+def _is_even(found: Fit, channel: str) -> bool:
+    """Whether one noise fits rest and load alike."""
+    problem = found.problem
+    parts: dict[bool, list[Stretch]] = {False: [], True: []}
+    for block in _blocks(found, channel):
+        run = problem.case.runs[block.run]
+        if run.kind != "press" or run.stage_mm is None:
+            continue
+        is_loaded = run.stage_mm > found.base.u0_mm
+        for side in (False, True):
+            parts[side].append(_stretch(found, block, (is_loaded == side).astype(np.float64)))
+    if any(sum(float(s.use.sum()) for s in part) < CONFIG.fewest for part in parts.values()):
+        return True
+    white, colour = problem.sigma[channel], problem.colour[channel]
+    gain = sum(
+        read_noise(part, CONFIG.colour).log_likelihood - log_likelihood(part, white, colour) for part in parts.values()
+    )
+    return gain < CONFIG.uneven
+
+
+def _is_free(found: Fit, channel: str) -> bool:
+    """Whether what is left follows none of the chain's variables more than noise does by chance."""
+    columns = [*variables(found, channel).values(), *_elsewhere(found, channel)]
+    rows = [found.problem.whitened(column) for column in columns]
+    seen = projected(rows, found.jacobian)
+    by_chance = len(seen)
+    if not by_chance:
+        return True
+    gain = float(np.sum(dots(seen, found.residual) ** 2))
+    return bool(gain < by_chance + CONFIG.coherent * np.sqrt(2.0 * by_chance))
+
+
+def _elsewhere(found: Fit, channel: str) -> list[Array]:
+    """Return what the channel before this one leaves of the same runs: noise of two channels has nothing in common."""
+    problem, out = found.problem, np.zeros(len(found.problem.measured))
+    others = {b.run: b for name in ("force_N", "output_V") if name != channel for b in _blocks(found, name)}
+    for block in _blocks(found, channel):
+        if block.run in others and problem.case.runs[block.run].kind == "press":
+            out[block.place] = (problem.measured - found.predicted)[others[block.run].place]
+    return [out] if out.any() else []
+
+
+def projected(rows: Sequence[Array], held: Array) -> Array:
+    """Return (k, n) orthonormal rows that span what others, (m, n), leave of these."""
+    away = orthonormal(np.asarray(held))
+    left = [row - combine(dots(away, row), away) for row in rows] if len(away) else list(rows)
+    return orthonormal(np.array([row for row, whole in zip(left, rows, strict=True) if _stands(row, whole)]))
+
+
+def _stands(row: Array, whole: Array) -> bool:
+    # What the fit imitates to a ten-thousandth of its energy is rounding.
+    return float(row @ row) > 1e-4 * float(whole @ whole) > 0.0
+
+
+def orthonormal(rows: Array) -> Array:
+    """Return (k, n) orthonormal rows that span (m, n) rows; directions below a millionth of the strongest are left."""
+    if not len(rows):
+        return np.zeros((0, 0))
+    size = np.sqrt(np.sum(rows**2, axis=1))
+    unit = rows[size > 0.0] / size[size > 0.0][:, None]
+    if not len(unit):
+        return np.zeros((0, rows.shape[1]))
+    strength, axes = np.linalg.eigh(unit @ unit.T)
+    keep = strength > 1e-6 * strength[-1]
+    return np.asarray((axes[:, keep] / np.sqrt(strength[keep])).T @ unit)

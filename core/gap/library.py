@@ -1,0 +1,77 @@
+"""What a residual may follow: the variables that the chain itself knows, as columns over the samples of a channel."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from softcal.core.gap.case import Run
+from softcal.core.gap.fit import Fit
+from softcal.core.recording import Array
+from softcal.core.twin.mechanics import elastic_force
+from softcal.core.twin.signals import low_pass
+
+MEMORY_s = (0.5, 2.0, 8.0, 30.0)
+"""Fading times of the memories: half a second to the length of a run, a factor of four apart."""
+
+HATS = 6
+"""Depths at which a static curve may bend."""
+
+
+def variables(found: Fit, channel: str) -> Mapping[str, Array]:
+    """Return (samples,) columns by name, each 0 outside the pressed runs of a channel.
+
+    Depth, speed and load are those of the fitted base; a load of 1 is the largest of the case.
+    """
+    problem = found.problem
+    out: dict[str, Array] = {}
+    blocks = [b for b in problem.blocks if b.channel == channel]
+    blocks = [
+        b for b in blocks if problem.case.runs[b.run].kind == "press" and problem.case.runs[b.run].stage_mm is not None
+    ]
+    if not blocks:
+        return {}
+    states = [_State(found, problem.case.runs[b.run]) for b in blocks]
+    deepest = max(float(s.depth.max()) for s in states) or 1.0
+    largest = max(float(s.load.max()) for s in states) or 1.0
+    for block, state in zip(blocks, states, strict=True):
+        for name, column in state.columns(deepest, largest):
+            out.setdefault(name, np.zeros(len(problem.measured)))[block.place] = column
+    return out
+
+
+class _State:
+    """Depth, load and time of one run, as the fitted base has them."""
+
+    def __init__(self, found: Fit, run: Run) -> None:
+        base, stage_mm = found.base, np.asarray(run.stage_mm)
+        self._run = run
+        self.depth = np.maximum(stage_mm - base.u0_mm, 0.0)
+        self.load = elastic_force(self.depth, base.k1_N_mm, base.k3_N_mm3)
+
+    def columns(self, deepest: float, largest: float) -> Iterator[tuple[str, Array]]:
+        """Yield every variable of this run by name, depth and load relative to the largest of the case."""
+        run, t_s = self._run, self._run.elapsed_s
+        depth, load = self.depth / deepest, self.load / largest
+        rate = np.gradient(load, t_s)
+        for k in range(HATS):
+            place = (k + 1) / HATS
+            yield f"depth near {place:.2f}", np.maximum(0.0, 1.0 - HATS * np.abs(depth - place)) * (depth > 0.0)
+        direction = np.sign(rate)
+        yield "time", t_s
+        yield "load × time", load * t_s
+        yield "direction", direction
+        yield "load × direction", load * direction
+        yield "load² × direction", load**2 * direction
+        yield "load rate", rate
+        yield "load × load rate", load * rate
+        yield "acceleration", np.gradient(np.gradient(depth, t_s), t_s)
+        yield "position", np.asarray(run.stage_mm)
+        yield "deepest so far", np.maximum.accumulate(depth)
+        yield "load × deepest so far", load * np.maximum.accumulate(depth)
+        if run.temperature_rise_K is not None:
+            yield "temperature", run.temperature_rise_K
+            yield "load × temperature", load * run.temperature_rise_K
+        for tau_s in MEMORY_s:
+            remembered = low_pass(load, run.step_s, tau_s, np.zeros(2))
+            yield f"load over the last {tau_s:g} s", remembered
+            yield f"load × load over the last {tau_s:g} s", load * remembered

@@ -1,0 +1,154 @@
+"""Noise that fades is read from what a fit leaves, and a gap is never called noise."""
+
+import numpy as np
+import pytest
+from scipy.linalg import cho_solve, cholesky, solve_triangular, toeplitz
+from scipy.signal import lfilter
+
+from softcal.core import profiles
+from softcal.core.gap.case import Case, Run
+from softcal.core.gap.colour import Colour, ColourConfig, Stretch, filter_of, filtered, log_likelihood, read_noise
+from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.fit import BASE as PARAMETERS
+from softcal.core.gap.fit import Hypothesis, Problem, fit, to_fit
+from softcal.core.gap.floor import is_noise
+from softcal.core.gap.start import base_fit
+from softcal.core.recording import Array
+from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
+from softcal.core.twin.simulate import EffectSetting, Twin, simulate
+
+READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=16, r_series_ohm=10.0, sample_rate_Hz=50.0)
+BASE = BaseParameters(
+    u0_mm=0.35, k1_N_mm=1.5, k3_N_mm3=0.12, kappa_per_N=0.06, sigma_output_V=0.0012, sigma_force_N=0.012
+)
+DEPTH_mm = 3.1
+STEP_s = 0.02
+
+
+def _fading(rng: np.random.Generator, count: int, spread: float, fading_s: float) -> Array:
+    keep = np.exp(-STEP_s / fading_s)
+    kicks = rng.normal(0.0, spread * np.sqrt(1.0 - keep**2), count)
+    kicks[0] = rng.normal(0.0, spread)
+    return np.asarray(lfilter([1.0], [1.0, -keep], kicks))
+
+
+def _covariance(count: int, white: float, colour: Colour) -> Array:
+    fade = colour.spread**2 * np.exp(-STEP_s * np.arange(count) / colour.fading_s)
+    return np.asarray(toeplitz(fade) + white**2 * np.eye(count))
+
+
+@pytest.mark.parametrize("left_out", [0, 37])
+def test_likelihood_and_whitening_are_those_of_the_whole_covariance(left_out: int) -> None:
+    rng, count, white, colour = np.random.default_rng(3), 200, 0.7, Colour(1.3, 0.3)
+    values, use = rng.normal(size=count), np.ones(count)
+    use[rng.permutation(count)[:left_out]] = 0.0
+    seen = use > 0.0
+    factor = cholesky(_covariance(count, white, colour)[np.ix_(seen, seen)], lower=True)
+    step_s = np.full(count, STEP_s)
+    found = filtered(values, filter_of(np.full(count, white), use, step_s, colour.spread, colour.fading_s))
+    assert found[seen] == pytest.approx(solve_triangular(factor, values[seen], lower=True), abs=1e-9)
+    assert np.all(found[~seen] == 0.0)
+    exact = -0.5 * (values[seen] @ cho_solve((factor, True), values[seen])) - float(np.sum(np.log(np.diag(factor))))
+    assert log_likelihood([Stretch(values, step_s, use)], white, colour) == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("fading_s", [0.1, 0.5, 2.0])
+def test_noise_is_read_as_it_was_made(fading_s: float) -> None:
+    rng, step_s = np.random.default_rng(5), np.full(2000, STEP_s)
+    parts = [
+        Stretch(_fading(rng, 2000, 2.0, fading_s) + rng.normal(0.0, 1.0, 2000), step_s, np.ones(2000)) for _ in range(6)
+    ]
+    found = read_noise(parts, ColourConfig())
+    assert found.white == pytest.approx(1.0, rel=0.05)
+    assert found.colour.spread == pytest.approx(2.0, rel=0.25)
+    assert found.colour.fading_s == pytest.approx(fading_s, rel=0.5)
+    assert found.gain > 100.0
+
+
+def test_white_noise_has_no_colour() -> None:
+    rng, step_s = np.random.default_rng(6), np.full(2000, STEP_s)
+    for _ in range(20):
+        stretch = Stretch(rng.normal(0.0, 3.0, 2000), step_s, np.ones(2000))
+        assert read_noise([stretch], ColourConfig()).gain < ColourConfig().gain
+
+
+def _case(seed: int, *effects: EffectSetting, volts: float = 0.0, newtons: float = 0.0, fading_s: float = 0.5) -> Case:
+    rng, runs = np.random.default_rng(seed), []
+    pressed = (
+        profiles.ramps([DEPTH_mm] * 3, 0.5),
+        profiles.ramps([DEPTH_mm] * 8, 4.0),
+        profiles.steps_with_holds([1.2, 2.4, DEPTH_mm, 1.8], hold_s=4.0),
+        profiles.ramps([2.0, 2.9, 1.1, DEPTH_mm, 2.5], 1.3),
+    )
+    for profile in pressed:
+        t_s, stage_mm = profile.sample(1.0 / STEP_s)
+        force_N, output_V = simulate(Twin(BASE, effects, READOUT), t_s, stage_mm, rng, np.full(len(t_s), 22.0))
+        force_N = force_N + _fading(rng, len(t_s), newtons, fading_s)
+        output_V = output_V + _fading(rng, len(t_s), volts, fading_s)
+        runs.append(Run(profile.name, t_s, READOUT, stage_mm, force_N, output_V, profile=profile.name))
+    return Case("G1", tuple(runs))
+
+
+@pytest.mark.parametrize(("volts", "newtons", "fading_s"), [(0.003, 0.0, 0.5), (0.0, 0.03, 0.5), (0.004, 0.05, 0.15)])
+def test_a_rig_without_a_gap_is_told_so_whatever_the_colour_of_its_noise(
+    volts: float, newtons: float, fading_s: float
+) -> None:
+    found = diagnose(_case(8, volts=volts, newtons=newtons, fading_s=fading_s))
+    assert found.verdict == "no_gap"
+    floor = found.gap["output_V"].noise_floor
+    assert floor == pytest.approx(np.hypot(BASE.sigma_output_V, volts), rel=0.25)
+
+
+def test_a_cause_is_named_through_coloured_noise() -> None:
+    relaxes = EffectSetting("stress_relaxation", {"g": 0.08, "tau": 5.0})
+    found = diagnose(_case(9, relaxes, newtons=0.03))
+    assert found.verdict == "explained"
+    assert found.best.hypothesis.ids == ("stress_relaxation",)
+
+
+def _as_noise(case: Case, spread_N: float) -> bool:
+    problem = base_fit(case).problem.with_noise(
+        {"force_N": 0.012, "output_V": 0.0012, "stage_mm": 0.002}, {"force_N": Colour(spread_N, 0.5)}
+    )
+    start = np.array([to_fit(p, getattr(BASE, p.name)) for p in PARAMETERS])
+    return is_noise(fit(problem, Hypothesis(), start))
+
+
+def test_what_follows_the_load_is_no_noise_however_large_noise_is_taken_to_be() -> None:
+    dragging = _case(10)
+    runs = tuple(
+        Run(
+            r.name,
+            r.t_s,
+            READOUT,
+            r.stage_mm,
+            np.asarray(r.force_N) + 0.1 * np.sign(np.gradient(r.stage_mm)) * (np.asarray(r.stage_mm) > BASE.u0_mm),
+            r.output_V,
+        )
+        for r in dragging.runs
+    )
+    assert not _as_noise(Case("G1", runs), 0.1)
+    assert _as_noise(_case(11, newtons=0.1), 0.1)
+
+
+def test_noise_that_comes_with_the_load_is_no_floor() -> None:
+    rng, quiet = np.random.default_rng(12), _case(12)
+    runs = tuple(
+        Run(
+            r.name,
+            r.t_s,
+            READOUT,
+            r.stage_mm,
+            np.asarray(r.force_N) + _fading(rng, len(r), 0.06, 0.5) * (np.asarray(r.stage_mm) > BASE.u0_mm),
+            r.output_V,
+        )
+        for r in quiet.runs
+    )
+    assert not _as_noise(Case("G1", runs), 0.06)
+
+
+def test_a_problem_of_white_noise_is_weighted_as_ever() -> None:
+    problem = Problem(_case(1), {"force_N": 0.012, "output_V": 0.0012})
+    values = np.random.default_rng(1).normal(size=len(problem.measured))
+    assert np.array_equal(problem.whitened(values), values * problem.weights)
+    assert np.array_equal(problem.slow_noise, problem.noise)

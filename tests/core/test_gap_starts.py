@@ -1,0 +1,65 @@
+"""A larger hypothesis ends no worse than the smaller one it holds; what looks alike is parted by the proposed run."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softcal.core import profiles
+from softcal.core.gap.candidates import extent_of, probes
+from softcal.core.gap.case import Case, Run
+from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.fit import fit
+from softcal.core.gap.screen import joined, screen
+from softcal.core.gap.start import base_fit
+from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
+from softcal.core.twin.simulate import EffectSetting, Twin, simulate
+
+READOUT = ReadoutMetadata(vref_V=5.0, adc_bits=10, r_series_ohm=10.0, sample_rate_Hz=50.0)
+BASE = BaseParameters(u0_mm=0.35, k1_N_mm=0.9, k3_N_mm3=0.05, r0_ohm=0.05, kappa_per_N=0.31, sigma_force_N=0.015)
+LEAD = EffectSetting("wiring_resistance", {"Rw": 1.2})
+
+
+def _table(seed: int, *effects: EffectSetting) -> Case:
+    """Return one table of force and output: a flat output to half the force, then a steep rise."""
+    rng = np.random.default_rng(seed)
+    t_s, stage_mm = profiles.ramps([1.2, 2.4, 3.1, 1.8, 3.0], 1.0).sample(50.0)
+    force_N, output_V = simulate(Twin(BASE, effects, READOUT), t_s, stage_mm, rng)
+    return Case("S", (Run("S", t_s, READOUT, None, force_N, output_V),))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_effect_ends_worse_than_the_twin_without_it(seed: int) -> None:
+    case = _table(seed, LEAD)
+    base = base_fit(case)
+    extent = extent_of(case, 1.0, float(np.max(case.runs[0].force_N)))
+    leads = screen(base, probes(case, extent))
+    assert leads[0].gain > 1000.0
+    for lead in leads:
+        assert joined(base, lead).chi2 <= 1.001 * base.chi2, lead.effect.id
+
+
+def test_a_start_that_leads_nowhere_is_tried_more_gently() -> None:
+    case = _table(1, LEAD)
+    base = base_fit(case)
+    extent = extent_of(case, 1.0, float(np.max(case.runs[0].force_N)))
+    lead = next(one for one in screen(base, probes(case, extent)) if one.effect.id == "wiring_resistance")
+    # Forty times too large a promise, as a bent surface makes it.
+    far = replace(lead, values=(40.0 * lead.values[0],), shift=40.0 * lead.shift)
+    lost = fit(base.problem, base.hypothesis.adding(lead.effect), far.start(base))
+    found = joined(base, far)
+    assert found.chi2 < min(lost.chi2, 0.5 * base.chi2)
+
+
+def test_what_looks_alike_is_parted_by_a_run_though_something_is_left_besides() -> None:
+    collapsing = EffectSetting("channel_collapse", {"beta": 0.08, "Fc": 1.2})
+    base = replace(BASE, r0_ohm=1.2, kappa_per_N=0.1)
+    t_s, stage_mm = profiles.ramps([1.2, 2.4, 3.1, 1.8, 3.0], 1.0).sample(50.0)
+    force_N, output_V = simulate(Twin(base, (collapsing,), READOUT), t_s, stage_mm, np.random.default_rng(4))
+    # No effect of the catalogue has an output that swings with its own level.
+    output_V = output_V + 0.04 * np.sin(25.0 * output_V)
+    found = diagnose(Case("S", (Run("S", t_s, READOUT, None, force_N, output_V),)))
+    assert found.verdict == "unknown"
+    assert ["channel_collapse", "wiring_resistance"] in [sorted(pair) for pair in found.ambiguous_with]
+    assert found.next_experiment.separation_sigma > 10.0
+    assert "channel_collapse" in found.next_experiment.why
