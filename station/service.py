@@ -21,7 +21,7 @@ from softcal.core.lot import check_serial
 from softcal.core.orders import Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.profiles import Profile
 from softcal.core.quality.gate import Gate, RigFacts
-from softcal.core.quality.known_loads import ReadingConfig
+from softcal.core.quality.reading_at_rest import ReadingConfig
 from softcal.core.words.reason import Reason, reason, root_of, several
 from softcal.station.acquisition import HOMING, RunProgress, ZeroMoved, record
 from softcal.station.at_rest import RestReading, read_at_rest

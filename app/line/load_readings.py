@@ -14,11 +14,10 @@ from softcal.core.quality.known_loads import (
     READ,
     WANTED,
     KnownLoad,
-    ReadingConfig,
-    level_at_rest,
     loads_text,
     ordered_load,
 )
+from softcal.core.quality.reading_at_rest import ReadingConfig, level_at_rest
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.budget import COVERAGE
 from softcal.core.words.reason import Reason, Value, reason
