@@ -18,6 +18,9 @@ from softcal.core.challenge.score import ScoreSheet, score_reports
 pytestmark = pytest.mark.timeout(1800)
 
 CASES = 4
+FORM_CASES = 8
+"""One in eight ends as an honest set or lies below the noise: four cases might miss the floor by chance."""
+
 PUBLISHED_CASES = 6
 """The floors of these lines are low: fewer cases might miss them by chance."""
 
@@ -47,7 +50,9 @@ def every_line(tmp_path_factory: pytest.TempPathFactory) -> ScoreSheet:
 
 
 def _count(line: str) -> int:
-    return PUBLISHED_CASES if line.startswith("published") else CASES
+    if line.startswith("published"):
+        return PUBLISHED_CASES
+    return FORM_CASES if line == "form" else CASES
 
 
 def _without_rows() -> tuple[object, ...]:
