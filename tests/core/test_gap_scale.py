@@ -1,6 +1,7 @@
 """A diagnosis does not depend on the size of a rig: the same recordings in larger or smaller units say the same."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -72,7 +73,7 @@ def scaled(case: Case, force: float, stroke: float, volts: float, ohms: float) -
     return Case(case.serial, tuple(runs), stiffness_N_mm=(low * force / stroke, high * force / stroke))
 
 
-def _said(case: Case) -> dict[str, object]:
+def _said(case: Case) -> dict[str, Any]:
     found = diagnose(case)
     assert found.verdict != "data"
     named = found.best.hypothesis.ids
@@ -81,7 +82,7 @@ def _said(case: Case) -> dict[str, object]:
 
 
 @pytest.fixture(scope="module")
-def said() -> dict[str, dict[str, object]]:
+def said() -> dict[str, dict[str, Any]]:
     return {name: _said(_case(*effects)) for name, effects in CASES.items()}
 
 
@@ -92,18 +93,20 @@ def said() -> dict[str, dict[str, object]]:
     ids=["0.16 N", "150 N", "0.3 mm", "millivolts", "all"],
 )
 def test_a_larger_rig_is_told_the_same(
-    said: dict[str, dict[str, object]], name: str, factors: tuple[float, float, float, float]
+    said: dict[str, dict[str, Any]], name: str, factors: tuple[float, float, float, float]
 ) -> None:
-    if name in CURVED and factors[0] != 1.0:
-        pytest.skip("beside the curve of a cell, whose capacity does not scale, its saturation may be held open or not")
     found, first = _said(scaled(_case(*CASES[name]), *factors)), said[name]
+    if name in CURVED and factors[0] != 1.0:
+        # Beside the curve of a cell, whose capacity does not scale, its saturation may be held open or not.
+        assert name in found["named"] and found[name] > 0.5
+        return
     assert set(found) == set(first)
     for key, value in first.items():
         # A cell's curve is written for a capacity of 10 N: as a rival it weighs a little more on one rig than another.
         assert found[key] == (pytest.approx(value, abs=0.01) if isinstance(value, float) else value), key
 
 
-def test_the_planted_effects_are_named(said: dict[str, dict[str, object]]) -> None:
+def test_the_planted_effects_are_named(said: dict[str, dict[str, Any]]) -> None:
     assert {name: said[name]["named"] for name in CASES} == {n: () if n == "none" else (n,) for n in CASES}
 
 
