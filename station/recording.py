@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softcal.core.errors import BadReply, InputError
-from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
 from softcal.core.words.reason import reason
 from softcal.station.clock import ClockFit, fit_clock, residual_offset_s
 from softcal.station.interfaces import Sample, StagePosition
@@ -31,7 +31,7 @@ LONGEST_GAP_S = 0.25
 """Force is read between two samples of the load cell no further apart than this: one of a cell at 10 Hz may be lost."""
 
 FIT_SAMPLES = 3000
-"""Enough of a run to see by how much the load cell is late."""
+"""Enough of a run for a fit of force and depth: how late the load cell is, and whether one law holds."""
 
 LARGEST_DRIFT = 0.02
 """A device clock further off than this is broken, or its rate is declared wrong."""
@@ -261,23 +261,32 @@ def _behind_s(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, fact
     """
     device_s, force_N = _columns(samples)
     force_s = cell.to_host(device_s)
-    inside = np.flatnonzero((force_s >= facts.moves[0][4]) & (force_s <= facts.span_s[1]))
-    inside = inside[:: max(1, len(inside) // FIT_SAMPLES)]
+    inside = _enough(_in_presses(force_s, facts))
     found_s = lag_s(force_s[inside], force_N[inside, 0], track.at, facts.contact_mm)
     if facts.is_latency_stated:
         check_lag(found_s, facts.force_late_s, float(np.median(np.diff(device_s))))
     return found_s
 
 
+def _in_presses(force_s: Array, facts: RunFacts) -> Indices:
+    """Return the samples from the slow press before the profile to its end."""
+    return np.flatnonzero((force_s >= facts.moves[0][4]) & (force_s <= facts.span_s[1]))
+
+
+def _enough(samples: Indices) -> Indices:
+    """Return every so many of them that a fit stays fast."""
+    return samples[:: max(1, len(samples) // FIT_SAMPLES)]
+
+
 def _check_gain(samples: Sequence[Sample], cell: ClockFit, track: StageTrack, facts: RunFacts, late_s: float) -> None:
     """Compare all presses, the slow one before the profile too: a gain may change while the first one begins."""
     device_s, force_N = _columns(samples)
     force_s = cell.to_host(device_s) - late_s
-    inside = np.flatnonzero((force_s >= facts.moves[0][4]) & (force_s <= facts.span_s[1]))
+    inside = _in_presses(force_s, facts)
     if not len(inside):
         return
     check_gain(track.at(force_s[inside]) - facts.zero_mm, force_N[inside, 0] - facts.zero_N)
-    inside = inside[:: max(1, len(inside) // FIT_SAMPLES)]
+    inside = _enough(inside)
     check_law(force_s[inside], force_N[inside, 0] - facts.zero_N, track.at, facts.contact_mm, facts.zero_mm)
 
 
