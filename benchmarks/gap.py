@@ -4,6 +4,8 @@
     python benchmarks/gap.py --cases 200                  the full tables
     python benchmarks/gap.py --cases 50 --lines usual form --seed 9000
     python benchmarks/gap.py --tables experiments speed   proposed experiments; seconds per case
+    python benchmarks/gap.py --tables residual forms      twins with empirical terms, and with other forms, on a run
+                                                          kept back
 
 Prints Markdown. `--keep DIR --seed S` goes on where it was cut off. `--write FILE` also writes it there; `--log FILE`
 appends one line per case that is not right.
@@ -21,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gap_twin import twin_table
 
 from softcal.core.challenge.cases import EXPERIMENTS, RunPlan, SealedCase, distance_sigma
 from softcal.core.challenge.draw import LINES, draw_case
@@ -33,7 +36,8 @@ from softcal.core.gap.diagnosis import diagnose
 from softcal.core.metrics import finite_or_none
 from softcal.core.twin.parameters import ReadoutMetadata
 
-TABLES = ("lines", "detection", "sureness", "experiments", "speed")
+TABLES = ("lines", "detection", "sureness", "experiments", "speed", "residual", "forms")
+USUAL_TABLES = TABLES[:5]
 CATALOGUE_LINES = ("usual", "third", "tenth", "pair", "triple")
 TARGETS = {
     ("usual", "cause first"): 99,
@@ -283,7 +287,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="four cases per line")
     parser.add_argument("--seed", type=int, default=None, help="first seed (default: chosen now)")
     parser.add_argument("--lines", nargs="+", choices=tuple(LINES), default=tuple(LINES))
-    parser.add_argument("--tables", nargs="+", choices=TABLES, default=TABLES)
+    parser.add_argument("--tables", nargs="+", choices=TABLES, default=USUAL_TABLES)
     parser.add_argument("--write", type=Path, help="write the tables into this file as well")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep every case here; a run that was cut off goes on")
     parser.add_argument("--log", type=Path, help="append one line per case that is not right")
@@ -303,6 +307,9 @@ def main() -> None:
             parts.append(experiment_table(done, seed, options.keep, options.log))
     if "speed" in options.tables:
         parts.append(speed_table(max(3, count // 10), seed))
+    for line, what in (("outside", "residual"), ("form", "forms")):
+        if what in options.tables:
+            parts.append(twin_table([draw_case(seed + k, f"{line}-{seed + k}", line) for k in range(count)], as_case))
     text = "\n\n".join(parts) + "\n"
     print(text)
     if options.write:

@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from softcal.core.challenge.draw import draw_case
 from softcal.core.gap.candidates import Probe, extent_of, probes
 from softcal.core.gap.coordinates import start_coordinates
-from softcal.core.gap.fit import Hypothesis, Problem, _Space, fit
+from softcal.core.gap.fit import Around, Hypothesis, Problem, _Space, fit
 from softcal.core.gap.start import base_fit
 from softcal.core.recording import Array
 
@@ -25,19 +25,19 @@ from softcal.core.recording import Array
 def with_scipy(problem: Problem, hypothesis: Hypothesis, start: Array) -> float:
     """Return χ² at scipy's minimum, by its trust-region method with the derivatives of the diagnosis."""
     space = _Space(problem, hypothesis)
-    kept: dict[bytes, Array] = {}
+    kept: dict[bytes, tuple[Array, Around]] = {}
 
-    def predicted(x: Array) -> Array:
+    def predicted(x: Array) -> tuple[Array, Around]:
         # The derivatives start from the prediction that the residual has just made.
         if x.tobytes() not in kept:
             kept.clear()
-            kept[x.tobytes()] = problem.predict(hypothesis, x)
+            kept[x.tobytes()] = problem.predict_around(hypothesis, x)
         return kept[x.tobytes()]
 
     found = least_squares(
-        lambda x: problem.whitened(predicted(x) - problem.measured),
+        lambda x: problem.whitened(predicted(x)[0] - problem.measured),
         np.clip(start, space.low + 1e-12, space.high - 1e-12),
-        jac=lambda x: np.array([problem.whitened(row) for row in space.slopes(x, predicted(x))]).T,
+        jac=lambda x: np.array([problem.whitened(row) for row in space.slopes(x, *predicted(x))]).T,
         bounds=(space.low, space.high),
         x_scale=space.scale,
         ftol=1e-7,

@@ -4,9 +4,12 @@ python benchmarks/line_sequences.py [--first 0] [--count 300] [--kept results.js
 
 A station is played by its rows: it takes orders, ends them with a drawn verdict, breaks, falls silent and comes back
 as another process. A person scans units, codes and nonsense, presses F2, F4, F6 and F8 once, or twice 0–500 ms apart,
-reloads, looks at a second tab; the server is killed and started again. After every event two things are checked. The
-card that the browser shows is the one that the registry says, within the patience below. Every run that was ordered
-was ordered by F2 (or a scanned start), once, under a card that showed that unit or right after its scan at that screen.
+reloads, looks at a second tab; the server is killed and started again. After every event two things are checked:
+
+- The card that the browser shows is the one that the registry says, within the patience below.
+- Every run that was ordered has a start of its own: F2 or a scanned start, at most 2.5 s before the order, made while
+  the card showed that unit, or while the scan of that unit at that screen was not answered yet. The page itself writes
+  down when each key was pressed, and what stood on the card then. No start has two runs.
 
 Each sequence has its seed and one line in the file of `--kept`; those that stand there are not run again. Needs
 Chromium and Playwright.
@@ -24,13 +27,13 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import BrowserContext, Page
 from playwright.sync_api import Error as PlaywrightError
 from screens_common import GOOD, LOT, STATION, PlayedLine, chromium, free_port, is_healthy
 
@@ -54,9 +57,11 @@ PATIENCE_S = 8.0
 MOST_RETESTS = 99
 """The rules of a lot allow no more. With fewer the three units are used up, and what follows presses nothing."""
 
-LATE = timedelta(seconds=3)
-"""A start that the server has not taken after 2.5 s is dropped by the screen, which says so; until then it may come
-while the next thing is done."""
+LATE_MS = 2500
+"""A start that was not ordered within this time is ordered no more, and the screen says so."""
+
+TICK_MS = 1
+"""The browser's clock counts in whole milliseconds."""
 
 SERIALS = ("EG-2411-001", "EG-2411-002", "EG-2411-003")
 CODES = (*SERIALS, *SERIALS, "EG-2411-000", "not a serial!", "LOT:none", "BADGE:Kim", "GOLDEN:EG-2411-900", "CMD:START")
@@ -73,9 +78,44 @@ KINDS = {
     "break": 0.7,
     "wait": 2,
 }
-STARTS = ("F2", "CMD:START")
+START = "CMD:START"
 COMMANDS = ("CMD:", "BADGE:")
 """Codes that change nothing about which unit was scanned last."""
+
+WATCH = """
+addEventListener("keydown", (event) => {
+  if (event.repeat || !["F2", "Enter"].includes(event.key)) return
+  const card = document.querySelector(".sc-card")
+  window.pressed({
+    at_ms: Date.now(), key: event.key, state: card?.dataset.state ?? "",
+    serial: card?.querySelector(".sc-serial")?.textContent ?? "", taken_ms: document.softcalTaken ?? 0,
+  })
+}, true)
+"""
+"""Writes down each key that may be a start, with what stood on the card at that moment."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """One press of F2 or of Enter at a screen.
+
+    Args:
+        at_ms: when, since 1970.
+        key: which.
+        state, serial: of the card that was shown.
+        taken_ms: the newest scan that the screen knew to be taken.
+    """
+
+    at_ms: float
+    key: str
+    state: str
+    serial: str
+    taken_ms: float
+
+    def is_for(self, serial: str, scanned: str, scanned_ms: float) -> bool:
+        """Whether it may press a unit: the card showed it, or it was scanned here and no answer to that was shown."""
+        is_shown = self.state.startswith(("armed", "ask")) and self.serial == serial
+        return is_shown or (scanned == serial and self.taken_ms < scanned_ms)
 
 
 class Station(threading.Thread):
@@ -161,14 +201,14 @@ class Server:
 class Trial:
     """One sequence: what is done, what is seen, what is wrong."""
 
-    def __init__(self, browser: Browser, server: Server, registry: Registry, station: Station, seed: int) -> None:
+    def __init__(self, context: BrowserContext, server: Server, registry: Registry, station: Station, seed: int):
         self._server, self._registry, self._station = server, registry, station
         self._rng = np.random.default_rng(seed)
-        self._browser = browser
-        self._context = browser.new_context(viewport={"width": 1280, "height": 900})
-        self.page = self._opened()
-        self._before, self._scanned = ("", ""), ""
-        self._start: tuple[datetime, tuple[str, str], str] | None = None
+        self._context = context
+        self._keys: list[Key] = []
+        self._scans: list[tuple[float, str]] = []
+        self._known = {order.order_id for order in self.runs()}
+        self.page = self._opened(self._keys)
         self.done: list[str] = []
         self.wrong: list[str] = []
 
@@ -177,20 +217,20 @@ class Trial:
         names, weights = list(KINDS), np.array(list(KINDS.values()))
         for _ in range(EVENTS):
             kind = str(self._rng.choice(names, p=weights / weights.sum()))
-            self._before, runs = self._card(self.page), self.runs()
-            starts = getattr(self, f"_do_{kind}")()
-            pressed_at = datetime.now(UTC)
+            getattr(self, f"_do_{kind}")()
             self._check_card(self.page)
-            self._check_motion(self._before, runs, starts)
-            if starts:
-                self._start = pressed_at, self._before, self._scanned
+            self._check_motion()
             if kind in ("reload", "kill"):
-                self._scanned = ""  # Another screen, as far as the line can tell.
-        self._context.close()
+                self._scans.clear()  # Another screen, as far as the line can tell.
+        self.page.wait_for_timeout(LATE_MS)
+        self._check_motion()
+        self.page.close()
 
-    def _opened(self) -> Page:
+    def _opened(self, keys: list[Key]) -> Page:
         page = self._context.new_page()
         page.set_default_timeout(60_000)
+        page.expose_function("pressed", lambda found: keys.append(Key(**found)))
+        page.add_init_script(WATCH)
         page.goto(f"{self._server.address}/line")
         page.locator(".sc-card").first.wait_for()
         page.wait_for_function(
@@ -198,85 +238,75 @@ class Trial:
         )
         return page
 
-    def _do_press(self) -> bool:
+    def _scan(self, code: str) -> None:
+        self._scans.append((1e3 * time.time(), code))
+        self.page.keyboard.type(code, delay=1)
+        self.page.keyboard.press("Enter")
+
+    def _do_press(self) -> None:
         """Do what a person does: scan, read, say yes where it is asked for, start."""
         serial = str(self._rng.choice(SERIALS))
         self.done.append(f"press {serial}")
-        # Who scans and presses at one screen has that unit in the hand, even where the card is a moment late.
-        self._scanned = serial
-        self.page.keyboard.type(serial, delay=1)
-        self.page.keyboard.press("Enter")
+        self._scan(serial)
         self._check_card(self.page)
         if self._card(self.page)[0].startswith("ask"):
             self.page.keyboard.press("F4")
             self._check_card(self.page)
-        self._before = self._card(self.page)
         self.page.keyboard.press("F2")
-        return True
 
-    def _do_scan(self) -> bool:
+    def _do_scan(self) -> None:
         code = str(self._rng.choice(CODES))
         self.done.append(code)
-        # A scan may be on its way still while registry and card agree on what was before it.
-        self._scanned = code.removeprefix("GOLDEN:") if not code.startswith(COMMANDS) else self._scanned
-        self.page.keyboard.type(code, delay=1)
-        self.page.keyboard.press("Enter")
-        return code in STARTS
+        self._scan(code)
 
-    def _do_key(self) -> bool:
+    def _do_key(self) -> None:
         key = str(self._rng.choice(KEYS))
         self.done.append(key)
         self.page.keyboard.press(key)
-        return key in STARTS
 
-    def _do_twice(self) -> bool:
+    def _do_twice(self) -> None:
         first, second = (str(self._rng.choice(KEYS)) for _ in range(2))
         apart_ms = int(self._rng.integers(0, 501))
         self.done.append(f"{first}, {apart_ms} ms, {second}")
         self.page.keyboard.press(first)
         self.page.wait_for_timeout(apart_ms)
         self.page.keyboard.press(second)
-        return first in STARTS or second in STARTS
 
-    def _do_reload(self) -> bool:
+    def _do_reload(self) -> None:
         self.done.append("reload")
         self.page.reload()
         self.page.locator(".sc-card").first.wait_for()
-        return False
 
-    def _do_tab(self) -> bool:
+    def _do_tab(self) -> None:
         self.done.append("second tab")
-        other = self._opened()
+        other = self._opened([])
         self._check_card(other)
         other.close()
-        return False
 
-    def _do_kill(self) -> bool:
+    def _do_kill(self) -> None:
         self.done.append("kill server")
         self._server.kill()
         self.page.wait_for_timeout(int(self._rng.integers(0, 3000)))
         self._server.start()
         self.page.locator("#softcal-gone").wait_for(state="hidden", timeout=60_000)
-        return False
 
-    def _do_silent(self) -> bool:
+    def _do_silent(self) -> None:
         self.done.append("station silent")
         self._station.is_silent.set()
-        self.page.wait_for_timeout(4500)
+        until_s = time.monotonic() + PATIENCE_S
+        while read_line(self._registry, Screen(STATION)).is_answering and time.monotonic() < until_s:
+            self.page.wait_for_timeout(100)
         self._check_card(self.page)
         self._station.come_back()
-        return False
 
-    def _do_break(self) -> bool:
+    def _do_break(self) -> None:
         self.done.append("station breaks")
         self._station.breaks.set()
         self.page.wait_for_timeout(500)
-        return False
 
-    def _do_wait(self) -> bool:
+    def _do_wait(self) -> None:
         self.done.append("wait")
         self.page.wait_for_timeout(int(self._rng.integers(200, 2500)))
-        return False
 
     def _expected(self) -> tuple[str, str]:
         view: LineView = line_view(read_line(self._registry, Screen(STATION)), "", partial(text, "en"))
@@ -307,22 +337,40 @@ class Trial:
         queue = self._registry.order_queue
         return [order for order, _ in queue.runs(STATION, 10_000) if order.kind.is_run]
 
-    def _check_motion(self, before: tuple[str, str], runs: list[Order], starts: bool) -> None:
-        known, scanned = {order.order_id for order in runs}, self._scanned
-        orders = [order for order in self.runs() if order.order_id not in known]
-        new = [order.serial for order in orders]
-        if new and not starts and self._start:
-            pressed_at, was_before, was_scanned = self._start
-            late = [order for order in orders if order.created and order.created - pressed_at < LATE]
-            if len(late) == len(orders):
-                # The start before this event was still on its way.
-                starts, before, scanned, self._start = True, was_before, was_scanned, None
-        if new and not starts:
-            self.wrong.append(f"{new} pressed by {self.done[-1]}")
-        elif len(new) > 1:
-            self.wrong.append(f"{new} pressed by one start")
-        elif new and new[0] != scanned and (not before[0].startswith(("armed", "ask")) or before[1] != new[0]):
-            self.wrong.append(f"{new} pressed under {before}")
+    def _check_motion(self) -> None:
+        new = [order for order in self.runs() if order.order_id not in self._known]
+        for order in sorted(new, key=lambda order: order.created or datetime.max.replace(tzinfo=UTC)):
+            self._known.add(order.order_id)
+            start = self._start_of(order)
+            if start is None:
+                starts = [(key, *self._scanned_at(key)) for key in self._keys if self._is_start(key)]
+                self.wrong.append(f"{order.serial} pressed at {order.created}, asked by none of {starts[-3:]}")
+            else:
+                # Whatever was pressed before it is answered, too.
+                del self._keys[: self._keys.index(start) + 1]
+
+    def _start_of(self, order: Order) -> Key | None:
+        """Return the start that asked for a run."""
+        if order.created is None:
+            return None
+        ordered_ms = 1e3 * order.created.timestamp()
+        for key in self._keys:
+            is_in_time = -TICK_MS <= ordered_ms - key.at_ms <= LATE_MS
+            if self._is_start(key) and is_in_time and key.is_for(order.serial, *self._scanned_at(key)):
+                return key
+        return None
+
+    def _is_start(self, key: Key) -> bool:
+        return key.key == "F2" or self._typed_at(key) == START
+
+    def _typed_at(self, key: Key) -> str:
+        return next((code for at_ms, code in reversed(self._scans) if at_ms <= key.at_ms + TICK_MS), "")
+
+    def _scanned_at(self, key: Key) -> tuple[str, float]:
+        """Return the unit that was scanned last at this screen before a key, and when (ms since 1970)."""
+        units = ((at_ms, code) for at_ms, code in reversed(self._scans) if not code.startswith(COMMANDS))
+        found = next(((code, at_ms) for at_ms, code in units if at_ms <= key.at_ms), ("", 0.0))
+        return found[0].removeprefix("GOLDEN:"), found[1]
 
 
 def runs_of(registry: Registry) -> int:
@@ -387,15 +435,25 @@ def main() -> None:
         tempfile.TemporaryDirectory(prefix="softcal-line-", ignore_cleanup_errors=True) as place,
         chromium() as browser,
     ):
+        # One browser for all, as a line has it: what a sequence leaves behind are its rows, which `cleared` looks at.
+        context = browser.new_context(viewport={"width": 1280, "height": 900})
         with line_served(Path(place), options.first) as (server, registry, station):
             for seed in seeds:
                 if time.monotonic() > until_s:
                     break
+                began_s = time.monotonic()
                 cleared(registry, station)
                 begun = runs_of(registry)
-                trial = Trial(browser, server, registry, station, seed)
+                trial = Trial(context, server, registry, station, seed)
                 trial.go()
-                row = {"seed": seed, "events": trial.done, "wrong": trial.wrong, "runs": runs_of(registry) - begun}
+                took_s = round(time.monotonic() - began_s, 1)
+                row = {
+                    "seed": seed,
+                    "s": took_s,
+                    "events": trial.done,
+                    "wrong": trial.wrong,
+                    "runs": runs_of(registry) - begun,
+                }
                 known.append(row)
                 with options.kept.open("a") as kept:
                     kept.write(json.dumps(row) + "\n")

@@ -45,11 +45,12 @@ SETTLE_MS = 500
 """So long a new browser goes on reading scripts before it counts as one that knows the page."""
 
 LOT, UNIT = "bench", "U004242"
+HEADLINE = ".st-key-headline p"
 FIRST_NUMBER = "[data-testid=stMetricValue] >> nth=1"
 EMPTY = 'import streamlit as st\nst.html("<b class=sc-word>READY</b>")\n'
 PAGES = (
     ("line", "line", ".sc-word", "the word of the state"),
-    ("lot", f"lot?lot={LOT}", FIRST_NUMBER, "first-pass yield"),
+    ("lot", f"lot?lot={LOT}", HEADLINE, "first-pass yield"),
     ("lot", f"lot?lot={LOT}", ".js-plotly-plot >> nth=2", "control chart"),
     ("lot", f"lot?lot={LOT}", "[data-testid=stDataFrame] >> nth=-1", "table of units"),
     ("unit", f"unit?unit={UNIT}", "span[role=status]", "verdict"),
@@ -61,8 +62,8 @@ PAGES = (
         "units in use",
     ),
     ("source", f"source?lot={LOT}", "text=Press the source unit >> nth=0", "what to press"),
-    ("networks", f"networks?lot={LOT}", "[data-testid=stTable]", "table of networks"),
-    ("limits", f"limits?lot={LOT}", "[data-testid=stNumberInput]", "the limit"),
+    ("networks", f"networks?lot={LOT}", HEADLINE, "error of the network in use"),
+    ("limits", f"limits?lot={LOT}", HEADLINE, "the limit"),
     ("gap", "gap", "[data-testid=stExpander]", "how to begin"),
     ("station", "station", "[data-testid=stButton]", "what it can be told"),
     ("profiles", "profiles", FIRST_NUMBER, "its numbers"),

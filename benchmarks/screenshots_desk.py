@@ -85,7 +85,7 @@ def fill(url: str, folder: Path) -> None:
         jobs = (
             ({"lot": LOT, "hidden": [32, 16], "seed": 0, "members": 1, "max_epochs": 60}, "train"),
             (
-                {"case": str(practise())},
+                {"case": str(practise("usual"))},
                 "diagnose",
             ),
         )
@@ -145,7 +145,7 @@ def step(k: int, shift: float, drift: float) -> dict[str, object]:
     event = "held" if k in (60, 61, 62) else "followed"
     facts = {"stream": "line 3, week 47", "sample": 9000 * k, "row": 9000 * k, "t_s": 180.0 * k, "event": event}
     drifted = {"shift": shift, "log_gain": 0.05 * shift, "shift_sd": 0.02 + 1e-4 * k, "log_gain_sd": 0.01}
-    alarm = f"predicted error {predicted:.3g} N is above the limit 0.15 N: calibrate with a reference"
+    alarm = "the predicted error has grown past the limit; calibrate against a reference"
     said = {"reason": "another use, not drift" if event == "held" else "", "alarm": alarm if predicted > 0.15 else ""}
     unit_map = {"gain": 1 - 0.02 * shift, "offset": 0.01 * shift, "predicted_rmse": predicted, "verdict": event}
     return {**facts, **drifted, **unit_map, **said}

@@ -20,6 +20,7 @@ from softcal.core.errors import SoftcalError
 from softcal.station.acquisition import PRESSING, RunProgress
 from softcal.station.interfaces import Sample
 from softcal.station.recording import Raw, RunFacts, assemble
+from softcal.station.simulated.faults import hang
 from softcal.station.simulated.proof_trial import GoodRig, draw_good_rig, press_good_rig
 from softcal.station.simulated.station import SimulatedStation
 from softcal.station.spool import SpooledRun, read_spool
@@ -89,7 +90,7 @@ def _change(rig: GoodRig) -> Iterator[dict[str, Any]]:
 
 
 def _break(rig: GoodRig) -> Iterator[dict[str, Any]]:
-    for what, values, breaks in (("stuck", STUCK_S, _stick), ("slipped", SLIPPED_MM, _slip)):
+    for what, values, breaks in (("stuck", STUCK_S, hang), ("slipped", SLIPPED_MM, _slip)):
         for value in values:
             yield {"what": what, "value": value, "said": _pressed(rig, breaks, value)}
 
@@ -143,18 +144,6 @@ def _pressed(rig: GoodRig, breaks: Breaks, value: float) -> str:
 
     said = _said(lambda: press_good_rig(rig, None, on_progress).zero_N)[0]
     return said if is_broken else "not broken"
-
-
-def _stick(station: SimulatedStation, seconds: float) -> None:
-    """The load cell hangs in the middle of a press, its noise goes on."""
-    since_s, rng = station.world.now_s(), np.random.default_rng(1)
-    level_N: list[float] = []
-
-    def stuck(now_s: float, force_N: float) -> float:
-        level_N.append(force_N)
-        return level_N[0] + float(rng.normal(0, 0.005)) if now_s < since_s + seconds else force_N
-
-    station.rig.force_fault = stuck
 
 
 def _slip(station: SimulatedStation, slipped_mm: float) -> None:

@@ -25,6 +25,7 @@ from softcal.core.twin.spread import draw_lot
 from softcal.station.acquisition import record
 from softcal.station.bench import open_simulated_bench
 from softcal.station.service import Hooks, StationService
+from softcal.station.simulated.faults import HOMING
 from softcal.station.simulated.line import NAMES, SimulatedLine
 from softcal.station.simulated.station import SimulatedStation
 
@@ -132,6 +133,8 @@ class ShiftWithFaults:
 
     def _press(self, is_broken: bool) -> None:
         fault = str(self._rng.choice(list(NAMES))) if is_broken else ""
+        if HOMING in fault:
+            self._open_anew()
         if fault:
             self._line.inject(fault)
         self._line.mount(f"U{self._count}")
@@ -151,6 +154,12 @@ class ShiftWithFaults:
             if is_good:
                 print(f"recorded as good: {fault}")
         self._wait_and_acknowledge(fault)
+
+    def _open_anew(self) -> None:
+        """A stage homes in the first run after its station was opened, and in no other."""
+        self._past_s += self._station.world.now_s()
+        self._service.close()
+        self._service.start()
 
     def _wait_and_acknowledge(self, fault: str) -> None:
         """A minute passes, an order comes that nobody may give, then somebody acknowledges."""

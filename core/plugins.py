@@ -4,15 +4,33 @@ The core reads the list of installed packages here only: a plug-in that one proc
 make the same result mean two things.
 """
 
+import os
+import sys
 from collections.abc import Callable, Iterable
-from importlib.metadata import EntryPoint, entry_points
+from functools import lru_cache
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 
 from softcal.core.errors import InputError
 
 
 def installed(group: str) -> list[EntryPoint]:
     """Return the entry points of all installed packages in a group, by name."""
-    return sorted(entry_points(group=group), key=lambda point: point.name)
+    found = _in_folders(group, tuple((folder, _changed_ns(folder)) for folder in sys.path))
+    return sorted(found, key=lambda point: point.name)
+
+
+@lru_cache(maxsize=16)
+def _in_folders(group: str, folders: tuple[tuple[str, int], ...]) -> EntryPoints:
+    """Return a group of the folders on the path; a package that comes or goes changes the time of its folder."""
+    # Every installed package is opened for this: a station that opens its devices would do so dozens of times.
+    return entry_points(group=group)
+
+
+def _changed_ns(folder: str) -> int:
+    try:
+        return os.stat(folder or ".").st_mtime_ns
+    except OSError:
+        return 0
 
 
 def loaded(point: EntryPoint, kind: str) -> object:

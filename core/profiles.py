@@ -1,5 +1,6 @@
 """Stage profiles as data: straight moves, holds and rests, sampled for the twin or sent to the stage move by move."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -7,6 +8,10 @@ import numpy as np
 
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
+from softcal.core.words.reason import Reason, reason
+
+NAME_AND_SIZE = re.compile(r"(\D+?) (\d.*)", re.DOTALL)
+"""A name that says what the profile was made with: `ramps 0.6 mm/s`."""
 
 
 @dataclass(frozen=True)
@@ -211,3 +216,11 @@ BUILT_IN: Mapping[str, Callable[[np.random.Generator, float], Profile]] = {
     "random presses": lambda rng, depth_mm: random_presses(rng, 60.0, depth_mm),
 }
 """The profiles there are, by name, for a depth in mm; any other is a file of moves."""
+
+
+def pressed(name: str) -> Reason:
+    """Return the name of a profile, as a recording keeps it, in words that every language has of its own."""
+    found = NAME_AND_SIZE.fullmatch(name)
+    if found is None:
+        return reason("gap.pressed", profile=name)
+    return reason("gap.pressed.sized", profile=found[1], size=found[2])

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from sqlalchemy import Connection, bindparam, insert, select
 
 from softcal.core.errors import RegistryError
+from softcal.db.found import found_in
 from softcal.db.tables import blobs, canonical_json
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 KNOWN_BLOB = select(blobs.c.size).where(blobs.c.sha256 == bindparam("sha"))
 READ_BLOB = select(blobs.c.data).where(blobs.c.sha256 == bindparam("sha"))
+INSERT = insert(blobs)
 LARGEST_BYTES = 512 * 1024 * 1024
 """Far above any recording or map of a line, below what both databases take as one value."""
 
@@ -85,9 +87,11 @@ def put_bytes(connection: Connection, kind: str, content: bytes) -> str:
     if len(content) > LARGEST_BYTES:
         raise RegistryError(f"{len(content)} bytes are too many for one value; at most {LARGEST_BYTES} are kept")
     sha256 = hashlib.sha256(content).hexdigest()
-    if not has_blob(connection, sha256):
+    stored = found_in(connection).blobs
+    if sha256 not in stored and not has_blob(connection, sha256):
         row = {"sha256": sha256, "kind": kind, "size": len(content), "data": content}
-        connection.execute(insert(blobs), row)
+        connection.execute(INSERT, row)
+    stored.add(sha256)
     return sha256
 
 

@@ -12,6 +12,7 @@ from softcal.core.words.reason import Reason, to_kept
 from softcal.db import history
 from softcal.db.arrays import get_arrays, put_arrays
 from softcal.db.entries import StoredCalibration
+from softcal.db.found import found_in
 from softcal.db.in_use import InUseTable, heads_of, lots_of, names_several, newest_of_unit
 from softcal.db.lot_tables import unit_entries
 from softcal.db.records import PLAIN_FIELDS, record_of
@@ -59,8 +60,7 @@ class CalibrationTables(InUseTable):
         """
         with self.database.writing() as connection:
             self._lot_row(connection, lot_id)
-            if connection.execute(KNOWN_NETWORK, {"network": record.network_id}).first() is None:
-                raise InputError(f"network {record.network_id[:12]} is not in the registry; add it before its maps")
+            self._check_network(connection, record.network_id)
             self._add_unit(connection, lot_id, record.serial, "target", actor)
             values = {field: getattr(record, field) for field in PLAIN_FIELDS} | {
                 "lot_id": lot_id,
@@ -210,6 +210,14 @@ class CalibrationTables(InUseTable):
                 "work_sha256": work_sha256,
             }
             self._store(connection, refusals, values, "refuse", actor)
+
+    def _check_network(self, connection: Connection, network_id: str) -> None:
+        stored = found_in(connection).networks
+        if network_id in stored:
+            return
+        if connection.execute(KNOWN_NETWORK, {"network": network_id}).first() is None:
+            raise InputError(f"network {network_id[:12]} is not in the registry; add it before its maps")
+        stored.add(network_id)
 
     def _add_revision(
         self,

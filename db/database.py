@@ -21,6 +21,7 @@ from sqlalchemy.pool import StaticPool
 
 from softcal.core.errors import RegistryError
 from softcal.db.file_system import refuse_network_share
+from softcal.db.found import forget
 from softcal.db.tables import SCHEMA
 
 SQLITE_WAIT_S = 60
@@ -284,6 +285,7 @@ def _sqlite_engine(url: URL, create: bool) -> Engine:
         engine = create_engine(url, connect_args={"timeout": SQLITE_WAIT_S, "check_same_thread": False})
     event.listen(engine, "connect", _set_up_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
+    event.listen(engine, "rollback_savepoint", forget)
     return engine
 
 
@@ -354,6 +356,7 @@ def _postgresql_engine(url: URL) -> Engine:
     except ModuleNotFoundError as error:
         raise RegistryError("PostgreSQL needs psycopg; run: pip install 'softcal[postgresql]'") from error
     event.listen(engine, "connect", _set_up_postgresql)
+    event.listen(engine, "rollback_savepoint", forget)
     return engine
 
 

@@ -8,12 +8,26 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, RowMapping, Select, Text, and_, func, or_, select, type_coerce
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    RowMapping,
+    Select,
+    Table,
+    Text,
+    and_,
+    bindparam,
+    func,
+    or_,
+    select,
+    type_coerce,
+)
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason, plain
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, MadeCalibration, UnitStanding
+from softcal.db.found import found_in
 from softcal.db.records import PLAIN_FIELDS, record_of
 from softcal.db.registry_base import RegistryBase, damaged
 from softcal.db.tables import calibrations, in_use, refusals, units
@@ -25,6 +39,17 @@ OF_STATEMENT = and_(
     calibrations.c.origin == in_use.c.made_by,
 )
 SERIALS_AT_ONCE = 500
+
+
+def _of_unit(table: Table, *columns: Any) -> Select[Any]:
+    return select(*columns).where(table.c.lot_id == bindparam("lot"), table.c.serial == bindparam("unit"))
+
+
+STATEMENTS = _of_unit(in_use, in_use).order_by(*NEWEST_STATEMENT)
+LAST_STATEMENT = _of_unit(in_use, func.max(in_use.c.made_at))
+LAST_REFUSAL = _of_unit(refusals, func.max(refusals.c.made_at))
+LAST_NUMBER = _of_unit(in_use, func.max(in_use.c.number)).where(in_use.c.origin == bindparam("registry"))
+"""Built once, as every unit of a batch needs them: building a statement takes longer than running it."""
 
 
 class InUseTable(RegistryBase):
@@ -181,11 +206,11 @@ class InUseTable(RegistryBase):
             told: `decided_by`, and the work and input that asked for it.
             made_at: its time where the calibration was made just now.
         """
-        heads = heads_of(connection, lot_id, serial)
+        is_first = (in_use.name, lot_id, serial) in found_in(connection).without
+        heads = [] if is_first else heads_of(connection, lot_id, serial)
         at = made_at or self._after(newest_of_unit(connection, lot_id, serial))
-        u = in_use.c
-        mine = (u.lot_id == lot_id, u.serial == serial, u.origin == self.origin)
-        number = connection.execute(select(func.max(u.number)).where(*mine)).scalar_one() or 0
+        mine = {"lot": lot_id, "unit": serial, "registry": self.origin}
+        number = 0 if is_first else connection.execute(LAST_NUMBER, mine).scalar_one() or 0
         for head in (*heads,) or (None,):
             number += 1
             values = {
@@ -210,8 +235,7 @@ class InUseTable(RegistryBase):
 
 def heads_of(connection: Connection, lot_id: str, serial: str) -> list[RowMapping]:
     """Return the statements of a unit that nothing follows, the newest first; more than one after a parted history."""
-    query = select(in_use).where(in_use.c.lot_id == lot_id, in_use.c.serial == serial)
-    rows = connection.execute(query.order_by(*NEWEST_STATEMENT)).mappings().all()
+    rows = connection.execute(STATEMENTS, {"lot": lot_id, "unit": serial}).mappings().all()
     followed = {(row["follows_origin"], row["follows_number"]) for row in rows}
     return [row for row in rows if (row["origin"], row["number"]) not in followed]
 
@@ -283,17 +307,17 @@ def lots_of(connection: Connection, serial: str) -> list[str]:
 
 def newest_refusal(connection: Connection, lot_id: str, serial: str) -> datetime | None:
     """Return when a unit was refused last."""
-    r = refusals.c
-    query = select(func.max(r.made_at)).where(r.lot_id == lot_id, r.serial == serial)
-    made_at: datetime | None = connection.execute(query).scalar_one()
+    if (refusals.name, lot_id, serial) in found_in(connection).without:
+        return None
+    made_at: datetime | None = connection.execute(LAST_REFUSAL, {"lot": lot_id, "unit": serial}).scalar_one()
     return made_at
 
 
 def newest_of_unit(connection: Connection, lot_id: str, serial: str) -> datetime | None:
     """Return the time of the newest statement or refusal of a unit."""
-    u = in_use.c
-    query = select(func.max(u.made_at)).where(u.lot_id == lot_id, u.serial == serial)
-    stated: datetime | None = connection.execute(query).scalar_one()
+    stated: datetime | None = None
+    if (in_use.name, lot_id, serial) not in found_in(connection).without:
+        stated = connection.execute(LAST_STATEMENT, {"lot": lot_id, "unit": serial}).scalar_one()
     times = [at for at in (stated, newest_refusal(connection, lot_id, serial)) if at is not None]
     return max(times, default=None)
 

@@ -4,6 +4,7 @@ A page writes an order and reads progress; the station takes orders and writes p
 there. One run at a time per station is a unique index of the database, not a rule of a program.
 """
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from datetime import datetime, timedelta
@@ -47,8 +48,14 @@ class OrderQueue(OncePerCut):
     def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
         self.database, self._clock = database, clock
 
-    def place(self, order: Order) -> None:
+    def place(self, order: Order, until_s: float | None = None) -> bool:
         """Ask a station for something; the same order id again changes nothing.
+
+        Args:
+            until_s: `time.monotonic()` after which it is not asked any more, however long the registry was busy.
+
+        Returns:
+            Whether it was asked in time.
 
         Raises:
             InputError: the station has a run that is not over.
@@ -58,12 +65,16 @@ class OrderQueue(OncePerCut):
         with self.database.writing(in_turn=False) as connection:
             known = select(orders.c.order_id).where(orders.c.order_id == order.order_id)
             if connection.execute(known).first() is not None:
-                return
+                return True
+            # Looked at behind the wait for other writers, which is where the time goes.
+            if until_s is not None and time.monotonic() > until_s:
+                return False
             try:
                 with connection.begin_nested():
                     connection.execute(insert(orders).values(**values | progress, changed_at=self._clock()))
             except IntegrityError as error:
                 raise InputError(self._busy(connection, order.station)) from error
+            return True
 
     def take(self, station: str, only: OrderKind | None = None) -> Order | None:
         """Return the station's next order and mark it running; what is no run (STOP) comes before everything else.

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, cast
 
-from sqlalchemy import Connection, RowMapping, select
+from sqlalchemy import Connection, RowMapping, bindparam, select
 
 from softcal.core.errors import InputError
 from softcal.db.arrays import get_arrays, put_arrays
 from softcal.db.entries import NetworkEntry, RecordingEntry
+from softcal.db.found import found_in
 from softcal.db.registry_base import RegistryBase
 from softcal.db.tables import networks, recordings
 
@@ -20,6 +21,11 @@ if TYPE_CHECKING:
 
     Recording = OutputRecording | LabelledRecording
 
+KNOWN_RECORDING = select(recordings.c.serial).where(
+    recordings.c.sha256 == bindparam("sha"),
+    recordings.c.lot_id == bindparam("lot"),
+    recordings.c.kind == bindparam("of_kind"),
+)
 KINDS = ("source", "unit", "audit")
 
 
@@ -40,9 +46,10 @@ class RecordingTables(RegistryBase):
         with self.database.writing() as connection:
             self._lot_row(connection, lot_id)
             self._add_unit(connection, lot_id, recording.serial, "source" if kind == "source" else "target", actor)
-            c, sha256 = recordings.c, recording.sha256
-            where = (c.sha256 == sha256, c.lot_id == lot_id, c.kind == kind)
-            if connection.execute(select(c.serial).where(*where)).first() is None:
+            sha256 = recording.sha256
+            is_first = (recordings.name, lot_id, recording.serial) in found_in(connection).without
+            named = {"sha": sha256, "lot": lot_id, "of_kind": kind}
+            if is_first or connection.execute(KNOWN_RECORDING, named).first() is None:
                 blob = put_arrays(connection, recording.arrays())
                 facts = {"sha256": sha256, "lot_id": lot_id, "kind": kind, "samples": len(recording)}
                 values = facts | recording.settings() | {"blob_sha256": blob, "added_at": self.settings.clock()}

@@ -4,8 +4,11 @@ Every change is one transaction with its row of the audit trail. What is stored 
 row. Everything given back is a value of its own, never a row.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from sqlalchemy.exc import DataError, DBAPIError, StatementError
 
@@ -14,18 +17,20 @@ from softcal.db import history
 from softcal.db.adaptation_tables import AdaptationTables
 from softcal.db.calibration_tables import CalibrationTables
 from softcal.db.entries import Anchor, AuditRow, Heads
-from softcal.db.job_board import JobBoard
-from softcal.db.line_place import LinePlaces
 from softcal.db.line_rules import LineRulesTable
 from softcal.db.lot_pages import LotPages
 from softcal.db.lot_tables import LotTables
 from softcal.db.network_release import NetworkReleases
-from softcal.db.order_queue import OrderQueue
-from softcal.db.outbox import Outbox
 from softcal.db.people import People
 from softcal.db.station_tables import StationTables
 from softcal.db.tokens import TokenTable
-from softcal.db.work_queue import WorkQueue
+
+if TYPE_CHECKING:
+    from softcal.db.job_board import JobBoard
+    from softcal.db.line_place import LinePlaces
+    from softcal.db.order_queue import OrderQueue
+    from softcal.db.outbox import Outbox
+    from softcal.db.work_queue import WorkQueue
 
 
 class Registry(
@@ -41,7 +46,7 @@ class Registry(
 ):
     """An open registry, used as a context manager and made by `open_registry`."""
 
-    def __enter__(self) -> "Registry":
+    def __enter__(self) -> Registry:
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -77,26 +82,37 @@ class Registry(
     @property
     def work_queue(self) -> WorkQueue:
         """The durable work items of this registry's lots."""
+        # Here and below: whoever lists units has no use for queues and boards.
+        from softcal.db.work_queue import WorkQueue
+
         return WorkQueue(self.database, self.settings.clock)
 
     @property
     def order_queue(self) -> OrderQueue:
         """The orders to this registry's stations, their runs and heartbeats."""
+        from softcal.db.order_queue import OrderQueue
+
         return OrderQueue(self.database, self.settings.clock)
 
     @property
     def line_places(self) -> LinePlaces:
         """What stands at each line: the unit that waits for its run, the last sentence, the badge."""
+        from softcal.db.line_place import LinePlaces
+
         return LinePlaces(self.database)
 
     @property
     def job_board(self) -> JobBoard:
         """Long computations that pages ask for."""
+        from softcal.db.job_board import JobBoard
+
         return JobBoard(self.database, self.settings.clock)
 
     @property
     def outbox(self) -> Outbox:
         """How far each destination outside is in the audit trail."""
+        from softcal.db.outbox import Outbox
+
         return Outbox(self.database, self.settings.clock)
 
     def add_event(
@@ -117,7 +133,12 @@ class Registry(
     def events(self, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
         """Return what the audit trail tells of one entity, in time order, whichever registry wrote it."""
         with self.database.reading() as connection:
-            return history.of_entity(connection, entity, key)
+            return history.of_entities(connection, entity, [key])
+
+    def events_of(self, entity: str, keys: Sequence[tuple[str | int, ...]]) -> list[AuditRow]:
+        """Return what the audit trail tells of several entities of a kind, in time order."""
+        with self.database.reading() as connection:
+            return history.of_entities(connection, entity, keys)
 
     def events_of_kind(self, entity: str) -> list[AuditRow]:
         """Return what the audit trail tells of all entities of a kind, in time order."""

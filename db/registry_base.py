@@ -3,20 +3,23 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from typing import Any, Protocol
-from weakref import WeakKeyDictionary
 
-from sqlalchemy import Connection, RootTransaction, RowMapping, Table, bindparam, insert, select
+from sqlalchemy import Connection, Insert, RowMapping, Table, bindparam, insert, select
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.words.reason import reason
 from softcal.db import history
 from softcal.db.database import Database, OncePerCut
-from softcal.db.tables import audit, canonical_json, lots, registry_info, units
+from softcal.db.found import found_in
+from softcal.db.tables import audit, canonical_json, in_use, lots, recordings, refusals, registry_info, units
 
 TICK = timedelta(microseconds=1)
 KNOWN_LOT = select(lots).where(lots.c.id == bindparam("lot"))
 KNOWN_UNIT = select(units.c.role).where(units.c.lot_id == bindparam("lot"), units.c.serial == bindparam("unit"))
+OF_UNITS = frozenset(table.name for table in (recordings, in_use, refusals))
+"""Tables whose rows belong to a unit of a lot: of one that was not registered there can be none."""
 
 
 class UtcClock(Protocol):
@@ -54,7 +57,6 @@ class RegistryBase(OncePerCut):
     def __init__(self, database: Database, settings: RegistrySettings) -> None:
         self.database = database
         self.settings = settings
-        self._checked_lots = WeakKeyDictionary[RootTransaction, dict[str, RowMapping]]()
         with database.reading() as connection:
             query = select(registry_info.c.value).where(registry_info.c.key == "origin")
             self.origin = str(connection.execute(query).scalar_one())
@@ -70,7 +72,9 @@ class RegistryBase(OncePerCut):
         before: Mapping[str, object] | None = None,
     ) -> None:
         """Insert one row together with the row of the audit trail that tells of it."""
-        connection.execute(insert(table), dict(values))
+        connection.execute(_insert_into(table), dict(values))
+        if table.name in OF_UNITS:
+            found_in(connection).without.discard((table.name, values["lot_id"], values["serial"]))
         key = history.row_key(table, values)
         at, who, after = self.settings.clock(), self._actor(actor), history.told(table, values)
         history.append(
@@ -107,8 +111,7 @@ class RegistryBase(OncePerCut):
 
     def _lot_row(self, connection: Connection, lot_id: str) -> RowMapping:
         # A chunk of a batch asks for each of its units, and nobody can change a lot while a transaction goes on.
-        transaction = connection.get_transaction()
-        checked = {} if transaction is None else self._checked_lots.setdefault(transaction, {})
+        checked = found_in(connection).lots
         if lot_id not in checked:
             checked[lot_id] = self._read_lot_row(connection, lot_id)
         return checked[lot_id]
@@ -122,14 +125,24 @@ class RegistryBase(OncePerCut):
         return row
 
     def _add_unit(self, connection: Connection, lot_id: str, serial: str, role: str, actor: str | None) -> None:
+        found = found_in(connection)
+        if (lot_id, serial) in found.units:
+            return
         if connection.execute(KNOWN_UNIT, {"lot": lot_id, "unit": serial}).first() is None:
             values = {"lot_id": lot_id, "serial": serial, "role": role, "added_at": self.settings.clock()}
             self._store(connection, units, values, "add", actor)
+            found.without.update((table, lot_id, serial) for table in OF_UNITS)
+        found.units.add((lot_id, serial))
 
     def _known_serial(self, connection: Connection, serial: str) -> None:
         if connection.execute(select(units.c.serial).where(units.c.serial == serial).limit(1)).first() is None:
             known = connection.execute(select(units.c.serial).distinct().order_by(units.c.serial).limit(6)).scalars()
             raise InputError(reason("name.no_such_serial", serial=repr(serial), known=_some(known.all())))
+
+
+@cache
+def _insert_into(table: Table) -> Insert:
+    return insert(table)
 
 
 def _some(names: Any) -> str:

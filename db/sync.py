@@ -17,6 +17,7 @@ from softcal.core.errors import InputError, RegistryError
 from softcal.db import history
 from softcal.db.arrays import copy_blob
 from softcal.db.entries import AuditRow
+from softcal.db.found import forget
 from softcal.db.in_use import conflict_line, conflicts_of
 from softcal.db.registry import Registry
 from softcal.db.tables import AUDITED, UtcTime, audit, blobs, limits, metadata
@@ -100,6 +101,7 @@ def _send(source: Registry, target: Registry) -> int:
                         table = metadata.tables[entry.entity]
                         _copy(rows, connection, table, _key_values(table, entry.key), known)
                 connection.execute(insert(audit), [vars(entry) for entry in chunk])
+                forget(connection)
             sent += len(chunk)
     return sent
 

@@ -107,9 +107,12 @@ class CanonicalJson(TypeDecorator[Any]):
         return _read_or_damaged(super().result_processor(dialect, coltype))
 
 
+ENCODER = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
 def canonical_json(value: object) -> str:
     """Return JSON text that is the same for equal values."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return ENCODER.encode(value)
 
 
 def sha256_column(name: str, *rest: Any, **options: Any) -> Column[str]:

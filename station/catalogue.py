@@ -9,10 +9,11 @@ import pkgutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
+from importlib.metadata import EntryPoint, PackageNotFoundError, version
 
 import softcal.station.drivers
 from softcal.core.errors import InputError
+from softcal.core.plugins import installed
 from softcal.core.words.reason import reason
 from softcal.station.config import Role
 from softcal.station.driver import AnyDriver, Driver
@@ -93,12 +94,12 @@ def _own_version() -> str:
 
 def _entry_points() -> Iterator[tuple[Role, EntryPoint]]:
     for role, group in GROUPS.items():
-        for point in entry_points(group=group):
+        for point in installed(group):
             yield role, point
 
 
 def _kinds_of_packages(role: Role) -> set[str]:
-    return {point.name for point in entry_points(group=GROUPS[role])}
+    return {point.name for point in installed(GROUPS[role])}
 
 
 def _load(role: Role, point: EntryPoint) -> Offer:

@@ -72,6 +72,9 @@ def lag_s(t_s: Array, force_N: Array, stage_mm_at: Callable[[Array], Array], con
     """
     if len(t_s) < PRESS_SAMPLES or float(np.max(stage_mm_at(t_s))) <= contact_mm:
         return float("nan")
+    # What arrives first may belong to a path before these samples, which the law does not know.
+    is_known = t_s >= min(t_s[0] + LATEST_S, float(np.median(t_s)))
+    t_s, force_N = t_s[is_known], force_N[is_known]
     grid_s = np.arange(t_s[0] - LATEST_S - BESIDE_S, t_s[-1] - EARLIEST_S + BESIDE_S, GRID_S)
     law = _law_of_depth(np.maximum(0.0, stage_mm_at(grid_s) - contact_mm))
 

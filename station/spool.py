@@ -123,10 +123,11 @@ class Spool:
             while not self._lines.empty():
                 waiting.append(self._lines.get())
             is_open = waiting[-1] is not None
+            file = self._file  # one file from write to fsync: a trial swaps it for a full one at any moment
             try:
-                self._file.write(b"".join(line for line in waiting if line is not None))
-                self._file.flush()
-                os.fsync(self._file.fileno())
+                file.write(b"".join(line for line in waiting if line is not None))
+                file.flush()
+                os.fsync(file.fileno())
             except OSError as error:
                 self._error = self._error or error
 

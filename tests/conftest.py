@@ -1,6 +1,11 @@
 """Shared fixtures: a seeded generator, the measured data sets, and parts that may be missing outside CI."""
 
 import os
+
+# Two workers fill two cores: threads inside of them wait for one another, and a small matrix costs four times the CPU.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import random
 import re
 import shutil
 import sys
@@ -10,11 +15,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from argon2 import PasswordHasher
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis.stateful import RuleBasedStateMachine, run_state_machine_as_test
 from scipy.signal import lfilter
 
 from softcal.core.errors import SoftcalError
+from softcal.db import people
 
 SMALL_NETWORK = ("--hidden", "16,8")
 """Options of a network that trains in seconds."""
@@ -22,8 +29,17 @@ SMALL_NETWORK = ("--hidden", "16,8")
 _MAIN_MODULE = sys.modules["__main__"]
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add `--shuffle SEED`."""
+    parser.addoption("--shuffle", type=int, metavar="SEED", help="run the tests of each file in a random order")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Files with slow tests come first: begun last, one of them would keep a single core busy for minutes."""
+    if (seed := config.getoption("--shuffle")) is not None:
+        random.Random(seed).shuffle(items)
+        # Files stay together, or what a file sets up would be made anew for every test.
+        items.sort(key=lambda item: str(item.path))
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
 
@@ -53,6 +69,18 @@ def places_of_the_test(tmp_path_factory: pytest.TempPathFactory, monkeypatch: py
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path_factory.mktemp("data")))
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_hasher() -> Iterator[Callable[[], PasswordHasher]]:
+    """The hasher of PINs as softcal has it; the tests sign in a thousand times and use one that is not slow on purpose.
+
+    What is stored names its own cost, so that a process started by a test checks such a PIN like any other.
+    """
+    own, quick = people._hasher, PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(people, "_hasher", lambda: quick)
+        yield own
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20201900178)
@@ -73,7 +101,7 @@ def assert_finds_fault() -> Callable[[type[RuleBasedStateMachine]], None]:
     return runs
 
 
-NAMES = re.compile(r"`[^`]*`|b?'[^']*'|\S*[/._=]\S*|\bsoftcal\b|\b(min|ppm)\b")
+NAMES = re.compile(r"`[^`]*`|b?'[^']*'|\S*[/._=]\S*|\bsoftcal\b|\b(min|ppm|rad|kgf|lbf)\b")
 """What stays in every language: commands, quotes of a device, ports, keys of a file, units."""
 
 
@@ -119,7 +147,7 @@ def press_recording(samples: int, gain: float, offset_V: float, seed: int, rate_
     for k in range(1, samples):
         if abs(force_N[k - 1] - target) <= speed:
             target, speed = (0.0 if target else rng.uniform(0.5, 3.0)), rng.uniform(0.02, 0.2)
-        force_N[k] = force_N[k - 1] + np.clip(target - force_N[k - 1], -speed, speed)
+        force_N[k] = force_N[k - 1] + min(max(target - force_N[k - 1], -speed), speed)
     lagged_N = lfilter([0.3], [1, -0.7], force_N)
     output_V = offset_V + gain * (0.1 * lagged_N + 0.02 * lagged_N**2) + rng.normal(0, 0.0008, samples)
     return pd.DataFrame({"t_s": np.arange(samples) / rate_Hz, "output": output_V, "reference": force_N})

@@ -1,6 +1,6 @@
 """What the audits of a lot and of earlier lots say about its other units: read from the registry, each audit once."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 
@@ -14,7 +14,7 @@ from softcal.core.quality.qualification import PastAudit, Qualification, qualify
 from softcal.core.quality.release import AuditedUnit, audits_wanted
 from softcal.core.quality.widening import AuditedSamples, Widening, fit_widening
 from softcal.core.recording import LabelledRecording
-from softcal.core.unit.audit_reading import AuditReading
+from softcal.core.unit.audit_reading import AuditReading, gain_of
 from softcal.core.unit.calibrate import read_gain, with_audit
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.line_spread import SeenGains, seen_gains
@@ -69,7 +69,7 @@ class AuditReader:
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
         self._older: dict[tuple[str, str, int], AuditReading | None] = {}
-        self._golden: dict[tuple[str, int], float] = {}
+        self._golden: dict[tuple[str, str], float] = {}
 
     def evidence(self, lot_id: str, method_id: str, now: datetime) -> AuditEvidence:
         """Return what is known about a lot from audits.
@@ -118,20 +118,35 @@ class AuditReader:
 
     def _gains_by_day(self, lot_id: str, serial: str, now: datetime) -> list[float]:
         registry, days = self._registry, dict[date, list[float]]()
-        stored = registry.calibration(serial, lot_id=lot_id)
+        reader = self._reader_of(lot_id, serial)
+        if reader is None:
+            return []
+        reads_with, gain = reader
         for entry in registry.recordings(lot_id, serial, "audit"):
             if now - entry.added_at > timedelta(days=RULES.lasts_days):
                 continue
-            key = entry.sha256, stored.revision
+            key = entry.sha256, reads_with
             if key not in self._golden:
                 recording = registry.recording(entry.sha256)
                 if not isinstance(recording, LabelledRecording):
                     continue
-                calibration = Calibration.from_record(stored.record)
-                network = registry.network(stored.record.network_id)
-                self._golden[key] = read_gain(network, calibration, recording)
+                self._golden[key] = gain(recording)
             days.setdefault(entry.added_at.date(), []).append(self._golden[key])
         return [float(np.mean(gains)) for gains in days.values()]
+
+    def _reader_of(self, lot_id: str, serial: str) -> tuple[str, Callable[[LabelledRecording], float]] | None:
+        """Return what reads a golden unit's runs, and its identity; None where nothing does."""
+        registry = self._registry
+        if serial == registry.lot(lot_id).source:
+            state = registry.released_network(lot_id)
+            if state is None:
+                return None
+            f = registry.network(state.network.id)
+            # The source has no map: f alone reads its runs.
+            return state.network.id, lambda run: gain_of(f.evaluate(run.windows), run.window_reference)
+        record = registry.calibration(serial, lot_id=lot_id).record
+        network, calibration = registry.network(record.network_id), Calibration.from_record(record)
+        return record.input_sha256, lambda run: read_gain(network, calibration, run)
 
     def _golden_failed_at(self, lot: Lot) -> datetime | None:
         """Return when a golden unit last failed; one of another sensor model says nothing about this one."""

@@ -14,11 +14,14 @@ from softcal.app.batch.unit_work import SharedWork
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.recording_file import naming, read_labelled
 from softcal.app.files.regular import read_regular
+from softcal.app.registry.golden import bridges_over, golden_of, keep_golden_of
 from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.reference import state_reference
 from softcal.core.errors import InputError
 from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
+from softcal.core.quality.lot_release import LotRelease
+from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.bridge import Bridge, make_bridge
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.verdict import Limit, default_limit, stated_limit
@@ -50,15 +53,20 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     lot = registry.lot(folder.lot.id)
     line = state_line(registry, lot.id, folder.line, config.actor)
     reference = state_reference(registry, lot.id, folder.reference, source, config.actor)
-    limit, bridge = _limit(lot, models), _bridge(folder, models[0])
-    shared = SharedWork(folder.lot, tuple(models), own, limit, line, reference, bridge)
+    limit, run = _limit(lot, models), folder.read_golden()
+    bridge = _bridge(folder, models[0], run)
+    golden = {} if bridge else _kept_golden(folder, registry)
+    bridges = bridges_over(registry, models[0], (sha256 for of in golden.values() for sha256 in of.values()))
+    shared = SharedWork(folder.lot, tuple(models), own, limit, line, reference, bridge, bridges)
     watch.on_start(len(folder.unit_paths))
-    results = LotWork(folder, registry, shared, config, watch).results()
+    results = LotWork(folder, registry, shared, config, watch, golden).results()
     _keep_loads(registry, lot.id, config, results)
+    _keep_golden(registry, lot.id, run, config, results)
     ordered = tuple(results[serial] for serial in folder.unit_paths)
     audit = update_lot(registry, folder.lot.id, config.actor)
     decided = update_release(registry, folder.lot.id, config.actor)
-    ordered = _judged(registry, folder.lot.id, ordered)
+    if decided is not None:
+        ordered = _judged(registry, folder.lot.id, ordered, decided)
     return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit, config.release, decided)
 
 
@@ -70,12 +78,34 @@ def _keep_loads(registry: Registry, lot_id: str, config: BatchConfig, results: M
     keep_loads(registry, lot_id, loads, "file", actor=config.actor)
 
 
-def _bridge(folder: LotFolder, model: SourceModel) -> Bridge | None:
-    golden = folder.read_golden()
-    if golden is None or folder.golden_path is None:
+Golden = OutputRecording | LabelledRecording | None
+
+
+def _bridge(folder: LotFolder, model: SourceModel, run: Golden) -> Bridge | None:
+    if run is None or folder.golden_path is None:
         return None
     with naming(folder.golden_path):
-        return make_bridge(model, golden)
+        return make_bridge(model, run)
+
+
+def _kept_golden(folder: LotFolder, registry: Registry) -> Mapping[str, Mapping[str, str]]:
+    """Return what the registry has of golden runs, by serial and recording."""
+    found: dict[str, dict[str, str]] = {}
+    for sha256, (serial, golden) in golden_of(registry, folder.lot.id, list(folder.unit_paths)).items():
+        found.setdefault(serial, {})[sha256] = golden
+    return found
+
+
+def _keep_golden(
+    registry: Registry, lot_id: str, run: Golden, config: BatchConfig, results: Mapping[str, UnitResult]
+) -> None:
+    """Keep the golden run that lay beside the files, so that whoever calibrates those recordings again has it."""
+    if not isinstance(run, LabelledRecording):
+        return
+    sha256 = registry.add_recording(lot_id, run, "audit", actor=config.actor)
+    made = [serial for serial, result in results.items() if result.made is not None]
+    of = {registry.calibration(serial, lot_id=lot_id).record.recording_sha256: (serial, sha256) for serial in made}
+    keep_golden_of(registry, lot_id, of, actor=config.actor)
 
 
 def _limit(lot: Lot, sources: Sequence[SourceModel]) -> Limit | None:
@@ -105,9 +135,11 @@ def _check_audit_files(folder: LotFolder) -> None:
             )
 
 
-def _judged(registry: Registry, lot_id: str, units: tuple[UnitResult, ...]) -> tuple[UnitResult, ...]:
+def _judged(
+    registry: Registry, lot_id: str, units: tuple[UnitResult, ...], decided: LotRelease
+) -> tuple[UnitResult, ...]:
     """Return the results with what the audits of the lot say about units that were not measured."""
-    standings = registry.standings(lot_id, [unit.serial for unit in units])
+    standings = registry.standings(lot_id, [unit.serial for unit in units if unit.serial in decided.forecasts])
     return tuple(_told(unit, standings.get(unit.serial)) for unit in units)
 
 

@@ -113,8 +113,8 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
         InputError: the lot has no source recording.
     """
     lot, stored = registry.lot(lot_id), lots_folder() / lot_id
-    # A golden unit's recordings check the station; they are no audits of the lot.
-    golden = {run.serial for run in registry.golden_runs()}
+    # A golden unit's recordings check the station and its day; they are no audits of the lot.
+    golden = {run.serial for run in registry.golden_runs()} | {lot.source}
     newest: dict[tuple[str, str], RecordingEntry] = {}
     for entry in registry.recordings(lot_id):
         if entry.kind != "audit" or entry.serial not in golden:

@@ -111,16 +111,27 @@ class Watch:
 
 
 class LotWork:
-    """The units of one lot on their way through queue, engine and registry."""
+    """The units of one lot on their way through queue, engine and registry.
+
+    Args:
+        golden: golden runs that the registry knows recordings to belong to, by serial and recording.
+    """
 
     def __init__(
-        self, folder: LotFolder, registry: Registry, shared: SharedWork, config: BatchConfig, watch: Watch
+        self,
+        folder: LotFolder,
+        registry: Registry,
+        shared: SharedWork,
+        config: BatchConfig,
+        watch: Watch,
+        golden: Mapping[str, Mapping[str, str]],
     ) -> None:
         self._folder, self._registry, self._shared = folder, registry, shared
         self._config, self._watch = config, watch
         self._lot_id = folder.lot.id
         self._work = WorkSet(self._lot_id, _settings_sha256(shared, config.refit))
         self._loads_kept = _kept_loads(registry, folder, config)
+        self._golden_kept = golden
         self._works: dict[str, str] = {}
         self._new: set[str] = set()
         self._ended: set[str] = set()
@@ -220,7 +231,9 @@ class LotWork:
         if anchors is None and serial in self._loads_kept:
             loads = {sha256: values(kept) for sha256, kept in self._loads_kept[serial].items()}
         files = [file and [file.path.suffix, hashlib.sha256(file.content).hexdigest()] for file in (recording, audit)]
-        return content_sha256({}, {"set": self._work.name, "files": files, "anchors": loads})
+        golden = self._golden_kept.get(serial)
+        beside = {} if golden is None else {"golden": golden}
+        return content_sha256({}, {"set": self._work.name, "files": files, "anchors": loads, **beside})
 
     def _chunks(self, claims: Claims) -> Iterator[Chunk]:
         while items := claims.take(self._chunk_size()):
@@ -253,9 +266,8 @@ class LotWork:
             self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
             anchors = self._config.anchors.get(item.serial)
             done = known.get(item.serial, frozenset())
-            yield UnitTask(
-                item.id, item.serial, recording, audit, anchors, done, kept=self._loads_kept.get(item.serial, {})
-            )
+            kept, golden = self._loads_kept.get(item.serial, {}), self._golden_kept.get(item.serial, {})
+            yield UnitTask(item.id, item.serial, recording, audit, anchors, done, kept=kept, golden=golden)
 
     def _keep(self, claims: Claims, outcome: ChunkOutcome) -> list[UnitResult]:
         """Register what is still this batch's own, and close its items, in one transaction."""
@@ -313,9 +325,9 @@ def _kept_loads(registry: Registry, folder: LotFolder, config: BatchConfig) -> M
     """Return what the registry has of known loads, by serial and recording; what lies beside the files outranks it."""
     found: dict[str, dict[str, Anchors]] = {}
     if folder.lot.id in registry.lot_ids():
-        for sha256, one in known_loads(registry, folder.lot.id).items():
-            if one.serial not in config.anchors:
-                found.setdefault(one.serial, {})[sha256] = one.loads
+        serials = folder.unit_paths.keys() - config.anchors.keys()
+        for sha256, one in known_loads(registry, folder.lot.id, serials).items():
+            found.setdefault(one.serial, {})[sha256] = one.loads
     return found
 
 
@@ -342,6 +354,7 @@ def _settings_sha256(shared: SharedWork, is_refit: bool) -> str:
         "line": None if shared.line is None else shared.line.to_json(),
         **({} if shared.reference is None else {"reference": shared.reference.to_json()}),
         **({} if shared.bridge is None else {"golden": shared.bridge.sha256}),
+        **({"rules": sorted(shared.rules)} if shared.rules else {}),
         # A newer version may read what an older one refused.
         "version": version("softcal"),
         "refit": uuid.uuid4().hex if is_refit else None,

@@ -34,29 +34,35 @@ def update_release(
     Raises:
         InputError: the audits cannot all be true; nothing was released.
     """
-    decided = decide_release(registry, lot_id, now or datetime.now(UTC))
-    if decided is None:
+    standing = _standing(registry, lot_id, now or datetime.now(UTC))
+    if standing is None:
         return None
+    decided = standing.decided()
     with registry.transaction():
         for serial in decided.forecasts:
-            _keep(registry, lot_id, serial, decided, actor)
+            _keep(registry, lot_id, standing.units[serial], decided, actor)
         _tell(registry, lot_id, decided, actor)
     return decided
 
 
 def decide_release(registry: Registry, lot_id: str, now: datetime) -> LotRelease | None:
     """Decide on the unmeasured units of a lot; nothing is written. None where it has no unit with a forecast yet."""
+    standing = _standing(registry, lot_id, now)
+    return None if standing is None else standing.decided()
+
+
+def _standing(registry: Registry, lot_id: str, now: datetime) -> "_Standing | None":
     units = _whole_lot(registry, lot_id)
     made = _made(units)
     if not made:
         return None
     evidence = AuditReader(registry).evidence(lot_id, made[0].method_id, now)
-    return _decided(evidence, _open(made), _least(units))
+    return _Standing(evidence, _open(made), _least(units))
 
 
 @dataclass(frozen=True)
 class _Standing:
-    """What a line knows of a lot: the evidence it decided on last, and its units as they were then or came since.
+    """What is known of a lot: the evidence it is decided on, and its units as they were then or came since.
 
     Args:
         units: unmeasured ones, by serial.
@@ -66,6 +72,10 @@ class _Standing:
     evidence: AuditEvidence
     units: Mapping[str, MadeCalibration]
     least: float = 0.0
+
+    def decided(self) -> LotRelease:
+        """Decide on its units."""
+        return _decided(self.evidence, self.units, self.least)
 
 
 class LineRelease:
@@ -100,10 +110,10 @@ class LineRelease:
         others = {other: made for other, made in known.units.items() if other != serial}
         known = replace(known, units={**others, **_open(pressed)})
         self._standing[lot_id] = known
-        decided = _decided(evidence, known.units, known.least)
+        decided = known.decided()
         if serial in decided.forecasts:
             with registry.transaction():
-                _keep(registry, lot_id, serial, decided, actor)
+                _keep(registry, lot_id, known.units[serial], decided, actor)
 
     def _look(self, lot_id: str, evidence: AuditEvidence) -> _Standing:
         """Return where the other units of a lot stand; without a qualification none of them matters."""
@@ -152,11 +162,13 @@ def _decided(evidence: AuditEvidence, units: Mapping[str, MadeCalibration], leas
     )
 
 
-def _keep(registry: Registry, lot_id: str, serial: str, decided: LotRelease, actor: str | None) -> None:
+def _keep(registry: Registry, lot_id: str, made: MadeCalibration, decided: LotRelease, actor: str | None) -> None:
     """Store what is decided on a unit as a revision of its own, where it is not what stands."""
-    stored = registry.calibration(serial, lot_id=lot_id)
-    if decided.found is None and stored.record.decision.sampled is None:
+    # Asked first: most lots have no audits, and reading a calibration whole costs more than most of the batch's writes.
+    if decided.found is None and made.decision.sampled is None:
         return
+    serial = made.serial
+    stored = registry.calibration(serial, lot_id=lot_id)
     record = judged_record(_base(registry, lot_id, stored), decided)
     if record.input_sha256 == stored.record.input_sha256:
         return

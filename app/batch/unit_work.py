@@ -18,6 +18,7 @@ from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.line_spread import LineSpread
+from softcal.core.unit.rules import rules_in_force
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.sources import nearest
 from softcal.core.unit.verdict import Limit, Verdict
@@ -44,6 +45,7 @@ class UnitTask:
         anchors: known loads, where someone took them.
         kept: those that the registry has, by the hash of the recording they belong to; asked where `anchors` is None.
         known: input hashes of the calibrations it has already: those are not computed again.
+        golden: hash of the golden run by the hash of the recording it belongs to.
     """
 
     item_id: int
@@ -54,6 +56,7 @@ class UnitTask:
     known: frozenset[str] = frozenset()
     problem: str = ""
     kept: Mapping[str, Anchors] = field(default_factory=dict)
+    golden: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +72,9 @@ class SharedWork:
         line: how differently the line presses units, where it was stated.
         reference: what the source was compared with; None where nobody said.
         bridge: the source pressed again in the units' sitting, where somebody did.
+        bridges: golden runs that the registry knows recordings to belong to, by their hash; in place of one that f
+            cannot read, why. Asked where there is no `bridge`.
+        rules: identities of the rules that may hold units back, as they are installed where the batch was started.
     """
 
     lot: Lot
@@ -78,6 +84,8 @@ class SharedWork:
     line: LineSpread | None = None
     reference: Reference | None = None
     bridge: Bridge | None = None
+    bridges: Mapping[str, Bridge | str] = field(default_factory=dict)
+    rules: tuple[str, ...] = field(default_factory=rules_in_force)
 
     @property
     def source(self) -> SourceModel:
@@ -150,13 +158,18 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
         except InputError as error:
             refusal = Refusal(Verdict.RETEST, reason("wrong_loads", error=str(error)))
             return UnitOutcome(task.item_id, task.serial, refusal, recording, audit)
+    bridge = shared.bridge or shared.bridges.get(task.golden.get(recording.sha256, ""))
+    if isinstance(bridge, str):
+        refusal = Refusal(Verdict.RETEST, reason("wrong_golden", error=bridge))
+        return UnitOutcome(task.item_id, task.serial, refusal, recording, audit)
     shown = recording, shared.limit, anchors, audit, shared.own, shared.line, shared.reference
     networks = {model.network.id for model in shared.sources}
     problems = [
-        replace(UnitProblem(model, *shown), beside=tuple(networks - {model.network.id})) for model in shared.sources
+        replace(UnitProblem(model, *shown), beside=tuple(networks - {model.network.id}), rules=shared.rules)
+        for model in shared.sources
     ]
     # The golden run is one of the lot's own source: it says nothing of the others.
-    problems[0] = replace(problems[0], bridge=shared.bridge)
+    problems[0] = replace(problems[0], bridge=bridge)
     for problem in problems:
         # Its input names the sources it was chosen among: the choice need not be made again.
         if problem.input_sha256 in task.known:

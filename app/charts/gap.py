@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: arrays and report values in, Plotly figures out."""
+"""Figures of a diagnosis: arrays, report values and the words of a screen in, Plotly figures out."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,12 +8,18 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from softcal.app.charts.style import Words
+from softcal.app.texts.reasons import said
+from softcal.app.views.gap import channel_name, effect_name, pressed_name, ranked
 from softcal.core.recording import Array, Indices
+from softcal.core.words.reason import Reason
 
 BEFORE, AFTER, INK, GRID = "#9aa5b1", "#0b5cad", "#1c2733", "#e4e8ec"
-CHANNEL_WORDS = {"output_V": "output", "force_N": "force"}
+CHANNELS = {"output_V": "output", "force_N": "force"}
+"""Columns that are drawn, with the name a report has for them."""
+
 CHANNEL_UNITS = {"output_V": "mV", "force_N": "mN"}
-DIRECTIONS = ("loading", "hold", "unloading")
+DIRECTIONS = tuple(Reason(f"gap.regime.{name}") for name in ("loading", "hold", "unloading"))
 BANDS = 6
 SHOWN_POINTS = 1500
 """Most points of a trace that are drawn; more are thinned by keeping the largest of each stretch."""
@@ -95,7 +101,7 @@ def residual_map(runs: Sequence[RunView], channel: str, is_after: bool) -> tuple
         return np.where(count >= 5, np.sqrt(total / count), np.nan), edges
 
 
-def map_figure(runs: Sequence[RunView], channel: str) -> go.Figure | None:
+def map_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure | None:
     """Draw the residual of one channel by force band and direction, before and after; None without the channel."""
     if not any(channel in run.channels for run in runs):
         return None
@@ -103,14 +109,12 @@ def map_figure(runs: Sequence[RunView], channel: str) -> go.Figure | None:
     after, _ = residual_map(runs, channel, is_after=True)
     top = float(np.nanmax([np.nanmax(before), np.nanmax(after), 3.0]))
     bands = [f"{low:.1f}–{high:.1f} N" for low, high in zip(edges[:-1], edges[1:], strict=True)]
-    word = CHANNEL_WORDS[channel]
-    figure = make_subplots(
-        cols=2, shared_yaxes=True, subplot_titles=(f"{word}, refitted base", f"{word}, with the causes")
-    )
+    titles = [f"{channel_name(CHANNELS[channel], say)}, {say(f'gap.figure.{of}')}" for of in ("base", "causes")]
+    figure = make_subplots(cols=2, shared_yaxes=True, subplot_titles=titles)
     for column, values in enumerate((before, after), start=1):
         heat = go.Heatmap(
             z=values,
-            x=DIRECTIONS,
+            x=[said(direction, say) for direction in DIRECTIONS],
             y=bands,
             coloraxis="coloraxis",
             texttemplate="%{z:.1f}",
@@ -118,17 +122,17 @@ def map_figure(runs: Sequence[RunView], channel: str) -> go.Figure | None:
             hoverongaps=False,
         )
         figure.add_trace(heat, row=1, col=column)
-    scale = {"colorscale": "OrRd", "cmin": 1.0, "cmax": top, "colorbar": {"title": "RMS<br>residual, σ"}}
+    scale = {"colorscale": "OrRd", "cmin": 1.0, "cmax": top, "colorbar": {"title": say("gap.figure.scale")}}
     return _styled(figure, 320, coloraxis=scale)
 
 
-def ranking_figure(report: Mapping[str, Any], shown: int) -> go.Figure:
+def ranking_figure(report: Mapping[str, Any], shown: int, say: Words) -> go.Figure:
     """Draw the effects by probability of being present, the likeliest on top; at least three, however unlikely."""
-    every = sorted(report["causes"], key=lambda cause: -cause["probability"])
+    every = ranked(report)
     likely = sum(cause["probability"] >= 0.005 for cause in every)
-    ranked = every[: min(shown, max(3, likely))][::-1]
-    names = [cause["effect"].replace("_", " ") for cause in ranked]
-    chances = [cause["probability"] for cause in ranked]
+    drawn = every[: min(shown, max(3, likely))][::-1]
+    names = [effect_name(cause["effect"], say) for cause in drawn]
+    chances = [cause["probability"] for cause in drawn]
     colours = [AFTER if chance >= 0.5 else BEFORE for chance in chances]
     bars = go.Bar(
         x=chances,
@@ -141,35 +145,39 @@ def ranking_figure(report: Mapping[str, Any], shown: int) -> go.Figure:
         hovertemplate="%{y}: %{x:.3f}<extra></extra>",
     )
     figure = go.Figure(bars)
-    figure.update_xaxes(range=[0.0, 1.08], tickformat=".0%", title="probability of being present")
-    return _styled(figure, 120 + 26 * max(1, len(ranked)), left=190, showlegend=False)
+    figure.update_xaxes(range=[0.0, 1.08], tickformat=".0%", title=say("gap.figure.probability"))
+    return _styled(figure, 120 + 26 * max(1, len(drawn)), left=190, showlegend=False)
 
 
-def gain_figure(report: Mapping[str, Any]) -> go.Figure:
+def gain_figure(report: Mapping[str, Any], say: Words) -> go.Figure:
     """Draw the residual of each channel before and after, with its noise floor."""
     channels = [name for name in ("output", "force") if _has_gap(report["gap"].get(name))]
-    figure = make_subplots(cols=max(1, len(channels)), subplot_titles=[f"{name} residual, RMS" for name in channels])
-    for column, name in enumerate(channels, start=1):
+    # One above the other, with level bars: side by side, or below upright ones, names meet on half of a narrow page.
+    titles = [say("gap.figure.residual", channel=channel_name(name, say)) for name in channels]
+    figure = make_subplots(rows=max(1, len(channels)), subplot_titles=titles, vertical_spacing=0.24)
+    for row, name in enumerate(channels, start=1):
         gap, unit = report["gap"][name], "mV" if name == "output" else "mN"
         values = [1e3 * gap[key] for key in ("rmse_before", "rmse_after", "noise_floor")]
         bars = go.Bar(
-            x=["refitted base", "with the causes", "noise floor"],
-            y=values,
+            x=values,
+            y=[say(f"gap.figure.{of}") for of in ("base", "causes", "floor")],
+            orientation="h",
             marker_color=[BEFORE, AFTER, GRID],
             text=[f"{value:.3g} {unit}" for value in values],
             textposition="outside",
             cliponaxis=False,
         )
-        figure.add_trace(bars, row=1, col=column)
-        figure.update_yaxes(title=unit, range=[0.0, 1.2 * max(values)], row=1, col=column)
-    return _styled(figure, 320, showlegend=False)
+        figure.add_trace(bars, row=row, col=1)
+        figure.update_xaxes(title=unit, title_standoff=4, range=[0.0, 1.3 * max(values)], row=row, col=1)
+        figure.update_yaxes(autorange="reversed", automargin=True, row=row, col=1)
+    return _styled(figure, 90 + 190 * max(1, len(channels)), showlegend=False)
 
 
 def _has_gap(gap: Mapping[str, Any] | None) -> bool:
     return bool(gap) and all((gap or {}).get(key) is not None for key in ("rmse_before", "rmse_after", "noise_floor"))
 
 
-def hidden_figure(report: Mapping[str, Any]) -> go.Figure | None:
+def hidden_figure(report: Mapping[str, Any], say: Words) -> go.Figure | None:
     """Draw how much of each effect the refitted base would swallow on these runs; None where it is not known."""
     hidden = {name: share for name, share in report["hidden_fraction"].items() if share is not None}
     if not hidden:
@@ -178,29 +186,29 @@ def hidden_figure(report: Mapping[str, Any]) -> go.Figure | None:
     shares = [hidden[name] for name in names]
     bars = go.Bar(
         x=shares,
-        y=[name.replace("_", " ") for name in names],
+        y=[effect_name(name, say) for name in names],
         orientation="h",
         marker_color=["#c4441c" if share >= 0.8 else BEFORE for share in shares],
-        hovertemplate="%{y}: %{x:.0%} hidden<extra></extra>",
+        hovertemplate=f"%{{y}}: {say('gap.figure.hidden.one', share='%{x:.0%}')}<extra></extra>",
     )
     figure = go.Figure(bars)
-    figure.update_xaxes(range=[0.0, 1.0], tickformat=".0%", title="share of the effect<br>that a base refit would hide")
-    return _styled(figure, 110 + 18 * len(names), left=190, showlegend=False)
+    title = say("gap.figure.hidden")
+    figure.update_xaxes(range=[0.0, 1.0], tickformat=".0%", title=title, title_standoff=12, automargin=True)
+    return _styled(figure, 140 + 18 * len(names), left=150, showlegend=False)
 
 
-def trace_figure(runs: Sequence[RunView], channel: str) -> go.Figure | None:
+def trace_figure(runs: Sequence[RunView], channel: str, say: Words) -> go.Figure | None:
     """Draw the residual of one channel over time, one row per run, before and after; None without the channel."""
     shown = [run for run in runs if channel in run.channels]
     if not shown:
         return None
-    unit, titles = CHANNEL_UNITS[channel], [f"{run.name}: {run.profile}" for run in shown]
+    unit = CHANNEL_UNITS[channel]
+    titles = [f"{run.name}: {pressed_name(run.profile, say)}" for run in shown]
     figure = make_subplots(rows=len(shown), subplot_titles=titles, vertical_spacing=min(0.1, 0.3 / len(shown)))
     for row, run in enumerate(shown, start=1):
         view = run.channels[channel]
-        for name, predicted, colour in (
-            ("refitted base", view.base, BEFORE),
-            ("with the causes", view.explained, AFTER),
-        ):
+        for of, predicted, colour in (("base", view.base, BEFORE), ("causes", view.explained, AFTER)):
+            name = say(f"gap.figure.{of}")
             at = _thinned(view.measured - predicted)
             line = go.Scattergl(
                 x=run.t_s[at],
@@ -212,8 +220,10 @@ def trace_figure(runs: Sequence[RunView], channel: str) -> go.Figure | None:
             )
             figure.add_trace(line, row=row, col=1)
         figure.update_yaxes(title=unit, row=row, col=1)
-    figure.update_xaxes(title="time into the run, s", row=len(shown), col=1)
-    legend = {"orientation": "h", "x": 1.0, "xanchor": "right", "y": -0.35 / len(shown), "yanchor": "top"}
+    # The legend stands below: far from its axis, as the desk would draw it, the title would lie on it.
+    figure.update_xaxes(title=say("gap.figure.time"), title_standoff=8, row=len(shown), col=1)
+    place = {"x": 1.0, "xanchor": "right", "y": -0.35 / len(shown), "yanchor": "top", "yref": "paper"}
+    legend = {"orientation": "h", **place}
     return _styled(figure, 110 + 150 * len(shown), legend=legend)
 
 

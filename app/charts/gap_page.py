@@ -3,6 +3,7 @@
 A standalone HTML file: the plotting library is inside, nothing is loaded from elsewhere.
 """
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
@@ -11,7 +12,7 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 from softcal.app.charts.gap import (
-    CHANNEL_WORDS,
+    CHANNELS,
     RunView,
     gain_figure,
     hidden_figure,
@@ -19,57 +20,98 @@ from softcal.app.charts.gap import (
     ranking_figure,
     trace_figure,
 )
+from softcal.app.charts.style import Words
+from softcal.app.texts.reasons import phrase
+from softcal.app.views.gap import (
+    LIKELY,
+    begun,
+    channel_name,
+    effect_name,
+    listed,
+    mistake_rows,
+    parameter_name,
+    place_words,
+    pressed_name,
+    ranked,
+    residual_rows,
+    stage_name,
+    unit_name,
+    why_next,
+)
 
 CHAIN = ("motion", "mechanics", "transduction", "electronics", "acquisition")
-WORDS = {
-    "no_gap": "The twin agrees with the rig as far as these recordings can show.",
-    "explained": "The gap is explained.",
-    "ambiguous": "The gap is located, but these recordings cannot tell its causes apart.",
-    "unknown": "A structured gap is left that nothing in the catalogue explains.",
-    "data": "The recordings hold a mistake. Repair it and diagnose again; nothing else was judged.",
-}
 SHOWN_CAUSES = 10
+BOLD = re.compile(r"\*\*(.+?)\*\*")
+"""How the texts mark what stands out: the desk reads the same ones as Markdown."""
 
 
-def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str) -> str:
+def gap_page(report: Mapping[str, Any], runs: Sequence[RunView], serial: str, say: Words) -> str:
     """Return the page of a diagnosis as HTML.
 
     Args:
         report: the record of a diagnosis, schema `softcal.gap/1`.
         runs: measured and predicted channels of every run, before and after.
         serial: unit of the case.
+        say: the texts of one language.
     """
     if report["verdict"] == "data":
-        parts = [_headline(report, serial), _section("What is wrong with the recordings", _mistakes(report))]
-        return _document(serial, [*parts, _section("Run by run", *_traces(runs))])
+        parts = [_headline(report, serial, say), _section(say("gap.data"), _mistakes(report, say))]
+        return _document(serial, [*parts, _section(say("gap.runs.plain"), *_traces(runs, say))], say)
+    ranking = _figure(ranking_figure(report, SHOWN_CAUSES, say))
     return _document(
         serial,
         [
-            _headline(report, serial),
-            _section("Where the twin is wrong", chain_svg(report), _places(report["where"]), *_maps(runs)),
-            _section("Why", _figure(ranking_figure(report, SHOWN_CAUSES)), _causes(report), _ambiguity(report)),
-            _section("What it gains to fix it", _gain_words(report), _figure(gain_figure(report))),
-            _section("How sure this is", _hidden_words(report), *_optional(hidden_figure(report))),
-            _section("What to press next", _next(report["next_experiment"])),
-            _section("Before and after, run by run", *_traces(runs)),
+            _headline(report, serial, say),
+            _section(say("gap.where"), chain_svg(report, say), _places(report["where"], say), *_maps(runs, say)),
+            _section(say("gap.why"), ranking, _causes(report, say), _ambiguity(report, say)),
+            _section(say("gap.gain"), _gain_words(report, say), _figure(gain_figure(report, say))),
+            _section(say("gap.sure"), _hidden_words(report, say), *_optional(hidden_figure(report, say))),
+            *_left(report, say),
+            _section(say("gap.next"), _next(report["next_experiment"], say)),
+            _section(say("gap.runs"), *_traces(runs, say)),
         ],
+        say,
     )
 
 
-def _mistakes(report: Mapping[str, Any]) -> str:
-    rows = "".join(
-        f"<tr><td>{escape(_words(d['what']))}</td><td>{escape(d['channel'])}</td>"
-        f"<td>{escape('all' if d['runs'] == 'all' else ', '.join(map(str, d['runs'])))}</td>"
-        f"<td>{escape(d['evidence'])}</td><td>{escape(d['repair'])}</td></tr>"
-        for d in report["data"]
-    )
-    heads = "".join(f"<th>{word}</th>" for word in ("mistake", "channel", "runs", "what shows it", "what repairs it"))
-    return f"<table><tr>{heads}</tr>{rows}</table>"
+def _left(report: Mapping[str, Any], say: Words) -> Iterable[str]:
+    """Describe what no cause explains by its empirical terms, where they hold on runs held back."""
+    found = report.get("residual")
+    if not found:
+        return ()
+    rows = [
+        (escape(row["term"]), escape(row["error"]), _percent(term["chosen"]))
+        for row, term in zip(residual_rows(report, say), found["terms"], strict=True)
+    ]
+    words = [
+        _told(say, "gap.left.is", **{name: _percent(found["shrink"][name]) for name in ("held_out", "low", "high")})
+    ]
+    if found["beside"]:
+        causes = _effects(found["beside"], say)
+        words.append(_told(say, "gap.left.beside", causes=causes, without=_percent(found["without"])))
+    words.append(_told(say, "gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
+    table = _table([say(f"gap.column.{name}") for name in ("term", "error", "chosen")], rows)
+    return (_section(say("gap.left"), f"<p>{' '.join(words)}</p>", table),)
 
 
-def _document(serial: str, parts: Sequence[str]) -> str:
-    body = "\n".join(parts)
-    return _DOCUMENT.format(title=escape(f"Gap of {serial}"), script=get_plotlyjs(), body=body)
+def _mistakes(report: Mapping[str, Any], say: Words) -> str:
+    rows = [[escape(cell) for cell in row.values()] for row in mistake_rows(report, say)]
+    header = [say(f"gap.column.{name}") for name in ("mistake", "channel", "runs", "evidence", "repair")]
+    return _table(header, rows)
+
+
+def _document(serial: str, parts: Sequence[str], say: Words) -> str:
+    title, script = escape(say("gap.page.title", serial=serial)), get_plotlyjs()
+    return _DOCUMENT.format(language=say("gap.page.lang"), title=title, script=script, body="\n".join(parts))
+
+
+def _told(say: Words, key: str, **values: str) -> str:
+    """Return a text as HTML, with nothing in it or in its values taken for markup but what stands out."""
+    return BOLD.sub(r"<b>\1</b>", escape(say(key, **values)))
+
+
+def _effects(effects: Sequence[str], say: Words, key: str = "gap.and") -> str:
+    return listed([effect_name(effect, say) for effect in effects], key, say)
 
 
 def _figure(figure: go.Figure) -> str:
@@ -82,47 +124,51 @@ def _optional(figure: go.Figure | None) -> Iterable[str]:
     return () if figure is None else (_figure(figure),)
 
 
-def _maps(runs: Sequence[RunView]) -> Iterable[str]:
-    figures = (map_figure(runs, channel) for channel in CHANNEL_WORDS)
+def _maps(runs: Sequence[RunView], say: Words) -> Iterable[str]:
+    figures = (map_figure(runs, channel, say) for channel in CHANNELS)
     return (_figure(figure) for figure in figures if figure is not None)
 
 
-def _traces(runs: Sequence[RunView]) -> Iterable[str]:
-    for channel, word in CHANNEL_WORDS.items():
-        figure = trace_figure(runs, channel)
+def _traces(runs: Sequence[RunView], say: Words) -> Iterable[str]:
+    for column, channel in CHANNELS.items():
+        figure = trace_figure(runs, column, say)
         if figure is not None:
-            yield f"<h3>{word.capitalize()}, measured − predicted</h3>{_figure(figure)}"
+            title = _told(say, "gap.figure.trace", channel=channel_name(channel, say))
+            yield f"<h3>{begun(title)}</h3>{_figure(figure)}"
 
 
 def _section(title: str, *parts: str) -> str:
     return f"<section><h2>{escape(title)}</h2>{''.join(parts)}</section>"
 
 
-def _headline(report: Mapping[str, Any], serial: str) -> str:
+def _headline(report: Mapping[str, Any], serial: str, say: Words) -> str:
     named = [cause for cause in report["causes"] if cause["probability"] >= 0.5]
-    names = ", ".join(f"<b>{escape(_words(c['effect']))}</b> ({_percent(c['probability'])})" for c in named)
-    missing = ", ".join(map(escape, report["missing_channels"]))
+    causes = ", ".join(f"**{effect_name(c['effect'], say)}** ({_percent(c['probability'])})" for c in named)
     lines = [
-        f"<p class='unit'>Unit {escape(serial)}</p>",
-        f"<h1 class='{escape(report['verdict'])}'>{escape(WORDS[report['verdict']])}</h1>",
-        f"<p class='lead'>Cause: {names}.</p>" if names else "",
-        _partly(report),
-        _offsets(report),
-        _noise(report),
-        f"<p class='note'>Not recorded: {missing}.{_unseen(report)}</p>" if missing else "",
+        f"<p class='unit'>{_told(say, 'gap.page.unit', serial=serial)}</p>",
+        f"<h1 class='{escape(report['verdict'])}'>{_told(say, 'gap.verdict.' + report['verdict'])}</h1>",
+        f"<p class='lead'>{_told(say, 'gap.page.causes', causes=causes)}</p>" if causes else "",
+        _partly(report, say),
+        _offsets(report, say),
+        _noise(report, say),
+        _missing(report, say),
     ]
     return f"<header>{''.join(lines)}</header>"
 
 
-def _partly(report: Mapping[str, Any]) -> str:
+def _note(words: str) -> str:
+    return f"<p class='note'>{words}</p>"
+
+
+def _partly(report: Mapping[str, Any], say: Words) -> str:
     found = report.get("partial")
     if not found:
         return ""
-    names = " and ".join(escape(_words(effect)) for effect in found["effects"])
-    return f"<p class='note'>Nearest, a partial explanation: {names}, {_percent(found['share'])} of the gap.</p>"
+    causes = _effects(found["effects"], say)
+    return _note(_told(say, "gap.partial", causes=causes, share=_percent(found["share"])))
 
 
-def _offsets(report: Mapping[str, Any]) -> str:
+def _offsets(report: Mapping[str, Any], say: Words) -> str:
     """Say what was taken off every run before anything was compared, at most in size."""
     most = {
         name: max((abs(one[name]) for one in report.get("offsets", ())), default=0.0)
@@ -130,50 +176,56 @@ def _offsets(report: Mapping[str, Any]) -> str:
     }
     if not any(most.values()):
         return ""
-    return (
-        f"<p class='note'>Taken off run by run: a load at rest of up to {most['force_N']:.3f} N, an unloaded "
-        f"resistance that differs by up to {100 * most['resistance']:.2f} %, a surface that differs by up to "
-        f"{1e3 * most['seat_mm']:.0f} µm.</p>"
-    )
+    sizes = {
+        "force": f"{most['force_N']:.3f}",
+        "resistance": f"{100 * most['resistance']:.2f}",
+        "surface": f"{1e3 * most['seat_mm']:.0f}",
+    }
+    return _note(_told(say, "gap.offsets", **sizes))
 
 
-def _noise(report: Mapping[str, Any]) -> str:
+def _noise(report: Mapping[str, Any], say: Words) -> str:
     """Say which channels have noise that is not white, and that the floor holds it."""
     units = {"output": (1e3, "mV"), "force": (1e3, "mN")}
     told = [
-        f"{_words(channel)} {units[channel][0] * found['fading']:.1f} {units[channel][1]}, "
-        f"fading within {found['fading_s']:.2g} s"
+        say(
+            "gap.noise.one",
+            channel=channel_name(channel, say),
+            size=f"{units[channel][0] * found['fading']:.1f}",
+            unit=units[channel][1],
+            fading=f"{found['fading_s']:.2g}",
+        )
         for channel, found in report.get("noise", {}).items()
         if channel in units
     ]
-    return f"<p class='note'>Noise that is not white, part of the floor: {'; '.join(told)}.</p>" if told else ""
+    return _note(_told(say, "gap.noise", channels="; ".join(told))) if told else ""
 
 
-def _unseen(report: Mapping[str, Any]) -> str:
-    stages = ", ".join(escape(_words(stage)) for stage in report.get("unseen_stages", ()))
-    return f" Not judged without them: {stages}." if stages else ""
-
-
-def _words(identifier: str) -> str:
-    return identifier.replace("_", " ")
+def _missing(report: Mapping[str, Any], say: Words) -> str:
+    if not report["missing_channels"]:
+        return ""
+    words = [_told(say, "gap.page.missing", channels=", ".join(report["missing_channels"]))]
+    if stages := ", ".join(stage_name(stage, say) for stage in report.get("unseen_stages", ())):
+        words.append(_told(say, "gap.page.unseen", stages=stages))
+    return _note(" ".join(words))
 
 
 def _percent(share: float | None) -> str:
     return "–" if share is None else f"{100 * share:.0f} %"
 
 
-def chain_svg(report: Mapping[str, Any]) -> str:
+def chain_svg(report: Mapping[str, Any], say: Words) -> str:
     """Return the chain from motion to acquisition as SVG; the darker a stage, the more of the gap sits there."""
     shares: dict[str, float] = {}
     for place in report["where"]:
         # Stages come first; the rows after them tell the regime, whose share is one of energy.
         shares.setdefault(place["stage"], float(place["share"]))
     unseen = report.get("unseen_stages", ())
-    boxes = [_box(stage, 10 + 172 * k, 14, shares.get(stage, 0.0), unseen) for k, stage in enumerate(CHAIN)]
+    boxes = [_box(stage, 10 + 172 * k, 14, shares.get(stage, 0.0), unseen, say) for k, stage in enumerate(CHAIN)]
     arrows = [f"<path d='M{156 + 172 * k} 44 h22' marker-end='url(#tip)'/>" for k in range(len(CHAIN) - 1)]
-    cell = _box("load_cell", 354, 108, shares.get("load_cell", 0.0), unseen)
+    cell = _box("load_cell", 354, 108, shares.get("load_cell", 0.0), unseen, say)
     return (
-        "<svg class='chain' viewBox='0 0 868 180' role='img' aria-label='Share of the gap by stage of the chain'>"
+        f"<svg class='chain' viewBox='0 0 868 180' role='img' aria-label='{escape(say('gap.chain.label'))}'>"
         "<defs><marker id='tip' viewBox='0 0 8 8' refX='7' refY='4' markerWidth='7' markerHeight='7' orient='auto'>"
         "<path d='M0 0L8 4L0 8z' fill='#5b6573' stroke='none'/></marker></defs>"
         f"<g stroke='#5b6573' stroke-width='1.6' fill='none'>{''.join(arrows)}"
@@ -181,38 +233,35 @@ def chain_svg(report: Mapping[str, Any]) -> str:
     )
 
 
-def _box(stage: str, x: int, y: int, share: float, unseen: Sequence[str]) -> str:
+def _box(stage: str, x: int, y: int, share: float, unseen: Sequence[str], say: Words) -> str:
     share = min(1.0, max(0.0, share))
-    fill = f"rgba(196,68,28,{0.06 + 0.84 * share:.2f})" if share > 0 else "#f3f5f7"
-    ink = "#ffffff" if share > 0.55 else "#1c2733"
-    label = _percent(share) if share > 0 else ("not judged" if stage in unseen else "no gap seen")
+    # No darker than dark letters can be read on.
+    fill = f"rgba(196,68,28,{0.06 + 0.69 * share:.2f})" if share > 0 else "#f3f5f7"
+    ink = "#1c2733"
+    label = _percent(share) if share > 0 else say("gap.chain.unjudged" if stage in unseen else "gap.chain.none")
+    name = escape(stage_name(stage, say))
     return (
         f"<g><rect x='{x}' y='{y}' width='146' height='60' rx='8' fill='{fill}' stroke='#aab3bd'/>"
-        f"<text x='{x + 73}' y='{y + 26}' text-anchor='middle' fill='{ink}' font-weight='600'>{_words(stage)}</text>"
-        f"<text x='{x + 73}' y='{y + 46}' text-anchor='middle' fill='{ink}'>{label}</text></g>"
+        f"<text x='{x + 73}' y='{y + 26}' text-anchor='middle' fill='{ink}' font-weight='600'>{name}</text>"
+        f"<text x='{x + 73}' y='{y + 46}' text-anchor='middle' fill='{ink}'>{escape(label)}</text></g>"
     )
 
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    head = "".join(f"<th>{cell}</th>" for cell in header)
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
     body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _places(places: Sequence[Mapping[str, Any]]) -> str:
+def _places(places: Sequence[Mapping[str, Any]], say: Words) -> str:
     if not places:
-        return "<p>No part of the chain stands out of the noise.</p>"
-    rows = [
-        (
-            escape(_words(p["stage"])),
-            escape(str(p["channel"])),
-            escape(str(p["regime"])),
-            _bar(float(p["share"])),
-            escape(str(p["detail"])),
-        )
-        for p in places
-    ]
-    return _table(("stage", "channel", "regime", "share of the gap", "what is seen"), rows)
+        return f"<p>{_told(say, 'gap.where.none')}</p>"
+    rows = []
+    for place in places:
+        words = {name: escape(said) for name, said in place_words(place, say).items()}
+        share = _bar(float(place["share"]))
+        rows.append((words["stage"], words["channel"], words["regime"], share, words["detail"]))
+    return _table([say(f"gap.column.{name}") for name in ("stage", "channel", "regime", "share", "detail")], rows)
 
 
 def _bar(share: float) -> str:
@@ -220,81 +269,72 @@ def _bar(share: float) -> str:
     return f"<div class='bar'><i style='width:{width:.0f}%'></i><span>{_percent(share)}</span></div>"
 
 
-def _causes(report: Mapping[str, Any]) -> str:
-    ranked = sorted(report["causes"], key=lambda cause: -cause["probability"])
-    likely = [cause for cause in ranked if cause["probability"] >= 0.05][:SHOWN_CAUSES]
+def _causes(report: Mapping[str, Any], say: Words) -> str:
+    likely = [cause for cause in ranked(report) if cause["probability"] >= LIKELY][:SHOWN_CAUSES]
     if not likely:
-        return "<p>No effect of the catalogue is needed to explain these recordings.</p>"
+        return f"<p>{_told(say, 'gap.why.none')}</p>"
     rows = [
         (
-            escape(_words(cause["effect"])),
+            escape(effect_name(cause["effect"], say)),
             _percent(cause["probability"]),
             _percent(cause["shrink"]),
-            "<br>".join(_parameter(name, value) for name, value in cause["parameters"].items()),
+            "<br>".join([*(_parameter(n, v, say) for n, v in cause["parameters"].items()), *_form(cause, say)]),
         )
         for cause in likely
     ]
-    return _table(("effect", "probability", "shrink of the gap", "fitted values, 90 % interval"), rows)
+    return _table([say(f"gap.column.{name}") for name in ("effect", "probability", "shrink", "values")], rows)
 
 
-def _parameter(name: str, fitted: Mapping[str, Any]) -> str:
-    unit = escape(str(fitted.get("unit") or ""))
-    interval = (
-        f" ({fitted['low']:.3g} to {fitted['high']:.3g})"
-        if fitted.get("low") is not None and fitted.get("high") is not None
-        else ""
-    )
+def _form(cause: Mapping[str, Any], say: Words) -> Iterable[str]:
+    return (_told(say, "gap.form", form=phrase("gap.form", cause["form"], say)),) if cause.get("form") else ()
+
+
+def _parameter(name: str, fitted: Mapping[str, Any], say: Words) -> str:
+    ends = [fitted.get("low"), fitted.get("high")]
+    low, high = ("" if end is None else f"{end:.3g}" for end in ends)
+    interval = f" ({say('gap.range', low=low, high=high)})" if None not in ends else ""
     value = "–" if fitted.get("value") is None else f"{fitted['value']:.4g}"
-    return f"{escape(name)} = {value} {unit}{interval}"
+    return escape(f"{parameter_name(name, say)} = {value} {unit_name(fitted, say)}{interval}")
 
 
-def _ambiguity(report: Mapping[str, Any]) -> str:
-    groups = [" or ".join(escape(_words(effect)) for effect in group) for group in report["ambiguous_with"]]
-    if not groups:
-        return ""
-    return f"<p class='note'>These recordings cannot tell apart: {'; '.join(groups)}.</p>"
+def _ambiguity(report: Mapping[str, Any], say: Words) -> str:
+    groups = [_effects(group, say, "gap.or") for group in report["ambiguous_with"]]
+    return _note(_told(say, "gap.ambiguous", group="; ".join(groups)) + ".") if groups else ""
 
 
-def _gain_words(report: Mapping[str, Any]) -> str:
+def _gain_words(report: Mapping[str, Any], say: Words) -> str:
     shrink = report["shrink"]
     if shrink.get("predicted") is None:
-        return "<p>No forecast: there is no gap to shrink, or no explanation to shrink it with.</p>"
-    interval = f"{_percent(shrink.get('low'))} to {_percent(shrink.get('high'))}"
-    held_out = shrink.get("held_out")
-    seen = "" if held_out is None else f" On samples that no fit has seen it shrinks by <b>{_percent(held_out)}</b>."
-    return (
-        f"<p>With these causes in the twin the gap is forecast to shrink by <b>{_percent(shrink['predicted'])}</b> "
-        f"({interval}), counted from the refitted base down to the noise floor.{seen}</p>"
-    )
+        return f"<p>{_told(say, 'gap.gain.none')}</p>"
+    interval = say("gap.range", low=_percent(shrink.get("low")), high=_percent(shrink.get("high")))
+    words = [_told(say, "gap.gain.is", predicted=_percent(shrink["predicted"]), range=interval)]
+    if shrink.get("held_out") is not None:
+        words.append(_told(say, "gap.gain.held_out", held_out=_percent(shrink["held_out"])))
+    if len(parts := shrink.get("chosen", [])) > 0:
+        same = sum(causes == max(parts, key=parts.count) for causes in parts)
+        words.append(_told(say, "gap.gain.chosen", same=str(same), parts=str(len(parts))))
+    return f"<p>{' '.join(words)}</p>"
 
 
-def _hidden_words(report: Mapping[str, Any]) -> str:
-    named = {cause["effect"] for cause in report["causes"] if cause["probability"] >= 0.05}
+def _hidden_words(report: Mapping[str, Any], say: Words) -> str:
+    named = {cause["effect"] for cause in report["causes"] if cause["probability"] >= LIKELY}
     hidden = {effect: share for effect, share in report["hidden_fraction"].items() if share is not None}
     worst = sorted((effect for effect in named if hidden.get(effect, 0.0) >= 0.8), key=lambda effect: -hidden[effect])
     if not worst:
-        return (
-            "<p>The bars show how much of each effect the refitted base parameters would swallow on these runs: "
-            "what is swallowed cannot be seen.</p>"
-        )
-    names = ", ".join(f"{escape(_words(effect))} ({_percent(hidden[effect])})" for effect in worst)
-    return (
-        f"<p class='note'>On these runs the refitted base parameters swallow most of {names}. "
-        "The size of such an effect rests on the small part that is left.</p>"
-    )
+        return f"<p>{_told(say, 'gap.hidden.bars')}</p>"
+    names = ", ".join(f"{effect_name(effect, say)} ({_percent(hidden[effect])})" for effect in worst)
+    return _note(_told(say, "gap.hidden.most", effects=names))
 
 
-def _next(experiment: Mapping[str, Any] | None) -> str:
+def _next(experiment: Mapping[str, Any] | None, say: Words) -> str:
+    why = escape(why_next(experiment or {}, say))
     if not experiment or experiment.get("profile") in (None, "", "none"):
-        return f"<p>No further run is proposed. {escape(str((experiment or {}).get('why', '')).capitalize())}</p>"
-    return (
-        f"<div class='next'><b>{escape(_words(str(experiment['profile'])))}</b>"
-        f"<p>{escape(str(experiment.get('why', '')))}</p></div>"
-    )
+        return f"<p>{_told(say, 'gap.next.none')} {begun(why)}</p>"
+    return f"<div class='next'><b>{escape(pressed_name(str(experiment['profile']), say))}</b><p>{why}</p></div>"
 
 
 _DOCUMENT = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<html lang="{language}"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{title}</title>
 <style>
 body {{ font: 15px/1.5 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; color: #1c2733;
@@ -311,6 +351,7 @@ h2 {{ font-size: 18px; margin: 0 0 10px; }} h3 {{ font-size: 15px; margin: 12px 
 .next {{ background: #eaf3fb; border: 1px solid #bcd7ee; border-radius: 6px; padding: 12px 16px; font-size: 16px; }}
 .next p {{ margin: 4px 0 0; }}
 .chain {{ width: 100%; height: auto; font-size: 14px; }}
+body {{ word-break: keep-all; }}
 table {{ border-collapse: collapse; width: 100%; margin: 8px 0; font-size: 14px; }}
 th, td {{ text-align: left; padding: 6px 10px; border-bottom: 1px solid #e4e8ec; vertical-align: top; }}
 th {{ color: #55606c; font-weight: 600; }}

@@ -41,12 +41,12 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
     figure.update_xaxes(range=[0.0, top], dtick=nice_step(top), tick0=0)
     if view.lot.limit_rmse is not None:
         limit_line(figure, view.lot.limit_rmse, colours, words("chart.limit"))
-    beyond = int(np.sum(every > top))
+    title, beyond = f"{words('column.predicted')} [{view.lot.reference_unit}]", int(np.sum(every > top))
     if beyond:
+        # Over the bars it would meet the line of the limit where the figure is narrow.
         text = words("chart.beyond", count=beyond, value=f"{top:.3g} {view.lot.reference_unit}")
-        where = {"xref": "paper", "yref": "paper", "x": 1, "y": 0.98, "showarrow": False, "xanchor": "right"}
-        figure.add_annotation(text=text, **where)
-    return styled(figure, colours, f"{words('column.predicted')} [{view.lot.reference_unit}]", words("chart.count"))
+        title = f"{title} · {text}"
+    return styled(figure, colours, title, words("chart.count"))
 
 
 def audit_scores(view: LotView, colours: Palette, words: Words) -> go.Figure:

@@ -17,12 +17,16 @@ from softcal.db.entries import GoldenRun
 
 
 def profile_figure(
-    profile: Profile, deepest_mm: float, fastest_mm_s: float, colours: Palette, words: Words
+    profile: Profile, start_mm: float, deepest_mm: float, fastest_mm_s: float, colours: Palette, words: Words
 ) -> go.Figure:
-    """Draw position and speed over time with the bounds of the station."""
+    """Draw position and speed over time with the bounds of the station.
+
+    Args:
+        start_mm: stage position at which the profile begins; the bounds count from the stage's own zero.
+    """
     t_s, stage_mm, speed_mm_s = course(profile)
     figure = make_subplots(rows=2, shared_xaxes=True, vertical_spacing=0.07, row_heights=[0.6, 0.4])
-    figure.add_scatter(x=t_s, y=stage_mm, line={"color": colours.mapped, "width": 1.6}, row=1, col=1)
+    figure.add_scatter(x=t_s, y=start_mm + stage_mm, line={"color": colours.mapped, "width": 1.6}, row=1, col=1)
     figure.add_scatter(x=t_s, y=speed_mm_s, line={"color": colours.source, "width": 1.2}, row=2, col=1)
     level_line(figure, deepest_mm, colours.limit, f"{deepest_mm:g} mm", row=1, dash="dash")
     for sign in (-1, 1):
@@ -49,6 +53,8 @@ def golden_figure(runs: Sequence[GoldenRun], chart: ControlChart | None, colours
         figure.add_hline(chart.centre, line={"color": colours.text, "width": 1})
         figure.add_hline(chart.upper, line={"color": colours.limit, "width": 1.5, "dash": "dash"})
     figure.update_yaxes(rangemode="tozero")
+    # Numbers, for the names of months would be English in every language.
+    figure.update_xaxes(tickformat="%Y-%m-%d", nticks=6)
     return styled(figure, colours, words("column.made"), f"{words('chart.error')} [{runs[0].unit}]", 280)
 
 

@@ -35,7 +35,8 @@ def coloured(figure: go.Figure, colours: Palette, height: int = HEIGHT) -> go.Fi
         plot_bgcolor=CLEAR,
         font={"color": colours.text, "size": 13},
         hoverlabel={"bgcolor": colours.grid, "font_color": colours.text},
-        legend={"orientation": "h", "y": 1.08, "yanchor": "bottom", "x": 0},
+        # Above the figure, not so far above the bars: where its names wrap they would come to lie over these.
+        legend={"orientation": "h", "yref": "container", "y": 1.0, "yanchor": "top", "x": 0},
     )
 
 

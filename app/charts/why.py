@@ -16,6 +16,9 @@ HEIGHT = 860
 WIDTH = 150
 """Characters of a line of reasons."""
 
+TITLE = 34
+"""Characters of a line above a panel: two panels stand side by side on 800 px."""
+
 MOST_REASONS = 5
 PARTS, LOADS, INTERVAL, TIME = (1, 1), (1, 2), (2, 1), (2, 2)
 
@@ -31,7 +34,8 @@ def why_figure(view: UnitView, colours: Palette, words: Words) -> go.Figure:
         view: one revision of a unit.
         colours, words: of the screen; `palette("light")` and a text function on the command line.
     """
-    titles = [words(f"why.{name}") for name in ("parts", "loads", "interval", "time")]
+    named = [words(f"why.{name}") for name in ("parts", "loads", "interval", "time")]
+    titles = ["<br>".join(textwrap.wrap(title, TITLE)) for title in named]
     figure = make_subplots(rows=2, cols=2, subplot_titles=titles, horizontal_spacing=0.1, vertical_spacing=0.14)
     _parts(figure, view, colours, words)
     _loads(figure, view, colours, words)

@@ -4,15 +4,17 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli import gap_challenge, gap_effects, gap_transfer
+from softcal.app.cli import gap_challenge, gap_effects, gap_lot, gap_transfer
 from softcal.app.cli.options import add_json
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.core.gap.diagnosis import Diagnosis, RankedCause
+    from softcal.core.gap.empirical import LearnedResidual
     from softcal.core.gap.simulator_diagnosis import SimulatorDiagnosis
     from softcal.core.twin.parameters import ReadoutMetadata
+    from softcal.core.twin.simulate import Twin
 
 _EXAMPLES = """examples:
   softcal gap diagnose rig-7 --json rig-7.gap.json --page rig-7.html
@@ -34,6 +36,7 @@ kind: press (default), rest, rigid_block, dummy_resistor, dead_weights
 _APPLY_EXAMPLES = """examples:
   softcal gap apply rig-7 --out rig-7.twin.json
   softcal gap apply --report rig-7.gap.json --out rig-7.twin.json    without diagnosing again
+  softcal gap apply --report rig-7.gap.json --empirical --out rig-7.twin.json    with the terms that describe the rest
   softcal station unit --simulated --twin rig-7.twin.json --serial A1 --out A1.csv
   softcal demo --twin rig-7.twin.json
 """
@@ -52,6 +55,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_diagnose(inner)
     _add_apply(inner)
+    gap_lot.add_parser(inner)
     gap_effects.add_parser(inner)
     gap_transfer.add_parser(inner)
     gap_challenge.add_parsers(inner)
@@ -96,6 +100,11 @@ def _add_apply(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("case", type=Path, nargs="?", metavar="CASE", help=_CASE_HELP)
     parser.add_argument("--report", type=Path, metavar="FILE", help="take the twin of this report instead of CASE")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="twin as JSON")
+    parser.add_argument(
+        "--empirical",
+        action="store_true",
+        help="add the empirical terms that describe what no cause explains, and the causes they stand beside",
+    )
     add_json(parser)
     parser.set_defaults(run=_apply)
 
@@ -148,15 +157,21 @@ def _apply(options: argparse.Namespace) -> int:
     if (options.case is None) == (options.report is None):
         raise InputError("give either a case to diagnose or --report with the JSON of a diagnosis")
     if options.report is not None:
-        twin = apply_report(options.report, options.out)
-        causes = ", ".join(setting.effect_id for setting in twin.effects) or "no effect, the refitted base alone"
-        say(f"twin written to {options.out}: {causes}")
+        say(f"twin written to {options.out}: {_contents(apply_report(options.report, options.out, options.empirical))}")
         return 0
-    diagnosis = apply_case(options.case, options.out, say)
-    said = "; nothing explains the gap, so it is the refitted base alone" if diagnosis.verdict == "unknown" else ""
-    say(f"twin written to {options.out}{said}")
+    diagnosis, twin = apply_case(options.case, options.out, say, options.empirical)
+    is_bare = diagnosis.verdict == "unknown" and not options.empirical
+    said = "nothing explains the gap, so it is the refitted base alone" if is_bare else _contents(twin)
+    say(f"twin written to {options.out}: {said}")
     _show(diagnosis, options.json)
     return 0
+
+
+def _contents(twin: "Twin") -> str:
+    """Return what a twin holds beside its base, in words."""
+    held = [s.effect_id + (f" ({s.form})" if s.form else "") for s in twin.effects]
+    held += [f"empirical {term.formula}" for term in twin.empirical]
+    return ", ".join(held) or "no effect, the refitted base alone"
 
 
 def _show(diagnosis: "Diagnosis", target: str | None) -> None:
@@ -177,6 +192,10 @@ def _show(diagnosis: "Diagnosis", target: str | None) -> None:
     if diagnosis.partial is not None:
         effects = " + ".join(diagnosis.partial.effects)
         print(f"partly      {effects}: {diagnosis.partial.share:.0%} of the gap on these runs; the rest has no name")
+    for cause in (c for c in diagnosis.causes if c.form and c.probability >= 0.5):
+        print(f"form        {cause.effect}: the twin has it as {cause.form}; the values above are the catalogue's")
+    if diagnosis.residual is not None:
+        _show_residual(diagnosis.residual)
     for name, value in diagnosis.on_bound.items():
         print(f"on bound    {name} = {value:.4g}: these recordings do not determine it, or they hold a mistake")
     for channel, fades in diagnosis.named.problem.colour.items():
@@ -187,6 +206,21 @@ def _show(diagnosis: "Diagnosis", target: str | None) -> None:
         print(f"not judged  {', '.join(diagnosis.case.unseen_stages)}: these recordings cannot show them")
 
 
+def _show_residual(found: "LearnedResidual") -> None:
+    for one in found.terms:
+        print(f"empirical   {one.term.formula}  (standard error {one.standard_error:.1g} {one.term.unit})")
+    shrink, beside = found.shrink, " + ".join(found.beside)
+    held = f"{shrink.held_out:.2f} [{shrink.low:.2f}, {shrink.high:.2f}] held out"
+    told = f", beside {beside}, which alone reach {found.without:.2f}" if beside else ""
+    print(f"describes   {held}{told}: a description, no cause; softcal gap apply --empirical adds it")
+
+
+def _chosen_otherwise(diagnosis: "Diagnosis | SimulatorDiagnosis") -> list[tuple[int, tuple[str, ...]]]:
+    """Return the parts without which other causes are chosen, and those causes."""
+    ids = diagnosis.best.hypothesis.ids
+    return [(k, causes) for k, causes in enumerate(diagnosis.chosen, start=1) if causes != ids]
+
+
 def _show_result(diagnosis: "Diagnosis | SimulatorDiagnosis") -> None:
     shrink = diagnosis.shrink
     print(f"verdict     {diagnosis.verdict}")
@@ -194,6 +228,8 @@ def _show_result(diagnosis: "Diagnosis | SimulatorDiagnosis") -> None:
         print(f"{channel:<11} {gap.rmse_before:.4g} before, {gap.rmse_after:.4g} after, floor {gap.noise_floor:.4g}")
     forecast = f"{shrink.predicted:.2f} [{shrink.low:.2f}, {shrink.high:.2f}]"
     print(f"shrink      {shrink.held_out:.2f} held out; forecast {forecast}")
+    for part, causes in _chosen_otherwise(diagnosis):
+        print(f"            without part {part} of the runs: {' + '.join(causes) or 'no cause'}; scored so there")
     named = [c for c in diagnosis.causes if c.probability > 0.01]
     if named:
         print_table(

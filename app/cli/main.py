@@ -3,10 +3,11 @@
 import argparse
 import importlib
 import sys
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
-from softcal.app.cli.configuration import configure
+from softcal.app.cli.configuration import configure, files_in_use
 from softcal.app.cli.parser import Parser
 from softcal.app.extras import missing_extra
 from softcal.app.output import answering
@@ -49,14 +50,15 @@ def main(arguments: list[str] | None = None) -> int:
 
     A defect of softcal itself is one line for the person, too; its traceback goes to the log.
     """
-    parser = command_parser()
+    given = sys.argv[1:] if arguments is None else arguments
+    parser = command_parser(_needed(given))
     try:
         configure(parser)
     except InputError as error:
         print(f"softcal: {error}", file=sys.stderr)
         return WRONG_USE
-    options = parser.parse_args(arguments)
-    log = _log_of(options, sys.argv[1:] if arguments is None else arguments)
+    options = parser.parse_args(given)
+    log = _log_of(options, given)
     code, message = _outcome(options)
     if log is not None:
         from softcal.app.logs import end_run
@@ -114,8 +116,15 @@ def _log_of(options: argparse.Namespace, arguments: list[str]) -> Any:
     return begin_run(command.strip("_"), arguments, **context)
 
 
-def command_parser() -> argparse.ArgumentParser:
-    """Return the parser of every command."""
+def _needed(arguments: Sequence[str]) -> Sequence[str]:
+    """Return the modules of the commands that can matter: the one that is named, else all."""
+    named = [name for name in COMMANDS if name.rstrip("_") in arguments[:1]]
+    # A configuration file is checked whole, with the options of every command.
+    return COMMANDS if not named or files_in_use() else named
+
+
+def command_parser(modules: Sequence[str] = COMMANDS) -> argparse.ArgumentParser:
+    """Return the parser of the commands in these modules."""
     parser = Parser(
         prog="softcal",
         description="Calibrate soft sensors: one shared network, one optimal-transport map per unit.",
@@ -123,7 +132,7 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"softcal {version('softcal')}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name in COMMANDS:
+    for name in modules:
         importlib.import_module(f"softcal.app.cli.{name}").add_parser(commands)
     return parser
 

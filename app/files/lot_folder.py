@@ -39,6 +39,9 @@ ANCHOR_FILES = ("anchors.csv", "anchors.parquet")
 FOLDER_OF = {"source": "source", "unit": "units", "audit": "audit"}
 """Kind of a recording → where it lies in a lot folder."""
 
+GOLDEN = "golden"
+"""Where the source's run in the units' sitting lies."""
+
 MOST_BYTES = 1_000_000
 """A lot.toml has some ten lines."""
 
@@ -138,7 +141,7 @@ def open_lot_folder(folder: Path) -> LotFolder:
     if strangers:
         remarks = (*remarks, f"audit/ holds {', '.join(strangers[:5])}, which units/ does not; not used")
     remarks = (*remarks, *_same_files(units, folder))
-    golden = _golden(folder / "golden", lot.source)
+    golden = _golden(folder / GOLDEN, lot.source)
     loads = next((path for path in map(folder.joinpath, ANCHOR_FILES) if path.is_file()), None)
     others = {serial: sources[serial] for serial in more}
     return LotFolder(folder, lot, sources[lot.source], units, audits, remarks, line, reference, golden, loads, others)

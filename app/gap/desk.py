@@ -4,6 +4,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,11 +16,13 @@ from softcal.app.files.atomic import whole_folder, write_bytes, write_text
 from softcal.app.files.case_folder import METADATA, RECORDING, open_case
 from softcal.app.gap.challenge import ask_rig, make_challenge, open_challenge
 from softcal.app.gap.diagnose import diagnose_case, run_views
+from softcal.core.challenge.mistakes import Mistake
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
 
 if TYPE_CHECKING:
     from softcal.app.charts.gap import RunView
+    from softcal.core.gap.diagnosis import Diagnosis
     from softcal.db.arrays import Arrays
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
@@ -45,10 +48,14 @@ def _is_run(folder: Path) -> bool:
     return (folder / RECORDING).is_file()
 
 
-def practise() -> Path:
-    """Make a sealed rig with a hidden cause and return its case; the label lies in a file beside it."""
+def practise(line: str | None = None) -> Path:
+    """Make a sealed rig with something hidden and return its case; the label lies in a file beside it.
+
+    Args:
+        line: of which kind; None draws one.
+    """
     folder = cases_folder() / f"practice-{datetime.now(UTC):%Y%m%d-%H%M%S}"
-    made = make_challenge(folder, _seal(folder), 1)
+    made = make_challenge(folder, _seal(folder), 1, line=line)
     return folder / made.cases[0]
 
 
@@ -68,11 +75,31 @@ def ask_case(case: Path, experiment: str) -> Path:
     return ask_rig(case.parent, _seal(case.parent), case.name, experiment)
 
 
-def truth(case: Path) -> tuple[str, ...]:
-    """Open the seal of a case and return the effects that were hidden in its rig; none for a rig without a gap."""
+@dataclass(frozen=True)
+class Truth:
+    """What was hidden in a sealed rig.
+
+    Args:
+        effects: at work in it; none for a rig without a gap.
+        mistake: what went wrong when its runs were written down; empty for nothing.
+        channel, runs: where, and in which runs from 1; empty runs are all.
+    """
+
+    effects: tuple[str, ...]
+    mistake: str = ""
+    channel: str = ""
+    runs: tuple[int, ...] = ()
+
+
+def truth(case: Path) -> Truth:
+    """Open the seal of a case and return what was hidden in its rig."""
     labels = open_challenge(case.parent, _seal(case.parent))
-    label = next(label for label in labels if label.case.name == case.name)
-    return tuple(cause.effect for cause in label.case.causes)
+    sealed = next(label for label in labels if label.case.name == case.name).case
+    effects = tuple(cause.effect for cause in sealed.causes)
+    if not sealed.mistake:
+        return Truth(effects)
+    mistake = Mistake.of(sealed.mistake)
+    return Truth(effects, mistake.what, mistake.channel, mistake.runs)
 
 
 def _seal(folder: Path) -> Path:
@@ -108,8 +135,12 @@ def store_upload(name: str, runs: Sequence[bytes], metadata: Mapping[str, object
 
 
 def diagnosis_outcome(folder: Path, progress: Callable[[str], None]) -> "tuple[dict[str, Any], Arrays]":
-    """Diagnose a case and return its report with a list of runs, and the arrays of their figures."""
-    diagnosis = diagnose_case(folder, progress)
+    """Diagnose a case and return what is kept of it."""
+    return kept_of(diagnose_case(folder, progress))
+
+
+def kept_of(diagnosis: "Diagnosis") -> "tuple[dict[str, Any], Arrays]":
+    """Return the report of a diagnosis with a list of runs, and the arrays of their figures."""
     views = run_views(diagnosis)
     runs = [
         {"name": v.name, "profile": v.profile, "noise": {name: c.noise for name, c in v.channels.items()}}

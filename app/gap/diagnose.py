@@ -2,11 +2,13 @@
 
 import json
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softcal.app.files.atomic import write_text
 from softcal.app.files.case_folder import open_case, open_table
+from softcal.app.texts.catalogue import text
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import Diagnosis, diagnose
 from softcal.core.twin.parameters import ReadoutMetadata
@@ -37,10 +39,11 @@ def diagnose_case(
 
 
 def write_page(path: Path, diagnosis: Diagnosis) -> None:
-    """Write the page of figures of a diagnosis, whole or not at all."""
+    """Write the page of figures of a diagnosis in English, whole or not at all."""
     from softcal.app.charts.gap_page import gap_page
 
-    write_text(path, gap_page(diagnosis.report(), run_views(diagnosis), diagnosis.case.serial))
+    page = gap_page(diagnosis.report(), run_views(diagnosis), diagnosis.case.serial, partial(text, "en"))
+    write_text(path, page)
 
 
 def run_views(diagnosis: Diagnosis) -> list["RunView"]:
@@ -67,25 +70,52 @@ def run_views(diagnosis: Diagnosis) -> list["RunView"]:
     return views
 
 
-def apply_case(folder: Path, out: Path, progress: Callable[[str], None] | None = None) -> Diagnosis:
-    """Diagnose a case and write the twin that explains it, whole or not at all."""
-    diagnosis = diagnose_case(folder, progress)
-    write_twin(out, diagnosis.explained)
-    return diagnosis
+NO_TERMS = "no empirical terms: nothing is left, or no term holds on runs that were held back; leave --empirical out"
 
 
-def apply_report(report_file: Path, out: Path) -> Twin:
-    """Write the twin that a report of `softcal gap diagnose` holds.
+def apply_case(
+    folder: Path, out: Path, progress: Callable[[str], None] | None = None, empirical: bool = False
+) -> tuple[Diagnosis, Twin]:
+    """Diagnose a case and write the twin that explains it, whole or not at all.
+
+    Args:
+        empirical: with the empirical terms that describe what no cause explains.
 
     Raises:
-        InputError: the report cannot be read or holds no twin.
+        InputError: the recordings hold a mistake, or there are no such terms.
+    """
+    diagnosis = diagnose_case(folder, progress)
+    twin = diagnosis.explained
+    if empirical:
+        described = diagnosis.empirical
+        if described is None:
+            raise InputError(f"{folder}: {NO_TERMS}")
+        twin = described
+    write_twin(out, twin)
+    return diagnosis, twin
+
+
+def apply_report(report_file: Path, out: Path, empirical: bool = False) -> Twin:
+    """Write the twin that a report of `softcal gap diagnose` holds.
+
+    Args:
+        empirical: with the empirical terms that describe what no cause explains.
+
+    Raises:
+        InputError: the report cannot be read, holds no twin, or no such terms.
     """
     report = _read_json(report_file)
     if report.get("verdict") == "data":
         raise InputError(f"{report_file}: the recordings hold a mistake, so there is no twin of them; repair it first")
     if not isinstance(report.get("twin"), dict):
         raise InputError(f"{report_file}: holds no twin; diagnose the case again with softcal gap diagnose --json")
-    twin = twin_from_record(report["twin"], str(report_file))
+    record = report["twin"]
+    if empirical:
+        described = report.get("residual")
+        if not isinstance(described, dict):
+            raise InputError(f"{report_file}: {NO_TERMS}")
+        record = described.get("twin")
+    twin = twin_from_record(record, str(report_file))
     write_twin(out, twin)
     return twin
 

@@ -134,7 +134,7 @@ def diagnose(registry: Registry, job: Job, tell: Teller) -> Outcome:
 
     folder = Path(job.request["case"])
     if experiment := job.request.get("experiment"):
-        tell(0.05, f"pressing: {experiment}")
+        tell(0.05, "pressing the proposed run")
         ask_case(folder, experiment)
     steps = 0
 

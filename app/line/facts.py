@@ -37,11 +37,13 @@ class Screen:
         station: chosen; "" leaves it to the only one.
         tab: tells screens apart.
         seen: version of the place that it showed when the key was pressed; None where nobody can say.
+        until_s: `time.monotonic()` after which it says that the key was not taken; None where it says nothing.
     """
 
     station: str = ""
     tab: str = ""
     seen: int | None = None
+    until_s: float | None = None
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import numpy as np
 
 from softcal.app.registry.unit import calibrated_unit
 from softcal.core.errors import InputError
+from softcal.core.metrics import rmse
 from softcal.core.orders import OrderKind
 from softcal.core.quality.control_chart import control_chart
 from softcal.core.quality.gate import (
@@ -20,7 +21,10 @@ from softcal.core.quality.gate import (
     quarantined,
 )
 from softcal.core.recording import LabelledRecording
+from softcal.core.unit.bridge import make_bridge
 from softcal.core.unit.estimate import estimate
+from softcal.core.unit.source_model import SourceModel
+from softcal.core.unit.verdict import default_limit
 from softcal.core.words.reason import Reason, reason
 from softcal.db.entries import GoldenRun
 from softcal.db.registry import Registry
@@ -28,6 +32,8 @@ from softcal.station.config import StationConfig
 
 FIRST_RUNS = 8
 """So many runs of a golden unit make its control limits; until then the lot's limit judges it."""
+
+SHIFT = timedelta(hours=8)
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,7 @@ class GateRules:
     """
 
     warm_up: timedelta = timedelta(minutes=15)
-    shift: timedelta = timedelta(hours=8)
+    shift: timedelta = SHIFT
     needs_certificate: bool = True
     needs_golden: bool = True
 
@@ -100,31 +106,57 @@ class StationGate:
         self._override = Override(actor, reason, until)
 
 
-def check_golden(registry: Registry, station: str, recording: LabelledRecording, actor: str = "") -> GoldenRun:
+def check_golden(
+    registry: Registry,
+    station: str,
+    recording: LabelledRecording,
+    actor: str = "",
+    *,
+    recording_sha256: str | None = None,
+    source: SourceModel | None = None,
+) -> GoldenRun:
     """Judge a run of a golden unit against its own history, and store it.
 
     The value is the error of the unit's estimates against the load cell; once it has run often enough, it must lie
     within three sigma of its own control chart, before that below the limit of its lot.
 
+    Args:
+        recording_sha256: its recording, where it is kept.
+        source: where the golden unit is the source of a lot itself, which f reads without a map.
+
     Raises:
-        InputError: the unit has no calibration in the registry.
+        InputError: the unit is no source and has no calibration in the registry.
     """
+    unit, serial = recording.reference_unit, recording.serial
+    value, widest = _error(registry, recording, source)
+    earlier = [run.value for run in registry.golden_runs(station, serial) if run.passed]
+    is_known = len(earlier) >= FIRST_RUNS
+    largest = control_chart(np.array(earlier)).upper if is_known else widest
+    what = Reason("golden.own_limit" if is_known else "golden.lot_limit")
+    reasons = () if value <= largest else (reason("golden.error", error=value, unit=unit, what=what, limit=largest),)
+    if source is not None:
+        # What units are to be fitted to must be readable when they come.
+        try:
+            make_bridge(source, recording)
+        except InputError as error:
+            reasons = (*reasons, error.reason)
+    run = GoldenRun(station, serial, datetime.now(UTC), value, unit, not reasons, reasons, actor, recording_sha256)
+    registry.add_golden_run(run)
+    return run
+
+
+def _error(registry: Registry, recording: LabelledRecording, source: SourceModel | None) -> tuple[float, float]:
+    """Return the RMS error of a golden unit's estimates, and the largest that its lot allows."""
+    if source is not None:
+        stated = (lot.limit_rmse for lot in registry.lots() if lot.source == recording.serial)
+        limit = next((limit for limit in stated if limit is not None), None)
+        widest = default_limit(recording.reference_unit, source.held_out_rmse, source.method.decision).maximum_rmse
+        return rmse(source.network.evaluate(recording.windows), recording.window_reference), limit or widest
     lot, network, calibration = calibrated_unit(registry, recording.serial)
     found = estimate(network, calibration, recording.unlabelled).estimate
     value = float(np.sqrt(np.nanmean((found - recording.reference) ** 2)))
-    earlier = [run.value for run in registry.golden_runs(station, recording.serial) if run.passed]
-    if len(earlier) >= FIRST_RUNS:
-        largest, what = control_chart(np.array(earlier)).upper, Reason("golden.own_limit")
-    else:
-        # Without a limit of its lot, the one that its own verdict was given by.
-        largest = lot.limit_rmse or float(str(calibration.evidence["limit_rmse"]))
-        what = Reason("golden.lot_limit")
-    passed = value <= largest
-    unit = recording.reference_unit
-    reasons = () if passed else (reason("golden.error", error=value, unit=unit, what=what, limit=largest),)
-    run = GoldenRun(station, recording.serial, datetime.now(UTC), value, unit, passed, reasons, actor)
-    registry.add_golden_run(run)
-    return run
+    # Without a limit of its lot, the one that its own verdict was given by.
+    return value, lot.limit_rmse or float(str(calibration.evidence["limit_rmse"]))
 
 
 def quarantine(registry: Registry, station: str, now: datetime) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ or restart: after any of these nobody knows which unit is in the hand, and it is
 known load, START reads the unit pressed last, and presses nothing. OK takes as read and moves nothing.
 """
 
+import time
 import uuid
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -22,6 +23,9 @@ from softcal.db.registry import Registry
 
 NEWEST_LOTS = 8
 MOST_CONFLICTS = 5
+
+START_S = 2.5
+"""A start that could not be ordered for so long, since the registry was busy, moves nothing: nobody expects it then."""
 
 BADGE_MARK = " (badge)"
 """Behind a name that a badge gave: nobody has shown that it is theirs."""
@@ -55,7 +59,9 @@ def take_scan(registry: Registry, screen: Screen, text: str, actor: str = "") ->
         RegistryError: the registry is away; nothing was ordered.
         InputError: there is no station that it could be for; nothing was ordered.
     """
-    scan = read_scan(text)
+    scan, until_s = read_scan(text), time.monotonic() + START_S
+    # A browser's deadline can only be the shorter one: after a restart it may know another clock than this machine's.
+    screen = replace(screen, until_s=until_s if screen.until_s is None else min(until_s, screen.until_s))
     for _ in range(MOST_CONFLICTS):
         facts = read_line(registry, screen)
         if facts.heartbeat is None:
@@ -99,12 +105,24 @@ def _stop_order(station: str, run: Order, who: str) -> Order:
 def _ordered(registry: Registry, facts: LineFacts, screen: Screen, step: Step) -> LineFacts:
     """Give the order of a step to the station. Its unit waits no longer, so that no order is ever given twice."""
     if step.order is not None:
+        until_s = screen.until_s if step.order.kind.is_run else None
         try:
-            registry.order_queue.place(step.order)
+            is_placed = registry.order_queue.place(step.order, until_s=until_s)
+            refusal = None if is_placed else Note("late_start")
         except InputError:
-            after = read_line(registry, screen)
-            write_place(registry.line_places, facts.station, _told(after, Note("busy_key", _running(after))))
+            refusal = Note("busy_key", _running(read_line(registry, screen)))
+        if refusal is not None:
+            return _refused(registry, screen, refusal)
     return read_line(registry, screen)
+
+
+def _refused(registry: Registry, screen: Screen, refusal: Note) -> LineFacts:
+    """Say why nothing moved, also where another screen writes at the same time."""
+    for _ in range(MOST_CONFLICTS):
+        facts = read_line(registry, screen)
+        if write_place(registry.line_places, facts.station, _told(facts, refusal)):
+            return read_line(registry, screen)
+    raise InputError(Reason("line.other_screens"))
 
 
 def _step(registry: Registry, facts: LineFacts, screen: Screen, scan: Scan, who: str) -> Step:

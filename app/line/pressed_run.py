@@ -5,15 +5,16 @@ Where the lot asks for known loads, a unit is judged once they were read, and no
 
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 from softcal.app.batch.calibrating import Refusal, calibrated
 from softcal.app.batch.line_statement import stated_line
 from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
-from softcal.app.line.gate_facts import check_golden, quarantine
+from softcal.app.line.gate_facts import SHIFT, check_golden, quarantine
 from softcal.app.line.load_readings import LoadReadings, check_stated
 from softcal.app.line.serials import numbered
+from softcal.app.registry.golden import bridge_over, golden_lot, keep_golden_of, newest_golden
 from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.reference import lot_reference, state_reference
 from softcal.app.registry.source import source_model
@@ -23,6 +24,7 @@ from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.recording import OutputRecording
+from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.method import Method
@@ -51,6 +53,7 @@ class RunKeeper:
         network: how f is trained from a source's recording.
         method: every number of the calibration.
         reference: what the station compares sources with; None where nobody said.
+        sitting: how long after a golden run of the source units are fitted to it.
     """
 
     def __init__(
@@ -60,10 +63,12 @@ class RunKeeper:
         network: NetworkConfig = NetworkConfig(),  # noqa: B008 - frozen
         method: Method = Method(),  # noqa: B008 - frozen
         reference: Reference | None = None,
+        sitting: timedelta = SHIFT,
     ) -> None:
         self._registry, self._station, self._reference = registry, station, reference
-        self._network, self._method = network, method
+        self._network, self._method, self._sitting = network, method, sitting
         self._source: tuple[str, SourceModel] | None = None
+        self._bridge: tuple[tuple[str, str], Bridge] | None = None
         self._loads = LoadReadings()
         self._release = LineRelease(registry)
 
@@ -76,7 +81,8 @@ class RunKeeper:
             return
         check_serial(order.serial)
         if order.kind is OrderKind.GOLDEN:
-            self._registry.calibration(order.serial)
+            if golden_lot(self._registry, order.serial) is None:
+                self._registry.calibration(order.serial)
             return
         if not order.lot_id:
             raise InputError(reason("run.no_lot", serial=order.serial))
@@ -152,9 +158,12 @@ class RunKeeper:
 
     def _keep_golden(self, order: Order, recording: StationRecording, done: Progress) -> Progress:
         labelled = recording.labelled_recording()
-        lot_id = self._registry.calibration(order.serial).lot_id
+        own_lot = golden_lot(self._registry, order.serial)
+        entry = None if own_lot is None else released_network(self._registry, own_lot)
+        source = None if entry is None else self._source_model(entry)
+        lot_id = own_lot or self._registry.calibration(order.serial).lot_id
         sha256 = self._registry.add_recording(lot_id, labelled, "audit", actor=order.actor or None)
-        run = check_golden(self._registry, self._station, labelled, order.actor)
+        run = check_golden(self._registry, self._station, labelled, order.actor, recording_sha256=sha256, source=source)
         done = replace(done, recording_sha256=sha256, verdict="pass" if run.passed else "fail")
         if run.passed:
             return replace(done, message=(Reason("golden.good"),))
@@ -193,7 +202,10 @@ class RunKeeper:
         lot = registry.lot(order.lot_id)
         limit = stated_limit(lot.reference_unit, lot.limit_rmse)
         line, reference = stated_line(registry, lot.id), lot_reference(registry, lot.id)
-        problem = UnitProblem(self._source_model(entry), unit, limit, loads, line=line, reference=reference)
+        bridge = self._bridge_of(lot, entry, sha256, order)
+        problem = UnitProblem(
+            self._source_model(entry), unit, limit, loads, line=line, reference=reference, bridge=bridge
+        )
         known = registry.find_calibration(unit.serial, problem.input_sha256, lot_id=lot.id)
         if known is not None:
             registry.put_in_use(lot.id, unit.serial, problem.input_sha256, "line", actor=order.actor or None)
@@ -201,6 +213,17 @@ class RunKeeper:
             kept = registry.calibration(unit.serial, lot_id=lot.id).record
             return sha256, (kept.verdict, kept.reasons)
         return sha256, self._calibrate(lot, problem, order)
+
+    def _bridge_of(self, lot: Lot, entry: NetworkEntry, sha256: str, order: Order) -> Bridge | None:
+        """Return the golden run of this sitting, and keep that this recording belongs to it; None without one."""
+        golden = newest_golden(self._registry, self._station, lot.source, datetime.now(UTC) - self._sitting)
+        if golden is None:
+            return None
+        keep_golden_of(self._registry, lot.id, {sha256: (order.serial, golden)}, actor=order.actor or None)
+        if self._bridge is None or self._bridge[0] != (entry.id, golden):
+            bridge = bridge_over(self._registry, self._source_model(entry), golden)
+            self._bridge = (entry.id, golden), bridge
+        return self._bridge[1]
 
     def _calibrate(self, lot: Lot, problem: UnitProblem, order: Order) -> Outcome:
         registry, actor, serial = self._registry, order.actor or None, problem.recording.serial

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from softcal.app.bootstrap import current_user
-from softcal.app.line.gate_facts import GateRules, StationGate
+from softcal.app.line.gate_facts import SHIFT, GateRules, StationGate
 from softcal.app.line.host import Fixture, HandFixture, StationHost
 from softcal.app.line.pressed_run import RunKeeper
 from softcal.app.line.rig import profile_for, station_reference
@@ -88,7 +88,9 @@ def serve(registry: Registry, serving: Serving, spools: Path, goes_on: Callable[
         log.info(event, **facts)
 
     reference = SIMULATED if serving.simulated_seed is not None else station_reference(config)
-    keeper = RunKeeper(registry, serving.station, serving.network, reference=reference)
+    # A bench whose gate asks for no golden unit still has sittings.
+    sitting = serving.rules.shift or SHIFT
+    keeper = RunKeeper(registry, serving.station, serving.network, reference=reference, sitting=sitting)
     StationHost(registry.order_queue, serving.station, keeper, gate.override, make_service, fixture, write_log).run(
         goes_on
     )

@@ -5,7 +5,7 @@ takes them from here, so that none is put into use without them. They are rows o
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -37,12 +37,21 @@ class UnitLoads:
     where: str
 
 
-def known_loads(registry: Registry, lot_id: str) -> Mapping[str, UnitLoads]:
-    """Return the known loads of a lot by the hash of the recording they belong to; the newest of each."""
+def known_loads(registry: Registry, lot_id: str, serials: Collection[str] | None = None) -> Mapping[str, UnitLoads]:
+    """Return known loads by the hash of the recording they belong to; the newest of each.
+
+    Args:
+        serials: of these units of the lot; None is all that have a recording.
+    """
+    if serials is None:
+        serials = {entry.serial for entry in registry.recordings(lot_id, kind="unit")}
     found: dict[str, UnitLoads] = {}
-    for row in registry.events(ENTITY, (lot_id,)):
+    # Older versions kept those of several units in one row of the lot.
+    for row in registry.events_of(ENTITY, [(lot_id,), *((lot_id, serial) for serial in sorted(serials))]):
         told: dict[str, Any] = json.loads(row.after or "{}")
         for sha256, one in told["recordings"].items():
+            if one["serial"] not in serials:
+                continue
             loads = Anchors(np.array(one["output"], np.float64), np.array(one["reference"], np.float64))
             found[sha256] = UnitLoads(one["serial"], sha256, loads, row.at, row.actor, told["where"])
     return found
@@ -56,17 +65,23 @@ def keep_loads(
     *,
     actor: str | None = None,
 ) -> int:
-    """Keep known loads that are new, in one row; return of how many units.
+    """Keep known loads that are new, a row a unit, all or none; return of how many recordings.
 
     Args:
         loads: hash of a recording → (serial, loads).
         where: `line`, `file` or `page`.
     """
-    before = known_loads(registry, lot_id)
+    before = known_loads(registry, lot_id, {serial for serial, _ in loads.values()})
     new = {sha: one for sha, one in loads.items() if sha not in before or not _is_same(before[sha].loads, one[1])}
-    if new:
-        facts = {sha: {"serial": serial, **values(anchors)} for sha, (serial, anchors) in new.items()}
-        registry.add_event("state", ENTITY, (lot_id,), {"where": where, "recordings": facts}, actor=actor)
+    by_unit: dict[str, dict[str, object]] = {}
+    for sha, (serial, anchors) in new.items():
+        by_unit.setdefault(serial, {})[sha] = {"serial": serial, **values(anchors)}
+    if not by_unit:
+        return 0
+    with registry.transaction():
+        for serial, facts in by_unit.items():
+            told = {"where": where, "recordings": facts}
+            registry.add_event("state", ENTITY, (lot_id, serial), told, actor=actor)
     return len(new)
 
 

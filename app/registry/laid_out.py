@@ -1,11 +1,13 @@
 """A lot of the registry as a lot folder: what a station recorded for orders, in files that people and `batch` take."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from softcal.app.files.anchors import write_anchors
 from softcal.app.files.atomic import whole_folder
-from softcal.app.files.lot_folder import ANCHOR_FILES, FOLDER_OF, write_lot_toml
+from softcal.app.files.lot_folder import ANCHOR_FILES, FOLDER_OF, GOLDEN, write_lot_toml
 from softcal.app.files.recording_file import write_recording
+from softcal.app.registry.golden import golden_of
 from softcal.app.registry.known_loads import known_loads
 from softcal.app.registry.reference import lot_reference
 from softcal.core.errors import InputError
@@ -14,6 +16,9 @@ from softcal.db.registry import Registry
 
 def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str, list[str]]:
     """Write the newest recording of each unit and kind, and the known loads that belong to it, whole or not at all.
+
+    The golden run is written where every unit belongs to the same one: a folder has one. Of several sittings the
+    registry alone knows which unit belongs to which.
 
     Returns:
         The serials by part.
@@ -29,10 +34,23 @@ def write_lot_folder(registry: Registry, lot_id: str, folder: Path) -> dict[str,
     with whole_folder(folder) as part:
         write_lot_toml(part, lot, lot_reference(registry, lot_id))
         for (kind, serial), sha256 in newest.items():
+            if (kind, serial) == ("audit", lot.source):
+                continue
             write_recording(part / FOLDER_OF[kind] / f"{serial}.csv", registry.recording(sha256))
             written[FOLDER_OF[kind]].append(serial)
-        kept = known_loads(registry, lot_id)
+        pressed = {sha256: serial for (kind, serial), sha256 in newest.items() if kind == "unit"}
+        if golden := _one_golden(registry, lot_id, pressed):
+            write_recording(part / GOLDEN / f"{lot.source}.csv", registry.recording(golden))
+            written[GOLDEN] = [lot.source]
+        kept = known_loads(registry, lot_id, set(pressed.values()))
         loads = {s: kept[sha].loads for (kind, s), sha in newest.items() if kind == "unit" and sha in kept}
         if loads:
             write_anchors(part / ANCHOR_FILES[0], loads)
     return written
+
+
+def _one_golden(registry: Registry, lot_id: str, pressed: Mapping[str, str]) -> str | None:
+    """Return the golden run that all of these recordings, hash → serial, belong to; None where there is no such one."""
+    of = golden_of(registry, lot_id, set(pressed.values()))
+    found = {of[sha256][1] if sha256 in of else None for sha256 in pressed}
+    return found.pop() if len(found) == 1 else None

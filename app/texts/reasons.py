@@ -6,11 +6,21 @@ version kept, or that was quoted from a file or a device, stays as it is.
 
 from collections.abc import Callable, Iterable
 
-from softcal.core.words.reason import PLAIN, Reason, unpacked
+from softcal.core.words.reason import PLAIN, Reason, Value, unpacked
 
 Words = Callable[..., str]
 
 PREFIX, PLAINLY = "reason.", "plainly."
+NAMES = {
+    "verdict": "within",
+    "effect": "gap.effect",
+    "channel": "gap.channel",
+    "map": "gap.map",
+    "profile": "gap.press",
+    "unit": "gap.unit",
+}
+"""Values of a reason that are names of softcal's own, with the kind of phrase by which a language says them."""
+
 BETWEEN = "; "
 
 
@@ -18,8 +28,13 @@ def said(why: Reason, words: Words) -> str:
     """Return one reason in the language of `words`; a value that is a reason is said in it as well."""
     if why.code == PLAIN:
         return str(why)
-    values = {name: said(v, words) if isinstance(v, Reason) else v for name, v in why.values.items()}
-    return words(f"{PREFIX}{why.code}", **values)
+    return words(f"{PREFIX}{why.code}", **{name: _value_said(name, v, words) for name, v in why.values.items()})
+
+
+def _value_said(name: str, value: Value, words: Words) -> Value:
+    if isinstance(value, Reason):
+        return said(value, words)
+    return phrase(NAMES[name], value, words) if name in NAMES and isinstance(value, str) else value
 
 
 def plainly(why: Reason, words: Words) -> str:

@@ -5,6 +5,7 @@ from urllib.parse import unquote
 
 import streamlit as st
 
+from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.first_paint import PLACE, has_drawn, is_awaited
 
 STATE = "browser-memory"
@@ -54,7 +55,7 @@ def keep() -> None:
     draw(
         data={"told": told, "asks": is_awaited(), "place": PLACE, "longest_ms": LONGEST_MS},
         key="browser-memory-component",
-        on_drawn_change=has_drawn,
+        on_drawn_change=in_one_piece(has_drawn),
     )
 
 

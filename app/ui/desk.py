@@ -39,6 +39,8 @@ PLOT_CONFIG = {"displayModeBar": False, "displaylogo": False}
 SHORTEST_REASON = 5
 LONGEST_IN_FIELD = 24
 LANGUAGE = "lang"
+FIRST = "first-of-page"
+UNSEEN = f".st-key-{FIRST} {{ display: none }}"
 
 
 def language() -> str:
@@ -78,7 +80,26 @@ def readable() -> None:
     # A section follows the title at once, so that no level is left out; it is drawn smaller than Streamlit would.
     section = ":is([data-testid=stHeading], [data-testid=stMarkdownContainer]) h2"
     small = f"{section} {{ font-size: 1.5rem !important; padding: 0.4rem 0 0.6rem !important }}"
-    st.html(f"<style>{pale} {small} {chosen} {{ color: {colours().chosen} !important }}</style>")
+    # Korean is broken between words, as its readers are used to: else a narrow column stands its words upright.
+    cells = "[data-testid=stTable] :is(th, td)"
+    words_whole = f"{cells}, {cells} * {{ word-break: keep-all !important }}"
+    chosen_too = f"{chosen} {{ color: {colours().chosen} !important }}"
+    style = f"<style>{words_whole} {_file_fields()} {pale} {small} {chosen_too} {UNSEEN}</style>"
+    # With something to draw the script behind every piece of HTML is asked for before those of the page's fields.
+    with st.container(key=FIRST):
+        st.html(f"{style}<span></span>")
+
+
+def _file_fields() -> str:
+    """Return the style that has fields for files speak the page's language: Streamlit's own words are English."""
+    zone, say = "[data-testid=stFileUploaderDropzone]", words()
+    said = {
+        f"{zone} button [data-testid=stMarkdownContainer]": say("choose.files"),
+        f"{zone} [data-testid=stFileUploaderDropzoneInstructions]": say(
+            "choose.files.size", size=st.get_option("server.maxUploadSize")
+        ),
+    }
+    return " ".join(f'{at} > * {{ display: none }} {at}::after {{ content: "{text}" }}' for at, text in said.items())
 
 
 def choose_language() -> None:

@@ -14,6 +14,8 @@ NARROWEST_NUMBER_PX = 150
 NOTHING = "–"
 MOST_IN_FULL = 40
 MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#$:~|!])")
+QUANTITY = re.compile(r"([-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?) ([^\s\d]\S*)")
+NO_BREAK = "\u00a0"
 CLOSER = "[data-testid=stMainBlockContainer] { padding-top: 4.5rem }"
 """The bar of pages needs less room above the title than Streamlit leaves."""
 
@@ -21,11 +23,17 @@ CLOSER = "[data-testid=stMainBlockContainer] { padding-top: 4.5rem }"
 def heading(page: str) -> Any:
     """Draw the title of a page with the language at its right; return the place beside the title for a choice."""
     st.html(f"<style>{CLOSER}</style>")
-    left, middle, right = st.columns([2, 4, 1], vertical_alignment="bottom")
+    left, middle, right = st.columns([2, 4, 1.3], vertical_alignment="bottom")
     left.title(words()(f"page.{page}"))
     with right:
         choose_language()
     return middle
+
+
+def headline(said: str) -> None:
+    """Draw what a person came for in one sentence, above everything that needs scripts of its own to be drawn."""
+    with st.container(key="headline"):
+        st.markdown(said)
 
 
 def lot_heading(page: str, lots: Sequence[str]) -> str | None:
@@ -75,8 +83,16 @@ def table(rows: Sequence[Mapping[str, object]]) -> None:
     st.table(pd.DataFrame(plain), border="horizontal", hide_index=True)
 
 
+def told(rows: Sequence[Mapping[str, object]]) -> list[dict[str, object]]:
+    """Return the rows without the columns in which none says anything: a table of many has no room for them."""
+    names = [name for name in rows[0] if any(row[name] not in ("", None) for row in rows)] if rows else []
+    return [{name: row[name] for name in names} for row in rows]
+
+
 def _as_it_is(value: object) -> object:
-    """Return a text that is no Markdown; cells of a table would be read as such."""
+    """Return a text that is no Markdown, as cells of a table would be read; a number keeps its unit on its line."""
+    if isinstance(value, str) and (quantity := QUANTITY.fullmatch(value)):
+        value = NO_BREAK.join(quantity.groups())
     return MARKDOWN.sub(r"\\\1", value) if isinstance(value, str) else NOTHING if value is None else value
 
 

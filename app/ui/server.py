@@ -2,7 +2,9 @@
 
 import gc
 import importlib
+import socket
 import sys
+from functools import wraps
 from pathlib import Path
 
 from softcal.app.ui.pages import PAGES
@@ -23,6 +25,26 @@ DRAWN_WITH = (
 )
 
 
+def send_at_once() -> None:
+    """Let Streamlit's connections send each message at once.
+
+    Streamlit binds its socket without naming TCP, so asyncio leaves Nagle's algorithm on: every answer in two pieces,
+    as each script of a page, then waits 40 ms for the browser's delayed acknowledgement (RFC 1122, 4.2.3.2). Accepted
+    connections inherit the option (tcp(7)).
+    """
+    from streamlit.web.server.starlette import starlette_server
+
+    bind = starlette_server._bind_socket
+
+    @wraps(bind)
+    def bound(address: str, port: int, backlog: int) -> socket.socket:
+        listening = bind(address, port, backlog)
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return listening
+
+    starlette_server._bind_socket = bound
+
+
 def main(flags: list[str]) -> None:
     """Serve with Streamlit's own flags; returns when the server ends."""
     for name in (*DRAWN_WITH, *(f"softcal.app.ui.app_pages.{page.name}" for page in PAGES)):
@@ -32,6 +54,7 @@ def main(flags: list[str]) -> None:
     # Streamlit collects garbage after every run of a page: without this it looks through all modules each time, 0.13 s.
     gc.collect()
     gc.freeze()
+    send_at_once()
     sys.argv = ["streamlit", "run", str(WEB_APP), *flags]
     cli.main()
 

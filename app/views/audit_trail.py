@@ -30,6 +30,7 @@ SECTIONS = {
     "units": "lots",
     "recordings": "lots",
     "known_loads": "lots",
+    "golden_of": "lots",
     "certificates": "station",
     "golden_runs": "station",
     "station": "station",

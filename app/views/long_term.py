@@ -16,6 +16,7 @@ class UnitInUseView:
         drift: shift of its output, in scales of the calibrated use.
         predicted_rmse: of its estimates now, in the reference unit.
         alarm: why a calibration with a reference is due; empty while it is not.
+        reference_unit: of its lot.
     """
 
     serial: str
@@ -25,6 +26,7 @@ class UnitInUseView:
     predicted_rmse: float
     verdict: str
     alarm: str
+    reference_unit: str
 
 
 @dataclass(frozen=True)
@@ -49,11 +51,18 @@ class Course:
 
 def units_in_use(registry: Registry) -> list[UnitInUseView]:
     """Return the units in use: those with an alarm first, then by predicted error."""
-    found = [_unit(entry) for entry in registry.adapted_units()]
+    units = {lot.id: lot.reference_unit for lot in registry.lots()}
+    # Mostly all lots have one unit; then no lot of a unit is looked up.
+    only = next(iter(units.values())) if len(set(units.values())) == 1 else ""
+    found = [_unit(entry, only or units[_lot_of(registry, entry.serial)]) for entry in registry.adapted_units()]
     return sorted(found, key=lambda unit: (not unit.alarm, -unit.predicted_rmse))
 
 
-def _unit(entry: AdaptedUnit) -> UnitInUseView:
+def _lot_of(registry: Registry, serial: str) -> str:
+    return registry.units(serial=serial)[-1].lot_id
+
+
+def _unit(entry: AdaptedUnit, reference_unit: str) -> UnitInUseView:
     step = entry.entry
     return UnitInUseView(
         entry.serial,
@@ -63,6 +72,7 @@ def _unit(entry: AdaptedUnit) -> UnitInUseView:
         float(step["predicted_rmse"]),
         str(step["verdict"]),
         str(step["alarm"]),
+        reference_unit,
     )
 
 
@@ -70,5 +80,5 @@ def course(registry: Registry, serial: str, stream: str) -> Course:
     """Return the course of a unit on one stream."""
     steps: Sequence[Mapping[str, Any]] = registry.adaptations(serial, stream)
     seen = tuple(step for step in steps if step.get("t_s") is not None)
-    lot = registry.lot(registry.units(serial=serial)[-1].lot_id)
+    lot = registry.lot(_lot_of(registry, serial))
     return Course(serial, stream, seen, lot.output_unit, lot.reference_unit)

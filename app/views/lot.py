@@ -143,6 +143,12 @@ class LotView:
         return float(np.median(values)) if len(values) else None
 
     @property
+    def worst(self) -> str | None:
+        """Serial of the unit with the largest predicted error; None while no unit has one."""
+        known = [(row.predicted_rmse, row.serial) for row in self.errors if row.predicted_rmse is not None]
+        return max(known)[1] if known else None
+
+    @property
     def audited(self) -> tuple[UnitErrors, ...]:
         """Units with a score against a reference."""
         return tuple(row for row in self.errors if row.after_rmse is not None)

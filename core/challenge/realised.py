@@ -43,7 +43,7 @@ PARAMETERS: Mapping[str, tuple[tuple[str, str], ...]] = {
     "reference_drift": (("rho", "rate_per_s"),),
     "adc_saturation": (("V_max", "high_V"),),
     "loadcell_saturation": (("F_sat", "saturation_N"),),
-    "loadcell_nonlinearity": (("lambda", "size"),),
+    "loadcell_nonlinearity": (("lambda", "size"), ("F_max", "capacity_N")),
     "loadcell_creep": (("k", "share"), ("tau", "tau_s")),
     "loadcell_drift": (("r", "rate_N_per_s"),),
     "clock_offset": (("delta", "delay_s"),),
@@ -58,7 +58,7 @@ UNFITTED: Mapping[str, Mapping[str, float]] = {
     "adc_saturation": {"low_V": 0.0, "high_V": 1e3},
     "loadcell_nonlinearity": {"capacity_N": 10.0},
 }
-"""Parameters that a report does not fit; another capacity of the cell is a change of λ and of the gain."""
+"""Values where a report has none."""
 
 
 def realised_shrink(case: SealedCase, report: Mapping[str, Any]) -> float:
@@ -97,12 +97,12 @@ def with_base(rig: Rig, base: Mapping[str, float]) -> Rig:
 
 def _gap(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> float:
     """Sum over channels of (RMS residual − floor)/noise; the floor is what the true rig itself leaves on this run."""
-    left = _left_over(case, measured, rig, causes)
-    floor = _left_over(case, measured, case.rig, case.causes)
+    left = left_over(case, measured, rig, causes)
+    floor = left_over(case, measured, case.rig, case.causes)
     return sum(max(0.0, after - least) for after, least in zip(left, floor, strict=True))
 
 
-def _left_over(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> list[float]:
+def left_over(case: SealedCase, measured: Measured, rig: Rig, causes: tuple[Cause, ...]) -> list[float]:
     """RMS of measured − predicted per channel, in units of its noise."""
     model = replace(case, rig=rig.without_noise(), causes=causes)
     predicted = model.measure(case.kept_back).columns

@@ -29,7 +29,7 @@ def press_lot(case: SealedCase, units: int) -> Iterator[LotRun]:
     """
     rng = np.random.default_rng([case.kept_back.seed, 40_009])
     for number in range(units + 1):
-        unit, serial = _sister(case, rng), f"R{number:02d}"
+        unit, serial = sister(case, rng), f"R{number:02d}"
         seeds = [int(seed) for seed in rng.integers(2**31, size=2)]
         if number == 0:
             yield LotRun("source", serial, unit.measure(RunPlan("lot_source", seeds[0])))
@@ -38,7 +38,8 @@ def press_lot(case: SealedCase, units: int) -> Iterator[LotRun]:
             yield LotRun("audit", serial, unit.measure(RunPlan("lot_unit", seeds[1])))
 
 
-def _sister(case: SealedCase, rng: np.random.Generator) -> SealedCase:
+def sister(case: SealedCase, rng: np.random.Generator) -> SealedCase:
+    """Return another unit of the same make on the same rig: pads from one mould, with no channel withheld."""
     deviation = dict(zip(SPREAD, np.clip(rng.normal(size=len(SPREAD)), -2.0, 2.0).tolist(), strict=True))
     changed = {
         name: getattr(case.rig, name) + size * deviation[name] * (1.0 if name == "u0_mm" else getattr(case.rig, name))

@@ -34,17 +34,22 @@ STRUCTURE_LEFT = 0.25
 """Share of the structure left beside which a cause more only mops up what another equation would explain."""
 
 
-def rivals(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]) -> tuple[Fit, ...]:
+def rivals(
+    fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float], held_open: tuple[Fit, ...] = ()
+) -> tuple[Fit, ...]:
     """Return the best hypothesis and those the evidence cannot rule out.
 
     One that merely adds a cause to another counts only where the evidence for that cause is neither negligible nor
     decisive.
+
+    Args:
+        held_open: larger hypotheses that are in play whatever their evidence.
     """
     if not best.hypothesis.ids:
         return (best,)
     top = logs[best.hypothesis.ids]
     near = [fits[ids] for ids in sorted(logs, key=lambda i: -logs[i]) if logs[ids] > top - RIVAL_LOG_ODDS]
-    kept: list[Fit] = [best]
+    kept: list[Fit] = [best, *held_open]
     for found in near:
         ids = set(found.hypothesis.ids)
         # A larger set of causes holds the evidence of the smaller one: as its rival it says nothing new.
@@ -52,6 +57,8 @@ def rivals(fits: Fits, best: Fit, logs: Mapping[tuple[str, ...], float]) -> tupl
             kept.append(found)
     most = max(MOST_CAUSES, len(best.hypothesis.ids) + 1)
     for found in _open_additions(fits, best, logs):
+        if any(found.hypothesis.ids == other.hypothesis.ids for other in kept):
+            continue
         if len({*found.hypothesis.ids}.union(*(other.hypothesis.ids for other in kept))) <= most:
             kept.append(found)
     return tuple(kept[:MOST_RIVALS])

@@ -12,7 +12,8 @@ from softcal.core.gap.ambiguity import confused_pairs, hidden_fraction, rivals
 from softcal.core.gap.candidates import is_told
 from softcal.core.gap.case import Case
 from softcal.core.gap.coordinates import from_fit
-from softcal.core.gap.explained import explained_twin, in_catalogue_form
+from softcal.core.gap.empirical import LearnedResidual, learned
+from softcal.core.gap.explained import explained_twin, form_of, in_catalogue_form, with_constants
 from softcal.core.gap.fit import BASE, Fit
 from softcal.core.gap.floor import coloured, is_noise
 from softcal.core.gap.next_experiment import NextExperiment, propose
@@ -25,19 +26,24 @@ from softcal.core.gap.residual import Map, Regime, regimes, structure, three_map
 from softcal.core.gap.search import EffectSearch, SearchConfig
 from softcal.core.gap.shrink import ChannelGap, Shrink, quantify
 from softcal.core.gap.start import unfitted
-from softcal.core.gap.strangers import name_of
+from softcal.core.gap.strangers import stranger_of
 from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, OWN_EFFECTS
 from softcal.core.twin.effects import Alias, Parameter
-from softcal.core.twin.mechanics import elastic_force
+from softcal.core.twin.mechanics import elastic_force_at
 from softcal.core.twin.record import twin_record
 from softcal.core.twin.simulate import Twin
+from softcal.core.words.reason import Reason, reason, several
 
 DiagnosisVerdict = Literal["no_gap", "explained", "ambiguous", "unknown", "data"]
 SCHEMA = "softcal.gap/1"
 
 UNKNOWN_TRUST = 0.3
 """How far probabilities within the catalogue are trusted where the catalogue leaves a gap, for a share of 1."""
+
+IMITATED_TRUST = 0.4
+"""How far a cause is trusted that another equation of the causes beside it would explain as well: it is not named, and
+not ruled out."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,8 @@ class RankedCause:
     Args:
         probability: of being present.
         shrink: share of the gap that goes when it is added, of the explained whole.
-        parameters: empty where the effect is not in the best hypothesis.
+        parameters: by the catalogue's equation; empty where the effect is not in the best hypothesis.
+        form: the other equation that fits better and that the twin has, empty where the catalogue's does.
     """
 
     effect: str
@@ -65,6 +72,7 @@ class RankedCause:
     probability: float
     shrink: float
     parameters: dict[str, ParameterEstimate]
+    form: str = ""
 
 
 @dataclass(frozen=True)
@@ -73,9 +81,20 @@ class GapPlace:
 
     stage: str
     channel: str
-    regime: str
+    regime: Reason
     share: float
-    detail: str
+    detail: Reason
+
+    def record(self) -> dict[str, object]:
+        """Return it as a report has it."""
+        return {
+            "stage": self.stage,
+            "channel": self.channel,
+            "regime": str(self.regime),
+            "share": self.share,
+            "detail": str(self.detail),
+            "reasons": [self.regime.to_json(), self.detail.to_json()],
+        }
 
 
 @dataclass(frozen=True)
@@ -91,14 +110,17 @@ class Diagnosis:
     """Everything a report or a page needs of one diagnosis.
 
     Args:
-        base, best: fits of the base alone and of the best hypothesis to all runs.
-        named: the best hypothesis with every cause by the catalogue's equation, as report and twin give it.
+        base, best: fits of the base alone and of the best hypothesis to all runs, each cause by the equation that fits
+            best, as the twin has it.
+        named: the best hypothesis with every cause by the catalogue's equation, as the report gives it.
         rivals: hypotheses that cannot be told apart, the best first.
         maps: the three chain relations fitted separately.
         protocol: how samples were held back for the shrink.
+        chosen: causes that are chosen where each part of the samples in turn is held back, those the shrink is of.
         explained_share: of the structured gap energy, 1 when nothing but noise is left.
         mistakes: what is wrong with the recordings; with the verdict `data` they stand in the way of everything else.
         partial: what comes nearest where nothing explains the gap.
+        residual: empirical terms that describe what no named cause explains, where they hold on runs held back.
     """
 
     case: Case
@@ -114,27 +136,21 @@ class Diagnosis:
     gap: dict[str, ChannelGap]
     shrink: Shrink
     protocol: str
+    chosen: tuple[tuple[str, ...], ...]
     ambiguous_with: list[list[str]]
     hidden_fraction: dict[str, float]
     next_experiment: NextExperiment
     explained_share: float
     mistakes: tuple[DataMistake, ...] = ()
     partial: Partial | None = None
-
-    def residual(self, run: int, channel: str, after: bool) -> Array:
-        """Return measured − predicted of one channel of one run in its unit, before or after the causes."""
-        found = self.best if after else self.base
-        for block in found.problem.blocks:
-            if block.run == run and block.channel == channel:
-                return np.asarray((found.problem.measured - found.predicted)[block.place])
-        raise ValueError(f"run {run} has no predicted channel {channel}")
+    residual: LearnedResidual | None = None
 
     def elastic_force_N(self, run: int) -> Array:
         """Return the force the fitted base gives for one run with a stage position, for bands of load."""
-        base, stage_mm = self.best.base, self.case.runs[run].stage_mm
+        stage_mm = self.case.runs[run].stage_mm
         if stage_mm is None:
             raise ValueError(f"run {run} has no stage position")
-        return np.asarray(elastic_force(np.maximum(0.0, stage_mm - base.u0_mm), base.k1_N_mm, base.k3_N_mm3))
+        return elastic_force_at(stage_mm, self.best.base)
 
     @property
     def explained(self) -> Twin:
@@ -146,7 +162,17 @@ class Diagnosis:
         if self.verdict == "data":
             told = "; ".join(f"{f.evidence}: {f.repair}" for f in self.mistakes)
             raise InputError(f"the recordings hold a mistake, so there is no twin of them: {told}")
-        return explained_twin(self.base if self.verdict == "unknown" else self.named)
+        return explained_twin(self.base if self.verdict == "unknown" else self.best)
+
+    @property
+    def empirical(self) -> Twin | None:
+        """The twin with the empirical terms and the causes they stand beside; None where there are no terms.
+
+        With the verdict `unknown` those causes come nearest, and are no more a diagnosis than the terms are.
+        """
+        if self.residual is None:
+            return None
+        return explained_twin(self.residual.fit, [one.term for one in self.residual.terms])
 
     @property
     def on_bound(self) -> dict[str, float]:
@@ -170,30 +196,27 @@ class Diagnosis:
             "serial": self.case.serial,
             "data": [found.record() for found in self.mistakes],
             "gap": {name.split("_")[0]: vars(gap) for name, gap in self.gap.items()},
-            "shrink": vars(self.shrink) | {"protocol": self.protocol},
-            "where": [vars(place) for place in self.places],
+            "shrink": vars(self.shrink) | {"protocol": self.protocol, "chosen": [list(ids) for ids in self.chosen]},
+            "where": [place.record() for place in self.places],
             "causes": [
                 {
                     "effect": c.effect,
                     "stage": c.stage,
                     "probability": c.probability,
                     "shrink": c.shrink,
+                    "form": c.form or None,
                     "parameters": {name: vars(p) for name, p in c.parameters.items()},
                 }
                 for c in self.causes
             ],
             "ambiguous_with": self.ambiguous_with,
             "hidden_fraction": self.hidden_fraction,
-            "next_experiment": {
-                "profile": self.next_experiment.profile,
-                "why": self.next_experiment.why,
-                "separation_sigma": self.next_experiment.separation_sigma,
-                "minutes": self.next_experiment.minutes,
-            },
+            "next_experiment": self.next_experiment.record(),
             "missing_channels": list(self.case.missing_channels),
             "unseen_stages": list(self.case.unseen_stages),
             "explained_share": self.explained_share,
             "partial": None if self.partial is None else vars(self.partial) | {"effects": list(self.partial.effects)},
+            "residual": self._residual_record(),
             "plugins": [effect_id for effect_id in EFFECTS if effect_id not in OWN_EFFECTS],
             "base": {p.name: getattr(self.named.base, p.name) for p in BASE},
             "on_bound": self.on_bound,
@@ -208,15 +231,47 @@ class Diagnosis:
             "maps": [{"map": m.name, "z": m.structure.z, "structured_sigma": m.structure.rms} for m in self.maps],
         }
 
+    def _residual_record(self) -> dict[str, object] | None:
+        """Return what the report says of the empirical terms."""
+        found, twin = self.residual, self.empirical
+        if found is None or twin is None:
+            return None
+        first = found.terms[0].term
+        return {
+            "kind": "empirical",
+            "formula": [one.term.formula for one in found.terms],
+            "terms": [
+                {
+                    "place": one.term.place,
+                    "variable": one.term.variable,
+                    "coefficient": one.term.coefficient,
+                    "standard_error": one.standard_error,
+                    "unit": one.term.unit,
+                    "chosen": one.chosen,
+                }
+                for one in found.terms
+            ],
+            "load_N": first.load_N,
+            "depth_mm": first.depth_mm,
+            "beside": list(found.beside),
+            "shrink": vars(found.shrink),
+            "without": found.without,
+            "twin": twin_record(twin),
+        }
+
 
 def diagnose(
-    case: Case, progress: Callable[[str], None] | None = None, config: SearchConfig | None = None
+    case: Case,
+    progress: Callable[[str], None] | None = None,
+    config: SearchConfig | None = None,
+    on_fits: Callable[[Mapping[tuple[str, ...], Fit]], None] | None = None,
 ) -> Diagnosis:
     """Diagnose the gap between the base twin and the recordings of a case.
 
     Args:
         progress: called with one line at every step.
         config: how wide the search goes.
+        on_fits: called with every hypothesis that was fitted, under one noise level; not where the verdict is `data`.
     """
     say = progress or (lambda _: None)
     say("looking for mistakes in the recordings")
@@ -227,15 +282,19 @@ def diagnose(
         return _stopped(search.base, (odd,))
     search.run()
     search = _under_its_floor(case, search, config, say)
-    best = search.best
     if (odd := odd_run_beside(search)) is not None:
         return _stopped(search.base, (odd,))
-    logs = log_evidences(search.fits)
-    group = rivals(search.fits, best, logs)
+    if search.stranger is None:
+        search.hold_open()
+    best, logs = search.best, log_evidences(search.fits)
+    if on_fits is not None:
+        on_fits(search.fits)
+    group = rivals(search.fits, best, logs, tuple(search.held_open.values()))
     say("refitting the three maps separately")
     maps = three_maps(case)
     say("measuring the shrink on samples no fit has seen")
-    quantified = quantify(search.base, best)
+    told = with_constants(best)
+    quantified = quantify(search.base, told, search.fits.values())
     share = float(np.clip(search.share(best), 0.0, 1.0))
     verdict = _verdict(search, group)
     is_standing = not best.hypothesis.ids or quantified.held_out_gain > 0.0
@@ -243,15 +302,19 @@ def diagnose(
         verdict = "no_gap" if search.is_clean(search.base) and loose_noise(search.base) is None else "unknown"
     # Among the catalogue's effects only; where none of them explains the gap, the truth is most likely none of them.
     doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0 if is_standing else quantified.shrink.held_out
-    chances = {i: p * doubt for i, p in chances_of(logs, group).items()}
+    chances = {
+        i: p * doubt * (IMITATED_TRUST if i in search.held_open else 1.0) for i, p in chances_of(logs, group).items()
+    }
     named = tuple(in_catalogue_form(found) for found in group)
     causes = _causes(search, named, chances, quantified.shrink.held_out)
     found_regimes = regimes(search.base)
+    say("describing what is left")
+    beside = {"unknown": (search.base, told), "explained": (told,), "ambiguous": (told,)}
     return Diagnosis(
         case=case,
         verdict=verdict,
         base=search.base,
-        best=best,
+        best=told,
         named=named[0],
         rivals=group,
         causes=causes,
@@ -261,11 +324,13 @@ def diagnose(
         gap=quantified.gap,
         shrink=quantified.shrink,
         protocol=quantified.protocol,
+        chosen=quantified.chosen,
         ambiguous_with=confused_pairs(group),
         hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
         next_experiment=_next(case, search, group, verdict),
         explained_share=share,
         partial=_nearest(search) if verdict == "unknown" else None,
+        residual=learned(search.base, beside.get(verdict, ())),
     )
 
 
@@ -318,9 +383,10 @@ def _stopped(base: Fit, found: tuple[DataMistake, ...]) -> Diagnosis:
         gap=gap,
         shrink=Shrink(0.0, 0.0, 0.0, 0.0),
         protocol="not measured: the recordings hold a mistake",
+        chosen=(),
         ambiguous_with=[],
         hidden_fraction={},
-        next_experiment=NextExperiment("none", "; ".join(str(one.repair) for one in found)),
+        next_experiment=NextExperiment("none", several([one.repair for one in found])),
         explained_share=0.0,
         mistakes=found,
     )
@@ -366,7 +432,8 @@ def _causes(
         found = with_it[0] if with_it else search.fits.get((effect.id,))
         parameters = estimates_of(found, effect.id) if found is not None else {}
         share = shares.get(effect.id, 0.0) * held_out
-        causes.append(RankedCause(effect.id, effect.stage, chances[effect.id], share, parameters))
+        form = next((form_of(e) for e in search.best.hypothesis.effects if e.id == effect.id), "")
+        causes.append(RankedCause(effect.id, effect.stage, chances[effect.id], share, parameters, form))
     return tuple(sorted(causes, key=lambda c: (-c.probability, -c.shrink)))
 
 
@@ -415,10 +482,9 @@ def _places(
 ) -> tuple[GapPlace, ...]:
     if verdict == "no_gap":
         return ()
-    dirty = ", ".join(m.name for m in maps if m.structure.is_significant) or "none"
-    detail = f"maps refitted separately that do not close: {dirty}"
-    channel = found[0].channel.split("_")[0] if found else "output"
-    regime = found[0].name if found else "everywhere"
+    dirty = [reason("gap.map", map=m.name) for m in maps if m.structure.is_significant]
+    detail = reason("gap.seen.maps", maps=several(dirty or [Reason("gap.map.none")], "gap.list"))
+    channel, regime = _loudest(found)
     if verdict == "unknown":
         places = _unknown_places(search, maps, found, detail)
     else:
@@ -426,14 +492,22 @@ def _places(
         total = sum(c.shrink for c in named) or 1.0
         places = []
         for c in named:
-            place = GapPlace(c.stage, channel, regime, c.shrink / total, f"{c.effect}; {detail}")
+            place = GapPlace(
+                c.stage, channel, regime, c.shrink / total, reason("gap.seen.effect", effect=c.effect, seen=detail)
+            )
             alias = _open_aliases(search.best).get(c.effect)
             places += [place] if alias is None else _held_open(place, alias)
     at = max(places, key=lambda p: p.share).stage
     for r in found[:4]:
-        where = f"{r.share:.0%} of the gap's energy in this regime, {r.lift:.1f} times its share of time"
-        places.append(GapPlace(at, r.channel.split("_")[0], r.name, r.share, where))
+        places.append(
+            GapPlace(at, r.channel_name, r.name, r.share, reason("gap.seen.energy", share=r.share, lift=r.lift))
+        )
     return tuple(places)
+
+
+def _loudest(found: tuple[Regime, ...]) -> tuple[str, Reason]:
+    """Return the channel and the regime in which a gap stands out most."""
+    return (found[0].channel_name, found[0].name) if found else ("output", Reason("gap.regime.everywhere"))
 
 
 def _open_aliases(best: Fit) -> dict[str, Alias]:
@@ -445,33 +519,42 @@ def _open_aliases(best: Fit) -> dict[str, Alias]:
 def _held_open(place: GapPlace, alias: Alias) -> list[GapPlace]:
     """Split the place of a cause that has an alias between the stages of both."""
     own, other = (1.0 - alias.share) * place.share, alias.share * place.share
-    return [replace(place, share=own), replace(place, stage=alias.stage, share=other, detail=f"or {alias.detail}")]
+    detail = reason("gap.seen.alias", alias=Reason.of(alias.detail))
+    return [replace(place, share=own), replace(place, stage=alias.stage, share=other, detail=detail)]
 
 
 def _unknown_places(
-    search: EffectSearch, maps: tuple[Map, ...], found: tuple[Regime, ...], detail: str
+    search: EffectSearch, maps: tuple[Map, ...], found: tuple[Regime, ...], detail: Reason
 ) -> list[GapPlace]:
     """Where a gap lies that nothing in the catalogue explains: the likeliest stage first, with those it may also be.
 
     The share of each is that of the gap's energy in the regime where it stands out most.
     """
-    channel = found[0].channel.split("_")[0] if found else "output"
-    regime = found[0].name if found else "everywhere"
+    channel, regime = _loudest(found)
     share = float(np.clip(search.share(search.best), 0.0, 1.0))
     loose = loose_noise(search.best)
     stages: tuple[str, ...] = likely_stages(search.base, maps)
     if search.stranger is not None:
-        like = name_of(search.stranger)
-        stages, detail = (like.stage, *(s for s in stages if s != like.stage)), f"like {like.equation}; {detail}"
+        stranger = stranger_of(search.stranger)
+        first = stranger.effect.stage
+        stages, detail = (
+            (first, *(s for s in stages if s != first)),
+            reason("gap.seen.like", like=stranger.like, seen=detail),
+        )
     elif loose is not None and (not stages or structure(search.best).is_significant is False):
-        stages, detail = (loose.stage, *(s for s in stages if s != loose.stage)), f"{loose.detail}; {detail}"
+        stages, detail = (
+            (loose.stage, *(s for s in stages if s != loose.stage)),
+            reason("gap.seen.noise", noise=loose.detail, seen=detail),
+        )
     if not stages:
         stages = tuple(dict.fromkeys(EFFECTS[i].stage for i in search.best.hypothesis.ids)) or ("unknown",)
-    rest = "nothing in it the rest" if search.stranger is None else "but less well than this"
-    text = f"{detail}; the catalogue explains {share:.0%} of the structured gap, {rest}"
+    if search.stranger is None:
+        text = reason("gap.seen.left", seen=detail, share=share)
+    else:
+        text = reason("gap.seen.better", seen=detail, share=share)
     # Nothing measures how a gap splits between stages that may each hold all of it: the order tells which is likelier.
     seen = found[0].share if found else 1.0
-    others = [GapPlace(s, channel, regime, seen, "possible by the same maps") for s in stages[1:]]
+    others = [GapPlace(s, channel, regime, seen, Reason("gap.seen.same_maps")) for s in stages[1:]]
     return [GapPlace(stages[0], channel, regime, seen, text), *others]
 
 
@@ -481,15 +564,11 @@ def _next(case: Case, search: EffectSearch, group: tuple[Fit, ...], verdict: Dia
     if proposed is not None and (verdict != "unknown" or proposed.profile != "none"):
         return proposed
     if verdict == "unknown":
-        return NextExperiment(
-            "rate_sweep",
-            "a rate sweep with holds shows whether what is left follows speed, time or load"
-            + ("" if case.has("stage_mm") else "; log the stage position, without which half of the chain is not seen"),
-        )
+        seen, unseen = Reason("gap.next.what_follows"), Reason("gap.next.what_follows_unseen")
+        return NextExperiment("rate_sweep", seen if case.has("stage_mm") else unseen)
     if verdict == "no_gap":
-        return NextExperiment(
-            "long_hold", "no gap is visible here; slow creep, drift and ageing would show first in a long hold"
-        )
+        return NextExperiment("long_hold", Reason("gap.next.slow"))
     for effect_id, alias in _open_aliases(search.best).items():
-        return NextExperiment(alias.told_by, f"{effect_id} may as well be {alias.detail}; {alias.advice}")
-    return NextExperiment("none", "the causes are separated on these runs; apply them to the twin")
+        told = {"alias": Reason.of(alias.detail), "advice": Reason.of(alias.advice)}
+        return NextExperiment(alias.told_by, reason("gap.next.alias", effect=effect_id, **told))
+    return NextExperiment("none", Reason("gap.next.separated"))

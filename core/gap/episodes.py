@@ -5,11 +5,12 @@ from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softcal.core.gap.case import Mask
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import EPISODE_COST, Block, Episodes, Fit, fit
-from softcal.core.gap.linear import energy
+from softcal.core.gap.linear import energy, wave_sums
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Placing
 from softcal.core.twin.probes import Extent
@@ -290,10 +291,9 @@ def with_line(found: Fit, effect: Effect, _: Extent) -> Fit | None:
     if not len(grid):
         return None
     power = np.zeros(len(grid))
-    sums: dict[int, Array] = {}
+    sums: dict[int, NDArray[np.complex128]] = {}
     for block in blocks:
-        wave = np.exp(-2j * np.pi * np.outer(grid, _taken_s(found, block.run)))
-        sums[block.run] = wave @ (problem.measured - found.predicted)[block.place]
+        sums[block.run] = wave_sums(grid, _taken_s(found, block.run), (problem.measured - found.predicted)[block.place])
         power += np.abs(sums[block.run]) ** 2 / (block.place.stop - block.place.start)
     at = int(np.argmax(power))
     gain = 2 * power[at] / problem.floor("output_V") ** 2

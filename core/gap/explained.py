@@ -1,29 +1,35 @@
 """The explained twin: the refitted base with the named causes, as the station and simulated lots take it."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.fit import BASE, Fit, Hypothesis, fit
 from softcal.core.gap.forms import FORMS
 from softcal.core.twin.catalogue import EFFECTS
-from softcal.core.twin.effects import Effect
+from softcal.core.twin.effects import Effect, Flow, Memory
+from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.simulate import EffectSetting, Twin
 
 
-def explained_twin(found: Fit) -> Twin:
+def explained_twin(found: Fit, terms: Sequence[EmpiricalTerm] = ()) -> Twin:
     """Return base parameters, noise and causes of a fitted hypothesis as a twin.
 
-    A cause that was fitted in another realisation than the catalogue's is fitted once more by the catalogue's equation,
-    for a twin has no other. Episodes belong to the recording they were found in and are left out: losses of samples and
-    bad contacts are repaired, not simulated.
+    A cause enters by the equation it was fitted by, the catalogue's or another form. Episodes belong to the recording
+    they were found in and are left out: losses of samples and bad contacts are repaired, not simulated.
+
+    Args:
+        terms: empirical terms that are part of the fit, with their coefficients.
     """
-    found = in_catalogue_form(found)
+    found = with_constants(found)
     readout = found.problem.case.readout
     base = found.base.with_values(
         sigma_output_V=_white(_floor(found, "output_V"), found.problem.dither_V, readout.step_V),
         sigma_force_N=_floor(found, "force_N"),
     )
-    return Twin(base, tuple(_settings(found)), readout)
+    return Twin(base, tuple(_settings(found)), readout, tuple(terms))
 
 
 def _floor(found: Fit, channel: str) -> float:
@@ -32,7 +38,7 @@ def _floor(found: Fit, channel: str) -> float:
 
 def in_catalogue_form(found: Fit) -> Fit:
     """Return the fit with every cause by the catalogue's equation; the same fit where it already is."""
-    effects = tuple(EFFECTS[e.id] if _is_other_form(e) else e for e in found.hypothesis.effects)
+    effects = tuple(EFFECTS[e.id] if form_of(e) else e for e in found.hypothesis.effects)
     if effects == found.hypothesis.effects:
         return found
     rows = []
@@ -43,8 +49,52 @@ def in_catalogue_form(found: Fit) -> Fit:
     return fit(found.problem, Hypothesis(effects, found.hypothesis.episodes), start, steps=40)
 
 
-def _is_other_form(effect: Effect) -> bool:
-    return any(form.effect is effect for form in FORMS.get(effect.id, ()))
+def form_of(effect: Effect) -> str:
+    """Return the name of the form by which an effect acts, empty for the catalogue's own equation."""
+    names = (form.effect.equation for form in FORMS.get(effect.id, ()))
+    return effect.equation if effect.equation in names else ""
+
+
+def with_constants(found: Fit) -> Fit:
+    """Return the fit with the constants of every form set to one value for all runs, as a twin holds them.
+
+    A fit reads them off each run by itself: the largest force of a run, of which strokes are shares. A twin has one
+    number: the largest of the runs. Base and causes are refitted with it.
+    """
+    effects = found.hypothesis.effects
+    if not any(_is_open(effect) for effect in effects):
+        return found
+    seen: dict[str, dict[str, float]] = {}
+    watched = tuple(_watched(e, seen.setdefault(e.id, {})) if _is_open(e) else e for e in effects)
+    hypothesis = replace(found.hypothesis, effects=watched)
+    found.problem.bare.predict(hypothesis, found.coordinates)
+    fixed = tuple(_fixed(e, seen[e.id]) if _is_open(e) else e for e in effects)
+    return fit(found.problem, replace(found.hypothesis, effects=fixed), found.coordinates, steps=40)
+
+
+def _is_open(effect: Effect) -> bool:
+    return any(not np.isfinite(value) for _, value in effect.constants)
+
+
+def _watched(effect: Effect, seen: dict[str, float]) -> Effect:
+    """Return the effect, writing down the largest value of each of its constants in any run."""
+
+    def step(flow: Flow, values: Sequence[float], state: Memory) -> None:
+        effect.step(flow, values, state)
+        for name, _ in effect.constants:
+            seen[name] = max(seen.get(name, 0.0), float(state[name][0]))
+
+    return replace(effect, step=step)
+
+
+def _fixed(effect: Effect, values: dict[str, float]) -> Effect:
+    constants = tuple((name, values[name]) for name, _ in effect.constants)
+    behind = tuple(value for _, value in constants)
+
+    def step(flow: Flow, own: Sequence[float], state: Memory) -> None:
+        effect.step(flow, (*own, *behind), state)
+
+    return replace(effect, step=step, constants=constants)
 
 
 def _white(sigma_V: float, dither_V: float | None, step_V: float) -> float:
@@ -55,10 +105,12 @@ def _white(sigma_V: float, dither_V: float | None, step_V: float) -> float:
 def _settings(found: Fit) -> list[EffectSetting]:
     out = []
     for effect, values in zip(found.hypothesis.effects, found.effect_values, strict=True):
-        if EFFECTS[effect.id].is_episodic:
+        if effect.id not in EFFECTS or EFFECTS[effect.id].is_episodic:
             continue
-        given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
+        given = {p.name: v for p, v in zip(effect.parameters, values, strict=True)} | dict(effect.constants)
+        form = form_of(effect)
         # What belongs to a recording alone, as the phase of a hum in each run, is no parameter of the twin.
-        known = {p.name for p in EFFECTS[effect.id].side_with([effect.parameters[0].name]).parameters}
-        out.append(EffectSetting(effect.id, {k: v for k, v in given.items() if k in known and np.isfinite(v)}))
+        known = effect if form else EFFECTS[effect.id].side_with([effect.parameters[0].name])
+        kept = {k: v for k, v in given.items() if k in known.value_names and np.isfinite(v)}
+        out.append(EffectSetting(effect.id, kept, form=form))
     return out

@@ -1,8 +1,9 @@
 """Fit base parameters and effects jointly to all runs: Levenberg–Marquardt within bounds, channels weighted."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
@@ -40,6 +41,9 @@ EPISODE_COST = 5
 """Parameters an episode counts as in Schwarz's criterion: two times, a size, and the places it was not found in."""
 
 Episodes = tuple[Mapping[str, Array], ...]
+
+Around: TypeAlias = Callable[["Hypothesis", Array], Array]
+"""Predict, (samples,), at coordinates near to others, with an effect more or less where it is small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,12 +269,26 @@ class Problem:
 
     def predict(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
         """Return the clean prediction, (samples,), at these coordinates of the fit."""
+        return self.predict_around(hypothesis, coordinates)[0]
+
+    def predict_around(self, hypothesis: Hypothesis, coordinates: Array) -> tuple[Array, "Around"]:
+        """Return the clean prediction, (samples,), and what foretells it nearby in one pass of the chain."""
         base, values = hypothesis.split(coordinates)
         out = self._clean(hypothesis, base, values, {})
-        if self.has_offsets and not self.case.is_planned:
-            out = with_offsets(self, base, out, lambda own: self._clean(hypothesis, base, values, own))
+        if not self.has_offsets or self.case.is_planned:
+            return self._known(out), self.predict
+        out, nearby = with_offsets(self, base, out, lambda own: self._clean(hypothesis, base, values, own))
+
+        def around(other: Hypothesis, near: Array) -> Array:
+            base, values = other.split(near)
+            return self._known(nearby.added(self, self._clean(other, base, values, nearby.own(base))))
+
+        return self._known(out), around
+
+    def _known(self, out: Array) -> Array:
         # A sample nobody can foretell costs as much as a right prediction would: nothing is won by not knowing.
-        return np.where(np.isnan(out), self.measured - self.noise, out)
+        unknown = np.isnan(out)
+        return np.where(unknown, self.measured - self.noise, out) if unknown.any() else out
 
     def _clean(
         self, hypothesis: Hypothesis, base: BaseParameters, values: list[list[float]], own: Mapping[int, BaseParameters]
@@ -395,16 +413,16 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
     """
     space = _Space(problem, hypothesis)
     x = np.clip(start, space.low, space.high)
-    predicted = problem.predict(hypothesis, x)
+    predicted, around = problem.predict_around(hypothesis, x)
     residual = problem.whitened(problem.measured - predicted)
     chi2, damping = energy(residual), 1e-4
-    slopes = space.slopes(x, predicted)
+    slopes = space.slopes(x, predicted, around)
     for _ in range(steps):
         jacobian = np.array([problem.whitened(row) for row in slopes])
         accepted = False
         for _ in range(6):
             candidate = space.step(x, jacobian, residual, damping)
-            trial = problem.predict(hypothesis, candidate)
+            trial, trial_around = problem.predict_around(hypothesis, candidate)
             trial_residual = problem.whitened(problem.measured - trial)
             trial_chi2 = energy(trial_residual)
             if trial_chi2 < chi2:
@@ -415,12 +433,12 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, steps: int = 20,
         if not accepted:
             break
         gain = chi2 - trial_chi2
-        x, predicted, residual, chi2 = candidate, trial, trial_residual, trial_chi2
+        x, predicted, around, residual, chi2 = candidate, trial, trial_around, trial_residual, trial_chi2
         damping = max(damping / 10, 1e-9)
         # A huge χ² is summed with rounding: below a ten-millionth of it no gain is real.
         if gain < tolerance + 1e-7 * chi2:
             break
-        slopes = space.slopes(x, predicted)
+        slopes = space.slopes(x, predicted, around)
     return Fit(problem, hypothesis, x, predicted, chi2, slopes)
 
 
@@ -438,11 +456,10 @@ class _Space:
                 # Coordinate 0 stands for an infinite value, "no such effect": the fit must be able to reach it.
                 self.low[k] = 0.0
         self.scale = np.array([fit_scale(p) for p in parameters])
-        self.is_free = np.concatenate(
-            [problem.is_free, np.ones(len(self.low) - hypothesis.of_base.stop, dtype=np.bool_)]
-        )
+        self.is_free = np.array([not p.is_fixed for p in parameters])
+        self.is_free[hypothesis.of_base] &= problem.is_free
 
-    def slopes(self, x: Array, predicted: Array) -> Array:
+    def slopes(self, x: Array, predicted: Array, around: Around) -> Array:
         """(parameters, samples) derivative of the prediction, one-sided, away from a bound."""
         out = np.zeros((len(x), len(predicted)))
         for k in np.flatnonzero(self.is_free):
@@ -452,7 +469,7 @@ class _Space:
                 step = -step
             moved = x.copy()
             moved[k] += step
-            out[k] = (self._problem.predict(self._hypothesis, moved) - predicted) / step
+            out[k] = (around(self._hypothesis, moved) - predicted) / step
         return out
 
     def step(self, x: Array, jacobian: Array, residual: Array, damping: float) -> Array:

@@ -66,7 +66,8 @@ def predict(
 
 def _read_output(flow: Flow) -> Array:
     """Return the output as far as the run tells it; NaN after its end and at the first sample of a step."""
-    output_V = np.clip(flow.output_V, 0.0, flow.vref_V)
+    # Not np.clip, which takes three times as long.
+    output_V = np.minimum(np.maximum(flow.output_V, 0.0), flow.vref_V)
     return output_V if flow.is_unforeseeable is None else np.where(flow.is_unforeseeable, np.nan, output_V)
 
 

@@ -1,6 +1,7 @@
 """Small products over long vectors, compiled: a few rows of many samples are too thin for a threaded BLAS."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softcal.core.recording import Array
 from softcal.core.twin.signals import compiled
@@ -50,6 +51,20 @@ def combine(coefficients: Array, rows: Array) -> Array:
         weight = coefficients[i]
         for k in range(rows.shape[1]):
             out[k] += weight * rows[i, k]
+    return out
+
+
+@compiled
+def wave_sums(grid_Hz: Array, t_s: Array, values: Array) -> NDArray[np.complex128]:
+    """Return Σ vₖ·exp(−2πi·f·tₖ), (m,) complex, of (n,) values at (n,) times, for every of (m,) frequencies."""
+    out = np.empty(len(grid_Hz), dtype=np.complex128)
+    for i in range(len(grid_Hz)):
+        turn = 2.0 * np.pi * grid_Hz[i]
+        real = imaginary = 0.0
+        for k in range(len(t_s)):
+            real += values[k] * np.cos(turn * t_s[k])
+            imaginary -= values[k] * np.sin(turn * t_s[k])
+        out[i] = complex(real, imaginary)
     return out
 
 

@@ -10,6 +10,7 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import Fit, fit
 from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.profiles import Profile
+from softcal.core.words.reason import Reason, reason, several
 
 ENOUGH_SIGMA = 10.0
 """Rivals this far apart, in standard deviations over all samples, are told apart on a real, coloured floor."""
@@ -54,10 +55,20 @@ class NextExperiment:
     """
 
     profile: str
-    why: str
+    why: Reason
     separation_sigma: float = 0.0
     minutes: float = 0.0
     stage_profile: Profile | None = None
+
+    def record(self) -> dict[str, object]:
+        """Return it as a report has it."""
+        return {
+            "profile": self.profile,
+            "why": str(self.why),
+            "separation_sigma": self.separation_sigma,
+            "minutes": self.minutes,
+            "reasons": [self.why.to_json()],
+        }
 
 
 def menu(case: Case, depth_mm: float, force_N: float) -> tuple[MenuEntry, ...]:
@@ -102,17 +113,28 @@ def most_telling(entries: Sequence[MenuEntry], rivals: Sequence[Fit]) -> NextExp
         least = min(parted, default=0.0)
         found.append((len(parted), min(least, 10 * ENOUGH_SIGMA) / experiment.minutes, least, experiment))
     count, _, distance, experiment = max(found, key=lambda entry: entry[:2])
-    names = " and ".join("+".join(f.hypothesis.ids) for f in rivals)
+    causes = causes_of(rivals)
     if count == 0:
-        return NextExperiment("none", f"{names} cannot be separated by any run of the menu; {_sensor(rivals)}")
-    of = "" if count == len(others) else f" (all but {len(others) - count})"
-    why = f"separates {names}{of} by {distance:.0f} standard deviations of the noise in {experiment.minutes:.1f} min"
+        return NextExperiment("none", reason("gap.next.inseparable", causes=causes, remedy=_remedy(rivals)))
+    why = reason("gap.next.separates", causes=causes, distance=distance, minutes=experiment.minutes)
+    if count < len(others):
+        why = reason("gap.next.separates_most", **why.values, others=len(others) - count)
     return NextExperiment(experiment.name, why, distance, experiment.minutes, experiment.stage_profile)
 
 
-def _sensor(rivals: Sequence[Fit]) -> str:
+def causes_of(rivals: Sequence[Fit]) -> Reason:
+    """Return the causes of hypotheses in words: those of one together, the hypotheses one after the other."""
+    return several([named(f.hypothesis.ids, "gap.together") for f in rivals], "gap.both")
+
+
+def named(effects: Sequence[str], code: str) -> Reason:
+    """Return identifiers of effects as one reason; `code` says how they are joined."""
+    return several([reason("gap.effect", effect=effect) for effect in effects], code)
+
+
+def _remedy(rivals: Sequence[Fit]) -> Reason:
     remedies = dict.fromkeys(e.signs.remedy for f in rivals for e in f.hypothesis.effects if e.signs.remedy)
-    return "; ".join(remedies) or "a second load cell or a four-wire measurement of the channel would"
+    return several([Reason.of(one) for one in remedies] or [Reason("gap.remedy.usual")])
 
 
 def _apart(one: Fit, other: Fit, run: Run) -> float:

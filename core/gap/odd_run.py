@@ -11,7 +11,7 @@ import numpy as np
 
 from softcal.core.gap.case import Case
 from softcal.core.gap.fit import Fit, fit
-from softcal.core.gap.linear import energy
+from softcal.core.gap.linear import dots, energy, gram
 from softcal.core.gap.plausibility import DataMistake, numbers
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import Tangent
@@ -188,8 +188,9 @@ def _gain(tangent: Tangent, signatures: list[Array], residual: Array) -> float:
     seen = np.array([tangent.visible(s) for s in signatures if energy(s) > 0])
     if not len(seen):
         return 0.0
-    coefficients, *_ = np.linalg.lstsq(seen @ seen.T + 1e-12 * np.eye(len(seen)), seen @ residual, rcond=1e-9)
-    return float(coefficients @ (seen @ residual))
+    pull = dots(seen, residual)
+    coefficients, *_ = np.linalg.lstsq(gram(seen) + 1e-12 * np.eye(len(seen)), pull, rcond=1e-9)
+    return float(coefficients @ pull)
 
 
 def _effects(run: int, oddity: _Oddity, base: Fit) -> list[Effect]:

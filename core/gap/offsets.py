@@ -1,7 +1,7 @@
 """What every rig has and no cause has to explain: a cell that was not tared, a unit that sits anew in every run."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -70,39 +70,84 @@ Again = Callable[[Mapping[int, BaseParameters]], Array]
 """Predict once more, with a base of its own for every run."""
 
 
-def with_offsets(problem: "Problem", base: BaseParameters, clean: Array, again: Again) -> Array:
-    """Return a prediction, (samples,), with the offsets of every run in it."""
-    directions = _all_directions(problem, base, clean)
-    runs, sizes = _solved(problem, directions, clean)
-    tares = dict(zip(runs, sizes[:, 0], strict=True))
-    if _is_bent(problem, directions, dict(zip(runs, sizes, strict=True))):
-        # A surface that lies lower moves the corner of first touch: a straight step along the slope would leave it.
-        own = {
+@dataclass(frozen=True, eq=False)
+class Nearby:
+    """The offsets of every run around one prediction: nearby they follow another one along the same directions.
+
+    Args:
+        directions: per block, (3, n), how the channel changes with each offset; None where the unit is not in the run.
+        moved: by run (zero of the force, share of R0, seat) that are in the prediction; none where all are small.
+    """
+
+    directions: list[Array | None]
+    moved: Mapping[int, Array] = field(default_factory=dict)
+
+    def own(self, base: BaseParameters) -> dict[int, BaseParameters]:
+        """Return the base of every run that has one of its own."""
+        return {
             run: base.with_values(u0_mm=base.u0_mm + seat, r0_ohm=base.r0_ohm * (1.0 + resistance))
-            for run, (_, resistance, seat) in zip(runs, sizes, strict=True)
+            for run, (_, resistance, seat) in self.moved.items()
         }
-        clean = again(own)
-        for block in problem.blocks:
-            if block.channel == "force_N":
-                clean[block.place] += tares.get(block.run, 0.0)
-        directions = _all_directions(problem, base, clean, own)
-        runs, sizes = _solved(problem, directions, clean)
-    out, found = clean.copy(), dict(zip(runs, sizes, strict=True))
+
+    def added(self, problem: "Problem", clean: Array) -> Array:
+        """Return a prediction, (samples,) with the bases of `own`, with what the offsets add to it."""
+        out = clean.copy()
+        for block in problem.blocks if self.moved else ():
+            if block.channel == "force_N" and block.run in self.moved:
+                out[block.place] += self.moved[block.run][0]
+        runs, sizes = _solved(problem, self.directions, out)
+        _add(problem, self.directions, dict(zip(runs, sizes, strict=True)), out)
+        return out
+
+
+def with_offsets(problem: "Problem", base: BaseParameters, clean: Array, again: Again) -> tuple[Array, Nearby]:
+    """Return a prediction, (samples,), with the offsets of every run in it, and how they move nearby."""
+    near = Nearby(_all_directions(problem, base, clean))
+    runs, solved = _solved(problem, near.directions, clean)
+    sizes = dict(zip(runs, solved, strict=True))
+    if not _is_bent(problem, near.directions, sizes):
+        out = clean.copy()
+        _add(problem, near.directions, sizes, out)
+        return out, near
+    # A surface that lies lower moves the corner of first touch: a straight step along the slope would leave it.
+    own = Nearby([], sizes).own(base)
+    clean = again(own)
+    near = Nearby(_all_directions(problem, base, clean, own), sizes)
+    return near.added(problem, clean), near
+
+
+def _add(problem: "Problem", directions: list[Array | None], sizes: Mapping[int, Array], out: Array) -> None:
     for block, rows in zip(problem.blocks, directions, strict=True):
         if rows is not None:
-            out[block.place] += combine(found[block.run], rows)
+            out[block.place] += combine(sizes[block.run], rows)
+
+
+def run_directions(problem: "Problem", base: BaseParameters, clean: Array) -> dict[int, Array]:
+    """Return per seated run, (3, samples), how a prediction changes with each of its offsets; 0 in other runs."""
+    out: dict[int, Array] = {}
+    for block, rows in zip(problem.blocks, _all_directions(problem, base, clean), strict=True):
+        if rows is not None:
+            out.setdefault(block.run, np.zeros((3, len(clean))))[:, block.place] = rows
     return out
 
 
 def _is_bent(problem: "Problem", directions: list[Array | None], sizes: Mapping[int, Array]) -> bool:
     """Whether a resistance or a seat moves a channel by so much that its slope does not foretell it."""
     for block, rows in zip(problem.blocks, directions, strict=True):
-        if rows is None:
-            continue
-        largest = np.max(np.abs(rows[RESISTANCE_AT:]), axis=1) * np.abs(sizes[block.run][RESISTANCE_AT:])
-        if np.any(largest > STRAIGHT_SIGMA * float(np.min(problem.noise[block.place]))):
+        if rows is not None and _moves(rows, sizes[block.run], problem.noise[block.place]) > STRAIGHT_SIGMA:
             return True
     return False
+
+
+@compiled
+def _moves(rows: Array, sizes: Array, noise: Array) -> float:
+    """Return the most that resistance or seat moves a sample by, in units of the least noise."""
+    most, least = 0.0, np.inf
+    for k in range(rows.shape[1]):
+        for i in range(RESISTANCE_AT, 3):
+            most = max(most, abs(rows[i, k] * sizes[i]))
+        least = min(least, noise[k])
+    return most / least
 
 
 def _solved(problem: "Problem", directions: list[Array | None], clean: Array) -> tuple[list[int], Array]:
@@ -112,24 +157,32 @@ def _solved(problem: "Problem", directions: list[Array | None], clean: Array) ->
     for block, rows in zip(problem.blocks, directions, strict=True):
         if rows is not None:
             k, at = runs.index(block.run), block.place
-            _add_normal_equations(normal[k], slope[k], rows, problem.measured[at] - clean[at], problem.slow_noise[at])
-    if not runs:
-        return [], np.zeros((0, 3))
-    free = _least_squares(normal, slope)
-    is_shown = np.diagonal(normal, axis1=1, axis2=2) > 0.0
-    for k in (RESISTANCE_AT, SEAT_AT):
-        # The middle run: one that is far off for another reason must not move the others.
-        free[is_shown[:, k], k] -= np.median(free[is_shown[:, k], k]) if is_shown[:, k].any() else 0.0
-    return runs, np.clip(free, -problem.largest_offsets, problem.largest_offsets)
+            _add_normal_equations(normal[k], slope[k], rows, problem.measured[at], clean[at], problem.slow_noise[at])
+    return runs, _sizes(normal, slope, problem.largest_offsets)
 
 
-def _least_squares(normal: Array, slope: Array) -> Array:
-    """Solve (runs, 3, 3) normal equations; a direction that a run does not have gets 0."""
-    diagonal = np.diagonal(normal, axis1=1, axis2=2)
-    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    # The ridge divides what two directions that look alike share among both.
-    alike = normal / (scale[:, :, None] * scale[:, None, :]) + 1e-6 * np.eye(3)
-    return np.asarray(np.linalg.solve(alike, (slope / scale)[:, :, None])[:, :, 0] / scale)
+@compiled
+def _sizes(normal: Array, slope: Array, largest: Array) -> Array:
+    """Solve (runs, 3, 3) normal equations within bounds; a direction that a run does not have gets 0.
+
+    Of resistance and seat the middle run is taken off: one that is far off for another reason must not move the others.
+    """
+    count = len(normal)
+    free = np.zeros((count, 3))
+    for run in range(count):
+        scale = np.ones(3)
+        for i in range(3):
+            if normal[run, i, i] > 0.0:
+                scale[i] = np.sqrt(normal[run, i, i])
+        # The ridge divides what two directions that look alike share among both.
+        alike = normal[run] / np.outer(scale, scale) + 1e-6 * np.eye(3)
+        free[run] = np.linalg.solve(alike, slope[run] / scale) / scale
+    for i in range(3):
+        is_shown = normal[:, i, i] > 0.0
+        if i >= RESISTANCE_AT and is_shown.any():
+            free[is_shown, i] -= np.median(free[is_shown, i])
+        free[:, i] = np.minimum(np.maximum(free[:, i], -largest[i]), largest[i])
+    return free
 
 
 def largest_offsets(case: Case) -> Array:
@@ -186,14 +239,27 @@ def _rows(
 
 
 @compiled
-def _add_normal_equations(normal: Array, slope: Array, rows: Array, error: Array, noise: Array) -> None:
+def _add_normal_equations(
+    normal: Array, slope: Array, rows: Array, measured: Array, clean: Array, noise: Array
+) -> None:
     """Add RRᵀ and R·e of rows and errors over the noise; errors that nobody knows are left out."""
-    for k in range(len(error)):
-        if np.isnan(error[k]):
+    # Sums of their own: adding to the arrays at every sample takes ten times as long.
+    aa = ab = ac = bb = bc = cc = ae = be = ce = 0.0
+    for k in range(len(measured)):
+        error = measured[k] - clean[k]
+        if np.isnan(error):
             continue
-        weight = 1.0 / noise[k] ** 2
-        for i in range(3):
-            weighted = weight * rows[i, k]
-            slope[i] += weighted * error[k]
-            for j in range(3):
-                normal[i, j] += weighted * rows[j, k]
+        weight = 1.0 / (noise[k] * noise[k])
+        a, b, c = rows[0, k], rows[1, k], rows[2, k]
+        wa, wb, wc = weight * a, weight * b, weight * c
+        aa += wa * a
+        ab += wa * b
+        ac += wa * c
+        bb += wb * b
+        bc += wb * c
+        cc += wc * c
+        ae += wa * error
+        be += wb * error
+        ce += wc * error
+    normal += np.array([[aa, ab, ac], [ab, bb, bc], [ac, bc, cc]])
+    slope += np.array([ae, be, ce])

@@ -12,9 +12,10 @@ import numpy as np
 from softcal.core.gap.case import Mask, Run
 from softcal.core.gap.fit import Block, Fit
 from softcal.core.gap.residual import Map, suspects
-from softcal.core.gap.tone import strongest_tone
+from softcal.core.gap.tone import Tone, strongest_tone
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage, Placing
+from softcal.core.words.reason import Reason, reason
 
 UNEVEN_Z = 8.0
 UNEVEN_RATIO = 1.25
@@ -33,6 +34,9 @@ SWINGS = 4
 FAINT_Z = 30.0
 """Structure of the maps below which uneven noise says more of the place than they do: it stirs them up a little."""
 
+BREATHES_Hz, MOST_OF_LINE = 0.5, 0.5
+"""A tone so close to a named line, and so much smaller, is what its equation leaves: a line swells within seconds."""
+
 MOST = 0.5
 """Share of the structured residual that a regularity must account for to count."""
 
@@ -42,7 +46,7 @@ class LooseNoise:
     """Noise that is not the same everywhere: which stage that points to, and what is seen."""
 
     stage: ChainStage
-    detail: str
+    detail: Reason
 
 
 def loose_noise(found: Fit) -> LooseNoise | None:
@@ -52,11 +56,23 @@ def loose_noise(found: Fit) -> LooseNoise | None:
     samples far off; a line picks up a tone. None of these leaves a structure that sums up.
     """
     tone = strongest_tone(found) if found.problem.dither_V is None else None
-    if tone is not None:
+    if tone is not None and not _is_beside_line(found, tone):
         stage: ChainStage = "electronics" if tone.channel == "output_V" else "load_cell"
         name = tone.channel.split("_")[0]
-        return LooseNoise(stage, f"a tone of {tone.frequency_Hz:.1f} Hz in the {name}, {tone.rms:.1f} times its noise")
+        seen = reason("gap.seen.tone", frequency_Hz=tone.frequency_Hz, channel=name, rms=tone.rms)
+        return LooseNoise(stage, seen)
     return _loose_output(found)
+
+
+def _is_beside_line(found: Fit, tone: Tone) -> bool:
+    """Whether a tone is what the equation of a named line leaves: its amplitude breathes, as that of mains does."""
+    rows = zip(found.hypothesis.effects, found.effect_values, strict=True)
+    lines = [values for effect, values in rows if effect.signs.placing == Placing.LINE]
+    rms = tone.rms * found.problem.floor(tone.channel)
+    return tone.channel == "output_V" and any(
+        abs(tone.frequency_Hz - frequency_Hz) < BREATHES_Hz and rms < MOST_OF_LINE * amplitude / np.sqrt(2.0)
+        for amplitude, frequency_Hz, *_ in lines
+    )
 
 
 def _loose_output(found: Fit) -> LooseNoise | None:
@@ -73,7 +89,7 @@ def _loose_output(found: Fit) -> LooseNoise | None:
     spikes = int(np.count_nonzero(np.abs(error[is_slow]) > SPIKE_SIGMA))
     # More than one in twenty are no spikes but a wider noise.
     if FEWEST_SPIKES <= spikes < 0.05 * len(error):
-        return LooseNoise("electronics", f"{spikes} samples of the output far off while little moves: spikes")
+        return LooseNoise("electronics", reason("gap.seen.spikes", count=spikes))
     if np.count_nonzero(is_loaded) < 100:
         return None
     # Noise may grow with the load as well; only samples under load are compared.
@@ -81,7 +97,7 @@ def _loose_output(found: Fit) -> LooseNoise | None:
     fast, slow = error[is_loaded & (speed >= fast_from)] ** 2, error[is_loaded & (speed <= slow_to)] ** 2
     z = (fast.mean() - slow.mean()) / np.sqrt(2.0 / len(fast) + 2.0 / len(slow))
     if z > UNEVEN_Z and fast.mean() > UNEVEN_RATIO * slow.mean():
-        return LooseNoise("acquisition", "the noise of the output grows with its slope: the instants jitter")
+        return LooseNoise("acquisition", Reason("gap.seen.jitter"))
     return None
 
 

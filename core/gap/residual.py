@@ -7,9 +7,11 @@ import numpy as np
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.fit import Block, Fit
 from softcal.core.gap.start import base_fit
+from softcal.core.profiles import pressed
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage
 from softcal.core.twin.parameters import SensorType
+from softcal.core.words.reason import Reason, reason
 
 BLOCK_SAMPLES = (8, 40)
 """Lengths over which a residual is summed to see structure: a fifth of a second and a second at 50 Hz."""
@@ -53,9 +55,14 @@ class Regime:
     """
 
     channel: str
-    name: str
+    name: Reason
     share: float
     lift: float
+
+    @property
+    def channel_name(self) -> str:
+        """The channel without its unit."""
+        return self.channel.split("_")[0]
 
 
 def structure(found: Fit, channel: str | None = None) -> Structure:
@@ -178,7 +185,7 @@ def regimes(found: Fit) -> tuple[Regime, ...]:
     return tuple(sorted(out, key=lambda r: -r.share * np.log(max(r.lift, 1.0) + 1e-9)))
 
 
-def _conditions(found: Fit, blocks: list[Block]) -> dict[str, Array]:
+def _conditions(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:
     case = found.problem.case
     runs = [case.runs[b.run] for b in blocks]
     drive = np.concatenate([_drive(run) for run in runs])
@@ -194,20 +201,25 @@ def _conditions(found: Fit, blocks: list[Block]) -> dict[str, Array]:
     moving = np.abs(speed) > max(slow * 0.5, 1e-9)
     depth = (drive - contact) / max(float(drive.max()) - contact, 1e-9)
     conditions = {
-        "loading": touching & moving & (speed > 0),
-        "unloading": touching & moving & (speed < 0),
-        "hold": touching & ~moving,
-        "no contact": ~touching,
-        "first touch (lowest 15 % of the stroke)": touching & (depth < 0.15),
-        "high load (top 20 % of the stroke)": depth > 0.8,
-        "fast motion": touching & (np.abs(speed) > fast),
-        "start of the run (first quarter)": part < 0.25,
-        "end of the run (last quarter)": part > 0.75,
+        Reason("gap.regime.loading"): touching & moving & (speed > 0),
+        Reason("gap.regime.unloading"): touching & moving & (speed < 0),
+        Reason("gap.regime.hold"): touching & ~moving,
+        Reason("gap.regime.no_contact"): ~touching,
+        Reason("gap.regime.first_touch"): touching & (depth < 0.15),
+        Reason("gap.regime.high_load"): depth > 0.8,
+        Reason("gap.regime.fast_motion"): touching & (np.abs(speed) > fast),
+        Reason("gap.regime.start"): part < 0.25,
+        Reason("gap.regime.end"): part > 0.75,
     }
     for k, run in enumerate(runs):
-        name = f"run {run.name}" + (f" ({run.profile})" if run.profile else "")
-        conditions[name] = np.concatenate([np.full(len(r), i == k) for i, r in enumerate(runs)])
+        conditions[_of_run(run)] = np.concatenate([np.full(len(r), i == k) for i, r in enumerate(runs)])
     return conditions
+
+
+def _of_run(run: Run) -> Reason:
+    if not run.profile:
+        return reason("gap.regime.run", run=run.name)
+    return reason("gap.regime.run_pressed", run=run.name, pressed=pressed(run.profile))
 
 
 def _drive(run: Run) -> Array:

@@ -61,5 +61,5 @@ class RigScale:
 
 @lru_cache(maxsize=4096)
 def _sized(scale: RigScale, parameter: Parameter) -> Parameter:
-    factor = scale.factor(parameter.follows or parameter.unit)
+    factor = scale.factor(parameter.unit)
     return replace(parameter, low=factor * parameter.low, high=factor * parameter.high, usual=factor * parameter.usual)

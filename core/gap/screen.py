@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from softcal.core.gap.candidates import Probe
 from softcal.core.gap.coordinates import start_coordinates
-from softcal.core.gap.fit import Fit, fit
+from softcal.core.gap.fit import Around, Fit, fit
 from softcal.core.gap.linear import combine, dots, energy, gram
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
@@ -120,12 +121,16 @@ class Tangent:
         self._basis = np.array([combine(row, jacobian[self._rows]) for row in self._turn])
         self._residual = found.residual
 
+    @cached_property
+    def _around(self) -> Around:
+        return self._found.problem.predict_around(self._found.hypothesis, self._found.coordinates)[1]
+
     def signature(self, probe: Probe) -> Array:
         """(samples,) change of the whitened prediction when the probe is switched on at the fitted parameters."""
         found = self._found
         hypothesis = found.hypothesis.adding(probe.effect)
         x = np.concatenate([found.coordinates, start_coordinates([probe.effect], [probe.values])])
-        return found.problem.whitened(found.problem.predict(hypothesis, x) - found.predicted)
+        return found.problem.whitened(self._around(hypothesis, x) - found.predicted)
 
     def visible(self, signature: Array) -> Array:
         """Return the part of a signature that the fitted parameters cannot imitate."""

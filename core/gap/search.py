@@ -12,6 +12,7 @@ from softcal.core.gap.episodes import PLACERS, placed_again
 from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit
 from softcal.core.gap.floor import noise_of
 from softcal.core.gap.forms import FORMS
+from softcal.core.gap.free_form import imitated_causes
 from softcal.core.gap.posterior import Yardstick, log_evidences
 from softcal.core.gap.residual import structure
 from softcal.core.gap.screen import hiding, joined, screen
@@ -92,6 +93,8 @@ class EffectSearch:
         self.base = self.best = base
         self.fits: dict[tuple[str, ...], Fit] = {(): base}
         self.stranger: Fit | None = None
+        self.held_open: dict[str, Fit] = {}
+        """Causes that another equation of the best hypothesis's causes would explain as well, with a fit of each."""
 
     def run(self) -> None:
         """Grow the hypotheses until no effect promises anything more."""
@@ -164,6 +167,21 @@ class EffectSearch:
             self.best = self._most_likely
         self._look_beside()
         self.stranger = self._find_stranger()
+
+    def hold_open(self) -> None:
+        """Take out of the best hypothesis every cause that a free form of the others imitates; it stays in play."""
+        while len(ids := self.best.hypothesis.ids) > 1:
+            rest = {i: self.fits.get(ids[:k] + ids[k + 1 :]) for k, i in enumerate(ids)}
+            smaller = {i: f for i, f in rest.items() if f is not None and self.is_explained(f)}
+            imitated = imitated_causes(self.best, smaller)
+            if not imitated:
+                break
+            self.held_open[imitated[0]] = self.best
+            self.best = smaller[imitated[0]]
+        # Beside what is left, not beside one another.
+        for effect_id, larger in self.held_open.items():
+            alone = tuple(sorted({*self.best.hypothesis.ids, effect_id}))
+            self.held_open[effect_id] = self.fits.get(alone, larger)
 
     def _find_stranger(self) -> Fit | None:
         """Look for a departure outside the catalogue, alone or in the place of one of the causes found."""

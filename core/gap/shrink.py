@@ -1,16 +1,24 @@
 """How far the gap shrinks: forecast from what was fitted, then measured on samples that no fit has seen."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from softcal.core.gap.case import Mask
 from softcal.core.gap.fit import Fit, Hypothesis, Problem, fit
 from softcal.core.gap.linear import combine, energy
+from softcal.core.gap.posterior import Yardstick
 from softcal.core.gap.residual import structure
 from softcal.core.recording import Array
 
 HELD_PARTS = 4
+MOST_CHOSEN_FROM = 3
+"""Hypotheses that are fitted anew where a part is held back."""
+
+NEAR = 10.0
+"""Logarithm of the odds against a hypothesis from which it is not fitted anew: what a fit gains is foretold first."""
+
 BLOCK_s = 0.6
 """Length of the stretches that are held back inside a run where whole runs cannot be."""
 
@@ -41,6 +49,8 @@ class Quantified:
     gap: dict[str, ChannelGap]
     shrink: Shrink
     protocol: str
+    chosen: tuple[tuple[str, ...], ...] = ()
+    """Causes that are chosen where each part of the samples, in turn, is held back."""
     held_out_gain: float = 0.0
     """By how much χ² falls on samples no fit has seen; where it does not fall, no cause stands. It tells smaller
     effects than the shrink does: that one compares roots of mean squares with a noise level that is estimated too."""
@@ -52,21 +62,55 @@ class _Fold:
     before: Fit
     after: Fit
 
+    def chosen(self, others: Iterable[Fit]) -> "_Fold":
+        """Return the fold with the hypothesis that would have been chosen without the samples held back."""
+        problem, now = self.after.problem, (self.before, self.after)
+        foretold = [_refitted_to_first_order(f.under(problem)) for f in others]
+        yardstick = Yardstick.of((*now, *foretold))
+        least = max(map(yardstick.log_evidence, now)) - NEAR
+        near = sorted((f for f in foretold if yardstick.log_evidence(f) > least), key=lambda f: f.bic)
+        fitted = [fit(problem, f.hypothesis, f.coordinates, steps=6) for f in near[:MOST_CHOSEN_FROM]]
+        yardstick = Yardstick.of((*now, *fitted))
+        return replace(self, after=max((*now, *fitted), key=yardstick.log_evidence))
 
-def quantify(base: Fit, best: Fit) -> Quantified:
+
+def quantify(base: Fit, best: Fit, others: Iterable[Fit] = ()) -> Quantified:
     """Refit base and hypothesis without a part of the samples, forecast the shrink there, then look.
 
     Whole runs are held back, one after the other; with one run, or an effect that belongs to one run, stretches of
-    every run are.
+    every run are. The forecast is of the best hypothesis. What is measured on a part is what the hypothesis reaches
+    that would have been chosen without it: causes that were chosen by the samples they are judged on look too good.
+
+    Args:
+        others: hypotheses that may be chosen where a part is held back, fitted to all samples.
     """
     folds, protocol = _folds(base.problem, best.hypothesis)
     seen = [_refit(base, best, unseen) for unseen in folds]
-    gap = {c: _channel_gap(seen, best.problem, c) for c in _channels(best.problem)}
     if not best.hypothesis.ids:
+        gap = {c: _channel_gap(seen, best.problem, c) for c in _channels(best.problem)}
         return Quantified(gap, Shrink(0.0, 0.0, 0.0, 0.0), protocol)
+    rivals = list(_rivals(best, others))
+    chosen = [fold.chosen(rivals) for fold in seen]
+    gap = {c: _channel_gap(chosen, best.problem, c) for c in _channels(best.problem)}
     held_out = _ratio([(g.rmse_before, g.rmse_after, g.noise_floor, g.noise_floor) for g in gap.values()])
-    predicted, low, high = _forecast(seen, best)
-    return Quantified(gap, Shrink(predicted, low, high, held_out), protocol, _held_out_gain(seen, best.problem))
+    shrink = Shrink(*_forecast(seen, best), held_out)
+    ids = tuple(fold.after.hypothesis.ids for fold in chosen)
+    return Quantified(gap, shrink, protocol, ids, _held_out_gain(chosen, best.problem))
+
+
+def _refitted_to_first_order(found: Fit) -> Fit:
+    """Return the fit with the χ² that one step from its slopes promises on the samples it sees."""
+    gradient = found.jacobian @ found.residual
+    return replace(found, chi2=found.chi2 - float(gradient @ found.covariance @ gradient))
+
+
+def _rivals(best: Fit, others: Iterable[Fit]) -> Iterable[Fit]:
+    """Give the other hypotheses that foretell the same parts."""
+    for other in others:
+        ids, effects = other.hypothesis.ids, other.hypothesis.effects
+        # Without causes it is the base, which every fold has; what belongs to one run foretells no other.
+        if ids and ids != best.hypothesis.ids and not any(effect.belongs_to_run for effect in effects):
+            yield other
 
 
 def _folds(problem: Problem, hypothesis: Hypothesis) -> tuple[list[Mask], str]:

@@ -23,7 +23,7 @@ import numpy as np
 from softcal.core.errors import InputError
 from softcal.core.gap.case import SHORTEST, Case, Run
 from softcal.core.gap.coordinates import from_fit
-from softcal.core.gap.fit import Fit, Hypothesis, Problem
+from softcal.core.gap.fit import Around, Fit, Hypothesis, Problem
 from softcal.core.gap.scale import RigScale
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs
@@ -247,7 +247,7 @@ class SimulatorProblem(Problem):
     def of_run(self, run: Run) -> Problem:
         return SimulatorProblem(Case(self.case.serial, (run,)), self.sigma, simulator=self.simulator)
 
-    def predict(self, hypothesis: Hypothesis, coordinates: Array) -> Array:
+    def predict_around(self, hypothesis: Hypothesis, coordinates: Array) -> tuple[Array, Around]:
         if not isinstance(hypothesis, SimulatorHypothesis):
             raise ValueError("a simulator's problem takes a simulator's hypothesis")
         off = {f"{c.id}.{p.name}": v for c in self.of.candidates for p, v in _off(c)}
@@ -260,7 +260,7 @@ class SimulatorProblem(Problem):
                 inputs = {name: self.recorded(last, name) for name in ("t_s", *self.of.inputs)}
                 found = dict(self.of(inputs, parameters))
             out[block.place] = found[block.channel]
-        return out
+        return out, self.predict
 
 
 def _off(effect: Effect) -> list[tuple[Parameter, float]]:

@@ -42,6 +42,7 @@ from softcal.core.gap.simulator import (
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Parameter
 from softcal.core.twin.probes import Extent
+from softcal.core.words.reason import Reason, reason
 
 STARTS = 3
 """Starts of the base fit: the usual values, and this many less one around them."""
@@ -67,6 +68,7 @@ class SimulatorDiagnosis:
     gap: dict[str, ChannelGap]
     shrink: Shrink
     protocol: str
+    chosen: tuple[tuple[str, ...], ...]
     ambiguous_with: list[list[str]]
     hidden_fraction: dict[str, float]
     next_experiment: NextExperiment
@@ -77,26 +79,20 @@ class SimulatorDiagnosis:
         found = self.base if self.verdict == "unknown" else self.best
         hypothesis = found.hypothesis
         named = hypothesis.named(found.coordinates) if isinstance(hypothesis, SimulatorHypothesis) else {}
-        proposed = self.next_experiment
         return {
             "schema": SCHEMA,
             "simulator": self.simulator.name,
             "verdict": self.verdict,
             "serial": self.serial,
             "gap": {name: vars(gap) for name, gap in self.gap.items()},
-            "shrink": vars(self.shrink) | {"protocol": self.protocol},
-            "where": [vars(place) for place in self.places],
+            "shrink": vars(self.shrink) | {"protocol": self.protocol, "chosen": [list(ids) for ids in self.chosen]},
+            "where": [place.record() for place in self.places],
             "causes": [
                 vars(c) | {"parameters": {name: vars(p) for name, p in c.parameters.items()}} for c in self.causes
             ],
             "ambiguous_with": self.ambiguous_with,
             "hidden_fraction": self.hidden_fraction,
-            "next_experiment": {
-                "profile": proposed.profile,
-                "why": proposed.why,
-                "separation_sigma": proposed.separation_sigma,
-                "minutes": proposed.minutes,
-            },
+            "next_experiment": self.next_experiment.record(),
             "explained_share": self.explained_share,
             "parameters": named,
         }
@@ -124,7 +120,7 @@ def diagnose_simulator(
     logs = log_evidences(search.fits)
     group = rivals(search.fits, best, logs)
     say("measuring the shrink on samples no fit has seen")
-    quantified = quantify(search.base, best)
+    quantified = quantify(search.base, best, search.fits.values())
     share = float(np.clip(search.share(best), 0.0, 1.0))
     verdict = _verdict(search, group)
     doubt = UNKNOWN_TRUST * share if verdict == "unknown" else 1.0
@@ -141,6 +137,7 @@ def diagnose_simulator(
         gap=quantified.gap,
         shrink=quantified.shrink,
         protocol=quantified.protocol,
+        chosen=quantified.chosen,
         ambiguous_with=confused_pairs(group),
         hidden_fraction={i: hidden_fraction(best, i) for i in best.hypothesis.ids},
         next_experiment=_next(simulator, group, verdict),
@@ -229,20 +226,23 @@ def _places(search: EffectSearch, causes: tuple[RankedCause, ...], verdict: Diag
     if verdict == "no_gap":
         return ()
     seen = regimes_of(search.base)
-    channel, regime = (seen[0].channel, seen[0].name) if seen else (_loudest(search.base), "everywhere")
+    everywhere = Reason("gap.regime.everywhere")
+    channel, regime = (seen[0].channel, seen[0].name) if seen else (_loudest(search.base), everywhere)
     if verdict == "unknown":
-        part, ids = float(np.clip(search.share(search.best), 0.0, 1.0)), " and ".join(search.best.hypothesis.ids)
-        nearest = f"{ids} explains {part:.0%} of it" if ids else "no candidate explains any of it"
+        part, ids = float(np.clip(search.share(search.best), 0.0, 1.0)), search.best.hypothesis.ids
+        nearest = Reason("gap.seen.no_candidate")
+        if ids:
+            nearest = reason("gap.seen.nearest", causes=next_experiment.named(ids, "gap.both"), share=part)
         places = [GapPlace("unknown", channel, regime, 1.0, nearest)]
     else:
         named = [c for c in causes if c.effect in search.best.hypothesis.ids]
         total = sum(c.shrink for c in named) or 1.0
-        places = [GapPlace(c.stage, channel, regime, c.shrink / total, c.effect) for c in named]
+        places = [
+            GapPlace(c.stage, channel, regime, c.shrink / total, reason("gap.effect", effect=c.effect)) for c in named
+        ]
     at = places[0].stage
     lines = [
-        GapPlace(
-            at, r.channel, r.name, r.share, f"{r.share:.0%} of the gap's energy, {r.lift:.1f} times its share of time"
-        )
+        GapPlace(at, r.channel, r.name, r.share, reason("gap.seen.energy_of_all", share=r.share, lift=r.lift))
         for r in seen[:4]
     ]
     return (*places, *lines)
@@ -270,7 +270,7 @@ def regimes_of(found: Fit) -> list[Regime]:
     return sorted(out, key=lambda r: -r.share * np.log(r.lift))
 
 
-def _conditions(found: Fit, blocks: list[Block]) -> dict[str, Array]:
+def _conditions(found: Fit, blocks: list[Block]) -> dict[Reason, Array]:
     """Which samples of a channel lie at a level, a slope or a time, and in which run."""
     runs = [found.problem.case.runs[b.run] for b in blocks]
     predicted = [found.predicted[b.place] for b in blocks]
@@ -280,31 +280,28 @@ def _conditions(found: Fit, blocks: list[Block]) -> dict[str, Array]:
     calm, quick = np.quantile(np.abs(slope), (0.3, 0.7))
     of_run = np.concatenate([np.full(len(r), k) for k, r in enumerate(runs)])
     out = {
-        "low level (lowest fifth)": level < low,
-        "high level (highest fifth)": level > high,
-        "rising": slope > quick,
-        "falling": slope < -quick,
-        "fast change": np.abs(slope) > quick,
-        "standing still": np.abs(slope) < calm,
-        "start of the run (first quarter)": part < 0.25,
-        "end of the run (last quarter)": part > 0.75,
+        Reason("gap.regime.low_level"): level < low,
+        Reason("gap.regime.high_level"): level > high,
+        Reason("gap.regime.rising"): slope > quick,
+        Reason("gap.regime.falling"): slope < -quick,
+        Reason("gap.regime.fast_change"): np.abs(slope) > quick,
+        Reason("gap.regime.still"): np.abs(slope) < calm,
+        Reason("gap.regime.start"): part < 0.25,
+        Reason("gap.regime.end"): part > 0.75,
     }
-    return out | {f"run {run.name}": of_run == k for k, run in enumerate(runs)}
+    return out | {reason("gap.regime.run", run=run.name): of_run == k for k, run in enumerate(runs)}
 
 
 def _next(simulator: Simulator, group: tuple[Fit, ...], verdict: DiagnosisVerdict) -> NextExperiment:
     if verdict == "unknown":
-        return NextExperiment(
-            "none", "no candidate explains the gap; add one that acts where `where` says it stands out"
-        )
+        return NextExperiment("none", Reason("gap.next.add_candidate"))
     if len(group) < 2:
-        what = "no gap is visible on these runs" if verdict == "no_gap" else "the causes are separated on these runs"
-        return NextExperiment("none", what)
+        no_gap, separated = Reason("gap.next.no_gap"), Reason("gap.next.separated_here")
+        return NextExperiment("none", no_gap if verdict == "no_gap" else separated)
     entries = [
         next_experiment.MenuEntry(name, planned(simulator, name), entry.minutes)
         for name, entry in simulator.experiments.items()
     ]
     if not entries:
-        names = " and ".join("+".join(f.hypothesis.ids) for f in group)
-        return NextExperiment("none", f"{names} fit alike; give the simulator experiments to choose among")
+        return NextExperiment("none", reason("gap.next.no_experiments", causes=next_experiment.causes_of(group)))
     return next_experiment.most_telling(entries, group)

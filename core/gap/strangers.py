@@ -6,6 +6,7 @@ like.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from softcal.core.gap.screen import joined, screen
 from softcal.core.recording import Array
 from softcal.core.twin.effects import ChainStage, Effect, Flow, Hook, Memory, Parameter, Step
 from softcal.core.twin.signals import low_pass
+from softcal.core.words.reason import Reason
 
 LOG_ODDS = 5.0
 CLEAN_LOG_ODDS = 2.0
@@ -66,34 +68,48 @@ def _cell_lag(flow: Flow, values: Sequence[float], _: Memory) -> None:
     flow.reading_N = low_pass(flow.reading_N, flow.step_s, max(values[0], 1e-4), np.full(2, flow.reading_N[0]))
 
 
+@dataclass(frozen=True)
+class Stranger:
+    """A generic departure.
+
+    Args:
+        like: what it is, in words.
+        is_warming: it follows the temperature.
+    """
+
+    like: Reason
+    effect: Effect
+    is_warming: bool
+
+
 def _stranger(
-    what: str, stage: ChainStage, hook: Hook, step: Step, unit: str, usual: float, is_signed: bool = True
-) -> Effect:
+    code: str, stage: ChainStage, hook: Hook, step: Step, unit: str, usual: float, is_signed: bool = True
+) -> Stranger:
     size = Parameter("size", unit, -30.0 * usual if is_signed else 0.0, 30.0 * usual, usual, neutral=0.0)
-    return Effect(what, stage, hook, what, "no effect of the catalogue", (size,), step)
+    effect = Effect(code, stage, hook, "", "no effect of the catalogue", (size,), step)
+    return Stranger(Reason(code), effect, unit.endswith("/K"))
 
 
-WARM = "follows the temperature"
 STRANGERS = (
-    _stranger("a stiffness that drifts", "mechanics", Hook.FORCE, _gain("force_N", _time), "1/s", 1e-3),
-    _stranger(f"a stiffness that {WARM}", "mechanics", Hook.FORCE, _gain("force_N", _temperature), "1/K", 5e-3),
-    _stranger("a sensitivity that drifts", "transduction", Hook.CHANNEL, _gain("drive", _time), "1/s", 1e-3),
-    _stranger(f"a sensitivity that {WARM}", "transduction", Hook.CHANNEL, _gain("drive", _temperature), "1/K", 5e-3),
-    _stranger("an output offset that drifts", "electronics", Hook.OUTPUT, _offset("output_V", _time), "V/s", 2e-4),
+    _stranger("gap.like.stiffness_in_time", "mechanics", Hook.FORCE, _gain("force_N", _time), "1/s", 1e-3),
+    _stranger("gap.like.stiffness_when_warm", "mechanics", Hook.FORCE, _gain("force_N", _temperature), "1/K", 5e-3),
+    _stranger("gap.like.sensitivity_in_time", "transduction", Hook.CHANNEL, _gain("drive", _time), "1/s", 1e-3),
     _stranger(
-        f"an output offset that {WARM}", "electronics", Hook.OUTPUT, _offset("output_V", _temperature), "V/K", 1e-3
+        "gap.like.sensitivity_when_warm", "transduction", Hook.CHANNEL, _gain("drive", _temperature), "1/K", 5e-3
     ),
-    _stranger("a cell whose span drifts", "load_cell", Hook.READING, _gain("reading_N", _time), "1/s", 1e-3),
-    _stranger(f"a cell whose span {WARM}", "load_cell", Hook.READING, _gain("reading_N", _temperature), "1/K", 5e-3),
-    _stranger(f"a cell whose zero {WARM}", "load_cell", Hook.READING, _offset("reading_N", _temperature), "N/K", 0.01),
+    _stranger("gap.like.offset_in_time", "electronics", Hook.OUTPUT, _offset("output_V", _time), "V/s", 2e-4),
+    _stranger("gap.like.offset_when_warm", "electronics", Hook.OUTPUT, _offset("output_V", _temperature), "V/K", 1e-3),
+    _stranger("gap.like.cell_span_in_time", "load_cell", Hook.READING, _gain("reading_N", _time), "1/s", 1e-3),
+    _stranger("gap.like.cell_span_when_warm", "load_cell", Hook.READING, _gain("reading_N", _temperature), "1/K", 5e-3),
     _stranger(
-        "a cell that reads the position", "load_cell", Hook.READING, _offset("reading_N", _position), "N/mm", 0.05
+        "gap.like.cell_zero_when_warm", "load_cell", Hook.READING, _offset("reading_N", _temperature), "N/K", 0.01
     ),
-    _stranger("a cell that reads late", "load_cell", Hook.READING, _cell_lag, "s", 0.1, is_signed=False),
+    _stranger("gap.like.cell_by_position", "load_cell", Hook.READING, _offset("reading_N", _position), "N/mm", 0.05),
+    _stranger("gap.like.cell_late", "load_cell", Hook.READING, _cell_lag, "s", 0.1, is_signed=False),
 )
-"""Generic departures; the identifier is the description."""
+"""Generic departures."""
 
-WARM_DIVIDER = _stranger(f"a divider resistor that {WARM}", "electronics", Hook.REFERENCE, _divider, "1/K", 1e-3)
+WARM_DIVIDER = _stranger("gap.like.divider_when_warm", "electronics", Hook.REFERENCE, _divider, "1/K", 1e-3)
 """Looks like a channel that follows the temperature, sign reversed, as long as the channel itself is read."""
 
 
@@ -118,9 +134,9 @@ def stranger(best: Fit, parents: Sequence[Fit], fits: Sequence[Fit]) -> Fit | No
     return closest if is_decisive and (is_simpler or closest.chi2 < best.chi2 - LEAST_GAIN) else None
 
 
-def name_of(found: Fit) -> Effect:
+def stranger_of(found: Fit) -> Stranger:
     """Return the stranger of a hypothesis that has one."""
-    return next(e for e in found.hypothesis.effects if e in (*STRANGERS, WARM_DIVIDER))
+    return next(one for one in (*STRANGERS, WARM_DIVIDER) if one.effect in found.hypothesis.effects)
 
 
 def _grown(parent: Fit) -> list[Fit]:
@@ -130,6 +146,7 @@ def _grown(parent: Fit) -> list[Fit]:
 
 def _probes(case: Case, scale: RigScale) -> list[Probe]:
     is_warming = any(run.temperature_C is not None and np.ptp(run.temperature_C) > 0 for run in case.presses)
-    seen = [e for e in STRANGERS if e.stage not in case.unseen_stages and (is_warming or WARM not in e.id)]
-    seen += [WARM_DIVIDER] if case.has_warmed_dummy else []
+    felt = [one for one in STRANGERS if is_warming or not one.is_warming]
+    seen = [one.effect for one in felt if one.effect.stage not in case.unseen_stages]
+    seen += [WARM_DIVIDER.effect] if case.has_warmed_dummy else []
     return [Probe(e, (scale.sized(e.parameters[0]).usual,), e.parameters[0].low == 0.0) for e in seen]

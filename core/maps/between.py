@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from softcal.core.identity import Settings
 from softcal.core.maps.curve import CurveMap
-from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem
 from softcal.core.maps.monotone import Monotone
 
@@ -31,7 +30,7 @@ class Between:
         Raises:
             UnitRefused: the output makes no swing that stands out of its noise.
         """
-        match, curve = match_ends(problem.source, problem.target, problem.config), Monotone().fit(problem)
+        match, curve = problem.ends, Monotone().fit(problem)
         weight = problem.config.choice.curve_weight
         line = match.offset + match.gain * curve.knots
         return CurveMap(curve.knots, weight * curve.values + (1 - weight) * line, self.name)

@@ -7,13 +7,12 @@ import numpy as np
 
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.affine import IdentityFamily
-from softcal.core.maps.anchors import firmness, refine, source_bend
+from softcal.core.maps.anchors import Anchoring, firmness, refine, source_bend
 from softcal.core.maps.catalogue import family
 from softcal.core.maps.config import DEFAULT, CrossingConfig
 from softcal.core.maps.crossing import averaging_length, level_path
-from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
-from softcal.core.maps.label_shift import level_weights
+from softcal.core.maps.label_shift import dwell_distance
 from softcal.core.maps.synchrony import Synchrony
 from softcal.core.recording import OutputRecording
 
@@ -66,10 +65,25 @@ def choose_map(problem: FitProblem) -> ChosenMap:
     return _anchored(problem, problem.anchors, ChosenMap(chosen, evidence, candidates))
 
 
+def fit_family(problem: FitProblem, name: str) -> UnitMap:
+    """Fit one family and refine it by anchors where there are any: the map `choose_map` takes where it is configured.
+
+    Raises:
+        UnitRefused: the recording allows no such map.
+    """
+    unit_map = family(name).fit(problem)
+    if problem.anchors is None:
+        return unit_map
+    return _refined(problem, unit_map, problem.anchors).unit_map
+
+
+def _refined(problem: FitProblem, unit_map: UnitMap, anchors: Anchors) -> Anchoring:
+    return refine(problem, unit_map, anchors, firmness(_KIND.get(unit_map.family, ""), problem.config.anchors))
+
+
 def _anchored(problem: FitProblem, anchors: Anchors, found: ChosenMap) -> ChosenMap:
     """Hold the map and those that might have been taken against the known loads."""
-    config = problem.config.anchors
-    refined = refine(problem, found.unit_map, anchors, firmness(_KIND.get(found.family, ""), config))
+    refined = _refined(problem, found.unit_map, anchors)
     told: dict[str, float | str] = {
         "anchor_gain": refined.unit_map.gain,
         "anchor_offset": refined.unit_map.offset,
@@ -79,9 +93,7 @@ def _anchored(problem: FitProblem, anchors: Anchors, found: ChosenMap) -> Chosen
         "rest_error": refined.rest_error,
     }
     others = {
-        name: other
-        if name == IdentityFamily.name
-        else refine(problem, other, anchors, firmness(_KIND.get(name, ""), config)).unit_map
+        name: other if name == IdentityFamily.name else _refined(problem, other, anchors).unit_map
         for name, other in found.alternatives.items()
     }
     return ChosenMap(refined.unit_map, {**found.evidence, **told}, others)
@@ -132,14 +144,14 @@ def _shared(synchrony: Synchrony) -> dict[str, float | str]:
 
 def _without_pairs(problem: FitProblem, candidates: dict[str, UnitMap]) -> tuple[str, dict[str, float | str]]:
     config = problem.config.choice
-    match = match_ends(problem.source, problem.target, problem.config)
+    match = problem.ends
     target_rate, source_rate = (
         _swing_rate(recording, problem.config.crossing) for recording in (problem.target, problem.source.unlabelled)
     )
     # Noise that passes for presses shows as far more swings than the source has.
     rate = target_rate / max(source_rate, 1e-9)
     mapped = candidates["label_shift"].apply(problem.target.windows)
-    dwell, _ = level_weights(problem.source.windows, mapped, config.dwell_cells)
+    dwell = dwell_distance(problem.source.unlabelled, mapped, config.dwell_cells)
     numbers: dict[str, float | str] = {
         "swing_rate_ratio": rate,
         "gain": match.gain,

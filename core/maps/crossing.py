@@ -67,7 +67,7 @@ def level_path(recording: OutputRecording, average: int, config: CrossingConfig)
         config: what counts as a swing.
     """
     # A share of the range: no unit, gain or readout changes what counts as a swing.
-    threshold = config.threshold * robust_range(recording.output, config)
+    threshold = config.threshold * _range(recording, config)
     # Neighbours of an average share most of their samples: a third of its length loses no turning point.
     step, levels, turns = max(1, average // config.looks), [], []
     for part in recording.segments:
@@ -123,12 +123,17 @@ def averaging_length(recording: OutputRecording, config: CrossingConfig) -> int:
 
     Swings of noise stand just above the threshold; those of presses span a good part of the range.
     """
-    spread = robust_range(recording.output, config)
+    spread = _range(recording, config)
     for average in config.averages:
         path = level_path(recording, average, config)
         if path is not None and np.median(path.high - path.low) >= config.press_share * spread:
             return average
     return config.averages[-1]
+
+
+@lru_cache(maxsize=KEPT)
+def _range(recording: OutputRecording, config: CrossingConfig) -> float:
+    return robust_range(recording.output, config)
 
 
 def robust_range(values: Array, config: CrossingConfig) -> float:

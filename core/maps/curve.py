@@ -28,8 +28,10 @@ class CurveMap:
 
     def __call__(self, samples: Array) -> Array:
         """Carry samples of any shape; beyond the knots the curve goes straight on."""
-        # np.interp holds its last value. A sensor pressed harder than it was calibrated must go on rising.
         inside = np.interp(samples, self.knots, self.values)
+        if np.min(samples, initial=np.inf) >= self.knots[0] and np.max(samples, initial=-np.inf) <= self.knots[-1]:
+            return np.asarray(inside)
+        # np.interp holds its last value. A sensor pressed harder than it was calibrated must go on rising.
         slopes = np.diff(self.values) / np.diff(self.knots)
         below = np.minimum(samples - self.knots[0], 0.0) * slopes[0]
         above = np.maximum(samples - self.knots[-1], 0.0) * slopes[-1]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from softcal.core.identity import Settings, content_sha256
 from softcal.core.maps.config import MapConfig
+from softcal.core.maps.ends import EndMatch, match_ends
 from softcal.core.maps.synchrony import Synchrony, find_synchrony
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -80,6 +81,15 @@ class FitProblem:
     def synchrony(self) -> Synchrony:
         """What the two outputs say about a common load; found once for all who ask."""
         return find_synchrony(self.source.unlabelled, self.target, self.config)
+
+    @cached_property
+    def ends(self) -> EndMatch:
+        """Rest and peak of the target beside those of the source; found once for all who ask.
+
+        Raises:
+            UnitRefused: the target's output makes no swing that stands out of its noise.
+        """
+        return match_ends(self.source, self.target, self.config)
 
 
 class MapFamily(Protocol):

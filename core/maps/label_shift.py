@@ -2,15 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.identity import Settings
 from softcal.core.maps.affine_map import AffineMap
-from softcal.core.maps.ends import match_ends
+from softcal.core.maps.crossing import KEPT
 from softcal.core.maps.interface import FitProblem
-from softcal.core.recording import Array
+from softcal.core.recording import Array, OutputRecording
 
 
 @dataclass(frozen=True)
@@ -19,8 +20,7 @@ class LabelShift:
 
     What units pressed between the same rest and peaks share, however the time between is spent, are these two levels.
     The peak is read off the crossing measure, N(x) the number of times the output crosses level x, which does not
-    change when presses are held longer or made faster. The weight of each source sample follows afterwards as the ratio
-    of the time spent (`level_weights`).
+    change when presses are held longer or made faster.
     """
 
     name: str = "label_shift"
@@ -31,35 +31,39 @@ class LabelShift:
         Raises:
             UnitRefused: the output makes no swing that stands out of its noise.
         """
-        match = match_ends(problem.source, problem.target, problem.config)
-        return AffineMap(match.gain, match.offset, self.name)
+        return AffineMap(problem.ends.gain, problem.ends.offset, self.name)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> AffineMap:
         """Rebuild a map from its arrays."""
         return AffineMap(float(arrays["gain"]), float(arrays["offset"]), self.name)
 
 
-def level_weights(source: Array, mapped_target: Array, cells: int) -> tuple[float, Array]:
-    """Return how differently the two units spend their time, and the weights that make up for it.
+def dwell_distance(source: OutputRecording, mapped_target: Array, cells: int) -> float:
+    """Return how differently two units spend their time: 0 alike, 1 never at one level in one direction.
 
     Args:
-        source: (n, taps) windows of the source.
+        source: recording of the source, which every unit of a lot is compared with.
         mapped_target: (m, taps) windows of the target after its map.
         cells: levels; each counts twice, once rising and once falling.
 
     Returns:
-        Total variation distance between the shares of time per level and direction (0 ... 1), and (n,) weights of the
-        source windows, mean 1.
+        Total variation distance between the shares of time per level and direction.
     """
-    # Equal shares of the source per cell: each ratio below is then known equally well.
-    edges = np.quantile(source[:, -1], np.linspace(0, 1, cells + 1)[1:-1])
-    source_cell, target_cell = _cells(source, edges), _cells(mapped_target, edges)
-    source_share = np.bincount(source_cell, minlength=2 * cells) / len(source)
-    target_share = np.bincount(target_cell, minlength=2 * cells) / len(mapped_target)
-    # A cell the source never visited counts as one sample, or a single stray would weigh without bound.
-    ratio = target_share / np.maximum(source_share, 1.0 / len(source))
-    weights = ratio[source_cell]
-    return float(np.abs(source_share - target_share).sum() / 2), weights / max(float(weights.mean()), 1e-12)
+    edges, source_share = _use(source, cells)
+    return float(np.abs(source_share - _shares(mapped_target, edges)).sum() / 2)
+
+
+@lru_cache(maxsize=KEPT)
+def _use(source: OutputRecording, cells: int) -> tuple[Array, Array]:
+    """Return the inner edges of the levels, and the share of time in each cell."""
+    # Equal shares of the source per cell: each difference from them is then known equally well.
+    edges = np.quantile(source.windows[:, -1], np.linspace(0, 1, cells + 1)[1:-1])
+    return edges, _shares(source.windows, edges)
+
+
+def _shares(windows: Array, edges: Array) -> Array:
+    cell = _cells(windows, edges)
+    return np.asarray(np.bincount(cell, minlength=2 * (len(edges) + 1)) / len(cell))
 
 
 def _cells(windows: Array, edges: Array) -> NDArray[np.int64]:

@@ -2,15 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.errors import UnitRefused
 from softcal.core.identity import Settings
+from softcal.core.maps.config import CurveConfig
+from softcal.core.maps.crossing import KEPT
 from softcal.core.maps.curve import CurveMap, continued, monotone_curve
 from softcal.core.maps.interface import FitProblem
-from softcal.core.recording import Array
+from softcal.core.recording import Array, OutputRecording
 from softcal.core.words.reason import reason
 
 
@@ -31,20 +34,25 @@ class Monotone:
         Raises:
             UnitRefused: the target's output does not move.
         """
-        # Chebyshev spacing: the ends, where rest and peak levels lie, are resolved best.
         config = problem.config.curve
-        spacing = (1 - np.cos(np.linspace(0, np.pi, config.knots))) / 2
-        shares = config.end_share + (1 - 2 * config.end_share) * spacing
-        target = between_steps(problem.target.output, shares)
+        target = _quantiles(problem.target, config)
         if np.ptp(target) <= 0:
             level, unit = float(target[0]), problem.target.output_unit
             raise UnitRefused(reason("still", level=level, unit=unit))
-        source = between_steps(problem.source.unlabelled.output, shares)
+        source = _quantiles(problem.source.unlabelled, config)
         return continued(monotone_curve(target, source, self.name), float(np.ptp(source)), config)
 
     def from_arrays(self, arrays: Mapping[str, NDArray[np.generic]], settings: Settings) -> CurveMap:
         """Rebuild a curve from its arrays."""
         return CurveMap.from_arrays(arrays, self.name)
+
+
+@lru_cache(maxsize=KEPT)
+def _quantiles(recording: OutputRecording, config: CurveConfig) -> Array:
+    """Return the quantiles of a recording's output that become knots."""
+    # Chebyshev spacing: the ends, where rest and peak levels lie, are resolved best.
+    spacing = (1 - np.cos(np.linspace(0, np.pi, config.knots))) / 2
+    return between_steps(recording.output, config.end_share + (1 - 2 * config.end_share) * spacing)
 
 
 def between_steps(samples: Array, shares: Array) -> Array:

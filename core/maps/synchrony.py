@@ -5,12 +5,13 @@ between the clocks. A recording may also open with the common load and go on wit
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softcal.core.maps.config import MapConfig, SynchronyConfig
-from softcal.core.maps.crossing import moving_mean, robust_range, turning_points
+from softcal.core.maps.crossing import KEPT, moving_mean, robust_range, turning_points
 from softcal.core.recording import Array, Indices, OutputRecording
 
 
@@ -82,14 +83,13 @@ def _compared(
     seen = time_s[_covered(source, time_s) & _covered(target, time_s)]
     if len(seen) < 2 * min(config.scales):
         return NONE
-    # Linear between samples: the two recordings never share their instants exactly.
-    a = ranks(np.interp(time_s, seen, np.interp(seen, source.t_s, source.output)))
-    b = ranks(np.interp(time_s, seen, np.interp(seen, target.t_s, target.output)))
+    one, other = (_Ranked(each, time_s, seen) for each in (source, target))
+    a, b = one.ranks, other.ranks
     if np.ptp(a) == 0 or np.ptp(b) == 0:
         return NONE
     # One scale would miss slow loads or drown in noise; a scale needs twenty of its lengths to judge.
     scales = [scale for scale in config.scales if config.least_length * scale <= len(time_s)]
-    found = [_detail(a, b, scale, rate_Hz, config) for scale in scales]
+    found = [_detail(one.band(scale, config), other.band(scale, config), scale, rate_Hz, config) for scale in scales]
     detail, sigma, lag = max(found, key=lambda item: item[1])
     stands_out = detail >= config.min_detail and sigma >= config.min_sigma
     # A lag that does not stand out is chance. A wrong lag pairs foreign loads; no lag at worst pairs none.
@@ -98,6 +98,50 @@ def _compared(
     correlation = float(np.corrcoef(a, b)[0, 1])
     is_synchronous = correlation >= config.min_rank_correlation
     return Synchrony(-lag / rate_Hz, correlation, detail, sigma, until_s, is_synchronous)
+
+
+@dataclass(frozen=True, eq=False)
+class _Band:
+    """Ranks of one output, without what is slower or faster than a scale.
+
+    Args:
+        spectrum: its Fourier transform.
+        length, spread: its number of values, and their standard deviation.
+    """
+
+    spectrum: NDArray[np.complex128]
+    length: int
+    spread: float
+
+
+class _Ranked:
+    """The ranks of an output at given instants, and their bands.
+
+    Every unit of a lot is compared with one source, and mostly at the same instants: what was found is kept.
+    """
+
+    def __init__(self, recording: OutputRecording, time_s: Array, seen: Array) -> None:
+        self._key = recording, time_s.tobytes(), seen.tobytes()
+
+    @property
+    def ranks(self) -> Array:
+        return _ranks_at(*self._key)
+
+    def band(self, scale: int, config: SynchronyConfig) -> _Band:
+        return _band_of(*self._key, scale, config.slow)
+
+
+@lru_cache(maxsize=KEPT)
+def _ranks_at(recording: OutputRecording, time_s: bytes, seen: bytes) -> Array:
+    at, known = np.frombuffer(time_s), np.frombuffer(seen)
+    # Linear between samples: two recordings never share their instants exactly.
+    return ranks(np.interp(at, known, np.interp(known, recording.t_s, recording.output)))
+
+
+@lru_cache(maxsize=4 * KEPT)
+def _band_of(recording: OutputRecording, time_s: bytes, seen: bytes, scale: int, slow: int) -> _Band:
+    band = _band(_ranks_at(recording, time_s, seen), scale, slow)
+    return _Band(np.fft.rfft(band), len(band), float(np.std(band)))
 
 
 def ranks(values: Array) -> Array:
@@ -199,12 +243,11 @@ def _covered(recording: OutputRecording, time_s: Array) -> NDArray[np.bool_]:
     return inside
 
 
-def _detail(a: Array, b: Array, scale: int, rate_Hz: float, config: SynchronyConfig) -> tuple[float, float, int]:
-    x, y = _band(a, scale, config.slow), _band(b, scale, config.slow)
-    spectrum = np.fft.rfft(x) * np.conj(np.fft.rfft(y))
+def _detail(x: _Band, y: _Band, scale: int, rate_Hz: float, config: SynchronyConfig) -> tuple[float, float, int]:
+    spectrum = x.spectrum * np.conj(y.spectrum)
     # All lags at once by the correlation theorem; its ends wrap around, which is why only a quarter is searched.
-    every = np.fft.irfft(spectrum, len(x)) / (np.std(x) * np.std(y) * len(x) + 1e-300)
-    reach = min(len(x) // config.reach, round(config.longest_lag_s * rate_Hz))
+    every = np.fft.irfft(spectrum, x.length) / (x.spread * y.spread * x.length + 1e-300)
+    reach = min(x.length // config.reach, round(config.longest_lag_s * rate_Hz))
     near = np.concatenate([every[: reach + 1], every[-reach:]])
     # Slow loads leave the peak flat: without a clear gain the clocks are taken as equal.
     best = 0 if near[0] >= config.clear_gain * near.max() else int(np.argmax(near))

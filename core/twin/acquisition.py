@@ -12,14 +12,11 @@ from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Placing, Signs
 from softcal.core.twin.forms import plus
 from softcal.core.twin.probes import Sizes
+from softcal.core.twin.signals import known_so_far, read_at
 
 
 def _read_at(flow: Flow, wanted_s: Array, state: Memory) -> None:
-    known_s = np.concatenate([state.get("t_s", np.empty(0)), flow.t_s])
-    known_V = np.concatenate([state.get("output_V", np.empty(0)), flow.output_V])
-    # The oldest instant the next chunk can ask for moves with the clock; one sample more is kept to interpolate.
-    keep = max(0, int(np.searchsorted(known_s, min(wanted_s[-1], known_s[-1]))) - 2)
-    state["t_s"], state["output_V"] = known_s[keep:], known_V[keep:]
+    known_s, known_V = known_so_far(flow.t_s, flow.output_V, wanted_s, state)
     flow.output_V = np.interp(wanted_s, known_s, known_V)
     late = wanted_s > known_s[-1] + 1e-9
     earlier = flow.is_unforeseeable
@@ -51,9 +48,9 @@ def _dropped_samples(flow: Flow, _: Sequence[float], state: Memory) -> None:
     _read_at(flow, wanted_s, state)
 
 
-def _skew_curve(flow: Flow, v: Sequence[float], _: Memory) -> None:
+def _skew_curve(flow: Flow, v: Sequence[float], state: Memory) -> None:
     wanted_s = flow.t_s * (1.0 + v[0] + v[1] * flow.t_s)
-    flow.output_V = np.interp(wanted_s, flow.t_s, flow.output_V)
+    flow.output_V = read_at(flow.t_s, flow.output_V, wanted_s, state)
 
 
 EFFECTS = (

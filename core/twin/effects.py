@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from softcal.core.recording import Array
 from softcal.core.twin.probes import Extent, Probes
+from softcal.core.words.reason import Reason
 
 ChainStage = Literal["motion", "mechanics", "transduction", "electronics", "load_cell", "acquisition"]
 Scale = Literal["linear", "log", "inverse_square"]
@@ -43,7 +44,7 @@ class Parameter:
         neutral: value that switches the effect off, None for a shape parameter.
         scale: how a fit moves it; `inverse_square` for a level whose absence is infinity.
         weight: what it counts as when flexibility is penalised; less than 1 for a nuisance of one run.
-        follows: the unit that its bounds grow with from rig to rig, where that is not its own.
+        is_fixed: it has one value on a rig, `usual`, and is not fitted.
     """
 
     name: str
@@ -54,7 +55,7 @@ class Parameter:
     neutral: float | None = None
     scale: Scale = "linear"
     weight: float = 1.0
-    follows: str = ""
+    is_fixed: bool = False
 
 
 def _not_yet() -> Array:
@@ -85,6 +86,7 @@ class Flow:
     pad_mm: Array = field(default_factory=_not_yet)
     contact_mm: Array | float = 0.0
     toe_mm: float = 0.0
+    toe_tail: float = 0.0
     compliance_mm_N: float = 0.0
     deformation_mm: Array = field(default_factory=_not_yet)
     force_N: Array = field(default_factory=_not_yet)
@@ -119,7 +121,7 @@ class Alias:
 
     Args:
         stage: where it sits.
-        detail: what it is, in words.
+        detail: what it is; a plug-in gives a sentence, which is shown as it is written.
         share: of the effect's place that it gets while nothing tells the two apart.
         told_by: kind of the run that tells them apart ...
         changing, by: ... when this channel changes in it by so much.
@@ -127,12 +129,12 @@ class Alias:
     """
 
     stage: ChainStage
-    detail: str
+    detail: Reason | str
     share: float
     told_by: str
     changing: str
     by: float
-    advice: str
+    advice: Reason | str
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,7 @@ class Signs:
     clock: Literal["delay", "rate"] | None = None
     hides_behind: tuple[str, ...] = ()
     shown_by: tuple[str, ...] = ()
-    remedy: str = ""
+    remedy: Reason | str = ""
     alias: Alias | None = None
 
 
@@ -178,6 +180,8 @@ class Effect:
             values holds for all.
         sides: the same effect acting from another side, told apart by the parameters that are given.
         forms: other realisations of the same cause that a rig may show.
+        constants: numbers by name that the equation takes behind its parameters; a fit reads them off each recording
+            (not a number here), a twin holds them.
     """
 
     id: str
@@ -192,6 +196,7 @@ class Effect:
     of_runs: "Callable[[int], Effect] | None" = None
     sides: "tuple[Effect, ...]" = ()
     forms: "tuple[Form, ...]" = ()
+    constants: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         if self.parameters and self.parameters[0].neutral is None:
@@ -239,6 +244,15 @@ class Effect:
         if not usual:
             return [(size,)]
         return [(size, factor * usual[0], *usual[1:]) for factor in (0.25, 1.0, 4.0)]
+
+    @property
+    def value_names(self) -> tuple[str, ...]:
+        """Names of its parameters and, behind them, of its constants."""
+        return (*(p.name for p in self.parameters), *(name for name, _ in self.constants))
+
+    def form_called(self, name: str) -> "Effect | None":
+        """Return the realisation of this name, the effect itself for an empty one; None where it has no such form."""
+        return next((f.effect for f in self.forms if f.effect.equation == name), None) if name else self
 
     def with_forms(self, *makers: "Callable[[Effect], Form]") -> "Effect":
         """Return this effect with other realisations, each made from its own parameters."""

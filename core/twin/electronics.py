@@ -7,10 +7,10 @@ import numpy as np
 
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Placing, Signs, memory
-from softcal.core.twin.forms import POWER, SETTLING, bent_time, plus, settling_time
+from softcal.core.twin.forms import POWER, SETTLING, bent_time, constant, plus, settling_time
 from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.twin.probes import Extent, Sizes
-from softcal.core.twin.signals import low_pass
+from softcal.core.twin.signals import low_pass, read_at
 from softcal.core.twin.transduction import CLIMATE
 
 
@@ -52,18 +52,18 @@ def _adc_floor(flow: Flow, values: Sequence[float], _: Memory) -> None:
     flow.output_V = np.maximum(flow.output_V, values[0])
 
 
-def _lag_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    for tau_s in v[:2]:
-        start = np.full(2, flow.output_V[0])
+def _lag_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
+    for name, tau_s in zip(("first_V", "second_V"), v[:2], strict=True):
+        start = memory(state, name, flow.output_V[0], flow.output_V[0])
         flow.output_V = low_pass(flow.output_V, flow.step_s, max(tau_s, 1e-4), start)
 
 
-def _lag_sampled(flow: Flow, v: Sequence[float], _: Memory) -> None:
+def _lag_sampled(flow: Flow, v: Sequence[float], state: Memory) -> None:
     """A filter computed sample by sample: its input is held, and it answers up to a sample late."""
-    start = np.full(2, flow.output_V[0])
+    start = memory(state, "low_pass_V", flow.output_V[0], flow.output_V[0])
     slow = low_pass(flow.output_V, flow.step_s, max(v[0], 1e-4), start)
-    period_s = float(np.median(flow.step_s[1:]))
-    flow.output_V = np.interp(flow.t_s - v[1] * period_s, flow.t_s, slow)
+    period_s = constant(v, state, 2, "period_s", lambda: float(np.median(flow.step_s[1:])))
+    flow.output_V = read_at(flow.t_s, slow, flow.t_s - v[1] * period_s, state)
 
 
 def _reference_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
@@ -167,7 +167,12 @@ EFFECTS = (
         ),
     ).with_forms(
         plus(_lag_2, "second order", (Parameter("tau2", "s", 0.0, 3.0, 0.05), 0.02)),
-        plus(_lag_sampled, "computed sample by sample", (Parameter("late", "", -0.6, 1.1, 0.5), 0.0)),
+        plus(
+            _lag_sampled,
+            "computed sample by sample",
+            (Parameter("late", "", -0.6, 1.1, 0.5), 0.0),
+            constants=("period_s",),
+        ),
     ),
     Effect(
         id="wiring_resistance",

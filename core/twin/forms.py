@@ -12,8 +12,8 @@ from typing import TypeAlias
 import numpy as np
 
 from softcal.core.recording import Array
-from softcal.core.twin.effects import Effect, Form, Parameter, Step
-from softcal.core.twin.signals import direction_state, play
+from softcal.core.twin.effects import Effect, Form, Memory, Parameter, Step, memory
+from softcal.core.twin.signals import direction_state, low_pass, play
 
 STOPS = (0.03, 0.1, 0.25, 0.6)
 """Strokes of the stop operators of a Prandtl–Ishlinskii loop, as shares of the largest value of their input."""
@@ -28,16 +28,25 @@ Maker: TypeAlias = Callable[[Effect], Form]
 """Makes a form of an effect from the effect's own parameters."""
 
 
-def in_form(step: Step, what: str, parameters: Sequence[Parameter], carry: Sequence[tuple[int | None, float]]) -> Maker:
+def in_form(
+    step: Step,
+    what: str,
+    parameters: Sequence[Parameter],
+    carry: Sequence[tuple[int | None, float]],
+    constants: Sequence[str] = (),
+) -> Maker:
     """Return a maker of a form with parameters of its own.
 
     Args:
         what: the realisation in words.
         carry: where its fit begins, see `Form`.
+        constants: what it reads off the recording it is fitted to, see `Effect`.
     """
 
     def make(effect: Effect) -> Form:
-        return Form(replace(effect, step=step, parameters=tuple(parameters), equation=what, forms=()), tuple(carry))
+        own = tuple((name, np.nan) for name in constants)
+        form = replace(effect, step=step, parameters=tuple(parameters), equation=what, forms=(), constants=own)
+        return Form(form, tuple(carry))
 
     return make
 
@@ -55,37 +64,64 @@ def two(step: Step, what: str) -> Maker:
     return make
 
 
-def plus(step: Step, what: str, *extra: tuple[Parameter, float]) -> Maker:
+def plus(step: Step, what: str, *extra: tuple[Parameter, float], constants: Sequence[str] = ()) -> Maker:
     """Return a maker of a form with parameters more, each with the value it begins at."""
 
     def make(effect: Effect) -> Form:
         own: list[tuple[int | None, float]] = [(k, 1.0) for k in range(len(effect.parameters))]
         carry = [*own, *((None, value) for _, value in extra)]
-        return in_form(step, what, (*effect.parameters, *(p for p, _ in extra)), carry)(effect)
+        return in_form(step, what, (*effect.parameters, *(p for p, _ in extra)), carry, constants)(effect)
 
     return make
 
 
-def stop_form(step: Step, what: str) -> Maker:
-    """Return a maker of a form of stop operators, one weight for each of `STOPS`."""
+def stop_form(step: Step, what: str, *constants: str) -> Maker:
+    """Return a maker of a form of stop operators, one weight for each of `STOPS`.
+
+    Args:
+        constants: the largest value of their input, of which the strokes are shares, and what else the step reads off.
+    """
     weights = [Parameter(f"w{k}", "", -0.5, 1.0, 0.05, neutral=0.0) for k in range(len(STOPS))]
-    return in_form(step, what, weights, [(0, 0.5)] * len(STOPS))
+    return in_form(step, what, weights, [(0, 0.5)] * len(STOPS), constants)
 
 
-def loops(signal: Array, values: Sequence[float]) -> Array:
+def constant(values: Sequence[float], state: Memory, at: int, name: str, read: Callable[[], float]) -> float:
+    """Return the constant behind the parameters of a form, or read it off the recording and leave it in the memory.
+
+    Args:
+        at: its place among the values; a fit gives none.
+    """
+    if len(values) > at:
+        return float(values[at])
+    return float(memory(state, name, read())[0])
+
+
+def two_low_passes(signal: Array, step_s: Array, values: Sequence[float], state: Memory) -> Array:
+    """Return w₁·LP_τ₁[x] + w₂·LP_τ₂[x], both from rest at 0; values are (w₁, τ₁, w₂, τ₂)."""
+    slow = values[0] * low_pass(signal, step_s, values[1], memory(state, "first", 0.0, 0.0))
+    return np.asarray(slow + values[2] * low_pass(signal, step_s, values[3], memory(state, "second", 0.0, 0.0)))
+
+
+def loops(signal: Array, values: Sequence[float], state: Memory) -> Array:
     """Return 1 + a₁·z₁ + a₂·z₂ of two rate-independent loops; values are (a₁, width₁, a₂, width₂)."""
-    one = direction_state(signal, values[1], np.array([0.0, signal[0]]))
-    other = direction_state(signal, values[3], np.array([0.0, signal[0]]))
+    one = direction_state(signal, values[1], memory(state, "first", 0.0, signal[0]))
+    other = direction_state(signal, values[3], memory(state, "second", 0.0, signal[0]))
     return 1.0 + values[0] * one + values[2] * other
 
 
-def stops(signal: Array, weights: Sequence[float]) -> Array:
-    """Return Σ wᵢ·(x − play_rᵢ(x)): stop operators, each saturating after its own stroke (Brokate, Sprekels 1996)."""
+def stops(signal: Array, values: Sequence[float], state: Memory, name: str) -> Array:
+    """Return Σ wᵢ·(x − play_rᵢ(x)): stop operators, each saturating after its own stroke (Brokate, Sprekels 1996).
+
+    Args:
+        values: a weight for each of `STOPS`, then the largest value of x, of which the strokes are shares; that of this
+            run where it is not given.
+        name: of that constant.
+    """
     out = np.zeros_like(signal)
-    largest = float(np.max(np.abs(signal))) or 1.0
-    for weight, share in zip(weights, STOPS, strict=True):
+    largest = constant(values, state, len(STOPS), name, lambda: float(np.max(np.abs(signal))) or 1.0)
+    for k, share in enumerate(STOPS):
         width = share * largest
-        out += weight * (signal - play(signal, width, np.array([signal[0] - width])))
+        out += values[k] * (signal - play(signal, width, memory(state, f"stop{k}", signal[0] - width)))
     return out
 
 

@@ -5,12 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, memory
-from softcal.core.twin.forms import POWER, SETTLING, bent_time, plus, settling_time, two
-from softcal.core.twin.probes import Sizes, Times
+from softcal.core.twin.forms import POWER, SETTLING, bent_time, plus, settling_time, two, two_low_passes
+from softcal.core.twin.probes import Shapes, Sizes, Times
 from softcal.core.twin.signals import low_pass
 
-NONLINEARITY_SPAN_N = 10.0
-"""F_max of `loadcell_nonlinearity`: the capacity of the cell. Another capacity is a change of λ and of the gain."""
+SPAN = Parameter("F_max", "N", 10.0, 10.0, 10.0, weight=0.0, is_fixed=True)
+"""Capacity of the cell of the common rig; it grows with the rig and is not fitted: another one is a change of λ and of
+the gain."""
 
 
 def read_force(flow: Flow) -> None:
@@ -24,7 +25,7 @@ def _saturation(flow: Flow, values: Sequence[float], _: Memory) -> None:
 
 
 def _nonlinearity(flow: Flow, values: Sequence[float], _: Memory) -> None:
-    flow.reading_N = flow.reading_N * (1.0 + values[0] * (1.0 - flow.reading_N / NONLINEARITY_SPAN_N))
+    flow.reading_N = flow.reading_N * (1.0 + values[0] * (1.0 - flow.reading_N / values[1]))
 
 
 def _creep(flow: Flow, values: Sequence[float], state: Memory) -> None:
@@ -43,14 +44,12 @@ def _cell_knee(flow: Flow, v: Sequence[float], _: Memory) -> None:
 
 
 def _cell_curve(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    part = flow.reading_N / 10.0
-    flow.reading_N = flow.reading_N * (1.0 + v[0] * (1.0 - part) + v[1] * (1.0 - part**2) + v[2] * (1.0 - part**3))
+    part = flow.reading_N / v[1]
+    flow.reading_N = flow.reading_N * (1.0 + v[0] * (1.0 - part) + v[2] * (1.0 - part**2) + v[3] * (1.0 - part**3))
 
 
-def _cell_creep_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    slow = v[0] * low_pass(flow.reading_N, flow.step_s, v[1], np.zeros(2))
-    slow += v[2] * low_pass(flow.reading_N, flow.step_s, v[3], np.zeros(2))
-    flow.reading_N = flow.reading_N + slow
+def _cell_creep_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
+    flow.reading_N = flow.reading_N + two_low_passes(flow.reading_N, flow.step_s, v, state)
 
 
 def _cell_drift_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
@@ -82,10 +81,11 @@ EFFECTS = (
         hook=Hook.READING,
         equation="F_meas = F + λ·F·(1 − F/F_max)",
         source="terminal-line nonlinearity of a strain-gauge cell; 0.02–3 % of full scale",
-        parameters=(Parameter("lambda", "", -0.25, 0.25, 0.03, neutral=0.0, follows="1/N"),),
+        parameters=(Parameter("lambda", "", -0.25, 0.25, 0.03, neutral=0.0), SPAN),
         step=_nonlinearity,
         signs=Signs(
-            probes=Sizes((0.01,)),
+            # The span has one value on a rig, whatever is tried.
+            probes=Shapes(0.01, (1.0,), "force_N"),
             hides_behind=("loadcell_saturation", "channel_collapse", "wiring_resistance"),
             shown_by=("dead_weights",),
         ),
@@ -93,8 +93,8 @@ EFFECTS = (
         plus(
             _cell_curve,
             "cubic and quartic term",
-            (Parameter("quadratic", "", -0.5, 0.5, 0.01, follows="1/N²"), 0.0),
-            (Parameter("cubic", "", -0.5, 0.5, 0.01, follows="1/N³"), 0.0),
+            (Parameter("quadratic", "", -0.5, 0.5, 0.01), 0.0),
+            (Parameter("cubic", "", -0.5, 0.5, 0.01), 0.0),
         )
     ),
     Effect(

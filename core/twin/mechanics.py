@@ -6,7 +6,7 @@ import numpy as np
 
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, memory
-from softcal.core.twin.forms import POWER, in_form, loops, plus, stop_form, stops, two
+from softcal.core.twin.forms import POWER, STOPS, constant, in_form, loops, plus, stop_form, stops, two, two_low_passes
 from softcal.core.twin.motion import PLATEN
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.probes import Shapes, Sizes, Times
@@ -17,7 +17,8 @@ def press(flow: Flow, base: BaseParameters) -> None:
     """Set deformation and force from the position of the pad, with a toe and a soft frame where effects set them."""
     indentation = np.maximum(0.0, flow.pad_mm - flow.contact_mm)
     if flow.toe_mm or flow.compliance_mm_N:
-        indentation = soft_contact(indentation, flow.toe_mm, flow.compliance_mm_N, base.k1_N_mm, base.k3_N_mm3)
+        frame = (flow.toe_mm, flow.toe_tail, flow.compliance_mm_N)
+        indentation = soft_contact(indentation, frame, base.k1_N_mm, base.k3_N_mm3)
     flow.deformation_mm = indentation
     flow.force_N = elastic_force(indentation, base.k1_N_mm, base.k3_N_mm3)
 
@@ -28,15 +29,21 @@ def elastic_force(deformation: Array, k1: float, k3: float) -> Array:
     return deformation * (k1 + k3 * deformation * deformation)
 
 
+def elastic_force_at(stage_mm: Array, base: BaseParameters) -> Array:
+    """Return the force of the base alone, in N, at stage positions."""
+    return elastic_force(np.maximum(0.0, stage_mm - base.u0_mm), base.k1_N_mm, base.k3_N_mm3)
+
+
 @compiled
-def soft_contact(travel: Array, toe: float, compliance: float, k1: float, k3: float) -> Array:
+def soft_contact(travel: Array, softness: tuple[float, float, float], k1: float, k3: float) -> Array:
     """Solve δ = toe(max(0, travel − c_f·F(δ))) for δ by Newton from the sample before; monotone, so one root.
 
     Args:
         travel: (n,) u − u0 where positive, else 0, mm.
-        toe: length ℓ of toe(x) = x − ℓ·(1 − exp(−x/ℓ)), mm; 0 for none.
-        compliance: c_f, mm/N; 0 for a rigid frame.
+        softness: length ℓ and tail s of the toe, compliance c_f of the frame. The toe is x − ℓ·(1 − rest(x)) with
+            rest(x) = exp(−x/ℓ), or (1 + s·x/ℓ)^(−1/s) with a tail; ℓ = 0 mm for none. c_f in mm/N, 0 for a rigid frame.
     """
+    toe, tail, compliance = softness
     out = np.empty_like(travel)
     x = 0.0
     for k in range(len(travel)):
@@ -45,17 +52,29 @@ def soft_contact(travel: Array, toe: float, compliance: float, k1: float, k3: fl
         x = min(x, target) if x > 0.0 else target
         deformation = 0.0
         for _ in range(30):
-            bend = np.exp(-x / toe) if toe > 0.0 else 0.0
-            deformation = x - toe * (1.0 - bend)
+            rest, bend = _toe_rest(x, toe, tail)
+            deformation = x - toe * (1.0 - rest)
             error = x + compliance * deformation * (k1 + k3 * deformation * deformation) - target
             slope = 1.0 + compliance * (k1 + 3.0 * k3 * deformation * deformation) * (1.0 - bend)
             # The root lies between no compression and the whole travel: a step beyond either would only come back.
             x = min(max(x - error / slope, 0.0), target)
             if abs(error) <= 1e-11 * target:
                 break
-        bend = np.exp(-x / toe) if toe > 0.0 else 0.0
-        out[k] = x - toe * (1.0 - bend)
+        out[k] = x - toe * (1.0 - _toe_rest(x, toe, tail)[0])
     return out
+
+
+@compiled
+def _toe_rest(x: float, toe: float, tail: float) -> tuple[float, float]:
+    """Return rest(x) of a toe and −ℓ·rest′(x); 0 and 0 without a toe."""
+    if toe <= 0.0:
+        return 0.0, 0.0
+    if tail < 1e-6:
+        rest = np.exp(-x / toe)
+        return rest, rest
+    reach = 1.0 + tail * x / toe
+    rest = reach ** (-1.0 / tail)
+    return rest, rest / reach
 
 
 def _contact_shift(flow: Flow, values: Sequence[float], _: Memory) -> None:
@@ -68,6 +87,11 @@ def _frame_compliance(flow: Flow, values: Sequence[float], _: Memory) -> None:
 
 def _misaligned_contact(flow: Flow, values: Sequence[float], _: Memory) -> None:
     flow.toe_mm = values[0]
+
+
+def _toe_with_tail(flow: Flow, v: Sequence[float], _: Memory) -> None:
+    flow.toe_mm = v[0]
+    flow.toe_tail = v[1]
 
 
 def _stress_relaxation(flow: Flow, values: Sequence[float], state: Memory) -> None:
@@ -96,37 +120,42 @@ def _frame_joint(flow: Flow, v: Sequence[float], _: Memory) -> None:
     flow.toe_mm = v[1]
 
 
-def _relaxation_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    slow = v[0] * low_pass(flow.force_N, flow.step_s, v[1], np.zeros(2))
-    slow += v[2] * low_pass(flow.force_N, flow.step_s, v[3], np.zeros(2))
-    flow.force_N = np.maximum(0.0, flow.force_N - slow)
+def _relaxation_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
+    flow.force_N = np.maximum(0.0, flow.force_N - two_low_passes(flow.force_N, flow.step_s, v, state))
 
 
-def _mechanical_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.force_N = flow.force_N * loops(flow.deformation_mm, v)
+def _mechanical_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
+    flow.force_N = flow.force_N * loops(flow.deformation_mm, v, state)
 
 
-def _force_stops(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.force_N = np.maximum(0.0, flow.force_N + _touching(flow) * stops(flow.force_N, v))
+def _force_stops(flow: Flow, v: Sequence[float], state: Memory) -> None:
+    flow.force_N = np.maximum(0.0, flow.force_N + _touching(flow) * stops(flow.force_N, v, state, "reach_N"))
 
 
-def _stroke_stops(flow: Flow, v: Sequence[float], _: Memory) -> None:
+def _stroke_stops(flow: Flow, v: Sequence[float], state: Memory) -> None:
     # Stops act on lengths here; the mean stiffness of the run carries them to newtons.
-    stiffness = float(np.max(flow.force_N)) / (float(np.max(flow.deformation_mm)) or 1.0)
-    flow.force_N = np.maximum(0.0, flow.force_N + _touching(flow) * stiffness * stops(flow.deformation_mm, v))
+    stiffness = constant(v, state, len(STOPS) + 1, "stiffness_N_mm", lambda: _mean_stiffness(flow))
+    bent_mm = stops(flow.deformation_mm, v, state, "reach_mm")
+    flow.force_N = np.maximum(0.0, flow.force_N + _touching(flow) * stiffness * bent_mm)
+
+
+def _mean_stiffness(flow: Flow) -> float:
+    return float(np.max(flow.force_N)) / (float(np.max(flow.deformation_mm)) or 1.0)
 
 
 def _touching(flow: Flow) -> Array:
     return (flow.deformation_mm > 0).astype(np.float64)
 
 
-def _mullins_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    done = completed_presses(flow.deformation_mm, np.zeros(2))
+def _mullins_power(flow: Flow, v: Sequence[float], state: Memory) -> None:
+    done = completed_presses(flow.deformation_mm, memory(state, "presses", 0.0, 0.0))
     flow.force_N = flow.force_N * (1.0 + v[0] * ((1.0 + done / v[1]) ** -v[2] - 1.0))
 
 
-def _mullins_deepest(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    deepest = np.maximum.accumulate(flow.deformation_mm)
+def _mullins_deepest(flow: Flow, v: Sequence[float], state: Memory) -> None:
+    last = memory(state, "deepest_mm", 0.0)
+    deepest = np.maximum(np.maximum.accumulate(flow.deformation_mm), last[0])
+    last[0] = deepest[-1]
     flow.force_N = flow.force_N * (1.0 + v[0] * np.expm1(-deepest / v[1]))
 
 
@@ -180,6 +209,9 @@ EFFECTS = (
             shown_by=("slow_touch_down",),
             remedy=PLATEN,
         ),
+    ).with_forms(
+        # An edge that is rounded or not straight goes on closing long after the pad is touched.
+        plus(_toe_with_tail, "toe that fades by a power", (Parameter("tail", "", 0.0, 3.0, 0.5), 0.3))
     ),
     Effect(
         id="stress_relaxation",
@@ -216,8 +248,8 @@ EFFECTS = (
         ),
     ).with_forms(
         two(_mechanical_2, "two loops"),
-        stop_form(_force_stops, "stop operators on the force"),
-        stop_form(_stroke_stops, "stop operators on the compression"),
+        stop_form(_force_stops, "stop operators on the force", "reach_N"),
+        stop_form(_stroke_stops, "stop operators on the compression", "reach_mm", "stiffness_N_mm"),
     ),
     Effect(
         id="mullins_softening",

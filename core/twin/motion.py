@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, Signs, memory
 from softcal.core.twin.probes import Sizes
 from softcal.core.twin.signals import play
+from softcal.core.words.reason import Reason
 
-PLATEN = "measure the position of the platen itself"
+PLATEN = Reason("gap.remedy.platen")
 """What tells effects of motion and mechanics apart where no run does."""
 
 

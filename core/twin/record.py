@@ -4,23 +4,34 @@ from collections.abc import Mapping
 from typing import Any
 
 from softcal.core.errors import InputError
+from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin
 
 SCHEMA = "softcal.twin/1"
+RICHER = "softcal.twin/2"
+"""Of a twin with other forms or empirical terms: a reader of the first schema would leave them out without a word."""
+
+
+TERM = ("place", "variable", "coefficient", "load_N", "depth_mm")
 
 
 def twin_record(twin: Twin) -> dict[str, Any]:
-    """Return a twin as JSON values, schema `softcal.twin/1`."""
-    return {
-        "schema": SCHEMA,
+    """Return a twin as JSON values; the second schema where it holds other forms or empirical terms."""
+    is_richer = bool(twin.empirical) or any(s.form for s in twin.effects)
+    record: dict[str, Any] = {
+        "schema": RICHER if is_richer else SCHEMA,
         "parameters": dict(vars(twin.parameters)),
         "metadata": dict(vars(twin.metadata)),
         "effects": [
             {"effect": s.effect_id, "values": dict(s.values), "episodes": [list(row) for row in s.episodes]}
+            | ({"form": s.form} if s.form else {})
             for s in twin.effects
         ],
     }
+    if twin.empirical:
+        record["empirical"] = [{name: getattr(term, name) for name in (*TERM, "unit")} for term in twin.empirical]
+    return record
 
 
 def twin_from_record(record: Mapping[str, Any], place: str) -> Twin:
@@ -33,12 +44,27 @@ def twin_from_record(record: Mapping[str, Any], place: str) -> Twin:
         InputError: it does not describe a twin.
     """
     try:
-        if record["schema"] != SCHEMA:
-            raise InputError(f"{place}: schema {record['schema']!r}; {SCHEMA} was expected")
+        if record["schema"] not in (SCHEMA, RICHER):
+            raise InputError(f"{place}: schema {record['schema']!r}; {SCHEMA} or {RICHER} was expected")
         effects = tuple(
-            EffectSetting(e["effect"], e["values"], tuple((float(a), float(b)) for a, b in e["episodes"]))
+            EffectSetting(
+                e["effect"],
+                e["values"],
+                tuple((float(a), float(b)) for a, b in e["episodes"]),
+                str(e.get("form", "")),
+            )
             for e in record["effects"]
         )
-        return Twin(BaseParameters(**record["parameters"]), effects, ReadoutMetadata(**record["metadata"]))
+        terms = tuple(_term(e) for e in record.get("empirical", ()))
+        return Twin(BaseParameters(**record["parameters"]), effects, ReadoutMetadata(**record["metadata"]), terms)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{place}: does not describe a twin ({error}); write it with softcal gap apply") from error
+
+
+def _term(entry: Mapping[str, Any]) -> EmpiricalTerm:
+    term = EmpiricalTerm(
+        entry["place"], entry["variable"], *(float(entry[name]) for name in ("coefficient", "load_N", "depth_mm"))
+    )
+    if entry.get("unit", term.unit) != term.unit:
+        raise InputError(f"{term.formula}: its coefficient is in {term.unit}, not in {entry['unit']}")
+    return term

@@ -106,3 +106,24 @@ def completed_presses(deformation: Array, state: Array) -> Array:
         out[k] = count
     state[0], state[1] = count, touching
     return out
+
+
+def known_so_far(t_s: Array, values: Array, wanted_s: Array, state: dict[str, Array]) -> tuple[Array, Array]:
+    """Return the instants and values known up to the end of this chunk, and keep what the next one may ask for.
+
+    Args:
+        t_s: (n,) instants of this chunk.
+        values: (n,) the signal there.
+        wanted_s: (n,) instants at which it is read, ascending.
+    """
+    known_s = np.concatenate([state.get("t_s", np.empty(0)), t_s])
+    known = np.concatenate([state.get("output_V", np.empty(0)), values])
+    # The oldest instant the next chunk can ask for moves with the clock; one sample more is kept to interpolate.
+    keep = max(0, int(np.searchsorted(known_s, min(wanted_s[-1], known_s[-1]))) - 2)
+    state["t_s"], state["output_V"] = known_s[keep:], known[keep:]
+    return known_s, known
+
+
+def read_at(t_s: Array, values: Array, wanted_s: Array, state: dict[str, Array]) -> Array:
+    """Return a signal at other instants, straight between samples and held beyond the last one that is known."""
+    return np.interp(wanted_s, *known_so_far(t_s, values, wanted_s, state))

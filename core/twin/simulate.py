@@ -11,6 +11,7 @@ from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS, effect
 from softcal.core.twin.effects import Effect, Flow, Hook, Memory
 from softcal.core.twin.electronics import digitise, divide
+from softcal.core.twin.empirical_terms import EmpiricalTerm
 from softcal.core.twin.load_cell import read_force
 from softcal.core.twin.mechanics import press
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -28,44 +29,63 @@ class EffectSetting:
 
     Args:
         effect_id: identifier of the catalogue.
-        values: parameter values by name; a parameter left out stands at its usual value.
+        values: parameter values by name; a parameter left out stands at its usual value. Constants of a form must stand
+            here too.
         episodes: rows of an episodic effect, in s since the start of the run: (start, stop) of each bad contact,
             or (instant, count) of each loss of samples.
+        form: by which of its other equations it acts, as `Form` names it; by the catalogue's where empty.
 
     Raises:
-        InputError: unknown effect or parameter, or a value that is not finite.
+        InputError: unknown effect, form or parameter, or a value that is missing or not finite.
     """
 
     effect_id: str
     values: Mapping[str, float] = field(default_factory=dict)
     episodes: tuple[tuple[float, float], ...] = ()
+    form: str = ""
 
     def __post_init__(self) -> None:
-        known = [p.name for p in self.effect.parameters]
+        known = self.effect.value_names
         for name, value in self.values.items():
             if name not in known:
                 raise InputError(f"{self.effect_id} has no parameter {name!r}; known are {', '.join(known)}")
             if not np.isfinite(value):
                 raise InputError(f"{self.effect_id}.{name} is {value}; a finite number was expected")
+        for name, _ in self.effect.constants:
+            if name not in self.values:
+                raise InputError(f"{self.effect_id}, {self.form}: {name} is missing among its values")
 
     @property
     def effect(self) -> Effect:
         """The effect; one with several sides is told apart by the parameters that are given."""
-        return effect(self.effect_id).side_with(tuple(self.values))
+        own = effect(self.effect_id)
+        if not self.form:
+            return own.side_with(tuple(self.values))
+        found = own.form_called(self.form)
+        if found is None:
+            known = ", ".join(repr(form.effect.equation) for form in own.forms) or "none"
+            raise InputError(f"{self.effect_id} has no form {self.form!r}; known are {known}")
+        return found
 
     @property
     def ordered_values(self) -> tuple[float, ...]:
         """Values in the order of the effect's equation."""
-        return tuple(float(self.values.get(p.name, p.usual)) for p in self.effect.parameters)
+        usual = {p.name: p.usual for p in self.effect.parameters}
+        return tuple(float(self.values.get(name, usual.get(name, np.nan))) for name in self.effect.value_names)
 
 
 @dataclass(frozen=True)
 class Twin:
-    """The simulator of one unit on the station: base parameters, effects that are switched on, electronics."""
+    """The simulator of one unit on the station: base parameters, effects that are switched on, electronics.
+
+    Args:
+        empirical: terms that describe what no effect explains; at each place of the chain they act behind its effects.
+    """
 
     parameters: BaseParameters = BaseParameters()
     effects: tuple[EffectSetting, ...] = ()
     metadata: ReadoutMetadata = ReadoutMetadata()
+    empirical: tuple[EmpiricalTerm, ...] = ()
 
     def __post_init__(self) -> None:
         ids = [setting.effect_id for setting in self.effects]
@@ -75,7 +95,7 @@ class Twin:
 
     @property
     def clean(self) -> "Twin":
-        """The same twin without any effect."""
+        """The same twin without any effect or empirical term."""
         return Twin(self.parameters, (), self.metadata)
 
 
@@ -161,8 +181,8 @@ class TwinStream:
         self._twin = twin
         # A stream for each channel: what one draws must not depend on how the other is chunked.
         self._rng = rng.spawn(2) if rng is not None else None
-        self._chain = Chain([setting.effect for setting in twin.effects])
-        self._values = [setting.ordered_values for setting in twin.effects]
+        self._chain = Chain([*(s.effect for s in twin.effects), *(term.effect for term in twin.empirical)])
+        self._values = [*(s.ordered_values for s in twin.effects), *((t.coefficient,) for t in twin.empirical)]
         self.restart()
 
     def restart(self) -> None:

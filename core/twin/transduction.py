@@ -6,10 +6,11 @@ import numpy as np
 
 from softcal.core.recording import Array
 from softcal.core.twin.effects import Alias, Effect, Flow, Hook, Memory, Parameter, Placing, Signs, memory
-from softcal.core.twin.forms import loops, plus, stop_form, stops, two
+from softcal.core.twin.forms import loops, plus, stop_form, stops, two, two_low_passes
 from softcal.core.twin.parameters import BaseParameters
 from softcal.core.twin.probes import Shapes, Sizes, Times
 from softcal.core.twin.signals import compiled, direction_state, low_pass
+from softcal.core.words.reason import Reason
 
 COLLAPSED = 0.02
 """Smallest 1 − κ·F that is computed: below it the channel is shut and the pressure form has no meaning."""
@@ -62,18 +63,17 @@ def _intermittent_contact(flow: Flow, values: Sequence[float], _: Memory) -> Non
     flow.is_unforeseeable = np.diff(bad, prepend=bad[:1])
 
 
-def _creep_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    slow = v[0] * low_pass(flow.drive, flow.step_s, v[1], np.zeros(2))
-    slow += v[2] * low_pass(flow.drive, flow.step_s, v[3], np.zeros(2))
+def _creep_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
+    slow = two_low_passes(flow.drive, flow.step_s, v, state)
     flow.drive = (1.0 - v[0] - v[2]) * flow.drive + slow
 
 
-def _channel_2(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.drive = flow.drive * loops(flow.drive, v)
+def _channel_2(flow: Flow, v: Sequence[float], state: Memory) -> None:
+    flow.drive = flow.drive * loops(flow.drive, v, state)
 
 
-def _channel_stops(flow: Flow, v: Sequence[float], _: Memory) -> None:
-    flow.drive = flow.drive + stops(flow.drive, v)
+def _channel_stops(flow: Flow, v: Sequence[float], state: Memory) -> None:
+    flow.drive = flow.drive + stops(flow.drive, v, state, "reach_N")
 
 
 def _collapse_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
@@ -82,11 +82,11 @@ def _collapse_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
     flow.resistance_ohm = flow.resistance_ohm * (1.0 + v[0] * over ** v[2])
 
 
-def _thermal_curve(flow: Flow, v: Sequence[float], _: Memory) -> None:
+def _thermal_curve(flow: Flow, v: Sequence[float], state: Memory) -> None:
     if flow.temperature_rise_K is not None:
         felt = flow.temperature_rise_K
         if v[2] > 0:
-            felt = low_pass(felt, flow.step_s, v[2], np.zeros(2))
+            felt = low_pass(felt, flow.step_s, v[2], memory(state, "felt_K", 0.0, 0.0))
         flow.resistance_ohm = flow.resistance_ohm * (1.0 + v[0] * felt + v[1] * felt**2)
 
 
@@ -96,18 +96,18 @@ def _ageing_power(flow: Flow, v: Sequence[float], _: Memory) -> None:
     flow.resistance_ohm = flow.resistance_ohm * (1.0 + v[0] * grown)
 
 
-CLIMATE = "log the temperature of the sensor and the reference voltage"
+CLIMATE = Reason("gap.remedy.climate")
 """What tells the slow drifts of the output apart where no run does."""
 
 DIVIDER = Alias(
     stage="electronics",
-    detail="the divider resistor's temperature coefficient, sign reversed: only R/Rs enters the divider",
+    detail=Reason("gap.alias.divider"),
     # A channel of liquid metal (1e-3/K) follows the temperature more than a resistor does.
     share=0.4,
     told_by="dummy_resistor",
     changing="temperature_C",
     by=1.0,
-    advice="read a dummy resistor for a minute while the electronics warm by a few K, with temperature_C logged",
+    advice=Reason("gap.advice.warm_dummy"),
 )
 
 EFFECTS = (
@@ -144,7 +144,7 @@ EFFECTS = (
             hides_behind=("clock_offset", "channel_creep"),
             shown_by=("rate_sweep", "small_reversals"),
         ),
-    ).with_forms(two(_channel_2, "two loops"), stop_form(_channel_stops, "stop operators on the force")),
+    ).with_forms(two(_channel_2, "two loops"), stop_form(_channel_stops, "stop operators on the force", "reach_N")),
     Effect(
         id="channel_collapse",
         stage="transduction",

@@ -5,7 +5,8 @@ by `input_sha256`. No fit sees a reference of the unit; an audit, where there is
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from softcal.core.errors import InputError, UnitRefused
 from softcal.core.identity import content_sha256
 from softcal.core.maps.affine import IdentityFamily
 from softcal.core.maps.between import Between
-from softcal.core.maps.choose import ChosenMap, choose_map
+from softcal.core.maps.choose import ChosenMap, choose_map, fit_family
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.maps.label_shift import LabelShift
 from softcal.core.maps.paired import fit_pairs
@@ -37,13 +38,13 @@ from softcal.core.unit.forecast import (
     gather_evidence,
     load_levels,
     rms,
-    rms_load,
     variance_table,
 )
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
 from softcal.core.unit.line_spread import LineSpread, line_reason
 from softcal.core.unit.method import Method
 from softcal.core.unit.own_forecast import forecast_own, own_terms
+from softcal.core.unit.rules import RuleFacts, rule_findings, rules_in_force
 from softcal.core.unit.scoring import Scores, score_map
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.uncertainty import ErrorForecast
@@ -67,6 +68,7 @@ class UnitProblem:
         reference: what the source was compared with; None where nobody said, and nothing is traced to it.
         bridge: the source unit pressed again in the sitting of this unit, where somebody did.
         beside: networks of the lot's other sources, which the unit was compared with (`sources.py`).
+        rules: identities of the rules of other packages that may hold the unit back; those installed here by default.
     """
 
     source: SourceModel
@@ -79,8 +81,9 @@ class UnitProblem:
     reference: Reference | None = None
     bridge: Bridge | None = None
     beside: tuple[str, ...] = ()
+    rules: tuple[str, ...] = field(default_factory=rules_in_force)
 
-    @property
+    @cached_property
     def input_sha256(self) -> str:
         """Identity of the calibration this problem leads to."""
         return input_sha256(self, self.source.method)
@@ -111,6 +114,8 @@ def input_sha256(facts: UnitProblem, method: Method) -> str:
         settings["reference"] = facts.reference.to_json()
     if facts.beside:
         settings["beside"] = sorted(facts.beside)
+    if facts.rules:
+        settings["rules"] = sorted(facts.rules)
     return content_sha256({}, settings)
 
 
@@ -123,7 +128,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
 
     Raises:
         UnitRefused: the recording allows no map at all; the reason says why and what to do.
-        InputError: the limit is stated in another unit than the reference.
+        InputError: the limit is stated in another unit than the reference, or a rule is not installed here.
     """
     model, target = problem.source, problem.recording
     limit = _limit(problem)
@@ -144,6 +149,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     if on_map is not None:
         on_map()
     scores = None if problem.audit is None else _scores(problem, chosen.unit_map, problem.audit)
+    held = _held(problem, evidence, forecast, limit, scores)
     calibration = Calibration(
         serial=target.serial,
         network_id=model.network.id,
@@ -152,8 +158,8 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
         output_limits=limits,
         forecast=forecast,
         decision=Decision(
-            _predicted(problem, evidence, forecast, limit, findings, _bridge_reason(problem, fit)),
-            _measured(problem, scores, limit),
+            _predicted(problem, evidence, forecast, limit, (*findings, *held), _bridge_reason(problem, fit)),
+            _measured(problem, scores, limit, held),
             bars=_bars(problem),
         ),
         knowledge=evidence.knowledge,
@@ -235,6 +241,15 @@ def _limit(problem: UnitProblem) -> Limit:
     return replace(limit, reference_expanded=problem.reference.expanded(rms(model.source.reference), factor))
 
 
+def _held(
+    problem: UnitProblem, evidence: MapEvidence, forecast: ErrorForecast, limit: Limit, scores: Scores | None
+) -> tuple[Finding, ...]:
+    """Return what rules of other packages have against the unit."""
+    measured = None if scores is None else scores.after
+    facts = RuleFacts(problem.recording, problem.source.source, evidence.estimate, forecast, limit, measured)
+    return rule_findings(problem.rules, facts)
+
+
 def _scores(problem: UnitProblem, unit_map: UnitMap, audit: LabelledRecording) -> Scores:
     return score_map(problem.source.network, unit_map, audit, problem.own, problem.source.method.decision)
 
@@ -250,16 +265,15 @@ def _predicted(
     """Decide on the forecast, and say last how the day was bridged and what the line adds that no recording shows."""
     judgement, config = decide(forecast, limit, findings), problem.source.method.line
     share = (problem.line or LineSpread(config.load_spread, config.day_spread)).share
-    load = rms_load(evidence.estimate, problem.source.method.forecast)
-    said = line_reason(share, load, limit.unit, problem.line is not None)
+    said = line_reason(share, evidence.load_rms, limit.unit, problem.line is not None)
     return replace(judgement, reasons=(*judgement.reasons, *bridged, said))
 
 
-def _measured(problem: UnitProblem, scores: Scores | None, limit: Limit) -> Judgement | None:
+def _measured(problem: UnitProblem, scores: Scores | None, limit: Limit, held: tuple[Finding, ...]) -> Judgement | None:
     if scores is None or problem.audit is None:
         return None
     config = problem.source.method.decision
-    return decide_audited(scores.before, scores.after, len(problem.audit.windows), limit, config)
+    return decide_audited(scores.before, scores.after, len(problem.audit.windows), limit, config, held)
 
 
 def _evidence(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap, limits: OutputLimits) -> MapEvidence:
@@ -319,9 +333,8 @@ def _refitted(fit: FitProblem, chosen: ChosenMap, method: Method) -> list[UnitMa
     config, refits = method.forecast, []
     for part in range(config.parts):
         target = _without_share(fit.target, part, config.parts, config.stretches)
-        again = replace(fit, target=target, config=replace(fit.config, family=chosen.family))
         try:
-            refits.append(choose_map(again).unit_map)
+            refits.append(fit_family(replace(fit, target=target), chosen.family))
         except UnitRefused:
             continue
     return refits
@@ -349,7 +362,7 @@ def _numbers(
         **{f"map_{name}": value for name, value in chosen.evidence.items()},
         **{f"u_{name}": value for name, value in evidence.budget.items()},
         "correction_rms": evidence.correction_rms,
-        "load_rms": rms_load(evidence.estimate, model.method.forecast),
+        "load_rms": evidence.load_rms,
         "limit_rmse": limit.maximum_rmse,
         "limit_origin": str(limit.origin),
         "reference_expanded": limit.reference_expanded,

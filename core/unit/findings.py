@@ -1,9 +1,11 @@
 """What the mapped windows of a unit tell about it: wrong programme, other sensor, reversed wiring, drift, creep."""
 
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 
+from softcal.core.maps.crossing import KEPT
 from softcal.core.maps.readout_lag import ReadoutLag
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.forecast import MapEvidence, map_variance, rest_rows
@@ -176,20 +178,27 @@ def _reversed(model: SourceModel, target: OutputRecording) -> Finding | None:
     """Return a finding where the output moves against the source's direction."""
     source, config = model.source.unlabelled, model.method.findings
     if target.stage_mm is None or source.stage_mm is None:
-        unit_sign, source_sign = (_lean(output, config) for output in (target.output, source.output))
+        unit_sign, source_sign = (_lean(recording, config) for recording in (target, source))
     else:
-        unit_sign = float(np.corrcoef(target.output, target.stage_mm)[0, 1])
-        source_sign = float(np.corrcoef(source.output, source.stage_mm)[0, 1])
+        unit_sign = _along_stage(target)
+        source_sign = _along_stage(source)
     is_sure = min(abs(unit_sign), abs(source_sign)) > config.lean
     if not is_sure or unit_sign * source_sign > 0:
         return None
     return Finding(reason("reversed"), Verdict.FAIL)
 
 
-def _lean(output: Array, config: FindingConfig) -> float:
+@lru_cache(maxsize=KEPT)
+def _along_stage(recording: OutputRecording) -> float:
+    """Return the correlation of output and stage position."""
+    return float(np.corrcoef(recording.output, recording.stage_mm)[0, 1])
+
+
+@lru_cache(maxsize=KEPT)
+def _lean(recording: OutputRecording, config: FindingConfig) -> float:
     """Return the robust skewness (Bowley 1901, with 2 % tails): positive where the unit rests low and peaks high."""
     lower, upper = config.lean_tails
-    low, middle, high = np.quantile(output, (lower, 0.5, upper))
+    low, middle, high = np.quantile(recording.output, (lower, 0.5, upper))
     return float((high + low - 2 * middle) / (high - low))
 
 

@@ -7,10 +7,12 @@ lots for each kind of knowledge about the loads (`knowledge.py`), combine them.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softcal.core.maps.crossing import KEPT
 from softcal.core.maps.interface import UnitMap
 from softcal.core.recording import Array, Indices, LabelledRecording, OutputRecording
 from softcal.core.unit.health import OutputLimits, clipped_share
@@ -21,6 +23,7 @@ from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.stage_check import unit_difference
 from softcal.core.unit.support import WindowShape
 from softcal.core.unit.uncertainty import DIRECTIONS, ErrorForecast
+from softcal.core.windows import TAPS
 
 LINE, DAY = "line", "day"
 """Terms of the budget for what line and day do to the load; they weigh 1 whatever is known of the loads."""
@@ -44,6 +47,7 @@ class MapEvidence:
             (`knowledge.py`), `stage` and `slow` where source and unit carry the stage position, and `line` where the
             spread of the line was stated, `day` where a golden run measured its day.
         knowledge: how the loads on this unit are known.
+        rest: level of the estimates at rest, in the reference unit.
     """
 
     rows: Indices
@@ -57,6 +61,12 @@ class MapEvidence:
     speed: float
     budget: Mapping[str, float]
     knowledge: LoadKnowledge
+    rest: float
+
+    @cached_property
+    def load_rms(self) -> float:
+        """RMS load above rest: the sensitivity to a gain error, in the reference unit."""
+        return rms(self.estimate - self.rest)
 
     @property
     def correction_rms(self) -> float:
@@ -116,22 +126,24 @@ def gather_evidence(
     config = model.method.forecast
     # Evenly spaced rows: every statistic below costs the same however long the recording is.
     rows = np.unique(np.linspace(0, len(target.windows) - 1, config.rows).astype(np.int64))
-    quantiles = np.linspace(*config.reach, config.quantiles)
     raw = target.windows[rows]
     network, interval = model.network, model.interval
-    mapped = unit_map.apply(raw)
+    mapped = _mapped(unit_map, target, rows)
     estimate = network.evaluate(mapped)
     shape = interval.support.shape(mapped)
     distance = interval.support.distance(shape)
-    disagreement = _spread(estimate, [network.evaluate(other.apply(raw)) for other in alternatives])
-    stability = _spread(estimate, [network.evaluate(part.apply(raw)) for part in resampled])
+    others = {id(other): network.evaluate(_mapped(other, target, rows)) for other in alternatives}
+    disagreement = _spread(estimate, list(others.values()))
+    stability = _spread(estimate, [network.evaluate(_mapped(part, target, rows)) for part in resampled])
     cells = interval.direction(shape), interval.column(estimate)
-    unbent = mapped if straight is None else straight.apply(raw)
-    seen_load = estimate if straight is None else network.evaluate(unbent)
-    overlap, speed = (
-        use_overlap(model, interval.support.shape(unbent)),
-        _fast(shape, config) / _fast(model.shape, config),
-    )
+    seen_load, seen_shape = estimate, shape
+    if straight is not None:
+        unbent = _mapped(straight, target, rows)
+        seen_load = others[id(straight)] if id(straight) in others else network.evaluate(unbent)
+        seen_shape = interval.support.shape(unbent)
+    known, rest = _known_use(model), _rest_level(estimate, config)
+    load_rms = rms(estimate - rest)
+    overlap, speed = use_overlap(model, seen_shape), _fast(shape, config) / known.fast
     # A map is only as good as the agreement of those that could have been chosen instead (disagreement), and of the
     # same family on other parts of the recording (stability, a delete-a-group jackknife).
     budget = {
@@ -139,7 +151,7 @@ def gather_evidence(
         "disagreement": rms(disagreement),
         "stability": rms(stability),
         "support": interval.sensitivity * rms(distance),
-        "shift": rms(np.quantile(seen_load, quantiles) - np.quantile(model.estimate, quantiles)),
+        "shift": rms(np.quantile(seen_load, _load_shares(config)) - known.loads),
         "rest": _rest_spread(model, estimate, shape),
         "resolution": _resolution(model, target, mapped, raw),
         "clipping": _clipping(model, target, limits),
@@ -147,11 +159,11 @@ def gather_evidence(
         "overlap": (1 - overlap) ** 2 * (interval.high - interval.low),
         "speed": float(np.log(speed)) ** 2 * (interval.high - interval.low),
         "corners": _corners(model, shape) * (interval.high - interval.low),
-        "gain": gain_error * rms_load(estimate, config),
-        **_stage_terms(model, target, unit_map),
+        "gain": gain_error * load_rms,
+        **_stage_terms(model, target, unit_map, estimate if len(rows) == len(target.windows) else None),
     }
     if line is not None:
-        budget[LINE] = line.share * rms_load(estimate, config)
+        budget[LINE] = line.share * load_rms
     if day_rmse:
         budget[DAY] = day_rmse
     if trials:
@@ -170,7 +182,66 @@ def gather_evidence(
         speed=speed,
         budget=budget,
         knowledge=known_by(budget, model.method.knowledge, is_anchored),
+        rest=rest,
     )
+
+
+def _mapped(unit_map: UnitMap, target: OutputRecording, rows: Indices) -> Array:
+    """Return the windows of the given rows behind a map."""
+    if len(rows) < len(target.windows):
+        return unit_map.apply(target.windows[rows])
+    # Sample by sample: a window shares all its samples but one with the next.
+    parts = [unit_map.apply_signal(target.output[s]) for s in target.segments if s.stop - s.start >= TAPS]
+    return np.ascontiguousarray(parts[0]) if len(parts) == 1 else np.concatenate(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _KnownUse:
+    """How the source was pressed, as each of its units is compared with it.
+
+    Args:
+        loads: quantiles of f on the source, in the reference unit.
+        rest_spread: standard deviation of f at rest, in the reference unit.
+        rms_load: RMS load above rest, in the reference unit.
+        fast, sharpness: of its movements.
+        step: of its readout, in the output unit.
+        levels, slopes: edges of the grid that uses are compared on.
+        use: share of the source's windows in each cell of it.
+    """
+
+    loads: Array
+    rest_spread: float
+    rms_load: float
+    fast: float
+    sharpness: float
+    step: float
+    levels: Array
+    slopes: Array
+    use: Array
+
+
+@lru_cache(maxsize=KEPT)
+def _known_use(model: SourceModel) -> _KnownUse:
+    config, shape, estimate = model.method.forecast, model.shape, model.estimate
+    low, high = np.quantile(shape.level, config.reach)
+    # A coarse grid: with finer cells two short recordings of one programme would seem to differ.
+    levels = np.linspace(low, high, config.overlap_levels)
+    slopes = np.linspace(-1, 1, config.overlap_slopes) * np.quantile(np.abs(shape.slope), config.overlap_slope)
+    return _KnownUse(
+        loads=np.quantile(estimate, _load_shares(config)),
+        rest_spread=_spread_at_rest(model, estimate, shape),
+        rms_load=rms_load(estimate, config),
+        fast=_fast(shape, config),
+        sharpness=_sharpness(shape, config),
+        step=float(np.min(np.abs(np.diff(np.unique(model.source.unlabelled.output))))),
+        levels=levels,
+        slopes=slopes,
+        use=_use(shape, levels, slopes),
+    )
+
+
+def _load_shares(config: ForecastConfig) -> Array:
+    return np.linspace(*config.reach, config.quantiles)
 
 
 def forecast_error(budget: Mapping[str, float], knowledge: LoadKnowledge) -> ErrorForecast:
@@ -234,19 +305,19 @@ def _disagreement_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     if mean_square == 0:
         return pattern
     cells = model.interval.direction(evidence.shape), model.interval.column(evidence.estimate)
-    counts, sums = np.zeros_like(pattern), np.zeros_like(pattern)
-    np.add.at(counts, cells, 1.0)
-    np.add.at(sums, cells, evidence.disagreement**2 / mean_square)
+    flat, size = cells[0] * LEVELS + cells[1], pattern.size
+    weights: tuple[Array, Array] = (evidence.disagreement**2 / mean_square, np.ones(len(flat)))
+    tables = [np.asarray(np.bincount(flat, one, size), dtype=np.float64).reshape(pattern.shape) for one in weights]
     config = model.method.forecast
     # Pseudo-counts pull cells with few windows towards an even disagreement of 1.
-    sums, counts = (_smooth(table, config.smooth) + config.cell_prior for table in (sums, counts))
+    sums, counts = (_smooth(table, config.smooth) + config.cell_prior for table in tables)
     return sums / counts
 
 
 def _load_pattern(model: SourceModel, evidence: MapEvidence) -> Array:
     """Return the squared load over its mean square in the unit's recording: (LEVELS,)."""
-    load = np.maximum(load_levels(model) - _rest_level(evidence.estimate, model.method.forecast), 0.0)
-    return np.asarray((load / max(rms_load(evidence.estimate, model.method.forecast), 1e-12)) ** 2)
+    load = np.maximum(load_levels(model) - evidence.rest, 0.0)
+    return np.asarray((load / max(evidence.load_rms, 1e-12)) ** 2)
 
 
 def _smooth(table: Array, levels: int) -> Array:
@@ -275,11 +346,13 @@ def rest_rows(model: SourceModel, estimate: Array, shape: WindowShape) -> NDArra
 
 def _rest_spread(model: SourceModel, estimate: Array, shape: WindowShape) -> float:
     """Return the scatter of estimates at rest beyond the source's own: drift, creep, a loose mount."""
-    spread = [
-        float(np.std(e[rest_rows(model, e, s)])) if rest_rows(model, e, s).any() else 0.0
-        for e, s in ((estimate, shape), (model.estimate, model.shape))
-    ]
-    return float(np.sqrt(max(spread[0] ** 2 - spread[1] ** 2, 0.0)))
+    spread = _spread_at_rest(model, estimate, shape)
+    return float(np.sqrt(max(spread**2 - _known_use(model).rest_spread ** 2, 0.0)))
+
+
+def _spread_at_rest(model: SourceModel, estimate: Array, shape: WindowShape) -> float:
+    rows = rest_rows(model, estimate, shape)
+    return float(np.std(estimate[rows])) if rows.any() else 0.0
 
 
 def _resolution(model: SourceModel, target: OutputRecording, mapped: Array, raw: Array) -> float:
@@ -287,7 +360,7 @@ def _resolution(model: SourceModel, target: OutputRecording, mapped: Array, raw:
     steps = np.abs(np.diff(np.unique(target.output)))
     quantum = float(np.min(steps, initial=np.inf))
     gain = float(np.std(mapped) / np.std(raw)) / model.network.output_scale
-    source_quantum = float(np.min(np.abs(np.diff(np.unique(model.source.unlabelled.output)))))
+    source_quantum = _known_use(model).step
     # f was trained on the source's steps: only a coarser readout adds error.
     excess = max((quantum * gain) ** 2 - (source_quantum / model.network.output_scale) ** 2, 0.0)
     return model.interval.sensitivity * float(np.sqrt(excess / 12))
@@ -308,21 +381,27 @@ def _rest_level(estimate: Array, config: ForecastConfig) -> float:
     return float(np.quantile(estimate, config.rest_level))
 
 
-def _stage_terms(model: SourceModel, target: OutputRecording, unit_map: UnitMap) -> dict[str, float]:
+def _stage_terms(
+    model: SourceModel, target: OutputRecording, unit_map: UnitMap, estimate: Array | None
+) -> dict[str, float]:
     """Return how far the unit's load is from the source's at equal stage histories, beyond the source's own scatter.
 
     The error of a map grows with the load. A unit pressed less hard than the source is therefore scaled up to the
     source's loads.
+
+    Args:
+        estimate: f on all the unit's mapped windows, where it is known.
     """
     if model.stage_floor is None:
         return {}
-    estimate = model.network.evaluate(unit_map.apply(target.windows))
+    if estimate is None:
+        estimate = model.network.evaluate(unit_map.apply(target.windows))
     difference = unit_difference(model.source, target, estimate, model.method)
     if difference is None:
         return {}
     beyond = difference.beyond(model.stage_floor)
     config = model.method.forecast
-    ratio = rms_load(model.estimate, config) / max(rms_load(estimate, config), 1e-12)
+    ratio = _known_use(model).rms_load / max(rms_load(estimate, config), 1e-12)
     growth = float(np.clip(ratio, 1.0, config.most_growth))
     return {"stage": growth * beyond.rms, "slow": growth * beyond.slow_rms}
 
@@ -348,14 +427,8 @@ def _beyond(load: Array, estimate: Array, shares: tuple[float, float]) -> Array:
 
 def use_overlap(model: SourceModel, shape: WindowShape) -> float:
     """Return the overlap (1 - total variation distance) of the two distributions over level and slope, 0 to 1."""
-    config = model.method.forecast
-    low, high = np.quantile(model.shape.level, config.reach)
-    # A coarse grid: with finer cells two short recordings of one programme would seem to differ.
-    levels = np.linspace(low, high, config.overlap_levels)
-    steepest = np.quantile(np.abs(model.shape.slope), config.overlap_slope)
-    slopes = np.linspace(-1, 1, config.overlap_slopes) * steepest
-    source, unit = (_use(part, levels, slopes) for part in (model.shape, shape))
-    return float(np.minimum(source, unit).sum())
+    known = _known_use(model)
+    return float(np.minimum(known.use, _use(shape, known.levels, known.slopes)).sum())
 
 
 def _fast(shape: WindowShape, config: ForecastConfig) -> float:
@@ -368,11 +441,12 @@ def _corners(model: SourceModel, shape: WindowShape) -> float:
     A lagging sensor rounds the corners of its signal. Sharpness is the 99 % quantile of the second difference over the
     95 % quantile of the slope: pressing faster raises both, so that speed alone changes little.
     """
-    config = model.method.forecast
-    unit, source = (
-        float(np.quantile(np.abs(part.bend), config.sharp)) / _fast(part, config) for part in (shape, model.shape)
-    )
+    unit, source = _sharpness(shape, model.method.forecast), _known_use(model).sharpness
     return min(float(np.log(max(unit, 1e-9) / max(source, 1e-9))), 0.0) ** 2
+
+
+def _sharpness(shape: WindowShape, config: ForecastConfig) -> float:
+    return float(np.quantile(np.abs(shape.bend), config.sharp)) / _fast(shape, config)
 
 
 def _use(shape: WindowShape, levels: Array, slopes: Array) -> Array:

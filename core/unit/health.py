@@ -1,10 +1,12 @@
 """What the output of a unit alone tells: a dead channel, a clipped range, a frozen reading, too little data."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from softcal.core.errors import UnitRefused
+from softcal.core.maps.crossing import KEPT
 from softcal.core.recording import Array, Indices, OutputRecording
 from softcal.core.unit.method import HealthConfig
 from softcal.core.unit.verdict import Finding, Verdict
@@ -54,8 +56,10 @@ class Rail:
         return self.count >= config.least_presses and self.visits > source.visits + config.visits
 
 
-def rail(output: Array, is_upper: bool, config: HealthConfig) -> Rail:
-    """Describe the upper or lower end of an output's range."""
+@lru_cache(maxsize=KEPT)
+def rail(recording: OutputRecording, is_upper: bool, config: HealthConfig) -> Rail:
+    """Describe the upper or lower end of the range of a recording's output."""
+    output = recording.output
     rising = output if is_upper else -output
     band = noise_band(output, config)
     top, span = float(rising.max()), float(np.ptp(rising))
@@ -71,7 +75,7 @@ def rail(output: Array, is_upper: bool, config: HealthConfig) -> Rail:
     count = int(np.count_nonzero(is_flat[1:]))
     return Rail(
         level=(top - band) * (1 if is_upper else -1),
-        visits=count / max(count_presses(output, config), 1),
+        visits=count / max(count_presses(recording, config), 1),
         count=count,
     )
 
@@ -101,7 +105,7 @@ def check_alive(target: OutputRecording, source: OutputRecording, config: Health
     if np.var(np.diff(output)) > config.noise_ratio * 2 * spread**2:
         raise UnitRefused(reason("dead.noise", spread=spread, unit=unit, cure=cure))
     # A spike must not make a dead channel look alive.
-    span, source_span = (float(np.ptp(np.quantile(x, config.span))) for x in (output, source.output))
+    span, source_span = (float(np.ptp(_span(recording, config))) for recording in (target, source))
     if span < config.dead_share * source_span:
         raise UnitRefused(reason("dead.small", span=span, source_span=source_span, unit=unit, cure=cure))
 
@@ -115,10 +119,10 @@ def output_limits(
         target, source: the unit's recording and the source's.
         is_rising: the output rises with the load. Only its loaded end is looked at: at rest every unit is flat.
     """
-    end, known = (rail(recording.output, is_rising, config) for recording in (target, source))
+    end, known = (rail(recording, is_rising, config) for recording in (target, source))
     clipped = end.level if end.is_clipped(known, config) else None
     # A slow load on a coarse converter stands still for long by itself: twice the longest seen is no fault yet.
-    longest = int(max(run_lengths(target.output).max(), run_lengths(source.output).max()))
+    longest = max(_longest_run(recording) for recording in (target, source))
     return OutputLimits(
         rail_low=-np.inf if clipped is None or is_rising else clipped,
         rail_high=np.inf if clipped is None or not is_rising else clipped,
@@ -153,13 +157,20 @@ def _clipped(target: OutputRecording, limits: OutputLimits, config: HealthConfig
 
 
 def _frozen(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> list[Finding]:
-    longest, allowed = (_longest_inner_run(recording.output, config.inner) for recording in (target, source))
+    longest, allowed = (_longest_inner_run(recording, config.inner) for recording in (target, source))
     if longest <= max(config.stuck_factor * allowed, config.stuck_s * target.sample_rate_Hz):
         return []
     return [Finding(reason("stuck", seconds=longest / target.sample_rate_Hz), Verdict.RETEST)]
 
 
-def _longest_inner_run(output: Array, edge: float) -> int:
+@lru_cache(maxsize=KEPT)
+def _longest_run(recording: OutputRecording) -> int:
+    return int(run_lengths(recording.output).max())
+
+
+@lru_cache(maxsize=KEPT)
+def _longest_inner_run(recording: OutputRecording, edge: float) -> int:
+    output = recording.output
     span = float(np.ptp(output))
     # At rest and at the peak every output stands still; frozen is what does so in between.
     inner = (output > output.min() + edge * span) & (output < output.max() - edge * span)
@@ -167,18 +178,24 @@ def _longest_inner_run(output: Array, edge: float) -> int:
 
 
 def _short(target: OutputRecording, source: OutputRecording, config: HealthConfig) -> list[Finding]:
-    windows, presses = len(target.window_rows), count_presses(target.output, config)
+    windows, presses = len(target.window_rows), count_presses(target, config)
     # A slow programme may have but two presses in the source too.
-    enough = min(config.few_presses, count_presses(source.output, config))
+    enough = min(config.few_presses, count_presses(source, config))
     if windows >= config.few_windows and presses >= enough:
         return []
     seen = {"windows": windows, "presses": presses}
     return [Finding(reason("too_little_data", **seen, enough_windows=config.few_windows, enough_presses=enough))]
 
 
-def count_presses(output: Array, config: HealthConfig) -> int:
+@lru_cache(maxsize=KEPT)
+def _span(recording: OutputRecording, config: HealthConfig) -> Array:
+    return np.quantile(recording.output, config.span)
+
+
+@lru_cache(maxsize=KEPT)
+def count_presses(recording: OutputRecording, config: HealthConfig) -> int:
     """Count the excursions of the output through the middle half of its range, there and back."""
-    low, high = np.quantile(output, config.span)
+    output, (low, high) = recording.output, _span(recording, config)
     # Two thresholds apart (a Schmitt trigger): noise at one of them would count as presses.
     lower, upper = (low + share * (high - low) for share in config.press_band)
     state = np.where(output > upper, 1, np.where(output < lower, -1, 0))

@@ -12,7 +12,7 @@ from softcal.core.maps.crossing import KEPT
 from softcal.core.maps.ends import output_noise
 from softcal.core.maps.interface import UnitMap
 from softcal.core.network.network import Network
-from softcal.core.recording import OutputRecording
+from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.forecast import DAY, LINE, MapEvidence, forecast_error
 from softcal.core.unit.knowledge import LoadKnowledge
 from softcal.core.unit.source_model import SourceModel
@@ -48,7 +48,8 @@ def own_terms(
     network, budget, rows = model.network, evidence.budget, model.method.forecast.own_rows
     # Variances subtract: f was trained with the source's noise, so that much is in `floor` already.
     of_source = _source_noise_error(network, model.source.unlabelled, rows)
-    noise = noise_error(network, target, rows, unit_map) ** 2 - of_source**2
+    estimate = evidence.estimate if len(evidence.rows) == len(target.windows) else None
+    noise = noise_error(network, target, rows, unit_map, estimate) ** 2 - of_source**2
     # The line spreads loads, not outputs: an own calibration sees the loads.
     forecast = forecast_error({name: u for name, u in budget.items() if name not in (DAY, LINE)}, evidence.knowledge)
     return {
@@ -66,12 +67,36 @@ def _source_noise_error(network: Network, source: OutputRecording, windows: int)
     return noise_error(network, source, windows)
 
 
-def noise_error(network: Network, recording: OutputRecording, windows: int, unit_map: UnitMap | None = None) -> float:
-    """Return the RMS change of the estimates under one more draw of the recording's output noise."""
+def noise_error(
+    network: Network,
+    recording: OutputRecording,
+    windows: int,
+    unit_map: UnitMap | None = None,
+    estimate: Array | None = None,
+) -> float:
+    """Return the RMS change of the estimates under one more draw of the recording's output noise.
+
+    Args:
+        network: the shared network f.
+        recording: of the unit.
+        windows: how many of it are looked at; of a short one some count twice.
+        unit_map: its map; None for the source.
+        estimate: f on all the recording's mapped windows, where it is known.
+    """
     rows = np.linspace(0, len(recording.windows) - 1, windows).astype(np.int64)
     clean = recording.windows[rows]
     # One more draw of the noise on top of the recorded one: its effect is that of the noise itself.
-    noisy = clean + output_noise(recording) * np.random.default_rng(0).standard_normal(clean.shape)
+    noisy = clean + output_noise(recording) * _draw(clean.shape)
     if unit_map is not None:
-        clean, noisy = unit_map.apply(clean), unit_map.apply(noisy)
-    return float(np.sqrt(np.mean((network.evaluate(noisy) - network.evaluate(clean)) ** 2)))
+        noisy = unit_map.apply(noisy)
+    if estimate is None:
+        without = network.evaluate(clean if unit_map is None else unit_map.apply(clean))
+    else:
+        without = estimate[rows]
+    return float(np.sqrt(np.mean((network.evaluate(noisy) - without) ** 2)))
+
+
+@lru_cache(maxsize=1)
+def _draw(shape: tuple[int, int]) -> Array:
+    """Every unit's noise is drawn from the same seed: equal input, equal result."""
+    return np.random.default_rng(0).standard_normal(shape)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from softcal.core.errors import UnitRefused
 from softcal.core.maps.phase import paired_by_stage, stage_histories
@@ -59,6 +58,9 @@ def source_difference(source: LabelledRecording, estimate: Array, method: Method
     recording, config = source.unlabelled, method.stage_check
     if recording.stage_mm is None or np.ptp(recording.stage_mm) == 0:
         return None
+    # Most lots have no stage: they need not load it.
+    from scipy.spatial import cKDTree
+
     histories = stage_histories(recording, recording.stage_mm, method.map.phase)
     t_s = recording.t_s[recording.window_rows]
     near = method.map.phase.near_share * float(np.ptp(recording.stage_mm))

@@ -294,6 +294,7 @@ def decide_audited(
     windows: int,
     limit: Limit,
     config: DecisionConfig = DecisionConfig(),  # noqa: B008 - frozen
+    held: tuple[Finding, ...] = (),
 ) -> Judgement:
     """Decide on a unit whose error was measured against the reference.
 
@@ -302,6 +303,7 @@ def decide_audited(
         windows: number of windows behind them.
         limit: tolerance limit.
         config: how wide the guard band is.
+        held: what rules have against the unit.
 
     The standard deviation of an RMSE from n independent errors is RMSE / sqrt(2 n); errors of neighbouring windows are
     alike, so n is the number of windows that do not overlap.
@@ -310,4 +312,4 @@ def decide_audited(
     measured = ErrorForecast(after, after - guard, after + guard)
     harm = reason("harmful", after=after, before=before, unit=limit.unit)
     findings = (Finding(harm, Verdict.FAIL),) if after > before else ()
-    return decide(measured, limit, findings, source="measured")
+    return decide(measured, limit, (*findings, *held), source="measured")

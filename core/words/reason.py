@@ -1,6 +1,7 @@
 """What softcal says: a code with typed values. English stands in core, other languages in app/texts.
 
-The sentences on units and verdicts stand here, those of stations, their gates and the registry in `rig_sentences`.
+The sentences on units and verdicts stand here, those of stations, their gates and the registry in `rig_sentences`,
+those of a diagnosis in `gap_sentences`.
 """
 
 import json
@@ -10,6 +11,7 @@ from dataclasses import dataclass, field
 from string import Formatter
 from typing import Any, Union
 
+from softcal.core.words.gap_sentences import GAP_SENTENCES
 from softcal.core.words.rig_sentences import SENTENCES
 
 Value = Union[str, float, int, "Reason"]
@@ -169,6 +171,11 @@ ENGLISH: Mapping[str, str] = {
     "creep": (
         "unsteady at rest: estimates scatter by {spread:.3g} {unit} between presses: strong creep or a loose mount"
     ),
+    "rule.held": "{sentence} (rule {rule})",
+    "rule.broken": (
+        "rule {rule} could not judge the unit ({error}): repair the package that brings it, or uninstall it, and run "
+        "the lot again"
+    ),
     "late": (
         "output follows the source's {lag:.2f} s late in the opening both share: slow readout, or another clock; what "
         "happens faster than that is lost to the map"
@@ -246,8 +253,10 @@ ENGLISH: Mapping[str, str] = {
     "no_position": "stage position is not in both recordings; windows cannot be paired by it",
     "unreadable": "recording not readable: {error}",
     "wrong_loads": "its known loads cannot be used: {error}",
+    "wrong_golden": "the golden run it was pressed beside cannot be used: {error}",
     "worker_died": "the process that fitted it died; calibrate the lot again",
     "defect": "softcal could not calibrate it ({error}); this is a defect of softcal, the log has the details",
+    **GAP_SENTENCES,
     **SENTENCES,
 }
 """One sentence a code. Values stand in braces with their format; a value that is a reason is a phrase of its own."""
@@ -353,10 +362,14 @@ def unpacked(message: str) -> tuple[Reason, ...]:
     return tuple(map(Reason.of, json.loads(message)))
 
 
-def several(reasons: Sequence[Reason]) -> Reason:
-    """Return reasons as one, where a single one is wanted."""
+def several(reasons: Sequence[Reason], code: str = "and") -> Reason:
+    """Return reasons as one, where a single one is wanted.
+
+    Args:
+        code: of the sentence that holds a `first` one and the `rest`.
+    """
     first, *rest = reasons
-    return reason("and", first=first, rest=several(rest)) if rest else first
+    return reason(code, first=first, rest=several(rest, code)) if rest else first
 
 
 def root_of(why: Reason) -> Reason:

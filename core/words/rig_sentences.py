@@ -379,7 +379,7 @@ SENTENCES: Mapping[str, str] = {
     "spool.cut_off": "cut off",
     "spool.aborted": "aborted: {why}",
     "file.closed": "{path}: cannot be written: {error}; make room, nothing moved",
-    "file.full": "{path}: samples cannot be kept: {error}; make room on the disk, press again",
+    "file.full": "{path}: samples cannot be kept: {error}; see that the disk is there and has room, press again",
     "file.unreadable": "{path}: {error}",
     "file.no_spool": "{path}: is no spool of softcal; nothing was changed",
     "system.full": "No space left on device",

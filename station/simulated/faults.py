@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from softcal.station.simulated.force_gauge import SimulatedIndicator, SimulatedLoadstar, SimulatedMark10
 from softcal.station.simulated.station import SimulatedStation
 from softcal.station.simulated.zaber import SimulatedZaber
@@ -97,6 +99,18 @@ def _output(change: Callable[[float], float]) -> Inject:
 def _stuck_noisy(now_s: float, value: float) -> float:
     """A value that hangs, with noise that goes on: no two readings are the same."""
     return 1.2 + 0.004 * math.sin(977.0 * now_s)
+
+
+def hang(station: SimulatedStation, seconds: float) -> None:
+    """The load cell stays at the force of this instant for so long, and its noise goes on."""
+    since_s, rng = station.world.now_s(), np.random.default_rng(1)
+    level_N: list[float] = []
+
+    def hanging(now_s: float, force_N: float) -> float:
+        level_N.append(force_N)
+        return level_N[0] + float(rng.normal(0, 0.005)) if now_s < since_s + seconds else force_N
+
+    station.rig.force_fault = hanging
 
 
 def _floating(now_s: float, value: float) -> float:
@@ -199,6 +213,7 @@ def _of_cell() -> list[Fault]:
         ),
         _pressing("load cell's gain halves while pressing", _force(lambda x: 0.5 * x), is_seen_late=True),
         _pressing("load cell stuck but noisy", _set("rig", "force_fault", _stuck_noisy), is_seen_late=True),
+        _pressing("load cell hangs for 1 s while pressing", lambda station: hang(station, 1.0), is_seen_late=True),
         _pressing("load cell's input floats", _set("rig", "force_fault", _floating), is_seen_late=True),
         _pressing("load cell saturated", _force(lambda x: 1e6)),
         _pressing("load cell's amplifier clips at 3 N", _force(lambda x: min(x, 3.0)), 0.0, is_seen_late=True),

@@ -1,5 +1,6 @@
 """One run on the simulated station with one fault: what the operator reads, when the stage stood, what was kept."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -117,10 +118,10 @@ def run_with_full_disk(folder: Path, moment: str = "while pressing", seed: int =
     Args:
         moment: one of DISK_MOMENTS.
     """
-    spool: list[_FillingSpool] = []
+    spool: list[FillingSpool] = []
 
     def make_spool(path: Path) -> Spool:
-        spool.append(_FillingSpool(path, {"serial": "F1"}, is_full_at_end=moment == AT_THE_END))
+        spool.append(FillingSpool(path, {"serial": "F1"}, is_full_at_end=moment == AT_THE_END))
         return spool[0]
 
     phase, after_s = MOMENTS.get(moment, (RETURN, 1e6))
@@ -165,8 +166,10 @@ class _HostDied(BaseException):
     """The host is gone; what follows in this process is no part of the trial."""
 
 
-class _FillingSpool(Spool):
+class FillingSpool(Spool):
     """A spool whose disk can fill up, on demand or when the run says its last."""
+
+    _is_filled = False
 
     def __init__(self, path: Path, header: dict[str, str], is_full_at_end: bool) -> None:
         super().__init__(path, header)
@@ -180,6 +183,13 @@ class _FillingSpool(Spool):
     def fill(self) -> None:
         # The file of before stays open: the writing thread may be in the middle of a line.
         self._before, self._file = self._file, Path("/dev/full").open("ab")
+        self._is_filled = True
+
+    def _put(self, value: dict[str, Any]) -> None:
+        super()._put(value)
+        # Simulated time stands still meanwhile: on a busy machine much of it would pass before the line is written.
+        while self._is_filled and self._error is None and self._thread.is_alive():
+            time.sleep(0.0005)
 
     def __exit__(self, *exception: Any) -> None:
         try:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from functools import partial
+from functools import cache, partial
 from ipaddress import ip_address
 from pathlib import Path
 from subprocess import DEVNULL
@@ -23,6 +23,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from playwright.sync_api import Browser, Page, sync_playwright
+from streamlit.components.v2 import manifest_scanner
 from streamlit.testing.v1 import AppTest
 
 from softcal.app.bootstrap import open_chosen_registry
@@ -57,6 +58,20 @@ def small_calibrated(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory
     url = f"sqlite:///{root / 'registry.db'}"
     assert main(["batch", str(root / "lot"), "--registry", url, "--hidden", "16,8", "--no-own"]) == 1
     return root / "registry.db"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def packages_looked_through_once() -> Iterator[None]:
+    """Streamlit reads the metadata of every installed package whenever a page is drawn in process; here, once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(manifest_scanner, "scan_component_manifests", cache(manifest_scanner.scan_component_manifests))
+        yield
+
+
+@pytest.fixture(autouse=True)
+def patient_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A start waits as long as a busy machine makes it; the tests of a late one set their own time."""
+    monkeypatch.setattr("softcal.app.line.line.START_S", 120.0)
 
 
 @pytest.fixture
@@ -140,6 +155,15 @@ class Screen:
         """Kill it as a power cut would."""
         os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait(timeout=30)
+
+    @contextmanager
+    def stalled(self) -> Iterator[None]:
+        """It does nothing for a while, as on a machine that is busy with something else."""
+        os.killpg(self._process.pid, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            os.killpg(self._process.pid, signal.SIGCONT)
 
     def end(self) -> None:
         """End it in good order."""

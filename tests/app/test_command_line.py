@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softcal.app.cli.main import command_parser, main
+from softcal.app.cli.main import COMMANDS, command_parser, main
 from softcal.app.cli.parser import suggestion
 
 
@@ -123,6 +123,31 @@ def test_a_mistyped_name_gets_a_suggestion(
 
 def test_what_is_like_nothing_gets_no_suggestion() -> None:
     assert suggestion("zzzz", ["batch", "list"]) == ""
+
+
+def test_the_help_of_a_command_is_the_same_whether_the_others_are_known_or_not(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for module in COMMANDS:
+        command = module.rstrip("_")
+        for parse in (command_parser().parse_args, main):
+            with pytest.raises(SystemExit):
+                parse([command, "--help"])
+        text = capsys.readouterr().out
+        assert text[: len(text) // 2] == text[len(text) // 2 :], command
+
+
+def test_a_configuration_file_is_checked_whole_whichever_command_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("softcal.toml").write_text('[batch]\nengine = "dask"\n')
+    with pytest.raises(SystemExit) as ended:
+        main(["registry", "--help"])
+    assert ended.value.code == 0
+    Path("softcal.toml").write_text('[batch]\nengin = "dask"\n')
+    assert main(["registry", "--help"]) == 2
+    assert "engin" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])

@@ -172,3 +172,22 @@ def test_a_training_goes_on_through_a_reload_and_can_be_stopped(
     with open_registry(url) as registry:
         assert [job.state for job in registry.job_board.jobs("train")] == ["cancelled"]
     expect(cancel).to_have_count(0)
+
+
+@pytest.mark.parametrize(("language", "asked"), [("en", "Choose files"), ("ko", "파일 고르기")])
+def test_a_field_for_files_speaks_the_language_of_its_page(
+    desk: tuple[str, str], panel: Page, remembered: Callable, english_in: Callable, language: str, asked: str
+) -> None:
+    address, _ = desk
+    _sign_in(panel, address, remembered)
+    panel.goto(f"{address}/new_lot?lang={language}")
+    zone = panel.get_by_test_id("stFileUploaderDropzone")
+    zone.get_by_role("button", name=asked).wait_for()
+    # The icon is a letter font's ligature, and no word that is seen.
+    zone.get_by_test_id("stIconMaterial").evaluate("(icon) => icon.remove()")
+    own_words = zone.evaluate("(zone) => zone.innerText")
+    drawn = zone.evaluate(
+        "(zone) => [...zone.querySelectorAll('*')].map((e) => getComputedStyle(e, '::after').content).join(' ')"
+    )
+    assert asked in drawn and "200" in drawn
+    assert english_in(own_words) == [] and (language == "en" or english_in(drawn.replace("none", "")) == [])

@@ -3,14 +3,22 @@
 import json
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from softcal.app.charts.palette import LIGHT
+from softcal.app.charts.station import profile_figure
 from softcal.app.gap.desk import practise
 from softcal.app.texts.catalogue import text
+from softcal.app.ui import lot_memory
+from softcal.app.ui.panels import told
+from softcal.app.views.lot import lot_view
+from softcal.app.views.profile import bounds
 from softcal.core.orders import Heartbeat, OrderKind, RunState, StationState
+from softcal.core.profiles import BUILT_IN
 from softcal.core.quality.line_rules import LineRules
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
@@ -239,6 +247,7 @@ def test_a_unit_in_use_shows_its_course_and_that_a_calibration_is_due(calibrated
     _adapted(calibrated)
     screen = show(calibrated, "long_term")
     assert screen.table[0].value["State"].tolist() == ["calibration due"]
+    assert screen.table[0].value["Predicted error"].tolist() == ["0.21\u00a0N"]
     assert "0.2 N" in screen.warning[0].value
 
 
@@ -255,7 +264,7 @@ def _case(folder: Path) -> Path:
 
 
 def test_a_case_is_diagnosed_and_read_on_the_page(calibrated: str, show, jobs_at_once) -> None:
-    case = practise()
+    case = practise("usual")
     screen = show(calibrated, "gap", case=str(case))
     screen.button(key="diagnose").click().run(timeout=180)
     assert not screen.error
@@ -265,8 +274,17 @@ def test_a_case_is_diagnosed_and_read_on_the_page(calibrated: str, show, jobs_at
     assert any("Hidden in this rig" in line.value for line in screen.markdown)
 
 
+def test_a_mistake_hidden_in_a_practice_rig_is_found_and_told(calibrated: str, show, jobs_at_once) -> None:
+    case = practise("mistakes")
+    screen = show(calibrated, "gap", case=str(case))
+    screen.button(key="diagnose").click().run(timeout=180)
+    next(toggle for toggle in screen.toggle if "hidden" in toggle.label).set_value(True).run()
+    (told,) = [line.value for line in screen.markdown if "Hidden in this rig" in line.value]
+    assert "a mistake in the recordings" in told and "nothing" not in told
+
+
 def test_one_click_presses_the_proposed_experiment_on_the_simulated_rig(calibrated: str, show, jobs_at_once) -> None:
-    case = practise()
+    case = practise("usual")
     proposed = {"profile": "rate_sweep", "why": "three speeds part creep from drift", "minutes": 2.0}
     nothing = {"predicted": None, "low": None, "high": None, "held_out": None}
     lists = {name: [] for name in ("where", "causes", "ambiguous_with", "missing_channels", "runs")}
@@ -292,9 +310,53 @@ def test_one_click_presses_the_proposed_experiment_on_the_simulated_rig(calibrat
     assert any(text("en", f"gap.verdict.{result['verdict']}") in heading for heading in headings)
 
 
+def test_what_no_cause_explains_is_described_on_the_page(calibrated: str, show, jobs_at_once) -> None:
+    case = practise()
+    shrink = {"predicted": 0.88, "low": 0.84, "high": 0.92, "held_out": 0.88}
+    term = {"place": "output_V", "variable": "load²", "standard_error": 4e-4, "unit": "V", "chosen": 0.75}
+    left = {"formula": ["output_V += -0.0515 V · load²"], "terms": [term], "beside": ["backlash"], "without": 0.17}
+    facts = {"verdict": "unknown", "hidden_fraction": {}, "gap": {}, "next_experiment": {}, "shrink": shrink}
+    lists = {name: [] for name in ("where", "causes", "ambiguous_with", "missing_channels", "runs")}
+    left |= {"kind": "empirical", "shrink": shrink, "load_N": 6.0, "depth_mm": 3.02}
+    with open_registry(calibrated) as registry:
+        board = registry.job_board
+        job = board.place("diagnose", {"case": str(case)}, "Erin")
+        board.take(job)
+        board.end(job, RunState.DONE, "unknown", facts | lists | {"residual": left})
+    screen = show(calibrated, "gap", case=str(case))
+    assert not screen.error and not screen.exception
+    assert text("en", "gap.left") in [heading.value for heading in screen.header]
+    assert any("Empirical" in line.value and "88.0 %" in line.value for line in screen.markdown)
+    assert any("backlash" in line.value and "17.0 %" in line.value for line in screen.caption)
+
+
 def test_a_case_that_cannot_be_read_ends_in_one_line(calibrated: str, show, jobs_at_once, tmp_path: Path) -> None:
     case = _case(tmp_path / "rig-7")
     (case / "runs/1/recording.json").write_text("{}")
     screen = show(calibrated, "gap", case=str(case))
     screen.button(key="diagnose").click().run(timeout=60)
     assert "vref_V" in screen.error[0].value and "missing" in screen.error[0].value
+
+
+def test_where_every_unit_passed_the_worst_is_one_click_away(calibrated: str, show, monkeypatch) -> None:
+    gone: list[dict[str, str]] = []
+    monkeypatch.setattr("streamlit.switch_page", lambda page, query_params: gone.append(dict(query_params)))
+    monkeypatch.setattr(lot_memory, "lot_view", lambda *given: replace(lot_view(*given), looks=()))
+    screen = show(calibrated, "lot", lot="small")
+    with open_registry(calibrated) as registry:
+        errors = {row.serial: row.predicted_rmse or 0 for row in registry.lot_errors("small")}
+    worst = max(errors, key=errors.__getitem__)
+    _button(screen, text("en", "lot.look.worst", serial=worst)).click().run()
+    assert not screen.error and gone == [{"unit": worst}]
+
+
+def test_a_column_that_says_nothing_takes_no_room() -> None:
+    rows = [{"a": 0, "why": "", "remark": ""}, {"a": 1, "why": "", "remark": "old"}]
+    assert told(rows) == [{"a": 0, "remark": ""}, {"a": 1, "remark": "old"}] and told([]) == []
+
+
+def test_a_profile_is_drawn_where_its_bound_counts_from() -> None:
+    profile, start_mm = BUILT_IN["source"](np.random.default_rng(0), 3.5), 4.0
+    figure = profile_figure(profile, start_mm, 12.0, 10.0, LIGHT, partial(text, "en"))
+    (depth, _) = bounds(profile, 12.0, 10.0, start_mm)
+    assert max(figure.data[0].y) == pytest.approx(depth.value, abs=0.01)

@@ -27,6 +27,7 @@ ELSEWHERE = {
     "softcal gap diagnose": "tests/app/test_gap_command.py, test_gap_plugin.py, test_gap_simulator.py",
     "softcal gap apply": "tests/app/test_gap_command.py",
     "softcal gap transfer": "tests/app/test_gap_command.py",
+    "softcal gap lot": "tests/app/test_gap_lot.py",
     "softcal gap challenge": "tests/app/test_gap_challenge.py",
     "softcal gap score": "tests/app/test_gap_challenge.py",
     "serial:/dev/ttyACM0": "tests/app/test_adapt_live.py",
@@ -163,7 +164,13 @@ def test_the_readme_runs_as_written(workplace: Callable[[str], Path]) -> None:
 
 @pytest.mark.parametrize(
     ("page", "serial", "least"),
-    [("docs/engineer.md", "S2", 4), ("docs/long-term.md", "A1", 2), ("docs/registry.md", "A17", 7)],
+    [
+        ("docs/engineer.md", "S2", 4),
+        ("docs/long-term.md", "A1", 2),
+        ("docs/registry.md", "A17", 7),
+        ("docs/trust.md", "S2", 4),
+        ("docs/verdict.md", "A1", 4),
+    ],
 )
 def test_a_page_runs_as_written(workplace: Callable[[str], Path], page: str, serial: str, least: int) -> None:
     folder = workplace(serial)
@@ -173,8 +180,17 @@ def test_a_page_runs_as_written(workplace: Callable[[str], Path], page: str, ser
     assert _run(page, folder) >= least
 
 
+def test_no_command_escapes_in_a_block_that_is_only_indented() -> None:
+    for page in PAGES:
+        text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        assert not re.findall(r"^    softcal .*", text, re.MULTILINE), page
+
+
 def test_every_command_is_run_as_written_or_tried_elsewhere() -> None:
-    run = {"README.md", "docs/engineer.md", "docs/long-term.md", "docs/registry.md"}
+    run = {
+        "README.md", "docs/engineer.md", "docs/long-term.md", "docs/registry.md", "docs/trust.md", "docs/tutorial.md",
+        "docs/verdict.md",
+    }  # fmt: skip
     for page in PAGES:
         left = [c for c in _commands(page) if not any(part in c for part in ELSEWHERE)]
         alone = all(_words(c)[:2] == ["gap", "effects"] or _words(c)[0] in ("lot",) for c in left)

@@ -2,13 +2,19 @@
 
 import re
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
-from softcal.app.charts.gap import ChannelView, RunView, direction, residual_map, trace_figure
-from softcal.app.charts.gap_page import gap_page
+from softcal.app.charts.gap import ChannelView, RunView, direction, gain_figure, residual_map, trace_figure
+from softcal.app.charts.gap_page import chain_svg, gap_page
+from softcal.app.charts.palette import palette
+from softcal.app.charts.style import coloured
+from softcal.app.texts.catalogue import text
+
+ENGLISH = partial(text, "en")
 
 REPORT: dict[str, Any] = {
     "schema": "softcal.gap/1",
@@ -44,7 +50,7 @@ def run(rng: np.random.Generator) -> RunView:
 
 
 def test_the_page_answers_the_five_questions(run: RunView) -> None:
-    page = gap_page(REPORT, [run], "A17")
+    page = gap_page(REPORT, [run], "A17", ENGLISH)
     for words in ("Where the twin is wrong", "Why", "What it gains", "How sure", "What to press next"):
         assert words in page
     assert "thermal drift" in page and "temperature step" in page and "97 %" in page
@@ -52,12 +58,12 @@ def test_the_page_answers_the_five_questions(run: RunView) -> None:
 
 
 def test_nothing_is_loaded_from_elsewhere(run: RunView) -> None:
-    page = gap_page(REPORT, [run], "A17")
+    page = gap_page(REPORT, [run], "A17", ENGLISH)
     assert not re.search(r"<(script|img|iframe)[^>]+src=|<link|@import|url\(\s*['\"]?http", page)
 
 
 def test_text_of_a_report_cannot_become_markup(run: RunView) -> None:
-    page = gap_page(REPORT, [run], "<script>alert(1)</script>")
+    page = gap_page(REPORT, [run], "<script>alert(1)</script>", ENGLISH)
     assert "<script>alert" not in page
     assert "a &lt; b &amp; c" in page
 
@@ -66,7 +72,7 @@ def test_text_of_a_report_cannot_become_markup(run: RunView) -> None:
 def test_every_verdict_has_its_page(run: RunView, verdict: str) -> None:
     empty = {"causes": [], "where": [], "ambiguous_with": [], "hidden_fraction": {}, "next_experiment": {}}
     nothing = {"predicted": None, "low": None, "high": None, "held_out": None}
-    page = gap_page({**REPORT, **empty, "verdict": verdict, "shrink": nothing}, [run], "A17")
+    page = gap_page({**REPORT, **empty, "verdict": verdict, "shrink": nothing}, [run], "A17", ENGLISH)
     assert "No further run" in page and "No forecast" in page
 
 
@@ -78,7 +84,7 @@ def test_a_mistake_in_the_recordings_has_its_page(run: RunView) -> None:
         "evidence": "force of this run is <9.8> times too small",
         "repair": "multiply by 9.807",
     }
-    page = gap_page({**REPORT, "verdict": "data", "data": [data]}, [run], "A17")
+    page = gap_page({**REPORT, "verdict": "data", "data": [data]}, [run], "A17", ENGLISH)
     assert "unit factor" in page and "&lt;9.8&gt;" in page and "multiply by 9.807" in page
     assert "What it gains to fix it" not in page
 
@@ -103,10 +109,44 @@ def test_a_thinned_trace_keeps_its_peak(run: RunView) -> None:
     measured = np.zeros(20_000)
     measured[12_345] = 0.5
     flat = ChannelView(measured, np.zeros(20_000), np.zeros(20_000), 1e-3)
-    figure = trace_figure([replace(run, t_s=t_s, channels={"output_V": flat})], "output_V")
+    figure = trace_figure([replace(run, t_s=t_s, channels={"output_V": flat})], "output_V", ENGLISH)
     assert figure is not None
     assert len(figure.data[0].y) <= 1500 and max(figure.data[0].y) == 500.0
 
 
 def test_a_channel_that_was_not_recorded_has_no_figure(run: RunView) -> None:
-    assert trace_figure([run], "force_N") is None
+    assert trace_figure([run], "force_N", ENGLISH) is None
+
+
+def _light(colour: tuple[float, ...]) -> float:
+    """Relative luminance of a colour, as WCAG 2 defines it."""
+    linear = [part / 12.92 if part <= 0.03928 else ((part + 0.055) / 1.055) ** 2.4 for part in colour]
+    return float(np.dot((0.2126, 0.7152, 0.0722), linear))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5, 0.57, 0.8, 1.0])
+def test_a_stage_is_read_however_much_of_the_gap_it_holds(share: float) -> None:
+    place = {"stage": "load_cell", "channel": "force", "regime": "hold", "share": share, "detail": ""}
+    box = chain_svg({"where": [place]}, ENGLISH).rsplit("<g>", 1)[1]
+    *ground, alpha = map(float, re.search(r"rgba\((.*?)\)", box)[1].split(","))
+    (ink,) = set(re.findall(r"fill='#(\w{6})'", box))
+    drawn = [alpha * part / 255 + 1.0 - alpha for part in ground]
+    letters = tuple(int(ink[k : k + 2], 16) / 255 for k in (0, 2, 4))
+    darker, lighter = sorted((_light(tuple(drawn)), _light(letters)))
+    assert (lighter + 0.05) / (darker + 0.05) >= 4.5
+
+
+def test_names_of_bars_stand_beside_them_and_axes_have_units() -> None:
+    gap = {"rmse_before": 6e-3, "rmse_after": 1.4e-3, "noise_floor": 1.3e-3}
+    figure = gain_figure({"gap": {"output": gap, "force": gap}}, ENGLISH)
+    assert [bars.orientation for bars in figure.data] == ["h", "h"]
+    assert (figure.layout.xaxis.title.text, figure.layout.xaxis2.title.text) == ("mV", "mN")
+
+
+def test_the_legend_of_the_traces_stays_in_the_figure_on_the_desk(run: RunView) -> None:
+    figure = trace_figure([run], "output_V", ENGLISH)
+    assert figure is not None
+    own = figure.layout.legend.to_plotly_json()
+    shown = coloured(figure, palette("light")).update_layout(legend=own)
+    # A place below the axes is counted from the axes: counted from the figure it lies outside.
+    assert shown.layout.legend.y < 0 and shown.layout.legend.yref == "paper"

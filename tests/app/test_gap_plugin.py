@@ -76,7 +76,7 @@ def test_its_own_tests_are_those_of_the_page(installed: Path, tmp_path: Path) ->
     assert len(effect.splitlines()) <= 40
     (tmp_path / "test_page.py").write_text(test)
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path / "test_page.py")]
-    environment = {**os.environ, "PYTHONPATH": str(installed)}
+    environment = {**os.environ, "PYTHONPATH": str(installed), "PYTEST_ADDOPTS": ""}
     done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True)
     assert "7 passed" in done.stdout, done.stdout
 

@@ -83,6 +83,7 @@ def test_the_hidden_effect_of_a_swing_is_named_placed_and_sized(tmp_path: Path) 
     assert report["causes"][0]["parameters"]["Fc"]["value"] == pytest.approx(0.4, rel=0.15)
     assert report["shrink"]["held_out"] > 0.85
     assert abs(report["shrink"]["predicted"] - report["shrink"]["held_out"]) < 0.1
+    assert {tuple(causes) for causes in report["shrink"]["chosen"]} == {("dry_friction",)}
     assert report["parameters"]["k"] == pytest.approx(0.65, rel=0.02)
 
 

@@ -2,6 +2,7 @@
 
 import time
 from datetime import UTC, datetime
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from softcal.app.gap.desk import cases, has_sealed_rig, practise, run_views_of, store_upload, truth
 from softcal.app.jobs import process as job_process
 from softcal.app.jobs.jobs import run_job
+from softcal.app.texts.catalogue import text
 from softcal.app.views.gap import cause_rows, hidden_effects, named_causes, next_experiment, place_rows
 from softcal.app.views.network import hidden_widths, loss_spec
 from softcal.core.errors import InputError
@@ -16,6 +18,7 @@ from softcal.core.orders import RunState
 from softcal.core.words.reason import joined, unpacked
 from softcal.db.connection import open_registry
 
+ENGLISH = partial(text, "en")
 METADATA = {"vref_V": 5.0, "adc_bits": 16, "r_series_ohm": 1000.0, "sample_rate_Hz": 50.0, "serial": "A17"}
 
 
@@ -109,8 +112,8 @@ def test_an_upload_that_is_no_case_is_not_kept() -> None:
 
 
 def test_a_practice_rig_is_pressed_once_more_and_diagnosed_and_its_figures_come_back(calibrated: str) -> None:
-    case = practise()
-    assert has_sealed_rig(case) and cases() == [case] and isinstance(truth(case), tuple)
+    case = practise("usual")
+    assert has_sealed_rig(case) and cases() == [case] and len(truth(case).effects) == 1
     with open_registry(calibrated) as registry:
         request = {"case": str(case), "experiment": "rate_sweep"}
         job_id = registry.job_board.place("diagnose", request, "Erin")
@@ -147,11 +150,11 @@ REPORT = {
 
 
 def test_a_report_is_read_in_words_with_its_intervals() -> None:
-    assert named_causes(REPORT) == ["thermal drift (97.0 %)"]
-    (cause,) = cause_rows(REPORT)
+    assert named_causes(REPORT, ENGLISH) == ["thermal drift (97.0 %)"]
+    (cause,) = cause_rows(REPORT, ENGLISH)
     assert cause["values"] == "alpha = 0.001 (0.0009 … 0.0011) 1/K"
-    assert [row["stage"] for row in place_rows(REPORT)] == ["transduction", "load cell"]
-    assert hidden_effects(REPORT) == ["thermal drift (90.0 %)"] and next_experiment(REPORT) is None
+    assert [row["stage"] for row in place_rows(REPORT, ENGLISH)] == ["transduction", "load cell"]
+    assert hidden_effects(REPORT, ENGLISH) == ["thermal drift (90.0 %)"] and next_experiment(REPORT) is None
 
 
 @pytest.mark.parametrize(("text", "widths"), [("120-70-35", [120, 70, 35]), ("8", [8]), ("16, 8", [16, 8])])

@@ -104,7 +104,7 @@ class Played:
     def active(self, station: str) -> Any:
         return next((run for run in self.runs(station) if run[1].state.is_active), None)
 
-    def place(self, order: Order) -> None:
+    def place(self, order: Order, until_s: float | None = None) -> bool:
         self.ordered.append(order)
         if order.kind.is_run:
             if self.active("line-1"):
@@ -114,6 +114,7 @@ class Played:
             self.world = replace(self.world, orders=(values, *self.world.orders[:1]))
         elif order.kind is OrderKind.ACKNOWLEDGE:
             self.world = replace(self.world, is_read=True)
+        return True
 
     def read(self, station: str) -> Any:
         version, values = self.world.place

@@ -3,11 +3,14 @@
 import os
 import socket
 import subprocess
+import threading
+import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from softcal.app.line import line as line_module
 from softcal.app.line.facts import Screen, read_line
 from softcal.app.line.line import order_stop, take_scan
 from softcal.app.line.place import is_alive
@@ -340,14 +343,53 @@ def test_an_order_of_somebody_else_in_the_same_moment_leaves_the_unit_to_be_scan
     line.scan("A1")
     place = type(line.queue).place
 
-    def late(queue, order):
+    def late(queue, order, **how):
         monkeypatch.undo()
         queue.place(Order("x", "line-1", OrderKind.CHECK))
-        place(queue, order)
+        place(queue, order, **how)
 
     monkeypatch.setattr(type(line.queue), "place", late)
     assert line.scan("CMD:START") == "busy_key"
     assert line.facts.serial == "" and line.orders() == [(OrderKind.CHECK, "", "")]
+
+
+@pytest.mark.parametrize("held_at", ["the place", "the order"])
+def test_a_start_that_waited_longer_than_the_screen_says_moves_nothing(line, monkeypatch, held_at):
+    line.scan("A1")
+    monkeypatch.setattr(line_module, "START_S", 0.3)
+    queue, places = type(line.queue), type(line.registry.line_places)
+    owner, name = (places, "write") if held_at == "the place" else (queue, "place")
+    begin, held = getattr(owner, name), threading.Event()
+
+    def hold():
+        with open_registry(line.registry.database.engine.url.render_as_string()) as other:
+            with other.database.writing():
+                held.set()
+                time.sleep(1.0)
+
+    def while_held(*given, **named):
+        monkeypatch.setattr(owner, name, begin)
+        holder = threading.Thread(target=hold)
+        holder.start()
+        held.wait()
+        return begin(*given, **named)
+
+    monkeypatch.setattr(owner, name, while_held)
+    assert line.scan("CMD:START") == "late_start"
+    assert line.facts.serial == "" and line.orders() == []
+
+
+def test_a_start_that_was_on_its_way_for_too_long_moves_nothing(line):
+    line.scan("A1")
+    assert line.scan("CMD:START", replace(HERE, until_s=time.monotonic() - 0.1)) == "late_start"
+    assert line.facts.serial == "" and line.orders() == []
+
+
+def test_a_deadline_that_another_clock_set_far_ahead_is_cut_to_that_of_this_machine(line, monkeypatch):
+    line.scan("A1")
+    monkeypatch.setattr(line_module, "START_S", -0.1)
+    assert line.scan("CMD:START", replace(HERE, until_s=time.monotonic() + 1e6)) == "late_start"
+    assert line.orders() == []
 
 
 def test_a_service_whose_process_is_gone_is_gone_at_once_and_one_that_lives_may_be_late(line):

@@ -121,6 +121,16 @@ def test_the_line_reads_no_recording_and_the_other_units_only_where_an_audit_cam
         assert recordings == []
 
 
+def test_without_audits_no_calibration_is_read_whole(
+    make_lot: MakeLot, registry_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _batch(make_lot(audits=0), registry_url, tmp_path)
+    with open_registry(registry_url) as registry:
+        monkeypatch.setattr(registry, "calibration", lambda *_, **__: pytest.fail("a calibration was read whole"))
+        decided = update_release(registry, "large")
+        assert decided is not None and decided.forecasts and decided.found is None
+
+
 def test_without_audits_nothing_passes_and_the_line_says_what_to_audit(
     make_lot: MakeLot, registry_url: str, tmp_path: Path
 ) -> None:

@@ -151,7 +151,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
 
         undecided = [serial for serial in files if self.is_to_be_worked_on(side, serial)]
         with mock.patch.object(lot_work, "work_on", counting):
-            told = LotWork(folder, self.registries[side], SHARED, BatchConfig(), Watch()).results()
+            told = LotWork(folder, self.registries[side], SHARED, BatchConfig(), Watch(), {}).results()
         assert set(undecided) <= set(worked)
         # A batch that was broken off leaves work in the queue that nobody may need any more.
         assert side in self.broken_off or sorted(worked) == sorted(undecided)
@@ -199,7 +199,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
         # What was asked for by the same file before is put into use before anything is queued.
         asked_before = [s for s in files if any(e.work == number and e.asked == number for e in self.seen[side][s])]
         with mock.patch.object(lot_work, "work_on", fake_work), contextlib.suppress(KeyboardInterrupt):
-            LotWork(folder, self.registries[side], SHARED, BatchConfig(chunk=1), Watch(on_unit=end)).results()
+            LotWork(folder, self.registries[side], SHARED, BatchConfig(chunk=1), Watch(on_unit=end), {}).results()
         for serial in (*asked_before, *kept):
             self.answered(side, serial)
 

@@ -57,6 +57,13 @@ def test_a_command_that_reads_loads_only_what_it_uses(calibrated, command, witho
     assert found & without == set()
 
 
+def test_listing_loads_no_other_command_and_no_queue(calibrated):
+    found = loaded("registry", "list", "--registry", calibrated["url"])
+    commands = {name for name in found if name.startswith("softcal.app.cli.")}
+    assert not {"softcal.app.cli.batch", "softcal.app.cli.gap", "softcal.app.cli.station"} & commands
+    assert not {f"softcal.db.{name}" for name in ("job_board", "order_queue", "outbox", "work_queue")} & found
+
+
 def test_a_batch_does_not_load_what_no_map_needs(calibrated, trained_lot):
     code = (
         "import sys\nfrom softcal.app.cli.main import main\n"
@@ -65,3 +72,9 @@ def test_a_batch_does_not_load_what_no_map_needs(calibrated, trained_lot):
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.splitlines()[-1] == "[]", answer.stderr
+
+
+def test_what_calibrates_loads_no_search_tree_before_a_stage_asks_for_it():
+    code = "import sys\nimport softcal.app.batch.calibrating\nprint('scipy.spatial' in sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "False"

@@ -13,6 +13,8 @@ from softcal.app.texts.catalogue import LANGUAGES, catalogue, text
 from softcal.app.texts.reasons import PLAINLY, PREFIX, plainly, said
 from softcal.core.maps import affine, ends, monotone, paired, phase, synchronous
 from softcal.core.unit import findings, health, verdict
+from softcal.core.unit.forecast import DAY, LINE
+from softcal.core.unit.knowledge import KnowledgeConfig
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit, decide, decide_audited, default_limit
 from softcal.core.words import reason as reasons
@@ -54,8 +56,8 @@ def whole(one: Reason) -> list[Reason]:
 
 
 # `data.` is what a diagnosis finds in the recordings of a rig, `audit.` what a page refuses, `release.` what is said
-# of a whole lot: not at a line.
-NOT_AT_THE_LINE = ("part.", "data.", "audit.", "release.", PLAIN)
+# of a whole lot, `gap.` what a diagnosis says of a place and of the next run: not at a line.
+NOT_AT_THE_LINE = ("part.", "data.", "audit.", "release.", "gap.", PLAIN)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +89,10 @@ def test_the_numerics_give_codes_that_exist_and_no_prose(module: object) -> None
 def test_every_code_is_given_somewhere() -> None:
     core = Path(reasons.__file__).parents[1]
     files = [
-        path for folder in (core, core.parent / "app") for path in folder.rglob("*.py") if path.name != "reason.py"
+        path
+        for folder in (core, core.parent / "app")
+        for path in folder.rglob("*.py")
+        if path.name not in ("reason.py", "gap_sentences.py")
     ]
     source = "\n".join(path.read_text() for path in files)
     # `decide` puts these two together from the name of what it judges.
@@ -136,3 +141,18 @@ def test_the_cause_within_a_reason_is_said_too() -> None:
 def test_a_message_that_was_kept_as_a_sentence_is_that_sentence() -> None:
     assert unpacked("") == () and packed(()) == ""
     assert unpacked("the moon was full; so was the glass") == (plain("the moon was full; so was the glass"),)
+
+
+@pytest.mark.parametrize("language", ["en", "ko"])
+def test_every_part_of_a_predicted_error_has_its_name_on_the_figure(language: str) -> None:
+    kinds = [kind() for kind in KnowledgeConfig.__subclasses__()]
+    parts = {LINE, DAY} | {name for kind in kinds for name in (kind.base_term, *dict(kind.sensitivity))}
+    assert len(parts) > 8
+    for part in parts:
+        assert text(language, f"part.{part}")
+
+
+def test_a_verdict_within_a_reason_is_said_in_korean() -> None:
+    why = reason("predicted_otherwise", verdict="fail", why=reason("dead.noise", spread=0.1, unit="V", cure="c"))
+    assert "불합격" in said(why, partial(text, "ko")) and "fail" not in said(why, partial(text, "ko"))
+    assert "predicted fail:" in said(why, partial(text, "en"))

@@ -1,5 +1,6 @@
 """The desk's pages, drawn in process from a registry: what they say, when there is nothing, and in two languages."""
 
+import ast
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,8 @@ from softcal.app.texts import catalogue as texts
 from softcal.app.views.lot import lot_view
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
+
+UI = Path(__file__).parents[2] / "app" / "ui"
 
 
 def _lot_page() -> None:
@@ -95,12 +98,6 @@ def test_a_filter_that_leaves_fewer_pages_goes_back_to_the_first(calibrated: str
     assert screen.dataframe[-1].value["Serial"].tolist()[0] == "A4" and not screen.exception
 
 
-def _lot_page() -> None:
-    from softcal.app.ui.app_pages import lot
-
-    lot.render()
-
-
 def _long_term_page() -> None:
     from softcal.app.ui.app_pages import long_term
 
@@ -139,3 +136,14 @@ def test_a_trained_network_is_a_draft_until_somebody_releases_it_with_a_reason(c
     with open_registry(calibrated) as registry:
         state = registry.released_network("small")
         assert (state.network.id, state.actor, state.reason) == (trial, "Erin", "half the error")
+
+
+def test_no_field_of_a_page_shows_words_of_streamlit() -> None:
+    """A choice of several with nothing chosen shows Streamlit's English, unless it is told what to show."""
+    silent = []
+    for file in sorted(UI.rglob("*.py")):
+        for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute) and call.func.attr == "multiselect":
+                if "placeholder" not in {word.arg for word in call.keywords}:
+                    silent.append(f"{file.name}:{call.lineno}")
+    assert silent == []

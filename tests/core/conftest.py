@@ -1,12 +1,17 @@
 """A sensor one can check by hand: output = 0.5 V + 0.1 V/N * force, and the network that inverts exactly this."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from softcal.core.challenge.cases import SealedCase
+from softcal.core.challenge.draw import draw_case
+from softcal.core.gap.case import Case, Run
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
+from softcal.core.twin.parameters import ReadoutMetadata
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.windows import TAPS
 
@@ -49,3 +54,27 @@ def press() -> Press:
 def source_model(press: Press, linear_network: Network) -> SourceModel:
     source = press(1, serial="S0", seconds=120.0)
     return make_source_model(source, linear_network, np.arange(0, len(source.windows), 4))
+
+
+@pytest.fixture(scope="session")
+def opened_case() -> Callable[[SealedCase], Case]:
+    """`opened_case(sealed)`: the recordings of a rig of the second implementation, rounded like their files."""
+
+    def opened(sealed: SealedCase) -> Case:
+        rig = sealed.rig
+        readout = ReadoutMetadata(rig.vref_V, rig.adc_bits, rig.r_series_ohm, rig.sample_rate_Hz)
+        runs = []
+        for number, found in enumerate(sealed.written(sealed.plans), start=1):
+            measured = found.measured
+            columns = {name: np.round(values, 6) for name, values in measured.columns.items()}
+            stated = replace(readout, sample_rate_Hz=found.sample_rate_Hz)
+            runs.append(Run(f"runs/{number}", readout=stated, profile=measured.profile, **columns))
+        return Case(sealed.name, tuple(runs))
+
+    return opened
+
+
+@pytest.fixture
+def drawn_case(opened_case: Callable[[SealedCase], Case]) -> Callable[[int, str, str], Case]:
+    """`drawn_case(seed, name, line)`: the recordings of a rig that is drawn from a line."""
+    return lambda seed, name, line: opened_case(draw_case(seed, name, line))

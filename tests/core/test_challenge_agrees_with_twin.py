@@ -38,7 +38,7 @@ VALUES: dict[str, tuple[float, ...]] = {
     "reference_drift": (3e-4,),
     "adc_saturation": (1.15,),
     "loadcell_saturation": (14.0,),
-    "loadcell_nonlinearity": (0.05,),
+    "loadcell_nonlinearity": (0.05, 10.0),
     "loadcell_creep": (0.03, 10.0),
     "loadcell_drift": (2e-3,),
     "clock_offset": (0.05,),

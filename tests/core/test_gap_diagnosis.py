@@ -11,10 +11,11 @@ from softcal.core.errors import InputError
 from softcal.core.gap.case import Case, Run
 from softcal.core.gap.coordinates import start_coordinates
 from softcal.core.gap.diagnosis import diagnose
-from softcal.core.gap.explained import explained_twin
+from softcal.core.gap.explained import explained_twin, in_catalogue_form, with_constants
 from softcal.core.gap.fit import Hypothesis, fit
 from softcal.core.gap.forms import FORMS
 from softcal.core.gap.start import base_fit
+from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.record import twin_from_record, twin_record
 from softcal.core.twin.simulate import EffectSetting, Twin, simulate
@@ -101,7 +102,7 @@ def test_shares_of_an_unknown_gap_are_measured_or_equal():
     ]
     diagnosis = diagnose(dataclasses.replace(case, runs=tuple(slipping)))
     assert diagnosis.verdict == "unknown"
-    stages = [p for p in diagnosis.places if "of the gap's energy" not in p.detail]
+    stages = [p for p in diagnosis.places if "of the gap's energy" not in str(p.detail)]
     assert {p.share for p in stages} == {diagnosis.regimes[0].share}
     assert diagnosis.report()["partial"]["share"] == diagnosis.partial.share
 
@@ -205,7 +206,7 @@ def test_a_cause_outside_the_catalogue_is_unknown():
         runs.append(dataclasses.replace(run, force_N=force_N, output_V=output_V))
     diagnosis = diagnose(Case("G1", tuple(runs)))
     assert diagnosis.verdict == "unknown"
-    assert diagnosis.places[0].stage in ("motion", "mechanics") and diagnosis.places[0].detail
+    assert diagnosis.places[0].stage in ("motion", "mechanics") and str(diagnosis.places[0].detail)
 
 
 def test_an_output_offset_that_drifts_is_not_blamed_on_ageing():
@@ -216,7 +217,7 @@ def test_an_output_offset_that_drifts_is_not_blamed_on_ageing():
         runs.append(dataclasses.replace(run, output_V=np.round(drifting_V / READOUT.step_V) * READOUT.step_V))
     diagnosis = diagnose(Case("G1", tuple(runs)))
     assert diagnosis.verdict == "unknown"
-    assert diagnosis.places[0].stage == "electronics" and "offset that drifts" in diagnosis.places[0].detail
+    assert diagnosis.places[0].stage == "electronics" and "offset that drifts" in str(diagnosis.places[0].detail)
 
 
 def test_the_forecast_of_a_half_explained_gap_counts_the_noise_of_a_driving_force():
@@ -239,7 +240,7 @@ def test_drift_of_reference_and_channel_without_temperature_is_resolved_or_calle
     assert "ageing_drift" in named
     assert diagnosis.case.missing_channels == ("temperature_C",)
     if diagnosis.verdict == "ambiguous":
-        assert diagnosis.ambiguous_with and diagnosis.next_experiment.why
+        assert diagnosis.ambiguous_with and str(diagnosis.next_experiment.why)
 
 
 def test_the_report_is_the_contract(plain):
@@ -321,7 +322,7 @@ def test_a_warm_divider_is_held_open_beside_thermal_drift_until_a_warmed_dummy_t
     assert diagnosis.next_experiment.profile == "dummy_resistor"
     diagnosis = diagnose(with_warmed_dummy(case, 0.002))
     assert diagnosis.verdict == "unknown"
-    assert diagnosis.places[0].stage == "electronics" and "divider resistor" in diagnosis.places[0].detail
+    assert diagnosis.places[0].stage == "electronics" and "divider resistor" in str(diagnosis.places[0].detail)
 
 
 def test_a_warmed_dummy_that_stays_put_leaves_the_drift_to_the_channel():
@@ -342,15 +343,37 @@ def test_the_explained_twin_foretells_an_unseen_profile():
     assert np.sqrt(np.mean((told[1] - truth[1]) ** 2)) < 0.001
 
 
-def test_a_cause_fitted_in_another_form_enters_the_twin_by_the_catalogues_equation():
+def test_a_cause_fitted_in_another_form_is_reported_by_the_catalogues_equation():
     base = base_fit(make_case(("loadcell_nonlinearity", {"lambda": 0.05}, ())))
     form = FORMS["loadcell_nonlinearity"][0]
-    start = np.append(base.coordinates, start_coordinates([form.effect], [form.start([0.01])]))
+    start = np.append(base.coordinates, start_coordinates([form.effect], [form.start([0.01, 10.0])]))
     found = fit(base.problem, Hypothesis((form.effect,)), start, steps=40)
     assert found.effect_values[0][0] != pytest.approx(0.05, abs=0.005)
+    twin = explained_twin(in_catalogue_form(found))
+    size, span_N = (twin.effects[0].values[name] for name in ("lambda", "F_max"))
+    # With another capacity the same curve has another λ and another gain.
+    assert size / span_N / (1 + size) ** 2 == pytest.approx(0.05 / 10.0 / 1.05**2, rel=0.06)
+    assert twin.parameters.k1_N_mm * (1 + size) == pytest.approx(BASE.k1_N_mm * 1.05, rel=0.01)
+
+
+@pytest.mark.parametrize("form", [f for forms in FORMS.values() for f in forms], ids=lambda f: f.effect.equation)
+def test_a_cause_enters_the_twin_by_the_form_it_was_fitted_in(form):
+    base = base_fit(make_case())
+    # Size and shapes as usual on a rig; a level that the output does reach.
+    values = [p.usual for p in EFFECTS[form.effect.id].parameters]
+    values[0] = CEILING_V if form.effect.id == "adc_saturation" else values[0]
+    start = np.append(base.coordinates, start_coordinates([form.effect], [form.start(values)]))
+    found = with_constants(fit(base.problem.bare, Hypothesis((form.effect,)), start, steps=0))
     twin = explained_twin(found)
-    assert twin.effects[0].values["lambda"] == pytest.approx(0.05, abs=0.003)
-    assert twin.parameters.k1_N_mm == pytest.approx(BASE.k1_N_mm, rel=0.01)
+    (setting,) = twin.effects
+    assert (setting.effect_id, setting.form) == (form.effect.id, form.effect.equation)
+    again = twin_from_record(json.loads(json.dumps(twin_record(twin))), "test")
+    assert again == twin
+    run = base.problem.case.runs[1]
+    force_N, output_V = simulate(again, run.t_s, run.stage_mm, None, run.temperature_C)
+    told = {b.channel: found.predicted[b.place] for b in found.problem.blocks if b.run == 1}
+    np.testing.assert_allclose(force_N, told["force_N"], atol=1e-9)
+    np.testing.assert_allclose(output_V, told["output_V"], atol=READOUT.step_V)
 
 
 def test_an_output_that_stops_at_a_floor_enters_the_twin_as_that_floor():

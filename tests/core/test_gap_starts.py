@@ -62,4 +62,4 @@ def test_what_looks_alike_is_parted_by_a_run_though_something_is_left_besides() 
     assert found.verdict == "unknown"
     assert ["channel_collapse", "wiring_resistance"] in [sorted(pair) for pair in found.ambiguous_with]
     assert found.next_experiment.separation_sigma > 10.0
-    assert "channel_collapse" in found.next_experiment.why
+    assert "channel_collapse" in str(found.next_experiment.why)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from softcal.core.errors import UnitRefused
+from softcal.core.recording import OutputRecording
 from softcal.core.unit.health import check_alive, count_presses, health_findings, output_limits, run_lengths
 from softcal.core.unit.method import HealthConfig
 
@@ -29,7 +30,8 @@ def test_run_lengths_count_equal_samples():
 @pytest.mark.parametrize("peaks", [1, 2, 7])
 def test_presses_are_counted(peaks):
     output = np.concatenate([np.zeros(30), *[np.concatenate([np.hanning(60), np.zeros(20)]) for _ in range(peaks)]])
-    assert count_presses(output, HEALTH) == peaks
+    recording = OutputRecording("U1", np.arange(len(output)) / 50.0, output, 50.0)
+    assert count_presses(recording, HEALTH) == peaks
 
 
 def test_a_good_unit_has_no_finding(press, source):

@@ -15,7 +15,7 @@ from softcal.core.maps.crossing import level_path, turning_points
 from softcal.core.maps.curve import CurveMap, continued
 from softcal.core.maps.ends import match_ends
 from softcal.core.maps.interface import FitProblem, UnitMap, map_sha256
-from softcal.core.maps.label_shift import level_weights
+from softcal.core.maps.label_shift import dwell_distance
 from softcal.core.maps.phase import paired_by_stage
 from softcal.core.maps.plan import barycentric, solve_exact
 from softcal.core.network.network import Network
@@ -114,13 +114,12 @@ def test_crossings_do_not_see_how_long_the_unit_rests() -> None:
     assert by_crossings < relative_error(family("monotone").fit(lazy), load_N) / 3
 
 
-def test_weights_show_where_time_is_spent_differently() -> None:
+def test_the_dwell_distance_shows_that_time_is_spent_differently() -> None:
     source, lazy = source_output(presses(1, 4000)), source_output(presses(2, 4000, dwell=80.0))
-    equal, _ = level_weights(windows(source), windows(source), 20)
-    apart, weights = level_weights(windows(source), windows(lazy), 20)
+    resting, resting_long = np.mean(source < 0.52), np.mean(lazy < 0.52)
+    assert resting_long / resting > 2 * (1 - resting_long) / (1 - resting)
+    equal, apart = (dwell_distance(recording("S", source), windows(other), 20) for other in (source, lazy))
     assert equal == 0.0 and apart > 0.3
-    resting = windows(source)[:, -1] < 0.52
-    assert weights[resting].mean() > 2 * weights[~resting].mean()
 
 
 def test_turning_points_of_a_sampled_triangle_are_its_corners() -> None:

@@ -230,7 +230,10 @@ def test_an_effect_at_its_neutral_value_changes_nothing(effect_id):
 def test_every_effect_says_what_it_is(effect_id):
     entry = EFFECTS[effect_id]
     assert entry.id == effect_id and entry.equation and entry.source
-    assert all(p.low < p.high and p.low <= p.usual <= p.high for p in entry.parameters)
+    fixed, fitted = ([p for p in entry.parameters if p.is_fixed is side] for side in (True, False))
+    assert all(p.low < p.high and p.low <= p.usual <= p.high for p in fitted)
+    assert all(p.low == p.usual == p.high and p.weight == 0.0 for p in fixed)
+    assert not entry.parameters[0].is_fixed
 
 
 def test_unknown_effects_and_parameters_are_refused_by_name():

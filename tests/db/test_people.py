@@ -33,6 +33,11 @@ def test_no_pin_is_stored_or_told(registry):
     assert "set_user" in told and "2580" not in told and "argon2" not in told
 
 
+def test_a_stolen_hash_costs_who_guesses_as_much_as_rfc_9106_asks_for(own_hasher):
+    # Its second recommended option: 3 passes over 64 MiB in 4 lanes.
+    assert "$m=65536,t=3,p=4$" in own_hasher().hash("2580")
+
+
 def test_guessing_leads_to_a_pause_even_for_the_right_pin(registry_url):
     now = [datetime(2026, 5, 4, tzinfo=UTC)]
     with open_registry(registry_url, RegistrySettings(clock=lambda: now[0])) as registry:

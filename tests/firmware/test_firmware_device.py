@@ -155,7 +155,7 @@ def test_a_wide_mix_gives_the_integers_of_numpy_on_every_core(
     assert run.numbers["stack_bytes"] <= 256
 
 
-@pytest.mark.parametrize("board", ["m0", "uno"])
+@pytest.mark.parametrize("board", sorted(TOOLS))
 def test_two_known_loads_trim_a_unit_on_the_board_as_in_numpy(run_on_board: Callable[..., Run], board: str) -> None:
     network = read_network((RELEASED / "network-1.0.ssc").read_bytes())
     unit = read_unit((RELEASED / "unit-1.0.ssc").read_bytes())

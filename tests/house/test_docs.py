@@ -37,3 +37,15 @@ def test_every_link_leads_to_a_file(page):
     links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text("utf-8"))
     missing = [link for link in links if "://" not in link and not (page.parent / link).exists()]
     assert missing == []
+
+
+SHOWN = [
+    (page, *found)
+    for page in DOCS
+    for found in re.findall(r"<!-- file: (\S+) -->\n```\w+\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+]
+
+
+@pytest.mark.parametrize(("page", "path", "text"), SHOWN, ids=[f"{page.stem}: {path}" for page, path, _ in SHOWN])
+def test_a_file_that_a_page_shows_is_the_file(page, path, text):
+    assert (ROOT / path).read_text("utf-8") == text, f"{page.name} shows another {path}"

@@ -43,7 +43,7 @@ def constants(path: Path) -> Iterator[str]:
                 yield from (name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name))
 
 
-DECIDES_ABOUT_NO_UNIT = {"core/maps/conformance.py"}
+DECIDES_ABOUT_NO_UNIT = {"core/maps/conformance.py", "core/unit/rule_conformance.py"}
 """The kit for those who write a map family: it makes its own lots."""
 
 TRIVIAL = {0, 1, 2, 0.5}
@@ -61,6 +61,7 @@ EXPLAINED = {
     "core/use/activity.py": {"12": "one over the variance of a uniform index from -1/2 to 1/2"},
     "core/maps/label_shift.py": {"5": "a third of a window"},
     "core/maps/paired.py": {"1.5": "exponent of the integral of a squared second difference"},
+    "core/maps/synchrony.py": {"4": "bands of one recording in a cache"},
     "core/maps/plan.py": {"2000000": "iterations of the exact solver: it refuses beyond them, nothing else changes"},
     "core/unit/estimate.py": {"3": "columns: estimate and both limits", "12": "letters of a name in a message"},
     "core/unit/forecast.py": {"12": "variance of a uniform variable over its squared width"},

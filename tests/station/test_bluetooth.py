@@ -57,10 +57,12 @@ def test_a_board_that_is_not_there_is_one_sentence_and_leaves_no_thread(bleak):
 
 
 def test_what_is_written_arrives_whole_and_in_order(bleak):
-    with DriverRig(DRIVERS[0]) as rig:
+    rig = DriverRig(DRIVERS[0])
+    # Nobody else reads what the host writes. Once the rig runs, its thread may be in the middle of reading.
+    rig.simulated.far_end.receive = lambda now_s: None
+    with rig:
         board = BleTransport(rig.wire.port.removeprefix("ble://"))
         received, end_s = b"", rig.clock.now_s() + 5.0
-        rig.simulated.far_end.receive = lambda now_s: None  # Nobody else reads what the host writes.
         board.write(bytes(range(100)))
         while len(received) < 100 and rig.clock.now_s() < end_s:
             rig.clock.sleep_s(0.01)

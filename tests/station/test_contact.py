@@ -69,6 +69,14 @@ def test_a_late_cell_moves_no_contact_and_its_latency_is_found_after_a_second_to
     assert recording.alignment.force_behind_s == pytest.approx(late_s, abs=0.012)
 
 
+def test_a_force_that_belongs_to_the_path_before_the_slow_press_hides_no_latency():
+    surface_mm = 2.2 + 0.01 * float(np.random.default_rng(0).uniform())
+    case = RigCase(law=ForceLaw(1.2, 1.0), surface_mm=surface_mm, cell_late_s=0.3, latency_s=UNKNOWN_S, seed=0)
+    with open_rig(replace(case, stiffest_N_mm=60.0, limit_N=12.0)) as (bench, _):
+        recording = record(bench, "A1", ramps([1.5, 2.0], 5.0, rest_s=0.3), with_reference=True)
+    assert recording.contact_mm == pytest.approx(surface_mm, abs=0.010)
+
+
 def test_units_of_other_stiffness_are_aligned_within_micrometres():
     errors_mm = []
     with open_simulated_bench(seed=4) as (bench, station):

@@ -38,7 +38,7 @@ def site(tmp_path_factory):
 
 
 def run(site, *words, cwd):
-    environment = os.environ | {"PYTHONPATH": str(site), "OMP_NUM_THREADS": "1"}
+    environment = os.environ | {"PYTHONPATH": str(site), "OMP_NUM_THREADS": "1", "PYTEST_ADDOPTS": ""}
     return subprocess.run(
         [sys.executable, *map(str, words)], capture_output=True, text=True, check=False, env=environment, cwd=cwd
     )

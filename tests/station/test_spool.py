@@ -1,5 +1,6 @@
 """Samples on disk as they come: a power cut costs the last moment, damage is seen, a full disk stops the run."""
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from softcal.station.acquisition import record
 from softcal.station.bench import open_simulated_bench
 from softcal.station.interfaces import Sample, StagePosition
 from softcal.station.recording import restore
+from softcal.station.simulated.trial import FillingSpool
 from softcal.station.spool import Spool, read_spool
 
 SAMPLES = [Sample(0.1 * k, 0.02 * k, (float(k),)) for k in range(5)]
@@ -93,6 +95,36 @@ def test_a_full_disk_stops_the_run():
             with Spool(Path("/dev/full"), {"serial": "A1"}) as spool:
                 record(bench, "A1", ramps([2.0], 4.0, rest_s=0.5), True, spool=spool)
         assert not station.axis.is_moving
+
+
+class FilledInMidWrite:
+    """A file whose disk fills up once armed, after a line is written and before it is synced."""
+
+    def __init__(self, file):
+        self._file, self.fill, self.is_full = file, None, threading.Event()
+
+    def write(self, data):
+        written = self._file.write(data)
+        if self.fill is not None:
+            self.fill()
+            self.fill = None
+            self.is_full.set()
+        return written
+
+    def __getattr__(self, name):
+        return getattr(self._file, name)
+
+
+def test_a_disk_that_fills_up_between_a_write_and_its_sync_is_told_as_a_full_one(tmp_path, monkeypatch):
+    with monkeypatch.context() as patched:
+        opened = Path.open
+        patched.setattr(Path, "open", lambda path, mode: FilledInMidWrite(opened(path, mode)))
+        spool = FillingSpool(tmp_path / "a.spool", {"serial": "A1"}, is_full_at_end=False)
+    file = spool._file
+    file.fill = spool.fill
+    with pytest.raises(DeviceError, match="No space left"), spool:
+        spool.append([Sample(0.0, 0.0, (1.0,))], [], [])
+        assert file.is_full.wait(timeout=10.0)
 
 
 def test_a_spool_that_cannot_be_made_moves_nothing(tmp_path):

@@ -6,6 +6,7 @@ import streamlit as st
 
 from softcal.app.files.spreadsheet import csv_text
 from softcal.app.ui.account import actor
+from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.desk import empty, errors_in_words, registry, words
 from softcal.app.ui.panels import heading, table_to_choose
 from softcal.app.views.audit_trail import HEADINGS, Entry, TrailFilter, trail
@@ -52,9 +53,14 @@ def _filter(entries: list[Entry]) -> TrailFilter:
     say = words()
     first, second, third, fourth, fifth = st.columns([3, 2, 3, 2, 2])
     text = str(first.text_input(say("trail.find"), key="trail-find", icon=":material/search:") or "")
-    actors = second.multiselect(say("column.actor"), sorted({entry.row.actor for entry in entries}), key="trail-actor")
+    everybody, unset = sorted({entry.row.actor for entry in entries}), say("choose.all")
+    actors = second.multiselect(say("column.actor"), everybody, key="trail-actor", placeholder=unset)
     sections = third.multiselect(
-        say("trail.section"), HEADINGS, format_func=lambda name: say(f"trail.section.{name}"), key="trail-section"
+        say("trail.section"),
+        HEADINGS,
+        format_func=lambda name: say(f"trail.section.{name}"),
+        key="trail-section",
+        placeholder=unset,
     )
     since = _midnight(fourth.date_input(say("trail.since"), value=None, key="trail-since"), time.min)
     until = _midnight(fifth.date_input(say("trail.until"), value=None, key="trail-until"), time.max)
@@ -97,5 +103,6 @@ def _in_full(entry: Entry) -> None:
         )
 
 
+@in_one_piece
 def _tell(count: int) -> None:
     registry().add_event("export", "audit_trail", ("audit_trail",), {"rows": count}, actor=actor())

@@ -67,7 +67,12 @@ def _lots() -> None:
         return
     asked = [lot for lot in st.query_params.get_all("lot") if lot in known]
     chosen = st.multiselect(
-        say("compare.lots"), known, asked or known[-2:], max_selections=MOST_LOTS, key="compare-lots"
+        say("compare.lots"),
+        known,
+        asked or known[-2:],
+        max_selections=MOST_LOTS,
+        key="compare-lots",
+        placeholder=say("choose.some"),
     )
     if not chosen:
         return

@@ -8,6 +8,7 @@ from softcal.app.charts.live import live_signal
 from softcal.app.line.facts import read_line
 from softcal.app.line.line import take_scan
 from softcal.app.ui.account import is_signed_in, person
+from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components import line_card
 from softcal.app.ui.components.line_setup import line_setup
 from softcal.app.ui.components.scan_field import scan_field
@@ -64,9 +65,9 @@ def _signed_in() -> str:
     return person().name if is_signed_in() else ""
 
 
-def _on_scan(text: str, seen: int | None) -> None:
+def _on_scan(text: str, seen: int | None, until_s: float | None = None) -> None:
     try:
-        take_scan(registry(), screen(seen), text, _signed_in())
+        take_scan(registry(), screen(seen, until_s), text, _signed_in())
     except RegistryError:
         remember_refusal(words()("line.away"))
     except InputError as error:
@@ -87,7 +88,7 @@ def _actions(view: LineView) -> None:
         asks = command == "OK" and view.state in ("ask", "ask_new")
         reads = command == "START" and view.state == "load"
         label = say(f"line.action.{command}.{view.state}") if asks or reads else say(f"line.action.{command}")
-        draw = partial(st.button, f"{label} · {KEYS[command]}", key=f"line-{command}", on_click=_on_scan)
+        draw = partial(st.button, f"{label} · {KEYS[command]}", key=f"line-{command}", on_click=in_one_piece(_on_scan))
         draw(args=(f"CMD:{command}", view.seen), type="primary" if number == 0 else "secondary")
 
 

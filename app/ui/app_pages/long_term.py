@@ -43,7 +43,7 @@ def _row(unit: UnitInUseView) -> dict[str, object]:
     return {
         say("column.serial"): unit.serial,
         say("long_term.state"): say("event.alarm") if unit.alarm else say(f"event.{unit.verdict}"),
-        say("lot.predicted"): number(unit.predicted_rmse),
+        say("lot.predicted"): number(unit.predicted_rmse, unit.reference_unit),
         say("chart.drift_scale"): number(unit.drift),
         say("long_term.steps"): unit.steps,
         say("column.made"): unit.made_at,

@@ -13,7 +13,7 @@ from softcal.app.ui.components.process_panel import capability_panel, control_pa
 from softcal.app.ui.components.unit_table import unit_table
 from softcal.app.ui.desk import colours, empty, errors_in_words, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import figure_under, lot_heading, numbers
+from softcal.app.ui.panels import figure_under, headline, lot_heading, numbers
 from softcal.app.views.common import number, percent
 from softcal.app.views.lot import LotView
 
@@ -25,11 +25,15 @@ def render() -> None:
         lot_id = lot_heading("lot", registry().lot_ids())
         if lot_id is None:
             return
+        first = st.container()
         calibrate_again(lot_id)
         view = chosen_lot_view(lot_id)
         if not view.judged:
             empty(say("empty.units"), say("empty.units.how"))
             return
+        with first:
+            share = view.yields.first_pass
+            headline(say("lot.headline", share=percent(share.value), good=share.count, of=share.of))
         alerts_panel(view)
         _numbers(view)
         if not rest_may_follow():

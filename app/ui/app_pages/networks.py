@@ -4,7 +4,7 @@ from softcal.app.ui.components.network_panels import comparison, training
 from softcal.app.ui.components.network_release import release
 from softcal.app.ui.desk import empty, errors_in_words, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
-from softcal.app.ui.panels import lot_heading, table
+from softcal.app.ui.panels import headline, lot_heading, table, told
 from softcal.app.views.common import instant, number
 from softcal.app.views.network import NetworkRow, network_rows
 
@@ -20,16 +20,26 @@ def render() -> None:
         lot = lots[lot_id]
         rows = network_rows(registry(), lot.id)
         if rows:
-            table([_row(row, lot.reference_unit) for row in rows])
+            headline(_said(rows, lot.reference_unit))
         else:
             empty(say("networks.none"), say("networks.none.how"))
         if not rest_may_follow():
             return
         if rows:
+            table(told([_row(row, lot.reference_unit) for row in rows]))
             release(lot, rows)
         training(lot)
         if rows:
             comparison(lot, rows)
+
+
+def _said(rows: list[NetworkRow], unit: str) -> str:
+    """Return which network is in use and how well it was trained, in one sentence."""
+    used = next((row for row in rows if row.is_in_use), None)
+    if used is None:
+        return words()("networks.none_in_use", count=len(rows))
+    error = number(used.validation_rmse, unit)
+    return words()("networks.headline", network=used.id[:12], error=error, count=len(rows))
 
 
 def _row(row: NetworkRow, unit: str) -> dict[str, object]:

@@ -17,6 +17,9 @@ from softcal.station.config import FixtureConfig, SafetyConfig
 
 FILE = "file"
 
+REACHED = {"depth": "reached", "speed": "speed"}
+"""How what a profile asks for is called: its depth counts from where it begins, what it reaches from the stage."""
+
 
 def render() -> None:
     """Draw the page."""
@@ -36,7 +39,8 @@ def render() -> None:
             _bounds(profile, safety)
             if not rest_may_follow():
                 return
-            figure = profile_figure(profile, safety.deepest_mm, safety.speed_mm_s, colours(), say)
+            start_mm = FixtureConfig().approach_mm
+            figure = profile_figure(profile, start_mm, safety.deepest_mm, safety.speed_mm_s, colours(), say)
             show_figure(figure, "profile")
             file_name = f"{profile.name.replace(' ', '-').replace('/', '-')}.toml"
             st.download_button(say("profiles.save"), profile_toml(profile), file_name, on_click="ignore")
@@ -74,7 +78,7 @@ def _bounds(profile: Profile, safety: SafetyConfig) -> None:
         (
             (say("column.duration"), f"{profile.duration_s:.0f} s", None),
             (say("profiles.presses"), str(profile.presses), None),
-            *((say(f"profiles.{bound.name}"), f"{bound.value:.3g} {bound.unit}", None) for bound in found),
+            *((say(f"profiles.{REACHED[bound.name]}"), f"{bound.value:.3g} {bound.unit}", None) for bound in found),
         ),
         narrowest_px=185,
     )

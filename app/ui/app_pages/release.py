@@ -11,6 +11,7 @@ from softcal.app.export.names import FORMATS
 from softcal.app.jobs.lot_jobs import archive_path
 from softcal.app.jobs.process import start_job
 from softcal.app.ui.account import actor, permit, person
+from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.laboratory_form import laboratory_form
 from softcal.app.ui.desk import errors_in_words, in_words, registry, words
@@ -93,6 +94,7 @@ def _said(decided: LotRelease, lot_id: str) -> None:
         st.caption(in_words(decided.statement))
 
 
+@in_one_piece
 def _tell_statement(lot_id: str) -> None:
     registry().add_event("export", "lots", (lot_id,), {"file": "statement.pdf"}, actor=actor())
 
@@ -101,7 +103,11 @@ def _archive(lot_id: str) -> None:
     say = words()
     st.markdown(f"## {say('release.archive')}")
     formats = st.multiselect(
-        say("unit.files.format"), FORMATS, USUAL_FORMATS, format_func=lambda name: say(f"format.{name}")
+        say("unit.files.format"),
+        FORMATS,
+        USUAL_FORMATS,
+        format_func=lambda name: say(f"format.{name}"),
+        placeholder=say("choose.some"),
     )
     conditional = st.toggle(say("release.conditional"), help=say("release.conditional.help"))
     job = newest_job("archive", lot=lot_id)

@@ -16,6 +16,7 @@ from softcal.app.ui.account import (
     sign_in,
     sign_out,
 )
+from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.desk import choose_language, in_words, registry, words
 from softcal.app.ui.pins import check_pin
 from softcal.core.errors import InputError
@@ -61,7 +62,13 @@ def _enter() -> None:
 
 def _leave() -> None:
     # A callback: a rerun after it would throw away the order to go to the provider.
-    st.button(words()("sign_in.leave"), on_click=sign_out, icon=":material/logout:", type="primary", width="stretch")
+    st.button(
+        words()("sign_in.leave"),
+        on_click=in_one_piece(sign_out),
+        icon=":material/logout:",
+        type="primary",
+        width="stretch",
+    )
 
 
 def _by_pin() -> None:

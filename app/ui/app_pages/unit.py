@@ -75,7 +75,7 @@ def _revision(serial: str, history: list[StoredCalibration]) -> None:
     why, map_tab, estimates, recordings, changes, files = st.tabs([say(f"unit.tab.{name}") for name in TABS])
     with why:
         # The head of the figure says what stands above it already.
-        figure = why_figure(view, colours(), say).update_layout(title=None, margin_t=40, height=HEIGHT)
+        figure = why_figure(view, colours(), say).update_layout(title=None, margin_t=60, height=HEIGHT)
         figure_under("unit.why", figure, "why")
     _figures(map_tab, view, ("output_distributions", "map_curve"))
     _figures(estimates, view, ("hysteresis", "estimate_band"))

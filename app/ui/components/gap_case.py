@@ -72,7 +72,9 @@ def _upload() -> None:
             key: column.number_input(key, value=usual, min_value=type(usual)(1e-3) if key != "adc_bits" else 1)
             for column, (key, usual) in fields
         }
-        values["sensor_type"] = st.selectbox(say("gap.sensor"), ("pressure", "strain"))
+        values["sensor_type"] = st.selectbox(
+            say("gap.sensor"), ("pressure", "strain"), format_func=lambda kind: say(f"gap.sensor.{kind}")
+        )
         files = st.file_uploader(say("gap.files"), type=["csv"], accept_multiple_files=True)
         st.caption(say("gap.files.how"))
         if not st.form_submit_button(say("gap.upload.do")):

@@ -6,11 +6,10 @@ import plotly.graph_objects as go
 import streamlit as st
 
 from softcal.app.charts import gap as gap_figures
-from softcal.app.charts.gap_page import chain_svg
+from softcal.app.charts.gap_page import chain_svg, gap_page
 from softcal.app.charts.style import coloured
 from softcal.app.gap.desk import has_sealed_rig, run_views_of, truth
 from softcal.app.jobs.process import start_job
-from softcal.app.texts.reasons import said
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.desk import colours, registry, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
@@ -19,14 +18,21 @@ from softcal.app.views.common import percent
 from softcal.app.views.gap import (
     Report,
     ambiguous_groups,
+    begun,
     cause_rows,
+    channel_name,
+    effect_name,
     hidden_effects,
+    listed,
+    mistake_name,
+    mistake_rows,
     named_causes,
     next_experiment,
     place_rows,
-    plain_name,
+    pressed_name,
+    residual_rows,
+    why_next,
 )
-from softcal.core.words.reason import Reason
 from softcal.db.job_board import Job
 from softcal.db.people import may
 
@@ -44,8 +50,11 @@ def gap_report(job: Job, case: Path) -> None:
     """Draw the diagnosis a job has left."""
     report = job.result
     _headline(report)
+    _take_along(job, case)
     if report["verdict"] == "data":
         # The figures of such recordings would show the mistake as a gap.
+        if has_sealed_rig(case):
+            _truth(case)
         return
     if not rest_may_follow():
         return
@@ -53,6 +62,7 @@ def gap_report(job: Job, case: Path) -> None:
     _where(report, runs)
     _why(report)
     _gain(report)
+    _left(report)
     _next(report, case)
     _runs(runs)
 
@@ -60,13 +70,11 @@ def gap_report(job: Job, case: Path) -> None:
 def _headline(report: Report) -> None:
     say = words()
     st.header(f":material/{ICONS[report['verdict']]}: {say('gap.verdict.' + report['verdict'])}")
-    for found in report.get("data", ()):
-        evidence, repair = (said(Reason.of(one), say) for one in found["reasons"])
-        runs = say("gap.data.all") if found["runs"] == "all" else ", ".join(map(str, found["runs"]))
-        st.error(say("gap.data.found", runs=runs, evidence=evidence, repair=repair), icon=":material/report:")
+    for row in mistake_rows(report, say):
+        st.error(say("gap.data.found", **row), icon=":material/report:")
     if report["verdict"] == "data":
         return
-    if causes := named_causes(report):
+    if causes := named_causes(report, say):
         st.markdown(say("gap.causes", causes=", ".join(causes)))
     if report["missing_channels"]:
         st.caption(say("gap.missing", channels=", ".join(report["missing_channels"])))
@@ -82,15 +90,33 @@ def _headline(report: Report) -> None:
         st.caption(say("gap.interval", low=percent(shrink["low"]), high=percent(shrink["high"])))
 
 
+def _take_along(job: Job, case: Path) -> None:
+    """Offer the standalone page in the language of the screen; it is made when somebody takes it."""
+    say, views = words(), registry()
+    st.download_button(
+        say("gap.page.save"),
+        data=lambda: gap_page(
+            job.result, run_views_of(job.result, views.job_board.arrays(job)), job.result["serial"], say
+        ),
+        file_name=f"{case.name}-gap.html",
+        mime="text/html",
+        icon=":material/download:",
+        key="gap-page",
+        on_click="ignore",
+    )
+
+
 def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
     say = words()
     st.header(say("gap.where"))
     # The picture has a light ground of its own: its shades of red would not be read on a dark one.
-    picture = chain_svg(report).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" ', 1)
-    st.image(picture, width="stretch")
-    _rows(place_rows(report), "gap.where.none")
-    for channel in gap_figures.CHANNEL_WORDS:
-        figure = gap_figures.map_figure(runs, channel)
+    picture = chain_svg(report, say).replace(
+        "<svg ", '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff" ', 1
+    )
+    st.image(picture, width="stretch", alt=say("gap.chain"))
+    _rows(place_rows(report, say), "gap.where.none")
+    for channel in gap_figures.CHANNELS:
+        figure = gap_figures.map_figure(runs, channel, say)
         if figure is not None:
             _figure(figure, f"map-{channel}")
 
@@ -98,10 +124,10 @@ def _where(report: Report, runs: list[gap_figures.RunView]) -> None:
 def _why(report: Report) -> None:
     say = words()
     st.header(say("gap.why"))
-    _rows(cause_rows(report), "gap.why.none")
-    for group in ambiguous_groups(report):
+    _rows(cause_rows(report, say), "gap.why.none")
+    for group in ambiguous_groups(report, say):
         st.warning(say("gap.ambiguous", group=group), icon=":material/call_split:")
-    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES), "ranking")
+    _figure(gap_figures.ranking_figure(report, SHOWN_CAUSES, say), "ranking")
 
 
 def _gain(report: Report) -> None:
@@ -109,14 +135,28 @@ def _gain(report: Report) -> None:
     left, right = st.columns(2)
     with left:
         st.header(say("gap.gain"))
-        _figure(gap_figures.gain_figure(report), "gain")
-    figure = gap_figures.hidden_figure(report)
+        _figure(gap_figures.gain_figure(report, say), "gain")
+    figure = gap_figures.hidden_figure(report, say)
     with right:
         st.header(say("gap.sure"))
-        if hidden := hidden_effects(report):
+        if hidden := hidden_effects(report, say):
             st.caption(say("gap.hidden", effects=", ".join(hidden)))
         if figure is not None:
             _figure(figure, "hidden")
+
+
+def _left(report: Report) -> None:
+    found, say = report.get("residual"), words()
+    if not found:
+        return
+    st.header(say("gap.left"))
+    shrink = {name: percent(found["shrink"][name]) for name in ("held_out", "low", "high")}
+    st.markdown(say("gap.left.is", **shrink))
+    _rows(residual_rows(report, say), "gap.left")
+    if found["beside"]:
+        causes = listed([effect_name(effect, say) for effect in found["beside"]], "gap.and", say)
+        st.caption(say("gap.left.beside", causes=causes, without=percent(found["without"])))
+    st.caption(say("gap.left.span", load_N=f"{found['load_N']:.3g}", depth_mm=f"{found['depth_mm']:.3g}"))
 
 
 def _next(report: Report, case: Path) -> None:
@@ -127,7 +167,8 @@ def _next(report: Report, case: Path) -> None:
             st.markdown(say("gap.next.none"))
         else:
             minutes = f" · {proposed['minutes']:.0f} min" if proposed.get("minutes") else ""
-            st.markdown(f"**{plain_name(proposed['profile'])}**{minutes}  \n{proposed['why']}")
+            name = pressed_name(str(proposed["profile"]), say)
+            st.markdown(f"**{name}**{minutes}  \n{why_next(proposed, say)}")
             _press(case, str(proposed["profile"]))
         if has_sealed_rig(case):
             _truth(case)
@@ -136,7 +177,7 @@ def _next(report: Report, case: Path) -> None:
 def _press(case: Path, experiment: str) -> None:
     say = words()
     if not has_sealed_rig(case):
-        st.caption(say("gap.next.by_hand", experiment=experiment))
+        st.caption(say("gap.next.by_hand", experiment=pressed_name(experiment, say)))
     elif may(person(), "set_up") and st.button(say("gap.next.do"), type="primary", icon=":material/play_arrow:"):
         permit("set_up")
         start_job(registry(), "diagnose", {"case": str(case), "experiment": experiment}, actor())
@@ -146,14 +187,23 @@ def _press(case: Path, experiment: str) -> None:
 def _truth(case: Path) -> None:
     say = words()
     if st.toggle(say("gap.truth"), key=f"truth-{case}"):
-        st.markdown(say("gap.truth.is", causes=", ".join(map(plain_name, truth(case))) or say("gap.truth.none")))
+        found = truth(case)
+        hidden = [effect_name(effect, say) for effect in found.effects]
+        if found.mistake:
+            told = {"mistake": mistake_name(found.mistake, say), "runs": ", ".join(map(str, found.runs))}
+            told |= {"channel": channel_name(found.channel, say) if found.channel else "–"}
+            key = "gap.truth.mistake" if found.runs else "gap.truth.mistake.all"
+            hidden.append(say(key, **told))
+        st.markdown(say("gap.truth.is", causes=", ".join(hidden) or say("gap.truth.none")))
 
 
 def _runs(runs: list[gap_figures.RunView]) -> None:
-    with st.expander(words()("gap.runs"), icon=":material/show_chart:"):
-        for channel in gap_figures.CHANNEL_WORDS:
-            figure = gap_figures.trace_figure(runs, channel)
+    say = words()
+    with st.expander(say("gap.runs"), icon=":material/show_chart:"):
+        for channel, name in gap_figures.CHANNELS.items():
+            figure = gap_figures.trace_figure(runs, channel, say)
             if figure is not None:
+                st.subheader(begun(say("gap.figure.trace", channel=channel_name(name, say))))
                 _figure(figure, f"trace-{channel}")
 
 

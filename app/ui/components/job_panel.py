@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 
 import streamlit as st
 
+from softcal.app.texts.reasons import phrase
 from softcal.app.ui.desk import errors_in_words, in_words, registry, words
 from softcal.core.orders import RunState
 from softcal.db.job_board import Job
@@ -48,7 +49,7 @@ def _running(job_id: str, live: Live | None) -> None:
     job = board.job(job_id)
     if not job.state.is_active or job.is_lost(datetime.now(UTC)):
         st.rerun()
-    text = _step_said(job) or job.message or say("job.starting")
+    text = _step_said(job) or phrase("step", job.message, say) or say("job.starting")
     # One below the other: beside each other they do not fit a narrow place.
     st.progress(job.fraction, text=say("job.stopping") if job.is_cancel_wanted else text)
     if st.button(say("job.cancel"), key=f"cancel-{job_id}", disabled=job.is_cancel_wanted, icon=":material/cancel:"):

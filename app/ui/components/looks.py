@@ -11,6 +11,8 @@ from softcal.app.views.lot import LotView
 from softcal.app.views.unit import unit_view
 from softcal.db.entries import UnitEntry
 
+ARROW = ":material/arrow_forward:"
+
 
 def looks(view: LotView) -> None:
     """Draw the worst units and the plot of the one that is chosen, the worst at first."""
@@ -18,6 +20,8 @@ def looks(view: LotView) -> None:
     st.header(say("lot.look"))
     if not view.looks:
         st.caption(say("lot.look.none"))
+        if view.worst and st.button(say("lot.look.worst", serial=view.worst), key="open-worst", icon=ARROW):
+            go_to("unit", unit=view.worst)
         return
     if view.needing_a_look > len(view.looks):
         st.caption(say("lot.look.count", shown=len(view.looks), count=view.needing_a_look))
@@ -50,9 +54,12 @@ def _plot(unit: UnitEntry) -> None:
     # What does not fit beside the name goes below it; a label is never cut.
     with st.container(horizontal=True, horizontal_alignment="distribute", vertical_alignment="center"):
         st.markdown(f"**{unit.serial}** · {say(f'verdict.{unit.verdict}')}", width="content")
-        is_chosen = st.button(say("lot.look.open"), key="open-look", icon=":material/arrow_forward:")
+        is_chosen = st.button(say("lot.look.open"), key="open-look", icon=ARROW)
     if is_chosen:
         go_to("unit", unit=unit.serial)
+    if unit.reasons:
+        # The table has room for its beginning alone.
+        st.caption(said(unit.reasons[0], say))
     if unit.revision is None:
         st.caption(say("empty.calibration"))
         return

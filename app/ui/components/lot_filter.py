@@ -41,5 +41,6 @@ def _names(kind: str, known: tuple[str, ...], lot_id: str) -> tuple[str, ...]:
             known,
             format_func=lambda name: say("lot.yield.desk") if name == DESK else name,
             key=f"lot-{kind}-{lot_id}",
+            placeholder=say("choose.all"),
         )
     )

@@ -3,6 +3,7 @@
 import streamlit as st
 
 from softcal.app.ui.account import actor
+from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.desk import language, registry, words
 from softcal.app.views.lot import LotView
 
@@ -27,5 +28,6 @@ def _pdf(view: LotView) -> bytes:
     return lot_report_pdf(registry(), view, language())
 
 
+@in_one_piece
 def _tell(lot_id: str) -> None:
     registry().add_event("export", "lots", (lot_id,), {"file": "report.pdf"}, actor=actor())

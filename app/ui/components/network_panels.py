@@ -91,9 +91,18 @@ def _compare_form(lot: Lot, rows: Sequence[NetworkRow], is_busy: bool) -> None:
     with st.form("compare", border=True):
         left, middle, right = st.columns([3, 3, 1], vertical_alignment="bottom")
         networks = left.multiselect(
-            say("networks.networks"), list(names), default=list(names)[:2], format_func=names.__getitem__
+            say("networks.networks"),
+            list(names),
+            default=list(names)[:2],
+            format_func=names.__getitem__,
+            placeholder=say("choose.some"),
         )
-        families = middle.multiselect(say("column.family"), [DEFAULT, *FAMILIES], default=[DEFAULT, "affine"])
+        families = middle.multiselect(
+            say("column.family"),
+            [DEFAULT, *FAMILIES],
+            default=[DEFAULT, "affine"],
+            placeholder=say("choose.some"),
+        )
         units = right.number_input(say("lot.units"), 1, MOST_UNITS, 12)
         is_asked = st.form_submit_button(say("networks.compare.do"), disabled=is_busy)
     if not is_asked:

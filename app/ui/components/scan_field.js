@@ -3,11 +3,14 @@ const KEYSTROKE_MS = 45
 const SILENCE_MS = 300
 const SHORTEST = 2
 // A scan that the server has not taken is sent again, but never so late that it would surprise anybody: then it is
-// said that it was not taken. A key is late soonest, since something moves by it.
+// said that it was not taken. A start is late soonest, pressed or scanned, since something moves by it alone.
 const AGAIN_MS = 1000
-const TOO_LATE_MS = { command: 2500, scan: 10000 }
+const isCommand = (text, command) => text.toUpperCase().replace(/\s/g, "").endsWith(`CMD:${command}`)
+const SCAN_LATE_MS = 10000
 const waiting = []
 let timer
+// What was said not to be taken stands until the next scan, though the field may be drawn anew in another place.
+let lost = []
 
 export default function ({ data, parentElement, setTriggerValue }) {
   const field = parentElement.querySelector("input")
@@ -18,31 +21,49 @@ export default function ({ data, parentElement, setTriggerValue }) {
 
   document.softcalDrawn = Date.now()
   document.softcalShown = data.seen
+  document.softcalTaken = data.taken
+  // How far this clock is ahead of the server's: the drawing that came fastest says it best, and never too little.
+  document.softcalAhead_ms = Math.min(document.softcalAhead_ms ?? Infinity, performance.now() - 1000 * data.at)
   const late = parentElement.querySelector("[role=alert]")
-  const say = (text) => {
-    late.hidden = !text
-    late.textContent = text
+  const say = (scans) => {
+    lost = scans
+    late.hidden = !lost.length
+    late.textContent = lost.length ? data.late.replace("%", lost.map((scan) => scan.text).join(", ")) : ""
+  }
+  const late_ms = (text) => (isCommand(text, "START") ? 1000 * data.start_s : SCAN_LATE_MS)
+  const again = () => {
+    clearTimeout(timer)
+    timer = setTimeout(() => document.softcalHand(), AGAIN_MS)
   }
   const hand = () => {
     clearTimeout(timer)
-    const isOld = (scan) =>
-      Date.now() - scan.id > (scan.text.startsWith("CMD:") ? TOO_LATE_MS.command : TOO_LATE_MS.scan)
+    timer = undefined
+    const isOld = (scan) => Date.now() - scan.id > late_ms(scan.text)
     const open = waiting.filter((scan) => scan.id > data.taken)
-    const lost = open.filter(isOld)
-    if (lost.length) say(data.late.replace("%", lost.map((scan) => scan.text).join(", ")))
+    const old = open.filter(isOld)
+    if (old.length) say(old)
     waiting.splice(0, waiting.length, ...open.filter((scan) => !isOld(scan)))
     if (!waiting.length) return
     setTriggerValue("scan", [...waiting])
-    timer = setTimeout(() => document.softcalHand(), AGAIN_MS)
+    again()
   }
   document.softcalHand = hand
+  // A server that was only slow may have taken it after all, except a start: that one it lets go.
+  say(lost.filter((scan) => scan.id > data.taken || isCommand(scan.text, "START")))
+  if (waiting.length && timer === undefined) again()
   const take = (text) => {
-    say("")
+    say([])
     // A stop does not wait for a page that is being drawn; what it led to comes by the way of every scan.
-    if (text === "CMD:STOP") {
+    if (isCommand(text, "STOP")) {
       fetch(data.stop, { method: "POST", headers: { "x-softcal-key": "stop" }, body: data.station }).catch(() => {})
     }
-    waiting.push({ id: Math.max(Date.now(), (waiting.at(-1)?.id ?? 0) + 1), text, seen: document.softcalShown })
+    waiting.push({
+      id: Math.max(Date.now(), (waiting.at(-1)?.id ?? 0) + 1),
+      text,
+      seen: document.softcalShown,
+      // What is said not to be taken from then on is not taken by a busy server either.
+      until_s: (performance.now() - document.softcalAhead_ms + late_ms(text)) / 1000,
+    })
     hand()
   }
   const send = () => {
@@ -111,7 +132,10 @@ export default function ({ data, parentElement, setTriggerValue }) {
     field.focus({ preventScroll: true })
   }
   return () => {
-    clearTimeout(timer)
     listening.abort()
+    // Drawn in another place, the field has handlers and a clock again already.
+    if (document.softcalScan !== listening) return
+    clearTimeout(timer)
+    timer = undefined
   }
 }

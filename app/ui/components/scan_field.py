@@ -7,6 +7,8 @@ from pathlib import Path
 
 import streamlit as st
 
+from softcal.app.line.line import START_S
+from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.stop_key import PATH as STOP_PATH
 
 KEY, TAKEN = "scan-field", "scan-taken"
@@ -28,7 +30,7 @@ def scan_field(
     seen: int,
     keys: Mapping[str, str],
     station: str,
-    on_scan: Callable[[str, int | None], None],
+    on_scan: Callable[[str, int | None, float | None], None],
 ) -> None:
     """Draw the field.
 
@@ -38,7 +40,8 @@ def scan_field(
         seen: names what is shown; every scan comes back with what was seen when it was made.
         keys: function key → command; a press is the same as a scan of `CMD:COMMAND`.
         station: that a stop is for; "" for the only one.
-        on_scan: takes what was scanned and what was seen, before the page is drawn again.
+        on_scan: takes what was scanned, what was seen and until when by `time.monotonic()` it may be taken, before the
+            page is drawn again.
     """
 
     def hand_on() -> None:
@@ -46,15 +49,16 @@ def scan_field(
             # The browser sends a scan again until it hears that it was taken.
             if scan["id"] > st.session_state.get(TAKEN, 0):
                 st.session_state[TAKEN] = scan["id"]
-                on_scan(str(scan["text"]), int(scan["seen"]))
+                on_scan(str(scan["text"]), int(scan["seen"]), float(scan["until_s"]))
 
     # Registered here because a component needs a running server; the same again changes nothing.
     draw = st.components.v2.component("softcal_scan", html=HTML, css=_beside(".css"), js=_beside(".js"))
     taken = st.session_state.get(TAKEN, 0)
-    # The instant makes every drawing another one: the browser sees by it that the screen is not left behind.
-    data = {**texts, "keys": dict(keys), "taken": taken, "seen": seen, "at": time.time()}
-    data |= {"stop": STOP_PATH, "station": station}
-    draw(data=data, key=KEY, on_scan_change=hand_on)
+    # The instant makes every drawing another one: the browser sees by it that the screen is not left behind, and what
+    # this machine's clock says.
+    data = {**texts, "keys": dict(keys), "taken": taken, "seen": seen, "at": time.monotonic()}
+    data |= {"stop": STOP_PATH, "station": station, "start_s": START_S}
+    draw(data=data, key=KEY, on_scan_change=in_one_piece(hand_on))
 
 
 @cache

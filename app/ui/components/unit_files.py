@@ -9,6 +9,7 @@ from softcal.app.export.certificates.laboratory import kept_laboratory
 from softcal.app.export.formats import writer_of
 from softcal.app.export.names import FORMATS
 from softcal.app.ui.account import actor
+from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.desk import in_words, registry, words
 from softcal.core.errors import UnitRefused
 
@@ -48,6 +49,7 @@ def _files(serial: str, lot_id: str, revision: int | None, name: str) -> Mapping
     return writer_of(name)(UnitLoader(registry(), options).load(serial))
 
 
+@in_one_piece
 def _tell(serial: str, lot_id: str, revision: int, name: str) -> None:
     facts = {"lot_id": lot_id, "revision": revision, "file": name}
     registry().add_event("export", "units", (serial,), facts, actor=actor())

@@ -1,0 +1,83 @@
+"""Diagnose the units of a lot together, from a folder with one case per unit."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from softcal.app.files.case_folder import open_case
+from softcal.core.errors import InputError
+from softcal.core.gap.case import CHANNELS, Case
+from softcal.core.gap.shared_cause import FEWEST_UNITS, LotDiagnosis, diagnose_lot
+from softcal.core.gap.worth import CalibrationWorth, calibration_worth
+
+AUDIT = "audit"
+
+
+@dataclass(frozen=True, eq=False)
+class LotReport:
+    """A lot's diagnosis, and what its causes are worth to each unit that follows them and has an audit."""
+
+    diagnosis: LotDiagnosis
+    calibration: tuple[CalibrationWorth, ...]
+
+    def record(self) -> dict[str, object]:
+        """Return JSON values."""
+        return {**self.diagnosis.report(), "calibration": [one.record() for one in self.calibration]}
+
+
+def diagnose_lot_folder(folder: Path, say: Callable[[str], None] = lambda _: None) -> LotReport:
+    """Read every unit's case, diagnose them together, and train f where a unit has an audit.
+
+    Args:
+        folder: one case folder per unit, each with `runs/` and, where there is one, `audit/` in the layout of a case.
+
+    Raises:
+        InputError: fewer than two cases, cases of different protocols, one case twice, or a case that cannot be read.
+    """
+    cases = _cases(folder)
+    # Audits are read first: a bad one is told before the long part.
+    audits = {name: open_case(folder / name / AUDIT) for name in cases if (folder / name / AUDIT).is_dir()}
+    found = diagnose_lot(cases, say)
+    worth = [
+        calibration_worth(m.name, m.diagnosis.case, audits[m.name], m.fit, say=say)
+        for m in found.members
+        if found.verdict in ("explained", "ambiguous") and m.follows and m.fit is not None and m.name in audits
+    ]
+    return LotReport(found, tuple(worth))
+
+
+def _cases(folder: Path) -> Mapping[str, Case]:
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such folder; a lot holds one case folder per unit")
+    places = sorted(p for p in folder.iterdir() if p.is_dir() and (p / "runs").is_dir())
+    if len(places) < FEWEST_UNITS:
+        seen = f"{len(places)} case folder{'' if len(places) == 1 else 's'}"
+        raise InputError(f"{folder}: {seen} with runs/<n>/; a lot holds at least {FEWEST_UNITS}, one per unit")
+    cases = {place.name: open_case(place) for place in places}
+    serials: dict[str, str] = {}
+    for name, case in cases.items():
+        if case.serial in serials:
+            twice = f"{serials[case.serial]} and {name} are both of unit {case.serial}"
+            raise InputError(f"{folder}: {twice}; one case per unit was expected; remove one or correct its serial")
+        serials[case.serial] = name
+    first, *others = cases
+    for name in others:
+        for what, mine, other in zip(_WHAT, _protocol(cases[first]), _protocol(cases[name]), strict=True):
+            if mine != other:
+                raise InputError(
+                    f"{folder / name}: {what} {other}, but {mine} in {first}; "
+                    "the units of a lot are pressed by one protocol; put the others into a folder of their own"
+                )
+    return cases
+
+
+_WHAT = ("runs are", "channels are", "electronics are")
+
+
+def _protocol(case: Case) -> tuple[str, str, str]:
+    """Return what the units of a lot have in common, in words."""
+    runs = ", ".join(f"{run.kind}{f' ({run.profile})' if run.profile else ''}" for run in case.runs)
+    channels = ", ".join(channel for channel in CHANNELS if case.has(channel))
+    readout = case.readout
+    supply = f"{readout.vref_V:g} V, {readout.adc_bits} bits, {readout.r_series_ohm:g} ohm"
+    return runs, channels, f"{supply}, {readout.sensor_type}"

@@ -1,0 +1,77 @@
+"""Which golden run of the source a unit was pressed beside: kept with its recording, as known loads are.
+
+One home for it: a station finds it when a unit is pressed, a lot folder brings it, and every later calibration of that
+recording crosses the same bridge. They are rows of the audit trail.
+"""
+
+import json
+from collections.abc import Collection, Iterable, Mapping
+from datetime import datetime
+from typing import Any
+
+from softcal.core.errors import InputError
+from softcal.core.unit.bridge import Bridge, make_bridge
+from softcal.core.unit.source_model import SourceModel
+from softcal.db.registry import Registry
+
+ENTITY = "golden_of"
+
+
+def golden_of(registry: Registry, lot_id: str, serials: Collection[str]) -> Mapping[str, tuple[str, str]]:
+    """Return, by the hash of a unit's recording, its serial and the hash of the golden run it belongs to."""
+    found: dict[str, tuple[str, str]] = {}
+    for row in registry.events_of(ENTITY, [(lot_id, serial) for serial in sorted(serials)]):
+        told: dict[str, Any] = json.loads(row.after or "{}")
+        found |= {sha256: (told["serial"], golden) for sha256, golden in told["recordings"].items()}
+    return found
+
+
+def keep_golden_of(
+    registry: Registry, lot_id: str, of: Mapping[str, tuple[str, str]], *, actor: str | None = None
+) -> None:
+    """Keep which golden run recordings belong to, a row a unit, all or none; what is known already gets no row.
+
+    Args:
+        of: hash of a unit's recording → (serial, hash of the golden run).
+    """
+    before = golden_of(registry, lot_id, {serial for serial, _ in of.values()})
+    new = {sha256: one for sha256, one in of.items() if before.get(sha256) != one}
+    if not new:
+        return
+    with registry.transaction():
+        for sha256, (serial, golden) in new.items():
+            registry.add_event(
+                "state", ENTITY, (lot_id, serial), {"serial": serial, "recordings": {sha256: golden}}, actor=actor
+            )
+
+
+def newest_golden(registry: Registry, station: str, source: str, since: datetime) -> str | None:
+    """Return the hash of the newest golden run of a source on a station that passed, None where there is none."""
+    runs = registry.golden_runs(station, source, since)
+    return next((run.recording_sha256 for run in reversed(runs) if run.passed and run.recording_sha256), None)
+
+
+def bridge_over(registry: Registry, model: SourceModel, golden_sha256: str) -> Bridge:
+    """Return a kept golden run as units of its sitting are compared with it.
+
+    Raises:
+        InputError: it is not in the registry, or this network cannot read it.
+    """
+    return make_bridge(model, registry.recording(golden_sha256))
+
+
+def bridges_over(registry: Registry, model: SourceModel, golden: Iterable[str]) -> dict[str, Bridge | str]:
+    """Return the bridges of several golden runs by their hash; in place of one that cannot be crossed, why."""
+    found: dict[str, Bridge | str] = {}
+    for sha256 in dict.fromkeys(golden):
+        try:
+            found[sha256] = bridge_over(registry, model, sha256)
+        except InputError as error:
+            found[sha256] = str(error)
+    return found
+
+
+def golden_lot(registry: Registry, serial: str) -> str | None:
+    """Return a lot whose source a serial is and whose network is released; None where it is no source."""
+    lots = (lot.id for lot in registry.lots() if lot.source == serial)
+    return next((lot for lot in lots if registry.released_network(lot) is not None), None)

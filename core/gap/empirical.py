@@ -1,0 +1,393 @@
+"""The learned residual: a few empirical terms that describe what no named cause explains.
+
+Terms are chosen forward from the variables of the twin, each together with a refit of base and causes, by what runs and
+contiguous quarters of runs that were held back say. The choice itself is held back as well: for every run that scores
+the result, terms are chosen anew without it (nested cross-validation; Varma and Simon, BMC Bioinformatics 2006).
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise, product
+
+import numpy as np
+from scipy.stats import t as student
+
+from softcal.core.gap.case import Mask
+from softcal.core.gap.coordinates import start_coordinates
+from softcal.core.gap.fit import Fit, Problem, fit
+from softcal.core.gap.linear import energy
+from softcal.core.gap.offsets import run_directions
+from softcal.core.gap.residual import structure
+from softcal.core.gap.shrink import Shrink
+from softcal.core.recording import Array
+from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm, Span
+from softcal.core.twin.mechanics import elastic_force
+
+QUARTERS = 4
+"""Contiguous parts of every run that are held back beside whole runs."""
+
+
+@dataclass(frozen=True)
+class LearnConfig:
+    """When a term is taken.
+
+    Args:
+        most: terms at most.
+        least: share of what is left above the noise that a further term must take away on samples held back.
+        chance: drop of χ² besides, for each time a sample is held back.
+        simpler: share of the gap by which terms beside the causes must do better than terms on the bare base.
+        errors: standard errors below which a coefficient is left out.
+        distinct: share of a variable's energy that base and causes must leave to it.
+        coverage: of the interval.
+    """
+
+    most: int = 3
+    least: float = 0.05
+    chance: float = 10.0
+    simpler: float = 0.05
+    errors: float = 3.0
+    distinct: float = 1e-3
+    coverage: float = 0.90
+
+
+CONFIG = LearnConfig()
+
+
+@dataclass(frozen=True)
+class LearnedTerm:
+    """A term with how well it is known.
+
+    Args:
+        standard_error: of its coefficient, in the unit of the coefficient.
+        chosen: share of the choices without a run (or quarter) that took the same variable at the same place.
+    """
+
+    term: EmpiricalTerm
+    standard_error: float
+    chosen: float
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedResidual:
+    """What is left of a gap, described.
+
+    Args:
+        terms: the largest first.
+        shrink: of the gap of the base, by causes and terms together, on runs that neither saw; the forecast of another
+            run is what runs held back have shown.
+        without: the same by the causes alone.
+        fit: base, causes and terms at their best.
+    """
+
+    terms: tuple[LearnedTerm, ...]
+    shrink: Shrink
+    without: float
+    fit: Fit
+
+    @property
+    def beside(self) -> tuple[str, ...]:
+        """The causes the terms stand beside."""
+        own = {one.term.effect.id for one in self.terms}
+        return tuple(i for i in self.fit.hypothesis.ids if i not in own)
+
+
+def learned(base: Fit, parents: Sequence[Fit], config: LearnConfig = CONFIG) -> LearnedResidual | None:
+    """Return the terms that describe what the parents leave; None where none holds on samples that were held back.
+
+    Args:
+        base: the bare base; the gap is counted from it.
+        parents: hypotheses the terms may stand beside, the simplest first.
+    """
+    # A base that explains nothing stands for itself, and what belongs to one run says nothing of another.
+    parents = [p for k, p in enumerate(parents) if k == 0 or p.hypothesis.ids]
+    parents = [p for p in parents if not any(effect.belongs_to_run for effect in p.hypothesis.effects)]
+    if not parents or not any(structure(p).is_significant for p in parents):
+        return None
+    span = _span(base)
+    choices = [_Choice(parent, span, config) for parent in parents]
+    everything = choices[0].all_cells
+    parent, terms = _chosen(choices, everything, config)
+    if not terms:
+        return None
+    found, terms = _with_terms(parent, terms, None, config)
+    if not terms:
+        return None
+    scores, per_fold = _held_out(base, choices, config)
+    total, low, high = scores.interval("after", "before", config.coverage)
+    of_rest = scores.interval("after", "without", config.coverage)
+    if min(total, low, of_rest[1]) <= 0.0:
+        return None
+    shrink = Shrink(total, low, high, total)
+    ranked = _ranked(found, terms, per_fold)
+    return LearnedResidual(ranked, shrink, scores.interval("without", "before", config.coverage)[0], found)
+
+
+def _span(base: Fit) -> Span:
+    """Return the largest load and depth of the runs, as the fitted base has them."""
+    case = base.problem.case
+    if not case.has("stage_mm"):
+        largest = max(float(np.max(run.driving_force.force_N)) for run in case.presses)
+        return Span(largest, largest)
+    depth_mm = max(float(np.max(np.asarray(run.stage_mm))) for run in case.presses) - base.base.u0_mm
+    depth_mm = max(depth_mm, 1e-9)
+    return Span(float(elastic_force(np.array(depth_mm), base.base.k1_N_mm, base.base.k3_N_mm3)), depth_mm)
+
+
+class _Choice:
+    """Which terms stand beside one parent: all products of its derivatives, its residual and the candidates' columns.
+
+    To first order, base and causes are refitted with every term: their derivatives are columns like the candidates'.
+    """
+
+    def __init__(self, parent: Fit, span: Span, config: LearnConfig) -> None:
+        self.parent, self._config = parent, config
+        # What each run has of its own is fitted anew by every prediction; its jumps would drown a small derivative.
+        self._bare = fit(parent.problem.bare, parent.hypothesis, parent.coordinates, steps=0)
+        self._nuisance = self._run_directions()
+        self._own = self._cleared(self._bare.jacobian[np.any(self._bare.jacobian != 0.0, axis=1)])
+        self.candidates, columns = self._columns(span)
+        self._rows = np.vstack([self._own, columns, self._cleared(self._bare.residual[np.newaxis])])
+
+    def _run_directions(self) -> list[tuple[Array, Array]]:
+        """Per run, which samples it has and, (directions, samples), orthonormal directions of its own offsets."""
+        problem, bare = self.parent.problem, self._bare
+        rows, out = run_directions(problem, bare.base, bare.predicted), []
+        for run in sorted({block.run for block in problem.blocks}):
+            at = np.concatenate(
+                [np.arange(b.place.start, b.place.stop) for b in problem.blocks if b.run == run],
+            )
+            own = np.array([problem.whitened(row)[at] for row in rows[run]]) if run in rows else np.zeros((0, len(at)))
+            left, size, _ = np.linalg.svd(own.T, full_matrices=False)
+            out.append((at, left[:, size > 1e-6 * max(float(size.max(initial=0.0)), 1e-300)].T))
+        return out
+
+    def _cleared(self, rows: Array) -> Array:
+        """(k, samples) rows without what the offsets of each run take up."""
+        out = rows.copy()
+        for at, directions in self._nuisance:
+            out[:, at] -= (out[:, at] @ directions.T) @ directions
+        return out
+
+    def _columns(self, span: Span) -> tuple[list[EmpiricalTerm], Array]:
+        problem, case = self.parent.problem, self.parent.problem.case
+        places = [p for p in PLACES if not (p == "F" and not case.has("stage_mm"))]
+        places = [p for p in places if p == "F" or p in problem.scored_channels]
+        orthogonal = np.linalg.qr(self._own.T)[0]
+        terms, columns = [], [np.empty((0, len(problem.measured)))]
+        for place, name in product(places, VARIABLES):
+            needs = VARIABLES[name].needs
+            if needs and not case.has(needs):
+                continue
+            term = EmpiricalTerm(place, name, 0.0, span.load_N, span.depth_mm)
+            column = self._cleared(problem.whitened(self._slope(term))[np.newaxis])[0]
+            rest = column - orthogonal @ (orthogonal.T @ column)
+            if energy(rest) > self._config.distinct * max(energy(column), 1e-12):
+                terms.append(term)
+                columns.append(column[np.newaxis])
+        return terms, np.vstack(columns)
+
+    def _slope(self, term: EmpiricalTerm) -> Array:
+        """(samples,) derivative of the prediction with respect to a coefficient that is 0."""
+        effect, bare = term.effect, self._bare
+        step = 0.01 * effect.parameters[0].usual
+        moved = bare.problem.predict(bare.hypothesis.adding(effect), np.append(bare.coordinates, step))
+        return np.asarray((moved - bare.predicted) / step)
+
+    @cached_property
+    def all_cells(self) -> frozenset[tuple[int, int]]:
+        """Every run and quarter of it in which the sensor is pressed."""
+        runs = self.parent.problem.case.runs
+        return frozenset((k, q) for k, run in enumerate(runs) if run.kind == "press" for q in range(QUARTERS))
+
+    @cached_property
+    def _products(self) -> dict[tuple[int, int], Array]:
+        out: dict[tuple[int, int], Array] = {}
+        for cell, place in _places_of(self.parent.problem):
+            rows = self._rows[:, place]
+            out[cell] = out.get(cell, 0.0) + rows @ rows.T
+        return out
+
+    def _sum(self, cells: frozenset[tuple[int, int]]) -> Array:
+        # Special runs always count for the fit: they calibrate, and are never held back.
+        special = [cell for cell in self._products if cell not in self.all_cells]
+        return self._added((*cells, *special))
+
+    def _added(self, cells: Iterable[tuple[int, int]]) -> Array:
+        return np.asarray(np.sum([self._products[cell] for cell in cells], axis=0))
+
+    def noise(self, cells: frozenset[tuple[int, int]]) -> float:
+        """Return χ² of noise alone on the cells, each sample as often as it is held back."""
+        problem, runs = self.parent.problem, self.parent.problem.case.runs
+        held = {k: sum(1 for cell in cells if cell[0] == k) / QUARTERS for k in range(len(runs))}
+        return times_held(cells) * sum(len(runs[b.run]) * held[b.run] for b in problem.blocks)
+
+    def forward(self, cells: frozenset[tuple[int, int]]) -> tuple[list[EmpiricalTerm], float]:
+        """Choose terms on these cells; return them and χ² on parts held back in turn."""
+        folds = [(self._sum(cells - held), self._added(held)) for held in parts_of(cells)]
+        taken: list[int] = []
+        lost, noise = self._lost(folds, taken), self.noise(cells)
+        while folds and len(taken) < self._config.most:
+            tried = {k: self._lost(folds, [*taken, k]) for k in range(len(self.candidates)) if k not in taken}
+            if not tried:
+                break
+            best = min(tried, key=lambda k: tried[k])
+            if lost - tried[best] <= self._config.least * max(lost - noise, 0.0) + self._config.chance * times_held(
+                cells
+            ):
+                break
+            taken, lost = [*taken, best], tried[best]
+        return [self.candidates[k] for k in taken], lost
+
+    def _lost(self, folds: Sequence[tuple[Array, Array]], taken: Sequence[int]) -> float:
+        own, last = len(self._own), len(self._rows) - 1
+        used = np.array([*range(own), *(own + k for k in taken)], dtype=int)
+        total = 0.0
+        for seen, held in folds:
+            normal = seen[np.ix_(used, used)]
+            # A part without contact leaves a direction open; a little damping keeps it where it is.
+            damped = normal + np.diag(1e-9 * np.diag(normal) + 1e-12)
+            w = np.append(-np.linalg.solve(damped, seen[used, last]), 1.0)
+            at = np.append(used, last)
+            total += float(w @ held[np.ix_(at, at)] @ w)
+        return total
+
+
+def times_held(cells: frozenset[tuple[int, int]]) -> int:
+    """Return how often a sample is held back: once with its quarter, and once with its run where there are several."""
+    return (len({run for run, _ in cells}) > 1) + (len({quarter for _, quarter in cells}) > 1)
+
+
+def parts_of(cells: frozenset[tuple[int, int]]) -> list[frozenset[tuple[int, int]]]:
+    """Return what is held back in turn: each run, where there are several, and the same quarter of every run."""
+    runs, quarters = sorted({run for run, _ in cells}), sorted({quarter for _, quarter in cells})
+    by_run = [frozenset(c for c in cells if c[0] == run) for run in runs] if len(runs) > 1 else []
+    by_quarter = [frozenset(c for c in cells if c[1] == quarter) for quarter in quarters] if len(quarters) > 1 else []
+    return by_run + by_quarter
+
+
+def _chosen(
+    choices: Sequence[_Choice], cells: frozenset[tuple[int, int]], config: LearnConfig
+) -> tuple[Fit, list[EmpiricalTerm]]:
+    """Return parent and terms that lose least on parts held back, the simplest parent unless another is far better."""
+    first, *others = ((choice.parent, *choice.forward(cells)) for choice in choices)
+    noise, best = choices[0].noise(cells), first
+    for other in others:
+        is_far_better = first[2] - other[2] > config.simpler * max(first[2] - noise, 0.0)
+        if is_far_better and other[2] < best[2]:
+            best = other
+    return best[0], best[1]
+
+
+def _with_terms(
+    parent: Fit, terms: Sequence[EmpiricalTerm], use: Array | None, config: LearnConfig
+) -> tuple[Fit, list[EmpiricalTerm]]:
+    """Fit base, causes and terms together; a term that is then within its own error is left out again."""
+    problem, kept = parent.problem if use is None else parent.problem.seeing(use), list(terms)
+    while True:
+        hypothesis = parent.hypothesis
+        for term in kept:
+            hypothesis = hypothesis.adding(term.effect)
+        effects = [term.effect for term in kept]
+        start = np.append(parent.coordinates, start_coordinates(effects, [[0.0]] * len(kept)))
+        found = fit(problem, hypothesis, start, steps=12)
+        sizes = [abs(found.coordinates[found.hypothesis.place_of(e.id)]) / _error(found, e.id) for e in effects]
+        if not sizes or min(sizes) >= config.errors:
+            return found, kept
+        kept.pop(int(np.argmin(sizes)))
+
+
+def _error(found: Fit, effect_id: str) -> float:
+    """Standard error of a coefficient; what is left besides is no white noise, and the error grows with it."""
+    at = found.hypothesis.place_of(effect_id)
+    worse = max(1.0, float(np.sqrt(found.chi2 / max(found.problem.count, 1))))
+    return max(worse * float(np.sqrt(max(found.covariance[at, at], 0.0))), 1e-300)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scores:
+    """Sums of squares on samples held back, by fold, channel and twin: before, without the terms, after."""
+
+    squares: dict[str, Array]
+    """(folds, channels) each."""
+    counts: Array
+    floors: Array
+
+    def shrink(self, of: str, over: str, left_out: int | None = None) -> float:
+        """1 − Σ(after − floor)/Σ(before − floor) over channels, each in units of its noise."""
+        kept = np.arange(len(self.counts)) != (-1 if left_out is None else left_out)
+
+        def gap(what: str) -> float:
+            mean = self.squares[what][kept].sum(axis=0) / np.maximum(self.counts[kept].sum(axis=0), 1.0)
+            return float(np.sum(np.maximum(np.sqrt(mean) - self.floors, 0.0) / self.floors))
+
+        before = gap(over)
+        return 1.0 - gap(of) / before if before > 0.0 else 0.0
+
+    def interval(self, of: str, over: str, coverage: float) -> tuple[float, float, float]:
+        """Return the shrink with its jackknife interval over the folds (Efron and Tibshirani 1993, ch. 11)."""
+        n, value = len(self.counts), self.shrink(of, over)
+        each = np.array([self.shrink(of, over, k) for k in range(n)])
+        error = float(np.sqrt((n - 1) / n * np.sum((each - each.mean()) ** 2))) if n > 1 else 1.0
+        # One recording does not know its own forecast better than to 0.02.
+        margin = max(0.02, float(student.ppf(0.5 + 0.5 * coverage, max(n - 1, 1))) * error)
+        return value, value - margin, min(1.0, value + margin)
+
+
+def _held_out(base: Fit, choices: Sequence[_Choice], config: LearnConfig) -> tuple[_Scores, list[list[EmpiricalTerm]]]:
+    """Score base, parent and terms on every part in turn, all of them chosen and fitted without it."""
+    cells, problem = choices[0].all_cells, base.problem
+    runs = sorted({run for run, _ in cells})
+    folds = [frozenset(c for c in cells if c[0] == run) for run in runs]
+    if len(runs) == 1:
+        folds = [frozenset({cell}) for cell in sorted(cells)]
+    channels = problem.scored_channels
+    squares = {what: np.zeros((len(folds), len(channels))) for what in ("before", "without", "after")}
+    counts, taken = np.zeros((len(folds), len(channels))), []
+    for k, held in enumerate(folds):
+        unseen = _samples(base, held)
+        seen = (~unseen).astype(np.float64)
+        parent, terms = _chosen(choices, cells - held, config)
+        before = fit(problem.seeing(seen), base.hypothesis, base.coordinates, steps=6)
+        without = before
+        if parent.hypothesis.ids:
+            without = fit(parent.problem.seeing(seen), parent.hypothesis, parent.coordinates, steps=6)
+        after, terms = _with_terms(without, terms, seen, config) if terms else (without, terms)
+        taken.append(terms)
+        for what, found in (("before", before), ("without", without), ("after", after)):
+            error = problem.measured - found.predicted
+            for block in problem.blocks:
+                if block.channel in channels:
+                    squares[what][k, channels.index(block.channel)] += energy(error[block.place][unseen[block.place]])
+        for block in problem.blocks:
+            if block.channel in channels:
+                counts[k, channels.index(block.channel)] += np.count_nonzero(unseen[block.place])
+    return _Scores(squares, counts, np.array([problem.floor(c) for c in channels])), taken
+
+
+def _places_of(problem: Problem) -> Iterator[tuple[tuple[int, int], slice]]:
+    """Yield the samples of every quarter of every block, with the run and quarter they belong to."""
+    for block in problem.blocks:
+        ends = [part[0] for part in np.array_split(np.arange(block.place.start, block.place.stop), QUARTERS)]
+        for quarter, (start, stop) in enumerate(pairwise([*ends, block.place.stop])):
+            yield (block.run, quarter), slice(start, stop)
+
+
+def _samples(base: Fit, cells: frozenset[tuple[int, int]]) -> Mask:
+    out = np.zeros(len(base.problem.measured), dtype=np.bool_)
+    for cell, place in _places_of(base.problem):
+        out[place] = cell in cells
+    return out
+
+
+def _ranked(
+    found: Fit, terms: Sequence[EmpiricalTerm], per_fold: Sequence[Sequence[EmpiricalTerm]]
+) -> tuple[LearnedTerm, ...]:
+    """Return the terms at their fitted coefficients, in the order they were chosen."""
+    out = []
+    for term in terms:
+        at = found.hypothesis.place_of(term.effect.id)
+        chosen = np.mean([any((t.place, t.variable) == (term.place, term.variable) for t in fold) for fold in per_fold])
+        fitted = replace(term, coefficient=float(found.coordinates[at]))
+        out.append(LearnedTerm(fitted, _error(found, term.effect.id), float(chosen)))
+    return tuple(out)

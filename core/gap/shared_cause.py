@@ -1,0 +1,318 @@
+"""Units of one lot diagnosed together: one cause for all of them, a size of its own for each."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.gap.ambiguity import ADDED_LOG_ODDS, MOST_RIVALS, NEGLIGIBLE_LOG_ODDS, RIVAL_LOG_ODDS
+from softcal.core.gap.case import Case
+from softcal.core.gap.diagnosis import (
+    IMITATED_TRUST,
+    UNKNOWN_TRUST,
+    Diagnosis,
+    DiagnosisVerdict,
+    ParameterEstimate,
+    diagnose,
+    estimates_of,
+)
+from softcal.core.gap.fit import PRIOR_ODDS, Fit, Hypothesis, Problem, fit
+from softcal.core.gap.posterior import Fits, Yardstick, log_evidences, misfit, penalty, probabilities
+from softcal.core.recording import Array
+
+Ids = tuple[str, ...]
+SCHEMA = "softcal.gap_lot/1"
+
+STRAY_ODDS = 1e-3
+"""Prior odds that a unit does not share the lot's causes: its own evidence must be a thousandfold to say so."""
+
+FEWEST_UNITS = 2
+
+
+@dataclass(eq=False)
+class Searched:
+    """What one unit's search leaves for the lot; the fits themselves are too large to keep for every unit.
+
+    Args:
+        logs: logarithm of prior times evidence by hypothesis, in the unit's own measure.
+        found: hypothesis and coordinates of every fit.
+        left: χ² of every fit, and what its parameters cost.
+    """
+
+    problem: Problem
+    yardstick: Yardstick
+    logs: dict[Ids, float]
+    found: dict[Ids, tuple[Hypothesis, Array]]
+    left: dict[Ids, tuple[float, float]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, fits: Fits) -> "Searched":
+        """Take what is needed from fits under one noise level."""
+        found = {ids: (one.hypothesis, one.coordinates) for ids, one in fits.items()}
+        left = {ids: (one.chi2, penalty(one)) for ids, one in fits.items()}
+        return cls(fits[()].problem, Yardstick.of(fits.values()), dict(log_evidences(fits)), found, left)
+
+    @property
+    def top(self) -> float:
+        """Log evidence of the unit's own best hypothesis."""
+        return max(self.logs.values())
+
+    def shared(self, ids: Ids) -> float:
+        """Return the log evidence without the prior odds of the causes, which a lot pays once.
+
+        A hypothesis that was not fitted gets its bound: what the unit's own best one has.
+        """
+        return self.logs.get(ids, self.top) - len(ids) * float(np.log(PRIOR_ODDS))
+
+    @property
+    def stray(self) -> float:
+        """Log evidence of a unit with causes of its own."""
+        return float(np.log(STRAY_ODDS)) + self.top
+
+    def log_term(self, ids: Ids) -> float:
+        """Return what the unit adds to the log evidence of the lot: it shares these causes, or it strays."""
+        return float(np.logaddexp(np.log1p(-STRAY_ODDS) + self.shared(ids), self.stray))
+
+    def add(self, ids: Ids, donor: tuple[Hypothesis, Array]) -> None:
+        """Fit causes that this unit's search did not try, from the sizes of another unit and from those reversed."""
+        hypothesis = donor[0].without_episodes()
+        base = self.found[max(self.logs, key=lambda i: self.logs[i])][1][hypothesis.of_base]
+        sizes = donor[1][hypothesis.of_base.stop :]
+        signs = [-1.0 if p.low < 0.0 and p.scale == "linear" else 1.0 for p in hypothesis.parameters]
+        turned = sizes * np.array(signs[hypothesis.of_base.stop :])
+        starts = [sizes] if np.array_equal(turned, sizes) else [sizes, turned]
+        tried = [fit(self.problem, hypothesis, np.append(base, start), steps=40) for start in starts]
+        best = min(tried, key=lambda one: one.chi2)
+        self.logs[ids] = self.yardstick.log_evidence(best)
+        self.found[ids], self.left[ids] = (best.hypothesis, best.coordinates), (best.chi2, penalty(best))
+
+    def fitted(self, ids: Ids) -> Fit:
+        """Return the fit of a hypothesis, made again from its coordinates."""
+        return fit(self.problem, *self.found[ids], steps=5)
+
+
+@dataclass(frozen=True, eq=False)
+class LotMember:
+    """One unit of a lot.
+
+    Args:
+        follows: whether it shares the lot's causes; of a unit whose recordings hold a mistake, False.
+        log_odds: of sharing them against causes of its own; None where the recordings hold a mistake.
+        sizes: of the lot's causes in this unit, with 90 % intervals; empty where it does not follow.
+        fit: of the lot's causes to this unit; None where the recordings hold a mistake.
+    """
+
+    name: str
+    diagnosis: Diagnosis
+    follows: bool
+    log_odds: float | None
+    sizes: Mapping[str, Mapping[str, ParameterEstimate]]
+    fit: Fit | None = field(default=None, repr=False)
+
+    @property
+    def is_left_out(self) -> bool:
+        """Whether nothing was judged, for the recordings hold a mistake."""
+        return self.diagnosis.verdict == "data"
+
+    def record(self) -> dict[str, object]:
+        """Return it as a report has it."""
+        return {
+            "unit": self.name,
+            "serial": self.diagnosis.case.serial,
+            "verdict": self.diagnosis.verdict,
+            "own": list(self.diagnosis.best.hypothesis.ids),
+            "follows": self.follows,
+            "log_odds": self.log_odds,
+            "sizes": {i: {name: vars(p) for name, p in rows.items()} for i, rows in self.sizes.items()},
+            "data": [found.record() for found in self.diagnosis.mistakes],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class LotDiagnosis:
+    """What the units of a lot share.
+
+    Args:
+        verdict: in the words of a single diagnosis.
+        causes: of the best shared hypothesis, empty for none.
+        rivals: sets of causes that the lot cannot tell apart, the best first.
+        probability: of every cause that any unit's search considered.
+        logs: logarithm of prior times evidence over the units that follow, by hypothesis.
+        ruled_out: hypotheses whose bound is so far behind that they were not fitted to the units that lack them.
+    """
+
+    verdict: DiagnosisVerdict
+    causes: Ids
+    rivals: tuple[Ids, ...]
+    probability: Mapping[str, float]
+    logs: Mapping[Ids, float]
+    ruled_out: int
+    members: tuple[LotMember, ...]
+
+    @property
+    def outliers(self) -> list[str]:
+        """Units with causes of their own."""
+        return [m.name for m in self.members if not m.follows and not m.is_left_out]
+
+    @property
+    def left_out(self) -> list[str]:
+        """Units whose recordings hold a mistake."""
+        return [m.name for m in self.members if m.is_left_out]
+
+    def report(self) -> dict[str, object]:
+        """Return JSON values, schema `softcal.gap_lot/1`."""
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "causes": [
+                {"effect": i, "probability": p, "shared": i in self.causes}
+                for i, p in sorted(self.probability.items(), key=lambda item: -item[1])
+                if p > 0.0
+            ],
+            "rivals": [list(ids) for ids in self.rivals],
+            "outliers": self.outliers,
+            "left_out": self.left_out,
+            "stray_odds": STRAY_ODDS,
+            "ruled_out_by_bound": self.ruled_out,
+            "units": [m.record() for m in self.members],
+        }
+
+
+def diagnose_lot(cases: Mapping[str, Case], progress: Callable[[str], None] | None = None) -> LotDiagnosis:
+    """Diagnose every unit, then what they share.
+
+    Args:
+        cases: one per unit, by the unit's name.
+        progress: called with one line at every step.
+
+    Raises:
+        InputError: fewer than two units.
+    """
+    if len(cases) < FEWEST_UNITS:
+        raise InputError(f"{len(cases)} unit in the lot; at least {FEWEST_UNITS} are needed to be diagnosed together")
+    say = progress or (lambda _: None)
+    alone: dict[str, Diagnosis] = {}
+    searched: dict[str, Searched] = {}
+    for number, (name, case) in enumerate(cases.items(), start=1):
+        kept: list[Searched] = []
+        alone[name] = found = diagnose(case, on_fits=_keeper(kept))
+        if found.verdict != "data":
+            searched[name] = kept[-1]
+        named = " + ".join(found.best.hypothesis.ids) or "no cause"
+        say(f"unit {number} of {len(cases)}, {name}: {found.verdict}, {named}")
+    if not searched:
+        return LotDiagnosis("data", (), (), {}, {}, 0, tuple(_member(n, d, None, ()) for n, d in alone.items()))
+    say("adding up the evidence of the units")
+    votes, ruled_out = lot_logs(list(searched.values()))
+    leader = max(votes, key=lambda ids: votes[ids])
+    following = [one for one in searched.values() if one.shared(leader) > one.stray]
+    logs = joint_logs(following, votes) if following else votes
+    best, rivals, imitated = _best(logs, [_held_open(alone[name], one) for name, one in searched.items()])
+    members = tuple(_member(name, one, searched.get(name), best) for name, one in alone.items())
+    verdict = _verdict(best, rivals, members)
+    # Where nothing explains the units, the truth is most likely none of the causes that were compared.
+    doubt = UNKNOWN_TRUST if verdict == "unknown" else 1.0
+    chances = probabilities(logs, sorted({i for ids in logs for i in ids}))
+    probability = {i: p * doubt * (IMITATED_TRUST if i in imitated else 1.0) for i, p in chances.items()}
+    return LotDiagnosis(verdict, best, rivals, probability, logs, ruled_out, members)
+
+
+def _keeper(kept: list[Searched]) -> Callable[[Fits], None]:
+    return lambda fits: kept.append(Searched.of(fits))
+
+
+def joint_logs(following: Sequence[Searched], hypotheses: Iterable[Ids]) -> dict[Ids, float]:
+    """Return the log evidence of every hypothesis over units that share their causes, up to a constant.
+
+    What a hypothesis leaves is summed over the units, and only then judged as of one unit: where an equation is a
+    little wrong it is wrong in all of them, and does not become more so by being repeated. Within the noise every unit
+    counts in full.
+    """
+    floor = sum(one.yardstick.floor for one in following)
+    left = {ids: _left(following, ids) for ids in hypotheses}
+    least = min(left.values())
+    cost = {ids: float(np.mean([one.left[ids][1] for one in following])) for ids in left}
+    return {ids: -0.5 * (misfit(floor + total - least) + cost[ids]) for ids, total in left.items()}
+
+
+def _left(following: Sequence[Searched], ids: Ids) -> float:
+    """Return the χ² that a hypothesis leaves in all units, and what the sizes of its causes cost in all but the first.
+
+    The first unit's parameters are paid for apart. Paid for in every unit, what one cause is a little cheaper than
+    another would count as often as there are units.
+    """
+    sizes = len(ids) * sum(float(np.log(one.problem.count)) for one in following[1:])
+    return sum(one.left[ids][0] for one in following) + sizes
+
+
+def lot_logs(searched: Sequence[Searched]) -> tuple[dict[Ids, float], int]:
+    """Return the votes of the units for every hypothesis, and how many a bound has ruled out.
+
+    A vote is a unit's own log evidence. One that strays cannot outvote the others.
+    A hypothesis that a unit did not fit is fitted to it, unless even at its bound it is far behind.
+    """
+    every = {ids for one in searched for ids in one.logs}
+    bounds = {ids: _pooled(searched, ids) for ids in every}
+    logs: dict[Ids, float] = {}
+    for ids in sorted(every, key=lambda i: (-bounds[i], i)):
+        if logs and bounds[ids] < max(logs.values()) - NEGLIGIBLE_LOG_ODDS:
+            continue
+        donor = max((one for one in searched if ids in one.logs), key=lambda one: one.shared(ids) - one.top)
+        for one in searched:
+            if ids not in one.logs:
+                one.add(ids, donor.found[ids])
+        logs[ids] = _pooled(searched, ids)
+    return logs, len(every) - len(logs)
+
+
+def _pooled(searched: Sequence[Searched], ids: Ids) -> float:
+    return len(ids) * float(np.log(PRIOR_ODDS)) + sum(one.log_term(ids) for one in searched)
+
+
+def _best(logs: Mapping[Ids, float], held: Sequence[set[str]]) -> tuple[Ids, tuple[Ids, ...], set[str]]:
+    """Return the best shared hypothesis, it with its rivals, and causes that most units hold open beside it."""
+    top = max(logs, key=lambda ids: logs[ids])
+    near = sorted((ids for ids in logs if logs[ids] > logs[top] - RIVAL_LOG_ODDS), key=lambda ids: -logs[ids])
+    kept: list[Ids] = [top]
+    for ids in near:
+        is_larger = any(set(ids) > set(other) for other in kept)
+        if ids and ids not in kept and (not is_larger or logs[ids] > logs[top] - ADDED_LOG_ODDS):
+            kept.append(ids)
+    imitated = {i for i in top if 2 * sum(i in causes for causes in held) >= len(held)}
+    smaller = tuple(i for i in top if i not in imitated)
+    if imitated and smaller in logs:
+        return smaller, (smaller, *kept)[:MOST_RIVALS], imitated
+    return top, tuple(kept[:MOST_RIVALS]) if top else (top,), set()
+
+
+def _held_open(one: Diagnosis, searched: Searched) -> set[str]:
+    """Return the causes that a free form of the others imitates in a unit: open although the evidence is for them.
+
+    More units repeat what one equation leaves. So they cannot part such a cause from the others.
+    """
+    ids = one.best.hypothesis.ids
+    every = [rival.hypothesis.ids for rival in one.rivals[1:] if set(rival.hypothesis.ids) > set(ids)]
+    larger = [other for other in every if searched.logs[other] > searched.logs[ids]]
+    return {i for other in larger for i in other if i not in ids}
+
+
+def _member(name: str, alone: Diagnosis, searched: Searched | None, best: Ids) -> LotMember:
+    if searched is None:
+        return LotMember(name, alone, follows=False, log_odds=None, sizes={})
+    odds = searched.shared(best) - searched.stray
+    found = searched.fitted(best)
+    sizes = {i: estimates_of(found, i) for i in best} if odds > 0.0 else {}
+    return LotMember(name, alone, odds > 0.0, odds, sizes, found)
+
+
+def _verdict(best: Ids, rivals: tuple[Ids, ...], members: tuple[LotMember, ...]) -> DiagnosisVerdict:
+    judged = [m for m in members if not m.is_left_out]
+    # The lot explains no more than most of its units: what they leave is there in each of them.
+    if 2 * sum(m.diagnosis.verdict == "unknown" for m in judged) > len(judged):
+        return "unknown"
+    if 2 * sum(m.follows for m in judged) <= len(judged):
+        return "unknown"
+    if not best:
+        return "no_gap"
+    return "ambiguous" if len(rivals) > 1 else "explained"

@@ -1,0 +1,238 @@
+"""Empirical terms: a number times one of the twin's own variables, added to a signal of the chain.
+
+A term describes what no equation of the catalogue explains. It names no cause. Every variable is made from what the
+twin itself knows at that instant (stage position, time, its own force and depth, temperature), never from a recording,
+and carries its state from chunk to chunk.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from types import MappingProxyType
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+
+from softcal.core.errors import InputError
+from softcal.core.recording import Array
+from softcal.core.twin.effects import Effect, Flow, Hook, Memory, Parameter, memory
+from softcal.core.twin.signals import direction_state, low_pass
+
+Place = Literal["F", "force_N", "output_V"]
+"""What a term is added to: the force of the pad, which every later stage feels; the cell's reading; the output."""
+
+PLACES: tuple[Place, ...] = get_args(Place)
+HOOKS: Mapping[Place, Hook] = {"F": Hook.FORCE, "force_N": Hook.READING, "output_V": Hook.CLOCK}
+STAGES: Mapping[Place, str] = {"F": "mechanics", "force_N": "load_cell", "output_V": "electronics"}
+UNITS: Mapping[Place, str] = {"F": "N", "force_N": "N", "output_V": "V"}
+
+MEMORY_s = (0.1, 0.5, 2.0, 8.0, 30.0)
+"""Fading times of the memories: a few samples to the length of a run, a factor of four to five apart."""
+
+SHARP, BLUNT = 0.01, 0.1
+"""Shares of the deepest press within which `direction` turns after a reversal."""
+
+TOUCH = 0.05
+"""Share of the deepest press over which `touch` fades."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """What a load of 1 and a depth of 1 stand for: the largest of the recordings a term was learned from."""
+
+    load_N: float
+    depth_mm: float
+
+
+Column: TypeAlias = Callable[[Flow, Memory, Span], Array]
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of the twin.
+
+    Args:
+        unit: of its values, empty where it is a share of the largest.
+        column: (n,) its values at the instants of a flow.
+        needs: the recorded channel it cannot do without.
+    """
+
+    unit: str
+    column: Column
+    needs: str = ""
+
+
+def _load(flow: Flow, _: Memory, span: Span) -> Array:
+    return np.asarray(flow.force_N / span.load_N)
+
+
+def _depth(flow: Flow, span: Span) -> Array:
+    return np.asarray(flow.deformation_mm / span.depth_mm)
+
+
+def _power(exponent: int) -> Column:
+    return lambda flow, state, span: _load(flow, state, span) ** exponent
+
+
+def _time(flow: Flow, _: Memory, __: Span) -> Array:
+    return flow.t_s
+
+
+def _rise(flow: Flow, _: Memory, __: Span) -> Array:
+    return np.zeros(len(flow.t_s)) if flow.temperature_rise_K is None else flow.temperature_rise_K
+
+
+def _per_s(values: Array, flow: Flow, last: Array) -> Array:
+    change = np.diff(values, prepend=last[0])
+    last[0] = values[-1]
+    return np.divide(change, flow.step_s, out=np.zeros(len(values)), where=flow.step_s > 0.0)
+
+
+def _rate(flow: Flow, state: Memory, span: Span) -> Array:
+    load = _load(flow, state, span)
+    return _per_s(load, flow, memory(state, "load", load[0]))
+
+
+def _acceleration(flow: Flow, state: Memory, span: Span) -> Array:
+    depth = _depth(flow, span)
+    return _per_s(_per_s(depth, flow, memory(state, "depth", depth[0])), flow, memory(state, "speed", 0.0))
+
+
+def _direction(width: float) -> Column:
+    def column(flow: Flow, state: Memory, span: Span) -> Array:
+        depth = _depth(flow, span)
+        return direction_state(depth, width, memory(state, "direction", 0.0, depth[0])) * (depth > 0.0)
+
+    return column
+
+
+def _touch(flow: Flow, _: Memory, span: Span) -> Array:
+    depth = _depth(flow, span)
+    return np.exp(-depth / TOUCH) * (depth > 0.0)
+
+
+def _deepest(flow: Flow, state: Memory, span: Span) -> Array:
+    depth, last = _depth(flow, span), memory(state, "deepest", 0.0)
+    deepest = np.maximum(np.maximum.accumulate(depth), last[0])
+    last[0] = deepest[-1]
+    return np.asarray(deepest * (depth > 0.0))
+
+
+def _position(flow: Flow, _: Memory, span: Span) -> Array:
+    # A stage that stands far above the pad, as at rest, is as far as one that has just left it.
+    return np.maximum(flow.stage_mm, flow.contact_mm - span.depth_mm) / span.depth_mm
+
+
+def _remembered(tau_s: float) -> Column:
+    def column(flow: Flow, state: Memory, span: Span) -> Array:
+        return low_pass(_load(flow, state, span), flow.step_s, tau_s, memory(state, "remembered", 0.0, 0.0))
+
+    return column
+
+
+def _times_load(column: Column) -> Column:
+    return lambda flow, state, span: _load(flow, state, span) * column(flow, state, span)
+
+
+def _product(one: Column, other: Column) -> Column:
+    return lambda flow, state, span: one(flow, state, span) * other(flow, state, span)
+
+
+def _variables() -> Mapping[str, Variable]:
+    plain = {
+        "t": Variable("s", _time),
+        "direction": Variable("", _direction(SHARP)),
+        "blunt direction": Variable("", _direction(BLUNT)),
+        "rate": Variable("1/s", _rate),
+        "deepest": Variable("", _deepest, "stage_mm"),
+        "T": Variable("K", _rise, "temperature_C"),
+        **{f"memory(load, {tau_s:g} s)": Variable("", _remembered(tau_s)) for tau_s in MEMORY_s},
+    }
+    loaded = {f"load·{name}": Variable(v.unit, _times_load(v.column), v.needs) for name, v in plain.items()}
+    others = {
+        "load": Variable("", _load),
+        "load²": Variable("", _power(2)),
+        "load³": Variable("", _power(3)),
+        "touch": Variable("", _touch),
+        "touch·direction": Variable("", _product(_touch, _direction(SHARP))),
+        "acceleration": Variable("1/s²", _acceleration, "stage_mm"),
+        "position": Variable("", _position, "stage_mm"),
+    }
+    return MappingProxyType(plain | loaded | others)
+
+
+VARIABLES: Mapping[str, Variable] = _variables()
+"""What a term may follow, by name. A load of 1 and a depth of 1 are the largest that were recorded."""
+
+_INVERSE = {"": "", "s": "/s", "K": "/K", "1/s": "·s", "1/s²": "·s²"}
+
+
+@dataclass(frozen=True)
+class EmpiricalTerm:
+    """place += coefficient · variable.
+
+    Args:
+        place: what it is added to.
+        variable: a name of `VARIABLES`.
+        coefficient: in `unit`.
+        load_N, depth_mm: what a load of 1 and a depth of 1 stand for.
+
+    Raises:
+        InputError: an unknown place or variable, a coefficient that is not finite, or a span that is not above 0.
+    """
+
+    place: Place
+    variable: str
+    coefficient: float
+    load_N: float
+    depth_mm: float
+
+    def __post_init__(self) -> None:
+        if self.place not in PLACES:
+            raise InputError(f"an empirical term acts on {self.place!r}; known are {', '.join(PLACES)}")
+        if self.variable not in VARIABLES:
+            raise InputError(f"an empirical term follows {self.variable!r}; known are {', '.join(VARIABLES)}")
+        if not np.isfinite(self.coefficient):
+            raise InputError(f"{self.place} += … {self.variable}: the coefficient is {self.coefficient}")
+        if not (0.0 < self.load_N < np.inf and 0.0 < self.depth_mm < np.inf):
+            raise InputError(f"{self.place} += … {self.variable}: load_N and depth_mm must be above 0")
+
+    @property
+    def unit(self) -> str:
+        """Unit of the coefficient."""
+        return UNITS[self.place] + _INVERSE[VARIABLES[self.variable].unit]
+
+    @property
+    def formula(self) -> str:
+        """The term in one line, as a report shows it."""
+        return f"{self.place} += {self.coefficient:.3g} {self.unit} · {self.variable}"
+
+    @cached_property
+    def effect(self) -> Effect:
+        """The term as a step of the chain; its coefficient is its one parameter."""
+        # A hundredth of the common range: a step for derivatives, far from any bound.
+        usual = 0.01 * (self.load_N if UNITS[self.place] == "N" else 1.0)
+        size = Parameter("coefficient", self.unit, -1e4 * usual, 1e4 * usual, usual, neutral=0.0)
+        span = Span(self.load_N, self.depth_mm)
+        return Effect(
+            id=f"{self.place} += {self.variable}",
+            stage=STAGES[self.place],
+            hook=HOOKS[self.place],
+            equation=f"{self.place} += c·{self.variable}",
+            source="empirical",
+            parameters=(size,),
+            step=partial(_step, self.place, VARIABLES[self.variable].column, span),
+        )
+
+
+def _step(place: Place, column: Column, span: Span, flow: Flow, values: tuple[float, ...], state: Memory) -> None:
+    if len(flow.deformation_mm) != len(flow.t_s):
+        # A resistor or a weight in place of the pad: nothing is pressed.
+        return
+    added = values[0] * column(flow, state, span)
+    if place == "F":
+        flow.force_N = np.maximum(0.0, flow.force_N + added * (flow.deformation_mm > 0.0))
+    elif place == "force_N":
+        flow.reading_N = flow.reading_N + added
+    else:
+        flow.output_V = flow.output_V + added

@@ -1,0 +1,48 @@
+"""What every rule must keep, for the tests of rules in other packages."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from softcal.core.maps.conformance import example_problem
+from softcal.core.unit.rules import Objection, Rule, RuleFacts, is_rule
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import Limit
+
+
+def faults(rule: Rule) -> list[str]:
+    """Return what a rule does wrong, a line each; nothing where it conforms.
+
+    Checked, on a unit that was measured and on one that was not: it has a name and a version, answers twice alike with
+    sentences, and changes nothing of what it looks at.
+    """
+    if not is_rule(rule):
+        return ["a rule has a text `name`, a text `version` and a method `look(facts)`"]
+    found = [f"`{part}` is empty" for part in ("name", "version") if not getattr(rule, part).strip()]
+    for facts in _examples():
+        output, estimate = facts.recording.output.copy(), facts.estimate.copy()
+        try:
+            first, again = list(rule.look(facts)), list(rule.look(facts))
+        except Exception as error:
+            found.append(f"look raises {type(error).__name__}: {error}")
+            continue
+        if not all(isinstance(one, Objection) and str(one.sentence).strip() for one in first):
+            found.append("look gives something else than objections with a sentence")
+        elif first != again:
+            found.append("look answers the same unit differently the second time")
+        if not (np.array_equal(output, facts.recording.output) and np.array_equal(estimate, facts.estimate)):
+            found.append("look changes what it was given")
+    return list(dict.fromkeys(found))
+
+
+def _examples() -> Iterator[RuleFacts]:
+    """Yield a unit within its limit that nobody measured, the same measured beyond it, and one at rest."""
+    problem = example_problem()
+    estimate = problem.network.evaluate(problem.target.windows)
+    limit, forecast = Limit(problem.source.reference_unit, 0.5), ErrorForecast(0.1, 0.05, 0.2)
+    unmeasured = RuleFacts(problem.target, problem.source, estimate, forecast, limit)
+    yield unmeasured
+    yield replace(unmeasured, measured_rmse=0.7)
+    still = replace(problem.target, output=np.full_like(problem.target.output, 0.4))
+    yield replace(unmeasured, recording=still, estimate=np.zeros_like(estimate))

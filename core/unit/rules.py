@@ -1,0 +1,138 @@
+"""Rules of one's own that keep a unit from being released: entry points of the group `softcal.rules`.
+
+A rule can only hold a unit back, whatever was forecast or measured. Its name and version are part of the identity of
+every calibration it looked at, so that another version makes older results anew.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from typing import Protocol, cast, runtime_checkable
+
+from softcal.core.errors import InputError
+from softcal.core.plugins import installed, several, who
+from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import Finding, Limit, Verdict
+from softcal.core.words.reason import reason
+
+GROUP, KIND = "softcal.rules", "rule"
+
+
+@dataclass(frozen=True, eq=False)
+class RuleFacts:
+    """What a rule may look at. Of an audit it sees the error alone, not the reference.
+
+    Args:
+        recording: unlabelled recording of the unit.
+        source: the lot's source with its reference.
+        estimate: (n windows,) what f reads through the unit's map, in the reference unit.
+        forecast: the error that is expected, in the reference unit.
+        limit: tolerance limit of the lot.
+        measured_rmse: error against an audit, in the reference unit; None where the unit was not measured.
+    """
+
+    recording: OutputRecording
+    source: LabelledRecording
+    estimate: Array
+    forecast: ErrorForecast
+    limit: Limit
+    measured_rmse: float | None = None
+
+
+@dataclass(frozen=True)
+class Objection:
+    """Why a rule holds a unit back.
+
+    Args:
+        sentence: what is wrong and what to do, for the operator; it is shown as it stands.
+        press_again: whether another recording may answer it: the unit is a `retest`, else it fails.
+    """
+
+    sentence: str
+    press_again: bool = False
+
+
+@runtime_checkable
+class Rule(Protocol):
+    """One rule.
+
+    Args:
+        name: what it is called in messages.
+        version: another text wherever it decides otherwise.
+    """
+
+    name: str
+    version: str
+
+    def look(self, facts: RuleFacts) -> Iterable[Objection]:
+        """Return what stands against the unit; nothing lets it go on."""
+
+
+def with_plugins(points: Iterable[EntryPoint]) -> dict[str, Rule]:
+    """Return the rules of installed packages by identity, in the order of their entry points.
+
+    Raises:
+        InputError: one cannot be loaded, is no rule, or two have one name.
+    """
+    found: dict[str, Rule] = {}
+    for point in points:
+        for thing in several(point, KIND, is_rule, "a rule with name, version and look"):
+            rule = cast(Rule, thing)
+            if rule.name in {other.name for other in found.values()}:
+                raise InputError(f"{who(point, KIND)}: the name {rule.name!r} is taken already; give it another")
+            found[identity(rule)] = rule
+    return found
+
+
+def identity(rule: Rule) -> str:
+    """Return what stands for a rule in the identity of a calibration."""
+    return f"{rule.name} {rule.version}"
+
+
+def is_rule(thing: object) -> bool:
+    """Return whether a thing has what a rule has: a name, a version and `look`."""
+    named = all(isinstance(getattr(thing, name, None), str) for name in ("name", "version"))
+    return named and not isinstance(thing, type) and callable(getattr(thing, "look", None))
+
+
+RULES: Mapping[str, Rule] = with_plugins(installed(GROUP))
+"""By identity."""
+
+
+def rules_in_force() -> tuple[str, ...]:
+    """Return the identities of the rules that are installed here."""
+    return tuple(RULES)
+
+
+def rule_findings(asked: Sequence[str], facts: RuleFacts) -> tuple[Finding, ...]:
+    """Ask rules about a unit.
+
+    Args:
+        asked: identities of the rules that the calibration is made under.
+        facts: of the unit.
+
+    Raises:
+        InputError: a rule is not installed where the unit is calibrated.
+    """
+    return tuple(finding for name in asked for finding in _ask(name, facts))
+
+
+def _ask(name: str, facts: RuleFacts) -> Iterator[Finding]:
+    rule = RULES.get(name)
+    if rule is None:
+        here = ", ".join(RULES) or "none"
+        raise InputError(
+            f"rule {name!r} is not installed where unit {facts.recording.serial} is calibrated (there: {here}); "
+            "nothing was decided: install one version of its package on every machine"
+        )
+    try:
+        objections = [(str(one.sentence), bool(one.press_again)) for one in rule.look(facts)]
+    except Exception as error:
+        # A rule that cannot judge has not agreed: the unit waits, and the lot goes on.
+        told = f"{type(error).__name__}: {error}"
+        yield Finding(reason("rule.broken", rule=name, error=told), Verdict.RETEST)
+        return
+    for sentence, press_again in objections:
+        best = Verdict.RETEST if press_again else Verdict.FAIL
+        yield Finding(reason("rule.held", sentence=sentence, rule=name), best)

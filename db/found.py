@@ -1,0 +1,47 @@
+"""What a transaction has found and written so far, so that a chunk of a batch does not ask again for each of its units.
+
+One writer at a time: nobody else can change any of it before the transaction ends. What a savepoint takes back was
+never there, so a rollback to one forgets all.
+"""
+
+from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
+
+from sqlalchemy import Connection, RootTransaction, RowMapping
+
+
+@dataclass
+class Found:
+    """What is known inside one transaction.
+
+    Args:
+        lots: rows of lots that were compared with the audit trail.
+        heads: number and hash of the newest row of a chain of the trail, by registry.
+        blobs: hashes of blobs that are stored.
+        networks: ids of networks that are stored.
+        units: lot and serial of units that are registered.
+        without: table, lot and serial, where the transaction registered the unit and wrote no such row of it yet.
+    """
+
+    lots: dict[str, RowMapping] = field(default_factory=dict)
+    heads: dict[str, tuple[int, str]] = field(default_factory=dict)
+    blobs: set[str] = field(default_factory=set)
+    networks: set[str] = field(default_factory=set)
+    units: set[tuple[str, str]] = field(default_factory=set)
+    without: set[tuple[str, str, str]] = field(default_factory=set)
+
+
+_by_transaction = WeakKeyDictionary[RootTransaction, Found]()
+
+
+def found_in(connection: Connection) -> Found:
+    """Return what the transaction of a connection has found; nothing outside one."""
+    transaction = connection.get_transaction()
+    return Found() if transaction is None else _by_transaction.setdefault(transaction, Found())
+
+
+def forget(connection: Connection, *_: object) -> None:
+    """Forget what the transaction has found."""
+    transaction = connection.get_transaction()
+    if transaction is not None:
+        _by_transaction.pop(transaction, None)

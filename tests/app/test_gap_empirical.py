@@ -1,0 +1,97 @@
+"""What no cause explains, from the command line to the twin's file and the page."""
+
+import json
+from functools import partial
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.charts.gap_page import gap_page
+from softcal.app.cli.main import main
+from softcal.app.gap.diagnose import read_twin
+from softcal.app.texts.catalogue import catalogue, text
+from softcal.app.views.gap import residual_rows
+from softcal.core import profiles
+from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
+from softcal.core.twin.simulate import Twin, simulate
+
+READOUT = ReadoutMetadata(3.3, 14, 10.0, 50.0)
+METADATA = {"vref_V": 3.3, "adc_bits": 14, "r_series_ohm": 10.0, "sample_rate_Hz": 50.0, "serial": "G1"}
+DRAG_N_per_mm = 0.06
+ENGLISH = partial(text, "en")
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory):
+    """A cable that pulls at the load cell in proportion to the travel: no effect of the catalogue."""
+    folder = tmp_path_factory.mktemp("drag")
+    pressed = (profiles.ramps([3.0] * 2, 0.6), profiles.ramps([3.0] * 5, 4.0), profiles.rate_sweep(2.8))
+    for k, profile in enumerate(pressed, 1):
+        t_s, stage_mm = profile.sample(50.0)
+        twin = Twin(BaseParameters(kappa_per_N=0.06), (), READOUT)
+        force_N, output_V = simulate(twin, t_s, stage_mm, np.random.default_rng(k))
+        columns = {"t_s": t_s, "stage_mm": stage_mm, "force_N": force_N + DRAG_N_per_mm * stage_mm}
+        (folder / f"runs/{k}").mkdir(parents=True)
+        pd.DataFrame(columns | {"output_V": output_V}).to_csv(folder / f"runs/{k}/recording.csv", index=False)
+        (folder / f"runs/{k}/recording.json").write_text(json.dumps(METADATA))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def report(case, tmp_path_factory):
+    out = tmp_path_factory.mktemp("report") / "g.json"
+    assert main(["gap", "diagnose", str(case), "--json", str(out), "--page", str(out.with_suffix(".html"))]) == 0
+    return out
+
+
+def test_the_report_describes_what_is_left_and_calls_it_empirical(report):
+    content = json.loads(report.read_text())
+    assert content["verdict"] == "unknown"
+    found = content["residual"]
+    assert found["kind"] == "empirical" and found["shrink"]["low"] > 0.0
+    (term, *_) = found["terms"]
+    assert (term["place"], term["variable"], term["unit"]) == ("force_N", "position", "N")
+    assert term["coefficient"] == pytest.approx(DRAG_N_per_mm * found["depth_mm"], abs=4 * term["standard_error"])
+    page = report.with_suffix(".html").read_text()
+    assert "What is left, described" in page and "force_N += " in page and "<b>Empirical</b>" in page
+
+
+def test_the_twin_holds_the_terms_only_where_they_are_asked_for(report, tmp_path, capsys):
+    plain, described = tmp_path / "plain.json", tmp_path / "described.json"
+    assert main(["gap", "apply", "--report", str(report), "--out", str(plain)]) == 0
+    assert main(["gap", "apply", "--report", str(report), "--empirical", "--out", str(described)]) == 0
+    assert "empirical force_N += " in capsys.readouterr().err
+    assert read_twin(plain).empirical == () and read_twin(described).empirical
+    stage_mm = np.linspace(0.0, 2.5, 200)
+    t_s = np.arange(200) / 50.0
+    truth = simulate(Twin(BaseParameters(kappa_per_N=0.06), (), READOUT), t_s, stage_mm)[0] + DRAG_N_per_mm * stage_mm
+    errors = [np.sqrt(np.mean((simulate(read_twin(f), t_s, stage_mm)[0] - truth) ** 2)) for f in (plain, described)]
+    assert errors[1] < 0.2 * errors[0]
+
+
+def test_a_report_without_terms_says_so(report, tmp_path, capsys):
+    content = json.loads(report.read_text()) | {"residual": None}
+    bare = tmp_path / "bare.json"
+    bare.write_text(json.dumps(content))
+    assert main(["gap", "apply", "--report", str(bare), "--empirical", "--out", str(tmp_path / "t.json")]) == 2
+    assert "no empirical terms" in capsys.readouterr().err
+    assert not (tmp_path / "t.json").exists()
+
+
+def test_the_command_line_tells_the_terms_of_a_case(case, tmp_path, capsys):
+    assert main(["gap", "apply", str(case), "--empirical", "--out", str(tmp_path / "t.json")]) == 0
+    said = capsys.readouterr().out
+    assert "empirical   force_N += " in said and "a description, no cause" in said
+
+
+def test_a_report_without_terms_has_no_section(report):
+    content = json.loads(report.read_text()) | {"residual": None}
+    assert "What is left, described" not in gap_page(content, [], "G1", ENGLISH)
+    assert residual_rows(content, ENGLISH) == [] and residual_rows({}, ENGLISH) == []
+    assert residual_rows(json.loads(report.read_text()), ENGLISH)[0]["term"].startswith("force_N += ")
+
+
+def test_both_languages_describe_what_is_left():
+    for said in catalogue().values():
+        assert {"gap.left", "gap.left.is", "gap.left.beside", "gap.left.span", "gap.column.term"} <= said.keys()

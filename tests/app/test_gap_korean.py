@@ -1,0 +1,277 @@
+"""The whole report of a diagnosis in the language of the screen: real diagnoses, drawn in Korean, hold no English."""
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from html import unescape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softcal.app.charts.gap_page import chain_svg, gap_page
+from softcal.app.gap.desk import kept_of
+from softcal.app.gap.diagnose import run_views
+from softcal.app.texts.catalogue import text
+from softcal.app.texts.reasons import said
+from softcal.app.views.gap import (
+    ambiguous_groups,
+    cause_rows,
+    effect_name,
+    hidden_effects,
+    mistake_rows,
+    named_causes,
+    place_rows,
+    pressed_name,
+    residual_rows,
+    why_next,
+)
+from softcal.core import profiles
+from softcal.core.challenge.protocols import PROTOCOLS
+from softcal.core.gap import plausibility
+from softcal.core.gap.case import Case, Run
+from softcal.core.gap.diagnosis import Diagnosis, diagnose
+from softcal.core.gap.forms import FORMS
+from softcal.core.gap.next_experiment import SET_UP_min
+from softcal.core.gap.strangers import STRANGERS, WARM_DIVIDER
+from softcal.core.orders import RunState
+from softcal.core.twin.catalogue import OWN_EFFECTS
+from softcal.core.twin.effects import Alias
+from softcal.core.twin.empirical_terms import VARIABLES
+from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
+from softcal.core.twin.simulate import EffectSetting, Twin, simulate
+from softcal.core.words.gap_sentences import GAP_SENTENCES
+from softcal.core.words.reason import Reason
+from softcal.db.connection import open_registry
+
+English = Callable[[str], list[str]]
+KOREAN, ENGLISH = partial(text, "ko"), partial(text, "en")
+READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=12, r_series_ohm=10.0, sample_rate_Hz=50.0)
+BASE = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, kappa_per_N=0.06, sigma_force_N=0.015)
+DEPTH_mm = 3.1
+
+
+def pressed(*effects: EffectSetting) -> list[Run]:
+    """Four runs of a rig with these effects, by the profiles people press."""
+    rng = np.random.default_rng(1)
+    shapes = (
+        profiles.ramps([DEPTH_mm] * 2, 0.6),
+        profiles.ramps([DEPTH_mm] * 6, 4.0),
+        profiles.steps_with_holds([1.2, 2.4, DEPTH_mm, 1.8], hold_s=4.0),
+        profiles.random_presses(rng, 20.0, DEPTH_mm),
+    )
+    runs = []
+    for k, shape in enumerate(shapes, 1):
+        t_s, stage_mm = shape.sample(50.0)
+        temperature_C = 22.0 + 3.0 * (1 - np.exp(-t_s / 10.0)) + 0.3 * np.sin(t_s / 3.0 + k)
+        force_N, output_V = simulate(Twin(BASE, effects, READOUT), t_s, stage_mm, rng, temperature_C)
+        runs.append(Run(str(k), t_s, READOUT, stage_mm, force_N, output_V, temperature_C, profile=shape.name))
+    return runs
+
+
+def drifting(run: Run) -> Run:
+    assert run.output_V is not None
+    codes = np.round((run.output_V + 4e-4 * run.elapsed_s) / READOUT.step_V)
+    return replace(run, output_V=codes * READOUT.step_V)
+
+
+def dragging(run: Run) -> Run:
+    assert run.force_N is not None and run.stage_mm is not None
+    return replace(run, force_N=run.force_N + 0.06 * run.stage_mm)
+
+
+def in_kgf(run: Run) -> Run:
+    assert run.force_N is not None
+    return replace(run, force_N=run.force_N / 9.80665)
+
+
+AGEING = EffectSetting("ageing_drift", {"gamma": 0.004, "tau": 60.0})
+CASES: dict[str, tuple[str, Callable[[], list[Run]]]] = {
+    "nothing": ("no_gap", pressed),
+    "a pad that relaxes": ("explained", lambda: pressed(EffectSetting("stress_relaxation", {"g": 0.1, "tau": 5.0}))),
+    "a bad contact": ("explained", lambda: pressed(EffectSetting("dropped_samples", {}, ((6.0, 12),)))),
+    "a warm channel": ("explained", lambda: pressed(EffectSetting("thermal_drift", {"alpha": 0.002}))),
+    "no thermometer": ("ambiguous", lambda: [replace(run, temperature_C=None) for run in pressed(AGEING)]),
+    "a drifting offset": ("unknown", lambda: list(map(drifting, pressed()))),
+    "a dragging cable": ("unknown", lambda: list(map(dragging, pressed()))),
+    "another unit of force": ("data", lambda: [run if run.name != "2" else in_kgf(run) for run in pressed()]),
+    "no stage": ("no_gap", lambda: [replace(run, stage_mm=None) for run in pressed()]),
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def diagnosis(request: pytest.FixtureRequest) -> Diagnosis:
+    verdict, runs = CASES[request.param]
+    found = diagnose(Case("G1", tuple(runs())))
+    assert found.verdict == verdict
+    return found
+
+
+@pytest.fixture(scope="module")
+def report(diagnosis: Diagnosis) -> dict[str, Any]:
+    kept: dict[str, Any] = json.loads(json.dumps(diagnosis.report(), allow_nan=False))
+    return kept
+
+
+def shown(html: str) -> list[str]:
+    """What a page shows: its text and its labels, without scripts, styles and what is drawn from data."""
+    bare = re.sub(r"<(script|style)\b.*?</\1>", " ", html, flags=re.DOTALL)
+    labels = re.findall(r"(?:aria-label|title|alt)='([^']*)'", bare)
+    return [unescape(part) for part in [*re.split(r"<[^>]*>", bare), *labels] if part.strip()]
+
+
+TEXTS = {"text", "name", "title", "hovertemplate", "x", "y"}
+
+
+def drawn(value: Any, key: str = "") -> Iterator[str]:
+    """Every text of a figure: titles, legends, labels of bars and what the pointer shows."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            yield from drawn(part, name)
+    elif isinstance(value, list | tuple | np.ndarray):
+        for part in value:
+            yield from drawn(part, key)
+    elif isinstance(value, str) and key in TEXTS:
+        yield re.sub(r"<[^>]*>|%\{[^}]*\}|\b[xy]\d* domain\b", " ", value)
+
+
+def figures(html: str) -> list[dict[str, Any]]:
+    """Every figure that a page draws: its data and layout, as they stand in the page."""
+    found, read = [], json.JSONDecoder().raw_decode
+    for call in re.finditer(r'Plotly\.newPlot\(\s*"[^"]*",\s*', html):
+        data, end = read(html, call.end())
+        layout, _ = read(html, html.index("{", end))
+        found.append({"data": data, "layout": layout | {"template": None}})
+    return found
+
+
+@pytest.fixture(scope="module")
+def page(report: dict[str, Any], diagnosis: Diagnosis) -> str:
+    return gap_page(report, run_views(diagnosis), "G1", KOREAN)
+
+
+def test_the_standalone_page_is_korean(report: dict[str, Any], page: str, english_in: English) -> None:
+    assert '<html lang="ko">' in page
+    assert [part for part in shown(page) if english_in(part)] == []
+    assert text("ko", "gap.data" if report["verdict"] == "data" else "gap.runs") in shown(page)
+
+
+def test_the_figures_of_the_page_are_korean(report: dict[str, Any], page: str, english_in: English) -> None:
+    # Over time for every channel; with a diagnosis also maps for each, ranking and gain.
+    channels = 1 if {"force_N", "stage_mm"} & set(report["missing_channels"]) else 2
+    assert len(figures(page)) >= (channels if report["verdict"] == "data" else 2 * channels + 2)
+    for figure in figures(page):
+        on_it = list(drawn(figure))
+        assert on_it and [part for part in on_it if english_in(part)] == []
+
+
+def test_the_chain_is_korean(report: dict[str, Any], english_in: English) -> None:
+    labels = shown(chain_svg(report, KOREAN))
+    assert len(labels) == 13 and english_in(" ".join(labels)) == []
+
+
+def test_the_tables_are_korean(report: dict[str, Any], english_in: English) -> None:
+    tables = (cause_rows, place_rows, residual_rows, mistake_rows)
+    cells = [cell for rows in tables for row in rows(report, KOREAN) for cell in row.values()]
+    lines = [line for lines in (named_causes, hidden_effects, ambiguous_groups) for line in lines(report, KOREAN)]
+    proposed = report["next_experiment"]
+    lines += [why_next(proposed, KOREAN), *([] if proposed["profile"] == "none" else [_pressed(proposed)])]
+    assert [cell for cell in [*cells, *lines] if english_in(cell)] == []
+
+
+def _pressed(experiment: dict[str, Any]) -> str:
+    return pressed_name(experiment["profile"], KOREAN)
+
+
+def test_the_desk_is_korean_and_hands_out_the_page(
+    diagnosis: Diagnosis,
+    calibrated: str,
+    show: Any,
+    english_in: English,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    case, offered = tmp_path / "rig-7", []
+    (case / "runs").mkdir(parents=True)
+    monkeypatch.setattr("streamlit.download_button", lambda *args, **options: offered.append((*args, options)))
+    result, arrays = kept_of(diagnosis)
+    with open_registry(calibrated) as registry:
+        board = registry.job_board
+        job = board.place("diagnose", {"case": str(case)}, "Erin")
+        board.take(job)
+        board.end(job, RunState.DONE, result["verdict"], result, arrays)
+    screen = show(calibrated, "gap", case=str(case), lang="ko")
+    assert not screen.exception
+    said_on_it = [
+        one.value for kind in ("header", "markdown", "caption", "warning", "error") for one in screen.get(kind)
+    ]
+    said_on_it += [str(cell) for table in screen.table for row in table.value.to_numpy() for cell in row]
+    said_on_it += [str(name) for table in screen.table for name in table.value.columns]
+    of_the_page = [re.sub(r":material/\w+:", "", one) for one in said_on_it]
+    assert [one for one in of_the_page if english_in(one)] == []
+    ((label, options),) = offered
+    assert (label, options["file_name"], options["mime"]) == ("보고서를 페이지로 저장", "rig-7-gap.html", "text/html")
+    assert options["data"]().startswith('<!doctype html>\n<html lang="ko">')
+
+
+def test_the_english_sentences_of_a_report_stay_beside_their_codes(report: dict[str, Any]) -> None:
+    for place in report["where"]:
+        assert [str(Reason.of(one)) for one in place["reasons"]] == [place["regime"], place["detail"]]
+    (why,) = report["next_experiment"]["reasons"]
+    assert str(Reason.of(why)) == report["next_experiment"]["why"]
+
+
+def test_a_report_of_an_older_version_is_shown_as_it_stands() -> None:
+    place = {"stage": "mechanics", "channel": "force", "regime": "hold", "share": 0.5, "detail": "maps: stage→force"}
+    (row,) = place_rows({"where": [place]}, KOREAN)
+    assert (row["stage"], row["channel"], row["regime"], row["detail"]) == ("기계", "힘", "hold", "maps: stage→force")
+    assert why_next({"profile": "rest", "why": "it rests"}, KOREAN) == "it rests"
+    assert why_next({}, KOREAN) == ""
+
+
+def test_what_a_plug_in_brings_is_shown_as_it_is_written() -> None:
+    assert effect_name("cable_drag", KOREAN) == "cable drag"
+    alias = Alias("electronics", "a loose plug", 0.5, "rest", "temperature_C", 1.0, "press the plug home")
+    told = {"alias": Reason.of(alias.detail), "advice": Reason.of(alias.advice)}
+    assert "a loose plug" in said(Reason("gap.next.alias", {"effect": "cable_drag", **told}), KOREAN)
+    assert pressed_name("my own dance", KOREAN) == "my own dance"
+
+
+@pytest.mark.parametrize("effect", OWN_EFFECTS.values(), ids=lambda effect: effect.id)
+def test_every_effect_has_its_names(effect: Any, english_in: English) -> None:
+    assert effect_name(effect.id, ENGLISH) == effect.id.replace("_", " ")
+    fitted = {p.name: {"value": 1.0, "low": 0.9, "high": 1.1, "unit": p.unit} for p in effect.parameters}
+    cause = {"effect": effect.id, "stage": effect.stage, "probability": 1.0, "shrink": 1.0, "parameters": fitted}
+    (row,) = cause_rows({"causes": [cause]}, KOREAN)
+    assert english_in(" ".join(row.values())) == []
+    forms = [text("ko", f"gap.form.{form.effect.equation}") for form in FORMS.get(effect.id, ())]
+    assert english_in(" ".join(forms)) == []
+
+
+def test_everything_softcal_names_has_a_korean_name(english_in: English) -> None:
+    assert english_in(" ".join(text("ko", f"gap.variable.{name}") for name in VARIABLES)) == []
+    kinds = plausibility.Kind.__args__  # type: ignore[attr-defined]
+    assert english_in(" ".join(text("ko", f"gap.mistake.{kind}") for kind in kinds)) == []
+    rng = np.random.default_rng(1)
+    made = [make(rng, 3.0).name for make in (*profiles.BUILT_IN.values(), *PROTOCOLS.values())]
+    names = [pressed_name(name, KOREAN) for name in (*made, *(SET_UP_min.keys() - {"press"}), "fast_ramps")]
+    assert [name for name in names if english_in(name)] == []
+
+
+def test_every_sentence_on_a_gap_is_korean(english_in: English) -> None:
+    for code in GAP_SENTENCES:
+        korean = re.sub(r"\{[^}]*\}", "1", text("ko", f"reason.{code}", **_blank(code)))
+        assert english_in(korean) == [], code
+
+
+def _blank(code: str) -> dict[str, str]:
+    return {name: "" for name in re.findall(r"\{(\w+)", GAP_SENTENCES[code])}
+
+
+def test_every_departure_outside_the_catalogue_has_its_sentence() -> None:
+    likes = [one.like for one in (*STRANGERS, WARM_DIVIDER)]
+    assert {one.code for one in likes} == {code for code in GAP_SENTENCES if code.startswith("gap.like.")}
+    assert str(likes[0]) == "a stiffness that drifts"

@@ -1,0 +1,167 @@
+"""The source pressed as the golden unit of a sitting: units of that sitting are calibrated over it, by everybody."""
+
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softcal.app.batch.audit_evidence import AuditReader
+from softcal.app.batch.front_door import lot_files
+from softcal.app.cli.main import main
+from softcal.app.line.pressed_run import RunKeeper
+from softcal.app.registry.golden import golden_of
+from softcal.app.registry.laid_out import write_lot_folder
+from softcal.core.errors import InputError
+from softcal.core.network.config import NetworkConfig
+from softcal.core.orders import Order, OrderKind, Progress
+from softcal.db.connection import open_registry
+from softcal.db.entries import StoredCalibration
+from softcal.db.registry import Registry
+from softcal.station.recording import Alignment, StationRecording
+
+DAY_GAIN, DAY_ZERO_V = 1.06, 0.01
+SMALL = ("--hidden", "16,8")
+
+
+def quiet(progress: Progress) -> None:
+    return None
+
+
+@pytest.fixture
+def registry(registry_url: str) -> Iterator[Registry]:
+    with open_registry(registry_url) as registry:
+        # Beyond it the golden unit itself would close the gate; the day is well within.
+        registry.set_limit("small", 0.5, reason="test")
+        yield registry
+
+
+@pytest.fixture
+def keeper(registry: Registry) -> RunKeeper:
+    return RunKeeper(registry, "s1", NetworkConfig(hidden=(16, 8)))
+
+
+def pressed(press_unit, serial, gain=1.0, offset_V=0.5, seed=70, is_golden=False):
+    """A run on another day, by a programme that the source never had; golden unit and units share it."""
+    table = press_unit(1500, gain, offset_V, seed)
+    output = offset_V + DAY_GAIN * (table["output"].to_numpy() - offset_V) + DAY_ZERO_V
+    aligned = Alignment(*[0.0] * len(fields(Alignment)))
+    force_N = table["reference"].to_numpy() if is_golden else None
+    t_s = table["t_s"].to_numpy()
+    stage_mm = np.zeros(len(t_s))
+    return StationRecording(
+        serial, "unit", t_s, output[:, None], stage_mm, force_N, 50.0, "V", 0.0, 0.0, 0.0, 0, aligned
+    )
+
+
+def press_golden(keeper, press_unit, run=None):
+    order = Order("g", "s1", OrderKind.GOLDEN, "A0")
+    keeper.check(order)
+    return keeper.keep(order, run or pressed(press_unit, "A0", is_golden=True), quiet)
+
+
+def press_product(keeper, press_unit, serial="B1"):
+    run = pressed(press_unit, serial, gain=1.2, offset_V=0.6)
+    return keeper.keep(Order(f"o{serial}", "s1", OrderKind.UNIT, serial, "small"), run, quiet)
+
+
+def codes(stored: StoredCalibration) -> set[str]:
+    return {why.code for why in stored.record.reasons}
+
+
+def batched(folder: Path, url: str, out: Path) -> dict[str, dict[str, object]]:
+    assert main(["batch", str(folder), "--registry", url, "--json", str(out), *SMALL]) in (0, 1)
+    return {unit["serial"]: unit for unit in json.loads(out.read_text())["units"]}
+
+
+def test_a_unit_is_calibrated_over_the_golden_run_of_its_sitting(registry, keeper, press_unit):
+    press_product(keeper, press_unit, "B0")
+    assert not {code for code in codes(registry.calibration("B0")) if code.startswith("bridge.")}
+    assert press_golden(keeper, press_unit).verdict == "pass"
+    press_product(keeper, press_unit)
+    made = registry.calibration("B1")
+    assert "bridge.measured" in codes(made)
+    (golden,) = registry.recordings("small", "A0", "audit")
+    assert golden_of(registry, "small", ["B0", "B1"]) == {made.record.recording_sha256: ("B1", golden.sha256)}
+    assert registry.golden_runs()[-1].recording_sha256 == golden.sha256
+
+
+def test_whoever_calibrates_that_recording_again_crosses_the_same_bridge(
+    registry, registry_url, keeper, press_unit, tmp_path
+):
+    press_golden(keeper, press_unit)
+    press_product(keeper, press_unit)
+    made = registry.calibration("B1").record
+    with lot_files(registry, "small", lambda done, of: None) as folder:
+        again = batched(folder.root, registry_url, tmp_path / "again.json")
+    assert (again["B1"]["is_new"], again["B1"]["map"]["sha256"]) == (False, made.map_sha256)
+    assert [one.revision for one in registry.history("B1")] == [1]
+
+
+def test_a_lot_that_is_laid_out_takes_its_golden_run_along(registry, keeper, press_unit, tmp_path):
+    press_golden(keeper, press_unit)
+    press_product(keeper, press_unit)
+    made = registry.calibration("B1").record
+    written = write_lot_folder(registry, "small", tmp_path / "one")
+    assert written["golden"] == ["A0"] and written["audit"] == []
+    elsewhere = f"sqlite:///{tmp_path / 'elsewhere.db'}"
+    there = batched(tmp_path / "one", elsewhere, tmp_path / "there.json")
+    assert there["B1"]["verdict"] == made.verdict
+    with open_registry(elsewhere) as other:
+        assert "bridge.measured" in codes(other.calibration("B1"))
+        # The folder told it, and the registry knows it from now on.
+        assert {serial for serial, _ in golden_of(other, "small", ["B1"]).values()} == {"B1"}
+    # A unit of another sitting: one folder cannot say which belongs to which.
+    RunKeeper(registry, "s2", NetworkConfig(hidden=(16, 8))).keep(
+        Order("o", "s2", OrderKind.UNIT, "B2", "small"), pressed(press_unit, "B2", 1.1, 0.55), quiet
+    )
+    assert "golden" not in write_lot_folder(registry, "small", tmp_path / "two")
+
+
+@pytest.mark.parametrize("why", ["another station", "an earlier sitting", "it failed"])
+def test_a_golden_run_of_elsewhere_or_that_failed_carries_no_unit(why, registry, keeper, press_unit):
+    run = pressed(press_unit, "A0", is_golden=True)
+    if why == "it failed":
+        run = replace(run, force_N=1.5 * run.force_N)
+    done = press_golden(keeper, press_unit, run)
+    assert done.verdict == ("fail" if why == "it failed" else "pass")
+    station = "s2" if why == "another station" else "s1"
+    sitting = timedelta(0) if why == "an earlier sitting" else timedelta(hours=8)
+    other = RunKeeper(registry, station, NetworkConfig(hidden=(16, 8)), sitting=sitting)
+    press_product(other, press_unit)
+    assert golden_of(registry, "small", ["B1"]) == {}
+    assert not {code for code in codes(registry.calibration("B1")) if code.startswith("bridge.")}
+
+
+def test_a_golden_run_that_no_day_explains_fails_and_says_so(registry, keeper, press_unit):
+    run = pressed(press_unit, "A0", is_golden=True)
+    done = press_golden(keeper, press_unit, replace(run, force_N=9.81 * run.force_N))
+    assert done.verdict == "fail" and "misread" in str(done.message[1])
+
+
+def test_golden_runs_of_the_source_show_how_days_differ(registry, keeper, press_unit):
+    press_golden(keeper, press_unit)
+    gains = AuditReader(registry)._gains_by_day("small", "A0", datetime.now(UTC))
+    assert gains == [pytest.approx(DAY_GAIN, abs=0.04)]
+
+
+def test_a_serial_that_is_neither_source_nor_calibrated_is_no_golden_unit(keeper):
+    with pytest.raises(InputError):
+        keeper.check(Order("g", "s1", OrderKind.GOLDEN, "Z9"))
+
+
+def test_a_golden_run_that_lay_in_a_lot_folder_is_known_when_the_registry_lays_it_out(
+    registry, registry_url, lot_folder, press_unit, tmp_path
+):
+    shutil.rmtree(lot_folder / "audit")
+    (lot_folder / "golden").mkdir()
+    table = press_unit(1500, 1.0, 0.5, 11)
+    table.to_csv(lot_folder / "golden/A0.csv", index=False)
+    batched(lot_folder, registry_url, tmp_path / "first.json")
+    with lot_files(registry, "small", lambda done, of: None) as folder:
+        again = batched(folder.root, registry_url, tmp_path / "again.json")
+    assert {serial for serial, unit in again.items() if unit["is_new"]} == set()

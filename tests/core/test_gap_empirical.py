@@ -1,0 +1,164 @@
+"""What no cause explains is described by a few terms, the twin holds them, and another run says how good they are."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from softcal.core import profiles
+from softcal.core.challenge.chain import Rack, record
+from softcal.core.challenge.outside_equations import OUTSIDE, OUTSIDE_FORM
+from softcal.core.challenge.rig import Cause, Path, Rig
+from softcal.core.errors import InputError
+from softcal.core.gap.case import Case, Run
+from softcal.core.gap.empirical import learned
+from softcal.core.gap.explained import explained_twin
+from softcal.core.gap.start import base_fit
+from softcal.core.twin.effects import Flow
+from softcal.core.twin.empirical_terms import PLACES, VARIABLES, EmpiricalTerm
+from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
+from softcal.core.twin.record import RICHER, SCHEMA, twin_from_record, twin_record
+from softcal.core.twin.simulate import Chain, Twin, TwinStream, simulate
+
+READOUT = ReadoutMetadata(vref_V=3.3, adc_bits=14, r_series_ohm=10.0, sample_rate_Hz=50.0)
+BASE = BaseParameters(u0_mm=0.35, k1_N_mm=1.1, k3_N_mm3=0.1, kappa_per_N=0.06, sigma_force_N=0.012)
+DEPTH_mm, LOAD_N = 3.0, 5.5
+TERM = EmpiricalTerm("output_V", "memory(load, 8 s)", 0.013, LOAD_N, DEPTH_mm)
+
+
+def pressed(seed):
+    """Four runs of the common protocols and one more that is kept back."""
+    rng = np.random.default_rng(seed)
+    return (
+        profiles.ramps([DEPTH_mm] * 2, 0.6),
+        profiles.ramps([DEPTH_mm] * 6, 4.0),
+        profiles.steps_with_holds([1.2, 2.4, DEPTH_mm, 1.8], hold_s=4.0),
+        profiles.random_presses(rng, 20.0, DEPTH_mm),
+        profiles.ramps([1.5, DEPTH_mm, 2.2], 1.5),
+    )
+
+
+def outside_run(name, values, profile, rng):
+    """A run of the examiner's rig with an effect that the catalogue does not have."""
+    rig = Rig(0.35, 1.1, 0.1, 4.0, 0.06, 1e-3, 1.2e-2, 3.3, 10.0, 14, 50.0)
+    t_s, stage_mm = profile.sample(50.0)
+    path = Path(profile.name, t_s, stage_mm)
+    rack = Rack((Cause(name, OUTSIDE_FORM, values),), {(name, OUTSIDE_FORM): OUTSIDE[name]})
+    columns = record(rig, rack, path, lambda at_s: 22.0 + 0.1 * at_s, rng).columns
+    channels = {c: columns[c] for c in ("stage_mm", "force_N", "output_V", "temperature_C")}
+    return Run(profile.name, columns["t_s"], READOUT, **channels, profile=profile.name)
+
+
+def outside_case(name, values, seed=3):
+    rng = np.random.default_rng(seed)
+    *runs, kept_back = (outside_run(name, values, profile, rng) for profile in pressed(seed))
+    return Case("G1", tuple(dataclasses.replace(r, name=f"run {k}") for k, r in enumerate(runs))), kept_back
+
+
+def gap(twin, run, found):
+    """Error above the noise on a run, channels in units of their noise."""
+    told = dict(
+        zip(("force_N", "output_V"), simulate(twin, run.t_s, run.stage_mm, None, run.temperature_C), strict=True)
+    )
+    errors = {c: np.sqrt(np.mean((getattr(run, c) - v) ** 2)) / found.problem.floor(c) for c, v in told.items()}
+    return sum(max(0.0, error - 1.0) for error in errors.values())
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "variable"),
+    [
+        ("guide_friction", {"friction_N": 0.15}, "direction"),
+        ("cell_span_temperature", {"coefficient_per_K": 0.01}, "load·T"),
+        ("cable_drag", {"drag_N_per_mm": 0.06}, "position"),
+        ("permanent_set", {"share": 0.05}, "deepest"),
+    ],
+)
+def test_an_effect_outside_the_catalogue_is_described_and_the_twin_shrinks_the_gap_of_another_run(
+    name, values, variable
+):
+    case, kept_back = outside_case(name, values)
+    base = base_fit(case)
+    found = learned(base, [base])
+    assert found is not None and 1 <= len(found.terms) <= 3
+    assert variable in found.terms[0].term.variable
+    first = found.terms[0]
+    assert abs(first.term.coefficient) > 3.0 * first.standard_error > 0.0
+    assert first.term.unit in first.term.formula and found.shrink.low > 0.0
+    twin = explained_twin(found.fit, [one.term for one in found.terms])
+    again = twin_from_record(json.loads(json.dumps(twin_record(twin))), "file")
+    assert again == twin
+    realised = 1.0 - gap(again, kept_back, base) / gap(explained_twin(base), kept_back, base)
+    assert realised == pytest.approx(found.shrink.predicted, abs=0.10)
+
+
+def test_noise_alone_gets_no_term():
+    rng = np.random.default_rng(5)
+    runs = []
+    for k, profile in enumerate(pressed(5)):
+        t_s, stage_mm = profile.sample(50.0)
+        runs.append(Run(f"run {k}", t_s, READOUT, stage_mm, *simulate(Twin(BASE, (), READOUT), t_s, stage_mm, rng)))
+    base = base_fit(Case("G1", tuple(runs)))
+    assert learned(base, [base]) is None
+
+
+def test_what_happens_once_in_a_run_gets_no_term():
+    """A blow of half a second at another place in every run follows nothing that holds on a run held back."""
+    rng = np.random.default_rng(6)
+    runs = []
+    for k, profile in enumerate(pressed(6)):
+        t_s, stage_mm = profile.sample(50.0)
+        force_N, output_V = simulate(Twin(BASE, (), READOUT), t_s, stage_mm, rng)
+        at_s = rng.uniform(0.2, 0.8) * t_s[-1]
+        output_V = output_V + rng.choice([-0.02, 0.02]) * (np.abs(t_s - at_s) < 0.25)
+        runs.append(Run(f"run {k}", t_s, READOUT, stage_mm, force_N, output_V))
+    base = base_fit(Case("G1", tuple(runs)))
+    assert learned(base, [base]) is None
+
+
+@pytest.mark.parametrize("variable", VARIABLES)
+@pytest.mark.parametrize("place", PLACES)
+def test_a_term_streams_as_in_one_call_and_acts_at_its_place(place, variable):
+    twin = Twin(BASE, (), READOUT, (EmpiricalTerm(place, variable, 0.05, LOAD_N, DEPTH_mm),))
+    t_s, stage_mm = profiles.steps_with_holds([1.2, DEPTH_mm, 2.0], hold_s=1.0).sample(50.0)
+    temperature_C = 20.0 + t_s
+    whole = simulate(twin, t_s, stage_mm, None, temperature_C)
+    stream = TwinStream(twin, None)
+    parts = [
+        stream.advance(t_s[k : k + 7], stage_mm[k : k + 7], temperature_C[k : k + 7]) for k in range(0, len(t_s), 7)
+    ]
+    for channel in (0, 1):
+        np.testing.assert_allclose(np.concatenate([p[channel] for p in parts]), whole[channel], atol=1e-9)
+    bare = simulate(twin.clean, t_s, stage_mm, None, temperature_C)
+    assert np.any(whole[0] != bare[0]) == (place != "output_V")
+    assert np.any(whole[1] != bare[1]) == (place != "force_N")
+
+
+def test_a_term_does_nothing_where_no_pad_is_pressed():
+    flow = Flow(np.arange(50) / 50.0, np.full(50, 0.02), np.arange(50.0), None, 3.3)
+    flow.resistance_ohm = np.full(50, 4.0)
+    chain = Chain([TERM.effect])
+    chain.read_out(flow, READOUT, [[1.0]], chain.fresh_memories())
+    assert np.ptp(flow.output_V) == 0.0
+
+
+def test_a_twin_without_terms_keeps_the_first_schema():
+    assert twin_record(Twin(BASE, (), READOUT))["schema"] == SCHEMA
+    assert twin_record(Twin(BASE, (), READOUT, (TERM,)))["schema"] == RICHER
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"place": "stage_mm"}, "acts on 'stage_mm'"),
+        ({"variable": "mood"}, "follows 'mood'"),
+        ({"coefficient": float("nan")}, "coefficient is nan"),
+        ({"load_N": 0.0}, "must be above 0"),
+        ({"unit": "V/s"}, "its coefficient is in V, not in V/s"),
+    ],
+)
+def test_a_term_without_meaning_is_refused(change, message):
+    entry = twin_record(Twin(BASE, (), READOUT, (TERM,)))
+    entry["empirical"][0] |= change
+    with pytest.raises(InputError, match=message):
+        twin_from_record(entry, "twin.json")

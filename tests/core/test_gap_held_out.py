@@ -1,0 +1,41 @@
+"""The shrink on a part held back is of the causes that would have been chosen without that part."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from softcal.core.gap.case import Case
+from softcal.core.gap.diagnosis import diagnose
+from softcal.core.gap.search import EffectSearch
+
+
+@pytest.fixture
+def faint(drawn_case: Callable[..., Case]) -> Case:
+    """A cause so faint that one of its runs decides which of two is chosen."""
+    return drawn_case(1300002, "faint", "tenth")
+
+
+def _chosen_without(case: Case, run: int) -> tuple[str, ...]:
+    """The causes that a search finds to which the run was never shown."""
+    search = EffectSearch(replace(case, runs=tuple(r for k, r in enumerate(case.runs) if k != run)))
+    search.run()
+    return search.best.hypothesis.ids
+
+
+def test_causes_are_chosen_as_by_who_has_never_seen_the_part(faint: Case) -> None:
+    diagnosis = diagnose(faint)
+    assert len(diagnosis.chosen) == len(faint.runs)
+    assert diagnosis.chosen[:2] == tuple(_chosen_without(faint, run) for run in (0, 1))
+    assert len(set(diagnosis.chosen)) > 1  # Else the test shows nothing.
+
+
+def test_a_strong_cause_is_chosen_whatever_is_held_back(drawn_case: Callable[..., Case]) -> None:
+    diagnosis = diagnose(drawn_case(1300002, "strong", "usual"))
+    named = diagnosis.best.hypothesis.ids
+    assert named and diagnosis.chosen == (named,) * len(diagnosis.chosen)
+    assert diagnosis.report()["shrink"]["chosen"] == [list(named)] * len(diagnosis.chosen)
+
+
+def test_nothing_is_chosen_where_nothing_is_left(drawn_case: Callable[..., Case]) -> None:
+    assert diagnose(drawn_case(1300000, "sound", "none")).chosen == ()

@@ -1,0 +1,124 @@
+"""Rules of other packages: they hold back, whatever was forecast or measured, and are part of what a result is."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint
+
+import numpy as np
+import pytest
+
+from softcal.core.errors import InputError
+from softcal.core.metrics import rmse
+from softcal.core.unit import rules
+from softcal.core.unit.calibrate import UnitProblem, calibrate
+from softcal.core.unit.rule_conformance import faults
+from softcal.core.unit.rules import Objection, Rule, RuleFacts, identity, with_plugins
+from softcal.core.unit.verdict import Limit
+
+Answer = Callable[[RuleFacts], Iterator[Objection]]
+
+
+@dataclass(frozen=True)
+class Answering:
+    """A rule that answers as it is told."""
+
+    answer: Answer
+    name: str = "house"
+    version: str = "1"
+
+    def look(self, facts: RuleFacts) -> Iterator[Objection]:
+        return self.answer(facts)
+
+
+def objecting(press_again: bool = False) -> Answering:
+    return Answering(lambda facts: iter([Objection("its label is missing: glue one on", press_again)]))
+
+
+@pytest.fixture
+def rule_in_force(monkeypatch: pytest.MonkeyPatch) -> Callable[[Rule], None]:
+    def put(rule: Rule) -> None:
+        monkeypatch.setattr(rules, "RULES", {identity(rule): rule})
+
+    return put
+
+
+@pytest.fixture(scope="module")
+def unit(press):
+    return press(2, gain=1.3, offset_V=0.05, seconds=60.0)
+
+
+def problem(source_model, unit, **facts: object) -> UnitProblem:
+    return UnitProblem(source_model, unit.unlabelled, Limit("N", 2.0), **facts)
+
+
+def test_a_rule_holds_a_unit_back_whatever_was_forecast_or_measured(source_model, unit, rule_in_force) -> None:
+    assert calibrate(problem(source_model, unit)).decision.verdict == "conditional"
+    assert calibrate(problem(source_model, unit, audit=unit)).decision.verdict == "pass"
+    rule_in_force(objecting())
+    for audit in (None, unit):
+        made = calibrate(problem(source_model, unit, audit=audit))
+        assert made.decision.verdict == "fail"
+        assert made.decision.predicted.verdict == "fail", "a release by sample would let it through"
+        assert "its label is missing: glue one on (rule house 1)" in [str(one) for one in made.decision.reasons]
+
+
+def test_a_rule_may_ask_for_another_recording(source_model, unit, rule_in_force) -> None:
+    rule_in_force(objecting(press_again=True))
+    assert calibrate(problem(source_model, unit, audit=unit)).decision.verdict == "retest"
+
+
+def test_a_rule_sees_the_unit_and_no_reference_of_it(source_model, unit, rule_in_force) -> None:
+    seen: list[RuleFacts] = []
+    rule_in_force(Answering(lambda facts: iter(seen.append(facts) or [])))
+    made = calibrate(problem(source_model, unit, audit=unit))
+    (facts,) = seen
+    assert made.decision.verdict == "pass"
+    assert facts.recording is unit.unlabelled and facts.source is source_model.source
+    assert facts.limit.maximum_rmse == 2.0 and facts.measured_rmse == pytest.approx(made.scores.after, rel=0.1)
+    assert rmse(facts.estimate, unit.window_reference) == pytest.approx(made.scores.after, rel=0.1)
+    assert not any(isinstance(value, type(unit)) and value is unit for value in vars(facts).values())
+
+
+def test_a_rule_that_breaks_lets_nothing_pass_and_stops_no_lot(source_model, unit, rule_in_force) -> None:
+    def broken(facts: RuleFacts) -> Iterator[Objection]:
+        raise KeyError("gauge")
+
+    rule_in_force(Answering(broken))
+    made = calibrate(problem(source_model, unit, audit=unit))
+    assert made.decision.verdict == "retest"
+    assert "rule house 1 could not judge the unit (KeyError: 'gauge')" in str(made.decision.reasons[0])
+
+
+def test_the_rules_are_part_of_what_a_calibration_is(source_model, unit, rule_in_force) -> None:
+    without = problem(source_model, unit).input_sha256
+    rule_in_force(objecting())
+    first = problem(source_model, unit).input_sha256
+    rule_in_force(replace(objecting(), version="2"))
+    assert len({without, first, problem(source_model, unit).input_sha256}) == 3
+
+
+def test_a_machine_without_the_rule_decides_nothing(source_model, unit) -> None:
+    with pytest.raises(InputError, match="rule 'house 1' is not installed where unit U1 is calibrated"):
+        calibrate(problem(source_model, unit, rules=("house 1",)))
+
+
+@pytest.mark.parametrize("value", ["math:pi", "softcal.core.unit.rules:Rule", "softcal.nowhere:x"])
+def test_what_is_no_rule_is_refused_with_the_name_of_its_entry_point(value: str) -> None:
+    with pytest.raises(InputError, match="rule plug-in 'mine'"):
+        with_plugins([EntryPoint("mine", value, rules.GROUP)])
+
+
+@pytest.mark.parametrize(
+    ("rule", "said"),
+    [
+        (object(), "a rule has a text `name`"),
+        (replace(objecting(), version=" "), "`version` is empty"),
+        (Answering(lambda facts: iter(["no"])), "something else than objections"),  # type: ignore[list-item]
+        (Answering(lambda facts: iter([Objection(str(np.random.default_rng().random()))])), "the second time"),
+        (Answering(lambda facts: iter([Objection("x")] if facts.estimate.fill(0) else [])), "changes what"),
+        (Answering(lambda facts: iter([Objection("x")] if facts.measured_rmse > 1 else [])), "raises TypeError"),  # type: ignore[operator]
+    ],
+)
+def test_the_kit_finds_what_a_rule_does_wrong(rule: Rule, said: str) -> None:
+    assert any(said in fault for fault in faults(rule))
+    assert faults(objecting()) == []
