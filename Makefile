@@ -1,18 +1,21 @@
-# The two commands of the README. Everything lives in .venv; delete it to start over.
+# The commands of the README. Everything lives in .venv; delete it to start over.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := $(VENV)/.installed-demo
 STAMP := $(VENV)/.installed
-PIP := $(BIN)/python -m pip --disable-pip-version-check
-UV ?= uv
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+# uv installs what uv.lock names and checks every hash. Where it is missing it comes from the index, into .venv.
+UV ?= $(or $(shell command -v uv),$(BIN)/uv)
+SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) $(UV) sync --quiet --frozen --inexact --no-install-project
 
 # From plain indexes torch comes with 2.7 GB of CUDA on Linux; its own index has the CPU build. Elsewhere the build of
 # the plain index is the CPU build.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
-TORCH := $(shell sed -n 's/^\(torch==[0-9.]*\).*/\1/p' requirements.lock)
+TORCH := $(shell sed -n '/^name = "torch"$$/{n;s/version = "\(.*\)"/torch==\1/p;}' uv.lock)
 
-.PHONY: demo test check docs lock sbom clean
+.PHONY: demo test test-all check check-benchmarks docs lock sbom clean
 
 # Exit code 1 means done, but some unit did not pass: for a demo that is a result, not a failure.
 demo: $(DEMO)
@@ -20,19 +23,25 @@ demo: $(DEMO)
 
 # Two at once, each file in one process: what a file sets up for its tests is made once. Slow files begin first.
 test: $(STAMP) check
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m "not long"
+
+# That and the long layer: every browser file, kills, all cores of the firmware, sites and wheels, notebooks.
+test-all: $(STAMP) check check-benchmarks
+	$(PYTEST) --durations 20
 
 check: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	mkdir -p .links && ln -sfn .. .links/softcal
 	MYPYPATH=.links $(BIN)/mypy --explicit-package-bases -p softcal.core -p softcal.db -p softcal.station -p softcal.app
-	MYPYPATH=.links:benchmarks $(BIN)/mypy $(LOOSE) benchmarks/*.py
 	PYTHONPATH=.links $(BIN)/lint-imports
 
 # Benchmarks run for hours and seldom: their calls are checked against what they call, not their own style.
-LOOSE := --config-file= --explicit-package-bases --check-untyped-defs --no-strict-optional --ignore-missing-imports \
-  --follow-imports=silent --cache-dir=.mypy_cache/benchmarks
+check-benchmarks: $(STAMP)
+	mkdir -p .links && ln -sfn .. .links/softcal
+	MYPYPATH=.links:benchmarks $(BIN)/mypy --config-file= --explicit-package-bases --check-untyped-defs \
+	  --no-strict-optional --ignore-missing-imports --follow-imports=silent --cache-dir=.mypy_cache/benchmarks \
+	  benchmarks/*.py
 
 # The site with API pages, in site/. --strict: a warning is a failure.
 docs: $(STAMP)
@@ -45,38 +54,35 @@ $(VENV)/.made:
 	  echo 'Python 3.11 to 3.14 with venv is needed (Debian: apt install python3-venv); or name it: make PYTHON=python3.12'; \
 	  exit 1; }
 	$(PYTHON) -m venv $(VENV)
+	command -v $(UV) >/dev/null || $(BIN)/python -m pip install --quiet uv
 	touch $@
 
-$(DEMO): $(VENV)/.made pyproject.toml requirements-demo.lock
+$(DEMO): $(VENV)/.made pyproject.toml uv.lock
 	@echo 'Installing what softcal needs to run: about 0.45 GB to download, 1.8 GB in $(VENV).'
-	$(call install,requirements-demo.lock)
+	$(call install,--extra station)
 	touch $@
 
-$(STAMP): $(DEMO) pyproject.toml requirements.lock
-	@echo 'Installing what the tests need, too: about 1 GB more in $(VENV).'
-	$(call install,requirements.lock)
-	touch $@
+$(STAMP): $(VENV)/.made pyproject.toml uv.lock
+	@echo 'Installing what the tests need: about 0.8 GB to download, 2.8 GB in $(VENV).'
+	$(call install,--extra dev)
+	touch $@ $(DEMO)
 
-# pip checks the hash of every file in the lock. torch's CPU build has other files than the plain index: it is taken
-# first, and the hash its index states is checked.
+# torch's CPU build has other files than the plain index: it is taken first, and the hash its own index states is checked.
 define install
-	[ "$$(uname)" != Linux ] || $(PIP) install --retries 1 --extra-index-url $(TORCH_INDEX) --no-deps $(TORCH)
-	$(PIP) install --require-hashes --requirement $(1)
-	$(PIP) install --quiet --no-deps --no-build-isolation --editable .
+	[ "$$(uname)" != Linux ] || $(BIN)/python -m pip --disable-pip-version-check install --quiet --retries 1 \
+	  --extra-index-url $(TORCH_INDEX) --no-deps $(TORCH)
+	$(SYNC) $$([ "$$(uname)" != Linux ] || echo --no-install-package torch) $(1)
+	$(UV) pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
 endef
 
 # Resolve anew what pyproject.toml asks for, for all its Pythons and platforms; pins that still fit are kept.
-lock:
-	echo 'setuptools>=77' | $(UV) pip compile $(LOCKED) --extra dev --output-file requirements.lock pyproject.toml -
-	echo 'setuptools>=77' | $(UV) pip compile $(LOCKED) --extra station --constraint requirements.lock \
-	  --output-file requirements-demo.lock pyproject.toml -
-	echo 'setuptools>=77' | $(UV) pip compile $(LOCKED) --extra ui --extra station --extra documents --extra postgresql \
-	  --extra connect --constraint requirements.lock --output-file requirements-image.lock pyproject.toml -
-LOCKED := --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --custom-compile-command 'make lock'
+lock: $(VENV)/.made
+	$(UV) lock
 
-# What runs beside softcal, as CycloneDX: names, versions, hashes.
-sbom: $(STAMP)
-	$(BIN)/cyclonedx-py requirements --output-reproducible --output-file sbom.cdx.json requirements-image.lock
+# What an image runs beside softcal, as CycloneDX: names, versions, hashes.
+sbom: $(VENV)/.made
+	$(UV) export --quiet --frozen --no-emit-project --no-default-groups --format cyclonedx1.5 --extra ui --extra station \
+	  --extra documents --extra postgresql --extra connect --output-file sbom.cdx.json
 
 clean:
 	rm -rf $(VENV) .links build site *.egg-info

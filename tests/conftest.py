@@ -1,4 +1,4 @@
-"""Shared fixtures: a seeded generator, the measured data sets, and parts that may be missing outside CI."""
+"""The layers of the proof, and shared fixtures: a seeded generator, the measured data sets, and parts that may be missing outside CI."""
 
 import os
 
@@ -35,13 +35,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Files with slow tests come first: begun last, one of them would keep a single core busy for minutes."""
+    """Files with long tests come first: begun last, one of them would keep a single core busy for minutes."""
     if (seed := config.getoption("--shuffle")) is not None:
         random.Random(seed).shuffle(items)
         # Files stay together, or what a file sets up would be made anew for every test.
         items.sort(key=lambda item: str(item.path))
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    long = {item.path for item in items if item.get_closest_marker("long")}
+    items.sort(key=lambda item: item.path not in long)
 
 
 @pytest.fixture(autouse=True)

@@ -58,6 +58,22 @@ def test_the_commitment_is_printed_before_anything_is_diagnosed(
     assert (tmp_path / "sealed.seal.json").exists()
 
 
+def test_a_challenge_without_a_seed_takes_one_of_128_bits(tmp_path: Path) -> None:
+    seeds = []
+    for name in ("one", "two"):
+        make_challenge(tmp_path / name, tmp_path / f"{name}.json", 1)
+        seeds.append(json.loads((tmp_path / f"{name}.json").read_text())["seed"])
+    assert min(seed.bit_length() for seed in seeds) > 96 and seeds[0] != seeds[1]
+
+
+def test_the_check_of_a_score_fails_on_silence(made: tuple[Path, Path]) -> None:
+    folder, seal = made
+    reports = write_reports(folder.parent / "reports", ["case-001", "case-002", "case-003"], "unknown")
+    words = ("score", folder, "--reports", reports, "--seal", seal)
+    assert run(*words) == 0
+    assert run(*words, "--check") == 1
+
+
 def test_two_secret_draws_differ(tmp_path: Path) -> None:
     first, second = (make_challenge(tmp_path / name, tmp_path / f"{name}.json", 1) for name in "ab")
     assert first.commitment != second.commitment

@@ -240,15 +240,15 @@ def test_what_a_plug_in_brings_is_shown_as_it_is_written() -> None:
     assert pressed_name("my own dance", KOREAN) == "my own dance"
 
 
-@pytest.mark.parametrize("effect", OWN_EFFECTS.values(), ids=lambda effect: effect.id)
-def test_every_effect_has_its_names(effect: Any, english_in: English) -> None:
-    assert effect_name(effect.id, ENGLISH) == effect.id.replace("_", " ")
-    fitted = {p.name: {"value": 1.0, "low": 0.9, "high": 1.1, "unit": p.unit} for p in effect.parameters}
-    cause = {"effect": effect.id, "stage": effect.stage, "probability": 1.0, "shrink": 1.0, "parameters": fitted}
-    (row,) = cause_rows({"causes": [cause]}, KOREAN)
-    assert english_in(" ".join(row.values())) == []
-    forms = [text("ko", f"gap.form.{form.effect.equation}") for form in FORMS.get(effect.id, ())]
-    assert english_in(" ".join(forms)) == []
+def test_every_effect_has_its_names(english_in: English) -> None:
+    for effect in OWN_EFFECTS.values():
+        assert effect_name(effect.id, ENGLISH) == effect.id.replace("_", " ")
+        fitted = {p.name: {"value": 1.0, "low": 0.9, "high": 1.1, "unit": p.unit} for p in effect.parameters}
+        cause = {"effect": effect.id, "stage": effect.stage, "probability": 1.0, "shrink": 1.0, "parameters": fitted}
+        (row,) = cause_rows({"causes": [cause]}, KOREAN)
+        assert english_in(" ".join(row.values())) == []
+        forms = [text("ko", f"gap.form.{form.effect.equation}") for form in FORMS.get(effect.id, ())]
+        assert english_in(" ".join(forms)) == []
 
 
 def test_everything_softcal_names_has_a_korean_name(english_in: English) -> None:

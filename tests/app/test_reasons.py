@@ -4,6 +4,7 @@ import ast
 import inspect
 import json
 from functools import partial
+from itertools import product
 from pathlib import Path
 from string import Formatter
 
@@ -37,9 +38,8 @@ VERDICTS = [code for code in ENGLISH if code not in SENTENCES]
 EXAMPLES = [example(code) for code in VERDICTS]
 
 
-@pytest.mark.parametrize("one", EXAMPLES, ids=str)
-def test_every_reason_is_said_in_every_language_with_the_same_values(one: Reason) -> None:
-    for language in LANGUAGES:
+def test_every_reason_is_said_in_every_language_with_the_same_values() -> None:
+    for one, language in product(EXAMPLES, LANGUAGES):
         sentence = catalogue()[language][f"{PREFIX}{one.code}"]
         named = {name for _, name, _, _ in Formatter().parse(sentence) if name}
         assert named == set(one.values) or one.code == PLAIN
@@ -60,30 +60,27 @@ def whole(one: Reason) -> list[Reason]:
 NOT_AT_THE_LINE = ("part.", "data.", "audit.", "release.", "gap.", PLAIN)
 
 
-@pytest.mark.parametrize(
-    "one", [one for e in EXAMPLES if not e.code.startswith(NOT_AT_THE_LINE) for one in whole(e)], ids=str
-)
-@pytest.mark.parametrize("language", LANGUAGES)
-def test_every_reason_is_said_plainly_to_the_line_without_numbers(one: Reason, language: str) -> None:
-    words = partial(text, language)
-    sentence = plainly(one, words)
-    assert sentence in [said for key, said in catalogue()[language].items() if key.startswith(PLAINLY)]
-    assert sentence.endswith(".") and not any(c.isdigit() or c in "{};`" for c in sentence)
-    assert language == "en" or sentence != plainly(one, ENGLISH_WORDS)
+def test_every_reason_is_said_plainly_to_the_line_without_numbers() -> None:
+    at_the_line = [one for e in EXAMPLES if not e.code.startswith(NOT_AT_THE_LINE) for one in whole(e)]
+    for one, language in product(at_the_line, LANGUAGES):
+        sentence = plainly(one, partial(text, language))
+        assert sentence in [said for key, said in catalogue()[language].items() if key.startswith(PLAINLY)], one
+        assert sentence.endswith(".") and not any(c.isdigit() or c in "{};`" for c in sentence), one
+        assert language == "en" or sentence != plainly(one, ENGLISH_WORDS), one
 
 
 def test_a_reason_kept_as_a_sentence_is_shown_as_it_is() -> None:
     assert plainly(plain("two maps"), KOREAN) == said(plain("two maps"), KOREAN) == "two maps"
 
 
-@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.__name__)
-def test_the_numerics_give_codes_that_exist_and_no_prose(module: object) -> None:
-    calls = [node for node in ast.walk(ast.parse(inspect.getsource(module))) if isinstance(node, ast.Call)]
-    made = [c for c in calls if isinstance(c.func, ast.Name) and c.func.id in ("reason", "Reason") and c.args]
-    codes = [c.args[0].value for c in made if isinstance(c.args[0], ast.Constant)]
-    assert codes and set(codes) <= set(ENGLISH)
-    refusals = [c for c in calls if isinstance(c.func, ast.Name) and c.func.id in ("UnitRefused", "Finding")]
-    assert not any(isinstance(c.args[0], ast.Constant | ast.JoinedStr) for c in refusals)
+def test_the_numerics_give_codes_that_exist_and_no_prose() -> None:
+    for module in MODULES:
+        calls = [node for node in ast.walk(ast.parse(inspect.getsource(module))) if isinstance(node, ast.Call)]
+        made = [c for c in calls if isinstance(c.func, ast.Name) and c.func.id in ("reason", "Reason") and c.args]
+        codes = [c.args[0].value for c in made if isinstance(c.args[0], ast.Constant)]
+        assert codes and set(codes) <= set(ENGLISH), module
+        refusals = [c for c in calls if isinstance(c.func, ast.Name) and c.func.id in ("UnitRefused", "Finding")]
+        assert not any(isinstance(c.args[0], ast.Constant | ast.JoinedStr) for c in refusals), module
 
 
 def test_every_code_is_given_somewhere() -> None:
@@ -101,11 +98,11 @@ def test_every_code_is_given_somewhere() -> None:
     assert unused == []
 
 
-@pytest.mark.parametrize("one", EXAMPLES, ids=str)
-def test_a_reason_survives_being_kept(one: Reason) -> None:
-    assert Reason.of(json.loads(json.dumps(one.to_json()))) == one
-    assert Reason.of(json.loads(json.dumps(to_kept(one)))) == one
-    assert unpacked(packed([one, one])) == (one, one) or one.code == PLAIN
+def test_a_reason_survives_being_kept() -> None:
+    for one in EXAMPLES:
+        assert Reason.of(json.loads(json.dumps(one.to_json()))) == one
+        assert Reason.of(json.loads(json.dumps(to_kept(one)))) == one
+        assert unpacked(packed([one, one])) == (one, one) or one.code == PLAIN
 
 
 def test_the_sentence_an_older_version_kept_stays_as_it_is() -> None:

