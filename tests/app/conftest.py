@@ -17,12 +17,13 @@ from functools import cache, partial
 from ipaddress import ip_address
 from pathlib import Path
 from subprocess import DEVNULL
+from typing import Any
 
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 from streamlit.components.v2 import manifest_scanner
 from streamlit.testing.v1 import AppTest
 
@@ -32,7 +33,9 @@ from softcal.app.jobs import process as job_process
 from softcal.app.jobs.jobs import run_job
 from softcal.app.ui import account as identity
 from softcal.app.ui import browser_memory, first_paint, registry_of_server
+from softcal.core.orders import OrderKind, RunState
 from softcal.db.connection import open_registry
+from tests.app.line_screen import SHORT, STATION, Line, opened
 
 MAIN = Path(identity.__file__).with_name("main.py")
 CHROMIUM_FLAGS = [
@@ -134,13 +137,19 @@ def add_everybody() -> Callable[[str], None]:
 
 
 class Screen:
-    """The application on a registry, started by its command in a process group of its own."""
+    """The application on a registry, started by its command in a process group of its own.
 
-    def __init__(self, url: str, options: tuple[str, ...]):
+    Args:
+        is_patient: a start is late after minutes; what is late after the seconds of the line is tried where it is not.
+    """
+
+    def __init__(self, url: str, options: tuple[str, ...], is_patient: bool = True):
         self.port = free_port()
         self.address = f"http://127.0.0.1:{self.port}"
         command = [SOFTCAL, "ui", "--no-browser", "--port", str(self.port), "--registry", url, *options]
-        self._start = partial(subprocess.Popen, command, stdout=DEVNULL, stderr=DEVNULL, start_new_session=True)
+        environment = os.environ | ({"PYTHONPATH": str(Path(__file__).with_name("patient"))} if is_patient else {})
+        quiet: dict[str, Any] = {"stdout": DEVNULL, "stderr": DEVNULL, "start_new_session": True}
+        self._start = partial(subprocess.Popen, command, env=environment, **quiet)
         self.start()
 
     def __str__(self) -> str:
@@ -172,9 +181,9 @@ class Screen:
 
 
 @contextmanager
-def served(url: str, *options: str) -> Iterator[Screen]:
+def served(url: str, *options: str, is_patient: bool = True) -> Iterator[Screen]:
     """Serve the application on a registry by its command; give the screen."""
-    screen = Screen(url, options)
+    screen = Screen(url, options, is_patient)
     try:
         yield screen
     finally:
@@ -307,6 +316,7 @@ def chromium(require: Callable[[object, str], None]) -> Iterator[Browser]:
     """One headless Chromium for all tests."""
     path = shutil.which("chromium")
     require(path, "no chromium on this machine; install Debian's package chromium")
+    expect.set_options(timeout=1000 * START_S)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=CHROMIUM_FLAGS)
         yield browser
@@ -320,7 +330,7 @@ def page(chromium: Browser) -> Iterator[Page]:
     asked: list[str] = []
     context.on("request", lambda request: asked.append(request.url))
     tab = context.new_page()
-    tab.set_default_timeout(30_000)
+    tab.set_default_timeout(1000 * START_S)
     yield tab
     context.close()
     assert not [url for url in asked if not url.startswith(("http://127.0.0.1", "ws://127.0.0.1", "data:", "blob:"))]
@@ -354,6 +364,30 @@ def wait_for_memory(page: Page, name: str) -> None:
 def remembered() -> Callable[[Page, str], None]:
     """`remembered(page, name)` waits until the browser remembers something."""
     return wait_for_memory
+
+
+@pytest.fixture(scope="module")
+def line(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Line]:
+    """A line: a served station with a trained lot, and a screen that shows it."""
+    folder = tmp_path_factory.mktemp("line")
+    url = f"sqlite:///{folder / 'line.db'}"
+    with (
+        station_served(url, STATION, folder, *SHORT) as station,
+        served(url) as screen,
+        open_registry(url) as registry,
+    ):
+        line = Line(registry, screen, station, url)
+        source = line.order(OrderKind.SOURCE, "A0")
+        line.until(lambda: not registry.order_queue.progress(source).state.is_active, "the source")
+        assert registry.order_queue.progress(source).state is RunState.DONE
+        yield line
+
+
+@pytest.fixture
+def panel(line: Line, page: Page) -> Page:
+    """The operator's screen, opened at its address, on a line that is free."""
+    line.clear()
+    return opened(page, line.screen)
 
 
 @pytest.fixture

@@ -50,7 +50,7 @@ def panel(chromium: Browser) -> Iterator[Page]:
     """A panel of 1024 × 768 in the dark."""
     context = chromium.new_context(viewport={"width": 1024, "height": 768}, color_scheme="dark")
     tab = context.new_page()
-    tab.set_default_timeout(60_000)
+    tab.set_default_timeout(120_000)
     yield tab
     context.close()
 
@@ -93,7 +93,7 @@ def test_every_text_stands_out_from_its_ground(
     address, _ = desk
     context = chromium.new_context(viewport={"width": 1280, "height": 900}, color_scheme=theme)
     page = context.new_page()
-    page.set_default_timeout(60_000)
+    page.set_default_timeout(120_000)
     _sign_in(page, address, remembered)
     paths = {"sign_in": "Erin", **DESK_PAGES}
     weak = {}
@@ -132,7 +132,7 @@ def test_names_of_64_letters_are_read_in_full_on_a_small_panel(
     address, lot_id, serial = long_names
     context = chromium.new_context(viewport={"width": size[0], "height": size[1]})
     page = context.new_page()
-    page.set_default_timeout(60_000)
+    page.set_default_timeout(120_000)
     for path, name in ((f"lot?lot={lot_id}", lot_id), (f"unit?unit={serial}", serial)):
         page.goto(f"{address}/{path}")
         page.get_by_text(name, exact=True).first.wait_for()

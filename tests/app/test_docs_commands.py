@@ -69,13 +69,14 @@ def _words(command: str) -> list[str]:
 
 def test_every_command_of_a_block_is_understood(capsys: pytest.CaptureFixture[str]) -> None:
     refused = []
-    for page, command in ((page, command) for page in PAGES for command in _commands(page)):
-        if any(part in command for part in A_PACKAGE):
-            continue
-        try:
-            command_parser().parse_args(_words(command))
-        except SystemExit:
-            refused.append((page.name, command, capsys.readouterr().err))
+    for page in PAGES:
+        for command in _commands(page):
+            if any(part in command for part in A_PACKAGE):
+                continue
+            try:
+                command_parser().parse_args(_words(command))
+            except SystemExit:
+                refused.append((page.name, command, capsys.readouterr().err))
     assert refused == []
 
 
@@ -98,11 +99,12 @@ def _known(parser: argparse.ArgumentParser) -> set[str]:
 
 def test_every_command_and_option_that_is_mentioned_is_there() -> None:
     unknown = []
-    for page, (text, parser, words) in ((page, mention) for page in PAGES for mention in _mentions(page)):
-        is_command = not _below(parser) or not words or not re.fullmatch(r"[a-z-]+", words[0])
-        options = {word.partition("=")[0] for word in words if word.startswith("--")}
-        if parser.prog == "softcal" or not is_command or not options <= _known(parser):
-            unknown.append(f"{page.name}: softcal {text}")
+    for page in PAGES:
+        for text, parser, words in _mentions(page):
+            is_command = not _below(parser) or not words or not re.fullmatch(r"[a-z-]+", words[0])
+            options = {word.partition("=")[0] for word in words if word.startswith("--")}
+            if parser.prog == "softcal" or not is_command or not options <= _known(parser):
+                unknown.append(f"{page.name}: softcal {text}")
     assert unknown == []
 
 

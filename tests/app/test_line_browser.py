@@ -1,92 +1,18 @@
 """The operator's screen in a real browser on a simulated station: a lot of six, and all that may happen to it."""
 
 import re
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Locator, Page, expect
-from playwright.sync_api import TimeoutError as PlaywrightTimeout
+from playwright.sync_api import Browser, Page, expect
 
-from softcal.app.line.facts import LineFacts, Screen, read_line
-from softcal.app.line.line import START_S, take_scan
+from softcal.app.line.line import START_S
 from softcal.app.ui.stop_key import PATH as STOP_PATH
-from softcal.core.orders import Order, OrderKind, RunState
-from softcal.db.connection import open_registry
+from softcal.core.orders import OrderKind
+from tests.app.line_screen import FOCUS, VERDICTS, Line, card, focus, opened, press, scan, shown, verdict_of
 
-STATION, LOT = "line-1", "LOT-7"
-SHORT = ("--speed", "4", "--unit-seconds", "12", "--source-seconds", "25", "--hidden", "12,6")
-VERDICTS = ("pass", "conditional", "fail", "retest")
-
-
-@dataclass
-class Line:
-    """A served station with a trained lot, and a screen that shows it."""
-
-    registry: Any
-    screen: Any
-    station: Any
-
-    def order(self, kind: OrderKind, serial: str = "", reason: str = "") -> str:
-        order_id = f"{kind}-{time.monotonic_ns()}"
-        self.registry.order_queue.place(Order(order_id, STATION, kind, serial, LOT, "engineer", reason))
-        return order_id
-
-    @property
-    def facts(self) -> LineFacts:
-        return read_line(self.registry, Screen(STATION))
-
-    def until(self, is_so: Callable[[], bool], what: str) -> None:
-        deadline_s = time.monotonic() + 120
-        while not is_so():
-            assert time.monotonic() < deadline_s, f"waited for {what}; {self.facts}"
-            time.sleep(0.1)
-
-    def clear(self) -> None:
-        """Nothing runs, nothing stands still and no unit waits, whatever other tests left here."""
-        self.until(lambda: self.facts.is_answering and self.facts.active is None, "a run to end")
-        for code in ("CMD:OK", "CMD:OK", "CMD:CANCEL"):
-            take_scan(self.registry, Screen(STATION), code)
-        self.until(lambda: not self.facts.is_stopped and self.facts.may_press, "the station to be ready")
-
-    def runs(self) -> int:
-        """How many runs this station was ever ordered."""
-        return sum(order.kind.is_run for order, _ in self.registry.order_queue.runs(STATION, 10_000))
-
-    def press(self, serial: str) -> None:
-        """Order a run of a unit and wait for its end."""
-        order_id = self.order(OrderKind.UNIT, serial)
-        self.until(lambda: not self.registry.order_queue.progress(order_id).state.is_active, f"the run of {serial}")
-
-    def verdict(self, serial: str) -> str | None:
-        return {unit.serial: unit.verdict for unit in self.registry.units(LOT)}.get(serial)
-
-
-@pytest.fixture(scope="module")
-def line(tmp_path_factory: pytest.TempPathFactory, serve: Callable, serve_station: Callable) -> Iterator[Line]:
-    folder = tmp_path_factory.mktemp("line")
-    url = f"sqlite:///{folder / 'line.db'}"
-    with (
-        serve_station(url, STATION, folder, *SHORT) as station,
-        serve(url) as screen,
-        open_registry(url) as registry,
-    ):
-        line = Line(registry, screen, station)
-        source, deadline_s = line.order(OrderKind.SOURCE, "A0"), time.monotonic() + 120
-        while (progress := registry.order_queue.progress(source)).state.is_active:
-            assert time.monotonic() < deadline_s, progress
-            time.sleep(0.2)
-        assert progress.state is RunState.DONE, progress.text
-        yield line
-
-
-@pytest.fixture
-def panel(line: Line, page: Page) -> Page:
-    """The operator's screen, opened at its address, on a line that is free."""
-    line.clear()
-    return opened(page, line)
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture
@@ -99,78 +25,6 @@ def judged(line: Line) -> str:
     return "A9"
 
 
-def card(page: Page, *states: str) -> Locator:
-    return page.locator(", ".join(f".sc-card[data-state={state}]" for state in states))
-
-
-def scan_until(page: Page, text: str, *states: str, serial: str = "") -> None:
-    """Scan as a person does: again when nothing came of it."""
-    for _ in range(3):
-        scan(page, text)
-        try:
-            shown(page, *states, serial=serial, timeout_ms=10_000)
-            return
-        except AssertionError:
-            continue
-    scan(page, text)
-    shown(page, *states, serial=serial, timeout_ms=10_000)
-
-
-def scan(page: Page, text: str, ending: str | None = "Enter") -> None:
-    """Type as a scanner does: fast, and ended by a key or by nothing."""
-    if ending is None:
-        page.keyboard.insert_text(text)  # All at once: typed letters come slowly on a busy machine.
-        return
-    page.keyboard.type(text, delay=1)
-    page.keyboard.press(ending)
-
-
-def shown(page: Page, *states: str, serial: str = "", timeout_ms: float = 30_000) -> Locator:
-    """Wait for the card in one of these states; where it never comes, say what stands there instead."""
-    wanted = card(page, *states).filter(has_text=serial)
-    try:
-        wanted.wait_for(timeout=timeout_ms)
-    except PlaywrightTimeout:
-        stands = page.locator(".sc-card").first
-        state, says = stands.get_attribute("data-state"), stands.inner_text()
-        raise AssertionError(
-            f"no {' or '.join(states)} of {serial or 'any unit'}; {state} stands there: {says}"
-        ) from None
-    return wanted
-
-
-def press(page: Page, key: str, *states: str, serial: str = "") -> None:
-    """Press a key as a person does: again when nothing came of it, since a busy machine's station may answer late."""
-    for _ in range(5):
-        page.keyboard.press(key)
-        try:
-            shown(page, *states, serial=serial, timeout_ms=5_000)
-            return
-        except AssertionError:
-            continue
-    page.keyboard.press(key)
-    shown(page, *states, serial=serial, timeout_ms=5_000)
-
-
-def verdict_of(page: Page, serial: str) -> str:
-    return str(shown(page, *VERDICTS, serial=serial, timeout_ms=400_000).get_attribute("data-state"))
-
-
-FOCUS = "(document.activeElement.shadowRoot?.activeElement ?? document.activeElement).tagName"
-
-
-def focus(page: Page) -> str:
-    return str(page.evaluate(FOCUS))
-
-
-def opened(page: Page, line: Line) -> Page:
-    """Open the screen; it listens from the moment it has the focus."""
-    page.goto(line.screen.address)
-    page.wait_for_function(f"{FOCUS} === 'INPUT'")
-    return page
-
-
-@pytest.mark.slow
 def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: Page) -> None:
     verdicts = {}
 
@@ -185,7 +39,8 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
     # The second: a symbology prefix, ended by Tab, started by a code; the page is reloaded in mid-run.
     scan(panel, "]C0A2", "Tab")
     shown(panel, "armed", serial="A2")
-    scan_until(panel, "cmd:start", "running", serial="A2")
+    scan(panel, "cmd:start")
+    shown(panel, "running", serial="A2")
     panel.reload()
     shown(panel, "running", serial="A2")
     verdicts["A2"] = verdict_of(panel, "A2")
@@ -227,7 +82,8 @@ def test_a_lot_of_six_from_scan_to_verdict_whatever_happens(line: Line, panel: P
     press(panel, "F2", "running", serial="A6")
     panel.locator("[data-testid=stEChartsChart] canvas").first.wait_for()  # It moves: now there is something to stop.
     press(panel, "F8", "stopped", serial="A6")
-    scan_until(panel, "CMD:OK", "hand")
+    scan(panel, "CMD:OK")
+    shown(panel, "hand")
     scan(panel, "A6")
     shown(panel, "armed", serial="A6")
     press(panel, "F2", "running", serial="A6")
@@ -257,7 +113,7 @@ def test_a_unit_that_waits_stands_there_after_a_reload_a_restart_and_at_another_
     line.screen.start()
     shown(panel, "armed", serial="A7")
     context = chromium.new_context()
-    other = opened(context.new_page(), line)
+    other = opened(context.new_page(), line.screen)
     shown(other, "armed", serial="A7")
     scan(other, "A0")
     shown(other, "hand")
@@ -303,13 +159,24 @@ def test_a_server_that_stalls_for_longer_than_a_start_may_take_loses_no_acknowle
     shown(panel, "hand")
 
 
+@pytest.fixture(scope="module")
+def strict(line: Line, serve: Callable) -> Iterator[Any]:
+    """A second screen, whose starts are late after the seconds of the line."""
+    with serve(line.url, is_patient=False) as screen:
+        yield screen
+
+
 @pytest.mark.parametrize("code", ["F2", "CMD:START", "cmd:start", "]C0CMD:Start"])
-def test_a_start_moves_nothing_after_a_stall_however_it_was_given(line: Line, panel: Page, code: str) -> None:
+def test_a_start_moves_nothing_after_a_stall_however_it_was_given(
+    line: Line, strict: Any, page: Page, code: str
+) -> None:
+    line.clear()
+    panel = opened(page, strict)
     scan(panel, "A7")
     shown(panel, "armed", serial="A7")
     before = line.runs()
     refused = panel.get_by_role("alert").filter(has_text="Not taken")
-    with line.screen.stalled():
+    with strict.stalled():
         panel.keyboard.press("F2") if code == "F2" else scan(panel, code)
         # The screen says so by itself, since nobody answers it.
         refused.wait_for()
@@ -323,7 +190,7 @@ def test_a_start_moves_nothing_after_a_stall_however_it_was_given(line: Line, pa
 
 @pytest.mark.parametrize("code", ["F8", "CMD:STOP", "cmd:stop", "]C0CMD:Stop"])
 def test_a_stop_takes_its_own_way_however_it_was_given(panel: Page, code: str) -> None:
-    with panel.expect_request(lambda request: request.url.endswith(STOP_PATH), timeout=10_000):
+    with panel.expect_request(lambda request: request.url.endswith(STOP_PATH)):
         panel.keyboard.press("F8") if code == "F8" else scan(panel, code)
     panel.get_by_text("Nothing is running").first.wait_for()
 
@@ -346,26 +213,24 @@ def test_a_key_pressed_again_and_again_presses_a_unit_once(line: Line, panel: Pa
     assert line.runs() == before + 1
 
 
-def test_a_server_that_is_gone_is_said_within_two_seconds_and_a_scan_is_refused_not_lost(
-    line: Line, panel: Page
-) -> None:
+def test_a_server_that_is_gone_is_said_and_a_scan_is_refused_not_lost(line: Line, panel: Page) -> None:
     shown(panel, "hand", "ready", *VERDICTS)
     line.screen.kill()
     gone = panel.locator("#softcal-gone")
-    gone.filter(has_text="no connection to its server").wait_for(timeout=2_000)
+    gone.filter(has_text="no connection to its server").wait_for()
     panel.keyboard.press("F2")
     scan(panel, "A8")
     panel.get_by_role("alert").filter(has_text="Not taken").filter(has_text="A8").wait_for()
     line.screen.start()
-    expect(gone).to_be_hidden(timeout=60_000)
+    gone.wait_for(state="hidden")
     assert line.facts.serial == "" and line.facts.active is None
 
 
-def test_a_station_that_is_gone_is_said_within_two_seconds(line: Line, panel: Page) -> None:
+def test_a_station_that_is_gone_is_said(line: Line, panel: Page) -> None:
     shown(panel, "hand", "ready", *VERDICTS)
     line.station.kill()
     try:
-        shown(panel, "silent", timeout_ms=2_000)
+        shown(panel, "silent")
     finally:
         line.station.start()
     shown(panel, "hand", "ready", *VERDICTS)
@@ -415,7 +280,7 @@ def test_a_small_panel_and_a_zoomed_one_show_it_all(
     size = {"width": int(width / zoom), "height": int(height / zoom)}
     context = chromium.new_context(viewport=size, device_scale_factor=zoom)
     page = context.new_page()
-    opened(page, line)
+    opened(page, line.screen)
     line.clear()
     scan(page, "A" + "7" * 60)
     shown(page, "ask_new")
@@ -459,7 +324,7 @@ CONTRAST = """() => {
 def test_every_word_stands_out_from_its_ground(line: Line, judged: str, chromium: Browser, theme: Any) -> None:
     context = chromium.new_context(viewport={"width": 1280, "height": 800}, color_scheme=theme)
     page = context.new_page()
-    opened(page, line)
+    opened(page, line.screen)
     page.locator(".sc-chip").first.wait_for()
     scan(page, "LOT:nowhere")
     page.get_by_text("is not in the registry").first.wait_for()

@@ -3,7 +3,6 @@
 Rows are counted from EXPLAIN ANALYZE of the very statements, so that a fast machine hides no full scan.
 """
 
-import time
 from collections.abc import Callable
 
 import pytest
@@ -96,9 +95,7 @@ def test_no_question_touches_more_rows_than_it_is_about(registry, make_factory, 
     for k in range(LOTS):
         if k != 3:
             registry.add_lot(Lot(f"lot-{k}", "S0", 50.0))
-    start_s = time.monotonic()
     fill(registry)
-    assert time.monotonic() - start_s < 60
     queue, work = registry.work_queue, WorkSet("lot-3", "a" * 64)
     hundred = [f"U{LOTS * k + 3:06d}" for k in range(100)]
     works = dict.fromkeys(hundred, "c" * 64)
@@ -142,6 +139,5 @@ def test_no_question_touches_more_rows_than_it_is_about(registry, make_factory, 
     touched = {name: rows_touched(registry, question) for name, question in (about_a_unit | about_a_lot).items()}
     most = dict.fromkeys(about_a_unit, FEW) | dict.fromkeys(about_a_lot, 50 * OF_A_LOT)
     assert {name: rows for name, rows in touched.items() if rows > most[name]} == {}
-    start_s = time.monotonic()
     everything = rows_touched(registry, lambda: registry.verify(is_quick=True))
-    assert everything < 2 * 10 * UNITS and time.monotonic() - start_s < 60
+    assert everything < 2 * 10 * UNITS

@@ -43,7 +43,9 @@ def test_every_dependency_is_locked_with_its_hashes() -> None:
 
 
 def _files(package: dict) -> list[dict]:
-    return [file for file in [*package.get("wheels", []), package.get("sdist", {})] if "sha256:" in file.get("hash", "")]
+    return [
+        file for file in [*package.get("wheels", []), package.get("sdist", {})] if "sha256:" in file.get("hash", "")
+    ]
 
 
 def _name(requirement: str) -> str:
