@@ -18,6 +18,8 @@ from softcal.app.cli.main import main
 from softcal.app.use.adapt import AdaptOptions, Follower, unit_in_use
 from softcal.db.connection import open_registry
 
+pytestmark = pytest.mark.long
+
 RUN = (sys.executable, "-m", "softcal.app.cli.main")
 
 

@@ -203,6 +203,7 @@ def test_readout_that_is_unplugged_is_listened_to_again_when_it_is_back() -> Non
     assert clock.now > AWAY_S
 
 
+@pytest.mark.long
 def test_serial_port_is_read_over_an_unplugging(bench: Path, tmp_path: Path) -> None:
     port, target = tmp_path / "ttyUSB0", tmp_path / "live.csv"
     device = threading.Thread(target=plug_twice, args=(port,))

@@ -86,6 +86,7 @@ def test_a_batch_that_is_killed_goes_on_at_once_and_repeats_nothing(folder: Path
         assert registry.verify() == []
 
 
+@pytest.mark.long
 def test_two_batches_share_a_lot(folder: Path, registry_url: str, tmp_path: Path) -> None:
     reports = [tmp_path / f"{k}.json" for k in range(2)]
     processes = [start(folder, registry_url, "--json", str(report)) for report in reports]
@@ -96,6 +97,7 @@ def test_two_batches_share_a_lot(folder: Path, registry_url: str, tmp_path: Path
     assert all(a["is_new"] != b["is_new"] for a, b in zip(first, second, strict=True))
 
 
+@pytest.mark.long
 def test_a_network_that_another_process_trains_is_waited_for(folder: Path, tmp_path: Path) -> None:
     url, reports = f"sqlite:///{tmp_path / 'new.db'}", [tmp_path / f"{k}.json" for k in range(2)]
     open_registry(url).close()
@@ -122,6 +124,7 @@ def deadly_work(shared, chunk):
     return unit_work.work_on(shared, chunk)
 
 
+@pytest.mark.long
 def test_a_unit_that_kills_its_worker_is_named_and_the_rest_is_done(
     folder: Path, registry_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,6 +17,8 @@ from joserfc import jwt
 from joserfc.jwk import RSAKey
 from playwright.sync_api import Page
 
+pytestmark = pytest.mark.long
+
 CLIENT, SECRET = "softcal", "between softcal and the provider"
 LIFE_S = 300
 ACCOUNTS = """[auth]

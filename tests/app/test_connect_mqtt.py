@@ -146,6 +146,7 @@ def publisher(registry: Registry, settings: MqttSettings) -> Forwarder:
     return Forwarder(registry, destination, lambda: datetime.now(UTC) + timedelta(hours=next(hours)))
 
 
+@pytest.mark.long
 def test_a_client_sees_every_verdict_across_restarts_of_broker_and_publisher(registry, broker, subscriber):
     """1,000 verdicts in ten parts: after each part the broker, the publisher or both begin anew, one in its midst."""
     share, settings = VERDICTS // 10, settings_of(broker)

@@ -22,6 +22,8 @@ from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
 
+pytestmark = pytest.mark.long
+
 VERDICTS = 1000
 T = TypeVar("T")
 

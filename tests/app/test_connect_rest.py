@@ -240,6 +240,7 @@ def test_the_document_is_valid_openapi(registry, tmp_path):
     assert json.loads((tmp_path / "openapi.json").read_text()) == document
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("mode", ["positive", "negative"])
 def test_no_request_that_a_fuzzer_finds_is_a_defect(registry, require, monkeypatch, mode):

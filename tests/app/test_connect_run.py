@@ -78,6 +78,7 @@ def test_the_api_listens_to_other_machines_only_with_a_certificate(host):
         ServingOptions(host=host)
 
 
+@pytest.mark.long
 def test_the_api_answers_by_its_command_and_ends_by_a_signal(url, some_port, tmp_path):
     port = some_port()
     with open_registry(url) as registry:
@@ -267,6 +268,7 @@ def test_a_run_delivers_what_waits_and_ends_by_a_signal(url, tmp_path, some_port
     assert (state["destination"], state["sent"], state["waits"], state["failures"]) == ("people", 1, 0, 0)
 
 
+@pytest.mark.long
 def test_a_run_whose_port_is_taken_is_one_line(url, some_port):
     from softcal.app.connect.run import run_connect
 

@@ -11,6 +11,8 @@ from playwright.sync_api import Browser, Page, expect
 
 from softcal.db.connection import open_registry
 
+pytestmark = pytest.mark.long
+
 CONTRAST = Path(__file__).with_name("contrast.js").read_text()
 FADING_S = 10.0
 """So long what is drawn anew may be pale: it is shown again at full strength when the page is complete."""

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.long
+
 SOFTCAL = str(Path(sys.executable).with_name("softcal"))
 BROWSER = """#!{python}
 import json, sys, urllib.request

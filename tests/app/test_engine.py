@@ -46,6 +46,7 @@ def test_dask_gives_the_same(require) -> None:
     assert sorted(run_all(EngineChoice("dask", 1), _add, 100, range(5))) == list(range(100, 105))
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_a_killed_worker_of_a_cluster_loses_nothing(tmp_path: Path) -> None:
     assert sorted(run_all(EngineChoice("dask", 1), _die_once, str(tmp_path), range(2, 5))) == [2, 3, 4]
@@ -79,6 +80,7 @@ def test_a_cluster_that_runs_elsewhere_is_used_and_left_running(cluster_elsewher
     assert worker.poll() is None
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_a_scheduler_that_does_not_answer_is_named() -> None:
     with pytest.raises(InputError, match=r"no Dask scheduler with workers answers at tcp://127\.0\.0\.1:1:"):

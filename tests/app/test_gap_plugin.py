@@ -16,6 +16,8 @@ from softcal.core.challenge.draw import draw_case
 from softcal.core.challenge.outside_equations import OUTSIDE_FORM
 from softcal.core.challenge.rig import Cause
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "softcal-example-effect"
 MAIN = "import sys; from softcal.app.cli.main import main; sys.exit(main(sys.argv[1:]))"

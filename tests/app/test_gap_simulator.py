@@ -101,6 +101,7 @@ def test_an_effect_that_no_candidate_describes_is_unknown(tmp_path: Path) -> Non
     assert all(cause["probability"] < 0.5 for cause in report["causes"])
 
 
+@pytest.mark.long
 def test_a_mujoco_finger_with_a_dry_joint_is_explained(tmp_path: Path) -> None:
     pytest.importorskip("mujoco", reason="pip install mujoco")
     sys.path.insert(0, str(EXAMPLES))

@@ -11,6 +11,8 @@ from playwright.sync_api import Page
 
 from softcal.app.ui.guard import is_own, own_names
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory, serve: Callable) -> Iterator[tuple[str, int]]:

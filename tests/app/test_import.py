@@ -141,6 +141,7 @@ def test_a_serial_that_windows_cannot_write_is_refused(serial: str) -> None:
         check_serial(serial)
 
 
+@pytest.mark.long
 def test_a_small_parquet_file_that_unpacks_to_much_is_refused_before_it_is_read(tmp_path: Path) -> None:
     path = tmp_path / "bomb.parquet"
     schema = pa.schema([("t_s", pa.float64()), ("output", pa.string())])

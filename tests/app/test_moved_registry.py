@@ -41,6 +41,7 @@ def batch(folder: Path, url: str) -> list[dict]:
     return json.loads(report.read_text())["units"]
 
 
+@pytest.mark.long
 def test_the_way_from_sqlite_to_postgresql_and_back_computes_nothing_again(
     lot_folder, registry_url, postgresql, tmp_path, monkeypatch
 ):

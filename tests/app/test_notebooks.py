@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 NOTEBOOKS = ROOT / "examples" / "notebooks"
 ASKED = {
@@ -50,33 +52,28 @@ def test_every_notebook_is_a_script_of_cells_that_a_page_names_and_a_test_runs()
         assert text.startswith("# %% [markdown]\n# # ") and text.count("\n# %%\n") >= 2, path.name
 
 
-@pytest.mark.slow
 def test_the_papers_tables(left_by: Callable[..., list]) -> None:  # type: ignore[type-arg]
     after_own, gained, shares, least_s = left_by("paper_tables")
     assert after_own < 1.2 and gained > 3
     assert shares == ["100%", "50%", "25%", "10%"] and least_s > 0
 
 
-@pytest.mark.slow
 def test_own_data(left_by: Callable[..., list], tmp_path: Path) -> None:  # type: ignore[type-arg]
     measured_N, predicted_N, verdict, inside = left_by("own_data")
     assert verdict == "pass" and 0.5 < predicted_N / measured_N < 2 and 0.85 < inside < 0.97
     assert (tmp_path / "estimates.csv").is_file()
 
 
-@pytest.mark.slow
 def test_a_new_map_family(left_by: Callable[..., list], install_example: Callable[[Path], Path]) -> None:  # type: ignore[type-arg]
     wrong, errors_N = left_by("new_map_family", install_example(ROOT / "examples" / "softcal-example-map"))
     assert wrong == []
     assert errors_N["moments"]["half range"] > 2 * errors_N["moments"]["none"]
 
 
-@pytest.mark.slow
 def test_a_gap(left_by: Callable[..., list]) -> None:  # type: ignore[type-arg]
     assert left_by("gap")[:2] == ["explained", "channel_creep"]
 
 
-@pytest.mark.slow
 def test_drift(left_by: Callable[..., list]) -> None:  # type: ignore[type-arg]
     untouched_N, followed_N, alarm = left_by("drift")
     assert untouched_N[-1] > 5 * untouched_N[0] and followed_N[-1] < 0.2 * untouched_N[-1]

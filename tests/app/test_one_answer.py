@@ -83,6 +83,7 @@ def test_a_limit_that_comes_back_gives_the_same_verdict_everywhere(
         assert json.loads((out / "manifest.json").read_text())["units"]["A1"]["verdict"] == verdict
 
 
+@pytest.mark.long
 def test_a_serial_of_two_lots_is_asked_for_with_its_lot(
     lot_folder: Path, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -250,6 +251,7 @@ def test_whatever_a_unit_s_work_raises_is_that_unit_s_result(
     assert batch(lot_folder, registry_url)["A2"]["map"], "what passes is tried again"
 
 
+@pytest.mark.long
 def test_a_unit_that_takes_too_long_is_broken_off(
     lot_folder: Path, registry_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,6 +37,8 @@ from softcal.db.registry import Registry
 from softcal.db.registry_base import RegistrySettings
 from softcal.db.sync import synchronise
 
+pytestmark = pytest.mark.long
+
 SERIALS, SIDES = ("A1", "A2"), ("station", "centre")
 BAD = 0
 LOT = Lot("L1", "S0", 50.0)

@@ -52,6 +52,7 @@ print(json.dumps([list(FAMILIES)[-1], faults(FAMILIES["moments"]), fitted.gain, 
     assert gain == pytest.approx(1.3) and offset == pytest.approx(0.04)
 
 
+@pytest.mark.long
 def test_python_uses_the_family_by_name(installed: Path, press_unit, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     for k in (0, 1):
         press_unit(1500, 1 + 0.2 * k, 0.5, 1).to_csv(tmp_path / f"S{k}.csv", index=False)

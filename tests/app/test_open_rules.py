@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.long
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "softcal-example-rule"
 SOFTCAL = "import sys; from softcal.app.cli.main import main; sys.exit(main(sys.argv[1:]))"
 

@@ -51,6 +51,7 @@ BAD = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("bad", BAD)
 def test_one_bad_spool_keeps_no_other_from_being_recovered(bad, whole, tmp_path):
     (tmp_path / "spool").mkdir()

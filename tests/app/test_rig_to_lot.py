@@ -82,6 +82,7 @@ def test_a_source_and_three_units_end_in_verdicts_and_import_takes_the_folder_to
         np.testing.assert_array_equal(again.read_unit(serial).output, first.output)
 
 
+@pytest.mark.long
 def test_an_interrupted_unit_leaves_a_folder_that_batch_takes_and_can_be_pressed_again(softcal, pressed, tmp_path):
     (tmp_path / "lot-1" / "units" / "A2.csv").unlink()
     (tmp_path / "lot-1" / "units" / "A3.csv").unlink()
@@ -100,6 +101,7 @@ def test_an_interrupted_unit_leaves_a_folder_that_batch_takes_and_can_be_pressed
     assert {unit["serial"] for unit in batch(softcal, tmp_path)["units"]} == {"A1", "A2"}
 
 
+@pytest.mark.long
 def test_a_second_source_run_is_used_or_said(softcal, pressed, tmp_path):
     toml = tmp_path / "lot-1" / "lot.toml"
     toml.write_text(toml.read_text() + "\n[limit]\nrmse = 0.7\n")
@@ -189,7 +191,7 @@ rig.close()
 """A rig that lives in real time, as a process of its own: it must not wait for the station's interpreter."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_same_from_a_station_file_over_serial_lines_in_real_time(softcal, tmp_path):
     rig = subprocess.Popen([sys.executable, "-c", RIG], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     with rig:

@@ -15,6 +15,8 @@ from softcal.app.cli.main import main
 from softcal.db.connection import open_registry
 from softcal.db.grants import grant_statements
 
+pytestmark = pytest.mark.long
+
 ADMIN_URL = os.environ.get("SOFTCAL_TEST_POSTGRESQL", "postgresql+psycopg://postgres@127.0.0.1:5432/postgres")
 SMALL = ("--hidden", "16,8", "--no-own")
 

@@ -50,6 +50,7 @@ def imported(tables: Path, *sources: str) -> int:
     return main(["import", *files, *named, *columns, "--out", str(tables / "lot")])
 
 
+@pytest.mark.long
 def test_each_unit_takes_the_source_that_is_bent_like_it(tables: Path, registry_url: str) -> None:
     assert imported(tables, "S1", "S2") == 0
     report = tables / "report.json"
@@ -82,6 +83,7 @@ def test_a_second_batch_computes_nothing_and_another_set_of_sources_is_another_c
     assert is_new() == [True, True]
 
 
+@pytest.mark.long
 def test_the_nearest_source_reads_its_unit_better_than_the_other(tables: Path, registry_url: str) -> None:
     def error(lot_sources: tuple[str, ...], url: str) -> float:
         if (tables / "lot").exists():

@@ -9,6 +9,8 @@ import pytest
 from softcal.core.orders import OrderKind, RunState
 from softcal.db.connection import open_registry
 
+pytestmark = pytest.mark.long
+
 STATION, LOT = "line-1", "LOT-9"
 SHORT = ("--speed", "200", "--unit-seconds", "12", "--source-seconds", "25", "--hidden", "12,6")
 LONGEST_S = 120

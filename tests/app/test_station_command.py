@@ -48,6 +48,7 @@ def test_check_names_every_port_that_is_missing(softcal):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.long
 def test_source_writes_the_columns_of_a_lot_folder(softcal, tmp_path):
     path = tmp_path / "source" / "A0.csv"
     assert (
@@ -112,6 +113,7 @@ def test_recover_writes_what_a_run_that_was_cut_off_had_read(softcal, tmp_path):
     assert lines[1].endswith("cut off")
 
 
+@pytest.mark.long
 def test_calibrate_cell_writes_the_scale_into_the_station_file(softcal, tmp_path, monkeypatch):
     import io
 
@@ -143,6 +145,7 @@ def test_calibrate_cell_writes_the_scale_into_the_station_file(softcal, tmp_path
     assert read_station_file(path).force.counts_per_N == pytest.approx(station.counts_per_N, rel=0.01)
 
 
+@pytest.mark.long
 def test_a_rig_on_serial_ports_is_found_and_written_down_in_real_time(tmp_path):
     import subprocess
     import sys

@@ -9,10 +9,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pandas as pd
+import pytest
 
 from softcal.app.line.recover import recover
 from softcal.core.orders import Order, OrderKind, RunState
 from softcal.db.connection import open_registry
+
+pytestmark = pytest.mark.long
 
 SOFTCAL = Path(sys.executable).with_name("softcal")
 

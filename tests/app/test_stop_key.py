@@ -33,6 +33,7 @@ def pressed(port: int, headers: dict[str, str], body: str = "line-1") -> int:
     return status
 
 
+@pytest.mark.long
 def test_the_stop_key_orders_one_stop_of_the_run_and_only_from_its_own_page(line):
     registry, port = line
     assert pressed(port, KEY) == 409  # Nothing runs.

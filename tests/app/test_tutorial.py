@@ -11,6 +11,8 @@ import pytest
 from softcal.app.cli.main import main
 from softcal.app.line.demo import DemoConfig, press_demo_lot
 
+pytestmark = pytest.mark.long
+
 PAGE = Path(__file__).parents[2] / "docs/tutorial.md"
 PRACTICE = DemoConfig(units=2)
 

@@ -106,6 +106,7 @@ def test_a_readout_that_lags_beside_a_shared_clock_is_named_for_it(seed: int, mo
     assert made.decision.verdict != "pass"
 
 
+@pytest.mark.long
 def test_a_clock_that_is_ahead_and_creep_are_no_lag(seed: int, model: SourceModel) -> None:
     for unit in lot(seed, good=2, bad={"extra creep": 2}).units:
         ahead = replace(unit.recording, t_s=unit.recording.t_s + 0.2)

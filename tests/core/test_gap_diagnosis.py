@@ -95,6 +95,7 @@ def _fits_of(diagnosis):
     return diagnosis.base, diagnosis.best
 
 
+@pytest.mark.long
 def test_shares_of_an_unknown_gap_are_measured_or_equal():
     case = make_case(seed=4)
     slipping = [
@@ -145,6 +146,7 @@ def test_a_soft_frame_beside_a_large_cause_is_named_or_held_open_until_a_rigid_b
         assert 0.05 < chances["frame_compliance"] < 0.95 < chances["channel_collapse"]
 
 
+@pytest.mark.long
 def test_a_small_cause_that_the_equation_of_a_large_one_might_leave_is_held_open():
     case = make_case(("dropped_samples", {}, ((6.0, 12),)), ("frame_compliance", {"c_f": 0.04}, ()))
     diagnosis = diagnose(case)
@@ -156,6 +158,7 @@ def test_a_frame_with_a_toe_is_not_called_a_joint_that_closes_alone():
     assert {i for rival in diagnosis.rivals for i in rival.hypothesis.ids} == {"frame_compliance", "misaligned_contact"}
 
 
+@pytest.mark.long
 def test_samples_lost_beside_a_fast_clock_are_told_from_it():
     diagnosis = diagnose(make_case(("dropped_samples", {}, ((6.0, 6),)), ("clock_skew", {"epsilon": 0.0015}, ())))
     assert {c.effect for c in diagnosis.causes if c.probability > 0.5} == {"dropped_samples", "clock_skew"}
@@ -174,6 +177,7 @@ def test_the_quiet_flat_top_of_a_clipped_output_is_not_taken_for_jitter_elsewher
     assert "adc_saturation" in {c.effect for c in diagnosis.causes if c.probability > 0.5}
 
 
+@pytest.mark.long
 def test_two_relaxation_times_are_still_stress_relaxation():
     case = make_case()
     runs = []
@@ -310,6 +314,7 @@ def with_warmed_dummy(case, series_per_K):
     return Case("G1", (*case.runs, Run("dummy", t_s, READOUT, output_V=output_V, temperature_C=warmth_C, **special)))
 
 
+@pytest.mark.long
 def test_a_warm_divider_is_held_open_beside_thermal_drift_until_a_warmed_dummy_tells():
     runs = []
     for run in make_case().runs:
@@ -434,6 +439,7 @@ def test_a_run_without_meaning_is_refused(change, message):
         Run(**(good | change))
 
 
+@pytest.mark.long
 def test_a_clock_that_runs_ahead_is_not_blamed_for_what_comes_after_the_end():
     runs = []
     for run in make_case().runs:

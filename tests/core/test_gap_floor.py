@@ -89,6 +89,7 @@ def _case(seed: int, *effects: EffectSetting, volts: float = 0.0, newtons: float
     return Case("G1", tuple(runs))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("volts", "newtons", "fading_s"), [(0.003, 0.0, 0.5), (0.0, 0.03, 0.5), (0.004, 0.05, 0.15)])
 def test_a_rig_without_a_gap_is_told_so_whatever_the_colour_of_its_noise(
     volts: float, newtons: float, fading_s: float

@@ -38,6 +38,7 @@ def test_a_tilted_pad_with_a_rounded_edge_is_named_alone(seed: int, drawn: Calla
     assert _confident(diagnosis) == {"misaligned_contact"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("effect", "form"), [("channel_creep", "three_times"), ("stress_relaxation", "three_times")])
 def test_what_another_equation_leaves_is_no_second_cause(effect: str, form: str, drawn: Callable[..., Case]) -> None:
     diagnosis = diagnose(drawn(effect, form, 940000))

@@ -9,6 +9,8 @@ import pytest
 
 from softcal.db.connection import open_registry
 
+pytestmark = pytest.mark.long
+
 WRITER = """
 import sys
 from dataclasses import replace

@@ -41,6 +41,8 @@ from softcal.db.maintenance import migrate
 from softcal.db.registry import Registry
 from softcal.db.tables import audit
 
+pytestmark = pytest.mark.long
+
 ADMIN_URL = os.environ.get("SOFTCAL_TEST_POSTGRESQL", "postgresql+psycopg://postgres@127.0.0.1:5432/postgres")
 BEFORE = "0006"
 """The last schema that stated neither what is in use nor which network is released."""

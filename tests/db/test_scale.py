@@ -15,6 +15,8 @@ from softcal.db.registry import Registry
 from softcal.db.tables import calibrations, in_use
 from softcal.db.work_queue import WorkSet
 
+pytestmark = pytest.mark.long
+
 UNITS, LOTS = 50_000, 50
 OF_A_LOT = UNITS // LOTS
 FEW = 2_500

@@ -201,6 +201,7 @@ PASSING = ("failures", "locked_until", "changed_at")
 """Columns of people that change at every sign-in; docs/registry.md says so."""
 
 
+@pytest.mark.long
 def test_an_edit_of_any_column_of_any_row_is_found(file_registry, make_factory, recording_of, tmp_path, monkeypatch):
     # The tables stay as they are, and comparing them takes longer than all the rest.
     monkeypatch.setattr("softcal.db.checks.schema_faults", lambda _: iter(()))

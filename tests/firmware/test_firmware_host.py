@@ -169,6 +169,7 @@ def test_a_network_wider_than_the_buffers_is_refused(
     assert _run(narrow, *real_case.write(tmp_path), [])[0] == 9
 
 
+@pytest.mark.long
 def test_of_a_hundred_thousand_damaged_files_none_gives_a_number(
     build_checked: Build, real_case: Any, tmp_path: Path
 ) -> None:

@@ -6,7 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import softcal
+
+pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).parents[2]
 

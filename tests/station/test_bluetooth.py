@@ -31,6 +31,7 @@ def over_the_air(role, kind):
 DRIVERS = [over_the_air("readout", "arduino"), over_the_air("cell", "hx711")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("check", [check for driver in DRIVERS for check in checks(driver)], ids=str)
 def test_a_driver_over_the_air(bleak, check):
     check()

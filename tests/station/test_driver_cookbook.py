@@ -10,6 +10,8 @@ from types import ModuleType
 
 import pytest
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "softcal-example-driver"
 PAGE = (ROOT / "docs" / "station-drivers.md").read_text()

@@ -63,6 +63,7 @@ def test_a_voltage_that_is_no_number_is_no_reading():
         assert "which is no voltage" in str(error)
 
 
+@pytest.mark.long
 def test_a_unit_is_pressed_and_recorded_through_it():
     profile = moves("short", [0.0, 2.0, 0.0], [2.0, 2.0, 2.0], [0.5, 0.5, 0.5])
     with open_simulated_bench(seed=3, readout_kind="labjack") as (bench, _):

@@ -37,7 +37,7 @@ def test_fault_stops_the_stage_and_records_nothing(fault, tmp_path, english_in):
     check(fault, tmp_path, english_in)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("fault", ALL, ids=lambda fault: fault.name)
 def test_every_other_fault_does_so_too(fault, tmp_path, english_in):
     check(fault, tmp_path, english_in)

@@ -165,6 +165,7 @@ def test_questions_and_answers_over_a_visa_socket(echo, require):
         link.close()
 
 
+@pytest.mark.long
 def test_a_visa_device_that_goes_away_is_gone(rng):
     pytest.importorskip("pyvisa_py")
     world, wire = World(), Wire(rng, medium=SocketEnd())
