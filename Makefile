@@ -54,7 +54,6 @@ $(VENV)/.made:
 	  echo 'Python 3.11 to 3.14 with venv is needed (Debian: apt install python3-venv); or name it: make PYTHON=python3.12'; \
 	  exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	command -v $(UV) >/dev/null || $(BIN)/python -m pip install --quiet uv
 	touch $@
 
 $(DEMO): $(VENV)/.made pyproject.toml uv.lock
@@ -69,6 +68,7 @@ $(STAMP): $(VENV)/.made pyproject.toml uv.lock
 
 # torch's CPU build has other files than the plain index: it is taken first, and the hash its own index states is checked.
 define install
+	@command -v $(UV) >/dev/null || $(BIN)/python -m pip --disable-pip-version-check install --quiet uv
 	[ "$$(uname)" != Linux ] || $(BIN)/python -m pip --disable-pip-version-check install --quiet --retries 1 \
 	  --extra-index-url $(TORCH_INDEX) --no-deps $(TORCH)
 	$(SYNC) $$([ "$$(uname)" != Linux ] || echo --no-install-package torch) $(1)
