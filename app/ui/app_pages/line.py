@@ -38,10 +38,13 @@ def _screen() -> None:
     with st.container(key="line-screen"):
         st.html(line_card.cells_html(view))
         st.html(line_card.card_html(view, words()("line.why")))
-        if note is not None:
-            st.html(line_card.note_html(*note))
+        with st.container(key="line-note"):
+            if note is not None:
+                st.html(line_card.note_html(*note))
+        # The field has one place whatever stands beside it: drawn anew in another, it would miss what is typed then.
         with st.container(key="line-actions", horizontal=True):
-            _actions(view)
+            with st.container(key="line-buttons", horizontal=True, width="content"):
+                _actions(view)
             _field(view, note[0] if note else "")
         _below(view)
     if view.is_busy != bool(st.session_state.get(IS_BUSY)):

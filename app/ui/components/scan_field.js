@@ -7,10 +7,9 @@ const SHORTEST = 2
 const AGAIN_MS = 1000
 const isCommand = (text, command) => text.toUpperCase().replace(/\s/g, "").endsWith(`CMD:${command}`)
 const SCAN_LATE_MS = 10000
-const waiting = []
-let timer
-// What was said not to be taken stands until the next scan, though the field may be drawn anew in another place.
-let lost = []
+// They live as long as the page: the field may be drawn anew in another place, and then this file is read again.
+// `lost` was said not to be taken; it stands until the next scan.
+const scans = (document.softcalScans ??= { waiting: [], lost: [], timer: undefined })
 
 export default function ({ data, parentElement, setTriggerValue }) {
   const field = parentElement.querySelector("input")
@@ -25,40 +24,40 @@ export default function ({ data, parentElement, setTriggerValue }) {
   // How far this clock is ahead of the server's: the drawing that came fastest says it best, and never too little.
   document.softcalAhead_ms = Math.min(document.softcalAhead_ms ?? Infinity, performance.now() - 1000 * data.at)
   const late = parentElement.querySelector("[role=alert]")
-  const say = (scans) => {
-    lost = scans
+  const say = (lost) => {
+    scans.lost = lost
     late.hidden = !lost.length
     late.textContent = lost.length ? data.late.replace("%", lost.map((scan) => scan.text).join(", ")) : ""
   }
   const late_ms = (text) => (isCommand(text, "START") ? 1000 * data.start_s : SCAN_LATE_MS)
   const again = () => {
-    clearTimeout(timer)
-    timer = setTimeout(() => document.softcalHand(), AGAIN_MS)
+    clearTimeout(scans.timer)
+    scans.timer = setTimeout(() => document.softcalHand(), AGAIN_MS)
   }
   const hand = () => {
-    clearTimeout(timer)
-    timer = undefined
+    clearTimeout(scans.timer)
+    scans.timer = undefined
     const isOld = (scan) => Date.now() - scan.id > late_ms(scan.text)
-    const open = waiting.filter((scan) => scan.id > data.taken)
+    const open = scans.waiting.filter((scan) => scan.id > data.taken)
     const old = open.filter(isOld)
     if (old.length) say(old)
-    waiting.splice(0, waiting.length, ...open.filter((scan) => !isOld(scan)))
-    if (!waiting.length) return
-    setTriggerValue("scan", [...waiting])
+    scans.waiting.splice(0, scans.waiting.length, ...open.filter((scan) => !isOld(scan)))
+    if (!scans.waiting.length) return
+    setTriggerValue("scan", [...scans.waiting])
     again()
   }
   document.softcalHand = hand
   // A server that was only slow may have taken it after all, except a start: that one it lets go.
-  say(lost.filter((scan) => scan.id > data.taken || isCommand(scan.text, "START")))
-  if (waiting.length && timer === undefined) again()
+  say(scans.lost.filter((scan) => scan.id > data.taken || isCommand(scan.text, "START")))
+  if (scans.waiting.length && scans.timer === undefined) again()
   const take = (text) => {
     say([])
     // A stop does not wait for a page that is being drawn; what it led to comes by the way of every scan.
     if (isCommand(text, "STOP")) {
       fetch(data.stop, { method: "POST", headers: { "x-softcal-key": "stop" }, body: data.station }).catch(() => {})
     }
-    waiting.push({
-      id: Math.max(Date.now(), (waiting.at(-1)?.id ?? 0) + 1),
+    scans.waiting.push({
+      id: Math.max(Date.now(), (scans.waiting.at(-1)?.id ?? 0) + 1),
       text,
       seen: document.softcalShown,
       // What is said not to be taken from then on is not taken by a busy server either.
@@ -135,7 +134,7 @@ export default function ({ data, parentElement, setTriggerValue }) {
     listening.abort()
     // Drawn in another place, the field has handlers and a clock again already.
     if (document.softcalScan !== listening) return
-    clearTimeout(timer)
-    timer = undefined
+    clearTimeout(scans.timer)
+    scans.timer = undefined
   }
 }
