@@ -195,6 +195,33 @@ def test_a_stop_takes_its_own_way_however_it_was_given(panel: Page, code: str) -
     panel.get_by_text("Nothing is running").first.wait_for()
 
 
+HELD_DOWN = """() => {
+  window.keys = { unheard: 0, all: 0 }
+  window.held = setInterval(() => {
+    // A key that is held down is heard and does nothing.
+    const key = new KeyboardEvent("keydown", { key: "F8", repeat: true, bubbles: true, cancelable: true })
+    window.keys.all++
+    if (document.body.dispatchEvent(key)) window.keys.unheard++
+  }, 0)
+}"""
+
+
+def test_no_key_goes_unheard_while_the_screen_is_drawn_anew(line: Line, panel: Page) -> None:
+    panel.evaluate(HELD_DOWN)
+    for _ in range(3):
+        scan(panel, "A7")
+        shown(panel, "armed", serial="A7")
+        panel.keyboard.press("F6")
+        shown(panel, "hand", "ready", *VERDICTS)
+    line.order(OrderKind.FAULT, reason="readout unplugged while pressing")
+    line.press("A8")
+    shown(panel, "stopped")
+    press(panel, "F4", "hand")
+    keys = panel.evaluate("() => { clearInterval(window.held); return window.keys }")
+    assert keys["all"] > 500
+    assert keys["unheard"] == 0
+
+
 @pytest.mark.parametrize("apart_ms", [0, 100, 400])
 def test_a_key_pressed_again_and_again_presses_a_unit_once(line: Line, panel: Page, apart_ms: int) -> None:
     # A shape of its own each time: the lot would know one it has seen, and not ask.

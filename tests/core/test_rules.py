@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
+from itertools import count
 
-import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
@@ -108,13 +108,16 @@ def test_what_is_no_rule_is_refused_with_the_name_of_its_entry_point(value: str)
         with_plugins([EntryPoint("mine", value, rules.GROUP)])
 
 
+COUNT = count()
+
+
 @pytest.mark.parametrize(
     ("rule", "said"),
     [
         (object(), "a rule has a text `name`"),
         (replace(objecting(), version=" "), "`version` is empty"),
         (Answering(lambda facts: iter(["no"])), "something else than objections"),  # type: ignore[list-item]
-        (Answering(lambda facts: iter([Objection(str(np.random.default_rng().random()))])), "the second time"),
+        (Answering(lambda facts: iter([Objection(str(next(COUNT)))])), "the second time"),
         (Answering(lambda facts: iter([Objection("x")] if facts.estimate.fill(0) else [])), "changes what"),
         (Answering(lambda facts: iter([Objection("x")] if facts.measured_rmse > 1 else [])), "raises TypeError"),  # type: ignore[operator]
     ],
