@@ -82,6 +82,7 @@ def shown(page: Page, *states: str, serial: str = "") -> Locator:
     except PlaywrightTimeout:
         stands = page.locator(".sc-card").first
         state, says = stands.get_attribute("data-state"), stands.inner_text()
+        says += "".join(f"; note: {note}" for note in page.locator(".sc-note, [role=alert]").all_inner_texts())
         raise AssertionError(
             f"no {' or '.join(states)} of {serial or 'any unit'}; {state} stands there: {says}"
         ) from None
