@@ -15,7 +15,7 @@ SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) $(UV) sync --quiet --frozen --inexact --n
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH := $(shell sed -n '/^name = "torch"$$/{n;s/version = "\(.*\)"/torch==\1/p;}' uv.lock)
 
-.PHONY: demo test test-all check check-benchmarks docs lock sbom clean
+.PHONY: demo test test-all check check-benchmarks proof docs lock sbom clean
 
 # Exit code 1 means done, but some unit did not pass: for a demo that is a result, not a failure.
 demo: $(DEMO)
@@ -42,6 +42,10 @@ check-benchmarks: $(STAMP)
 	MYPYPATH=.links:benchmarks $(BIN)/mypy --config-file= --explicit-package-bases --check-untyped-defs \
 	  --no-strict-optional --ignore-missing-imports --follow-imports=silent --cache-dir=.mypy_cache/benchmarks \
 	  benchmarks/*.py
+
+# The table of docs/proof.md: which test proves which promise.
+proof:
+	$(PYTHON) tests/promises.py
 
 # The site with API pages, in site/. --strict: a warning is a failure.
 docs: $(STAMP)

@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+from tests.promises import PAGE, page
+
 ROOT = Path(__file__).parents[2]
 SOURCES = [path for folder in ("app", "core", "db", "station") for path in (ROOT / folder).rglob("*") if path.is_file()]
 CODE = "\n".join(p.read_text("utf-8") for p in SOURCES if p.suffix in {".py", ".toml"})
@@ -28,6 +30,11 @@ def test_every_message_that_the_questions_explain_is_said_somewhere():
     for message in messages:
         for part in (part.strip(" ,;") for part in message.split("...")):
             assert part in said, f"{part!r} is said nowhere"
+
+
+def test_the_table_of_promises_is_that_of_the_tests():
+    held = PAGE.read_text("utf-8")
+    assert held == page(held), "run `make proof`"
 
 
 def test_every_link_leads_to_a_file():

@@ -1,0 +1,56 @@
+"""Which test proves which promise: the first line of every test file, with the layer that it runs in.
+
+python tests/promises.py        writes the table into docs/proof.md
+"""
+
+import ast
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs/proof.md"
+BEGIN, END = "<!-- promises: written by make proof -->\n", "<!-- end of promises -->\n"
+ROOMS = {
+    "core": "Numbers: maps, forecasts, verdicts, twin, gap, adaptation",
+    "station": "The stage and what has a wire",
+    "db": "The registry",
+    "app": "Commands, pages, files, services",
+    "firmware": "The device",
+    "house": "The repository itself",
+}
+
+
+def promises() -> str:
+    """Return the table as Markdown."""
+    parts = []
+    for room, title in ROOMS.items():
+        rows = [_row(path) for path in sorted((ROOT / "tests" / room).glob("test_*.py"))]
+        parts.append(f"### {title}\n\n| promise | tests | layer |\n|---|---|---|\n" + "\n".join(rows) + "\n")
+    return "\n".join(parts)
+
+
+def _row(path: Path) -> str:
+    module = ast.parse(path.read_text("utf-8"))
+    promise = " ".join((ast.get_docstring(module) or "").split("\n\n")[0].split()).replace("|", "\\|")
+    return f"| {promise} | `{path.relative_to(ROOT).as_posix()}` | {_layer(module)} |"
+
+
+def _layer(module: ast.Module) -> str:
+    """Return fast, long, or both where single tests of a fast file are long."""
+    marks = [
+        node for node in module.body if isinstance(node, ast.Assign) and "pytestmark" in ast.unparse(node.targets[0])
+    ]
+    if any("mark.long" in ast.unparse(mark) for mark in marks):
+        return "long"
+    return "both" if "mark.long" in ast.unparse(module) else "fast"
+
+
+def page(text: str) -> str:
+    """Return a page with the table of today in place of the one it holds."""
+    before, _, rest = text.partition(BEGIN)
+    return before + BEGIN + "\n" + promises() + "\n" + END + rest.partition(END)[2]
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(PAGE.read_text("utf-8")), "utf-8")
+    sys.exit(0)
