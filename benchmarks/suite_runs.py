@@ -48,7 +48,8 @@ def tested(words: list[str]) -> tuple[int, list[str]]:
 
 def one_run(mode: str, number: int) -> tuple[int, list[str]]:
     if mode == "files":
-        passed, failed = 0, []
+        passed = 0
+        failed: list[str] = []
         for path in sorted((ROOT / "tests").glob("*/test_*.py")):
             count, names = tested([str(path)])
             passed, failed = passed + count, failed + names
