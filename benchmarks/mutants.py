@@ -1,13 +1,14 @@
 """How much of what is broken on purpose the tests notice: one small fault at a time, and the tests that run that line.
 
     python benchmarks/mutants.py map --layer fast      which tests run which line (coverage, two processes)
+    python benchmarks/mutants.py try --layer fast      break, test; what is done is kept and not done again
     python benchmarks/mutants.py map --layer long
-    python benchmarks/mutants.py try --count 300       break, test, count; what is done is kept and not done again
+    python benchmarks/mutants.py try --layer long      what the fast layer has not noticed
+    python benchmarks/mutants.py table                 count
 
 A fault is drawn by a seed over the rooms that decide: a comparison, an arithmetic or logical operator, a constant, a
-missing `not`. It is tried in a copy of the tree. The tests that run the broken line run in the order of their seconds
-until one fails; those of the fast layer first, and the long ones where no fast one failed. A fault that nobody noticed
-within `--longest` seconds of a layer counts as not noticed.
+missing `not`. It is tried in a copy of the tree. The tests that run the broken line run, the quickest files first, until one
+fails that does not fail without the fault. A fault that nobody noticed within `--longest` seconds of a layer counts as not noticed.
 """
 
 import argparse
@@ -15,6 +16,7 @@ import ast
 import json
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -190,7 +192,7 @@ def make_map(layer: str, keep: Path) -> None:
 
 
 class LineMap:
-    """Which tests of a layer run a line, quickest first."""
+    """Which tests of a layer run a line, the quickest file first."""
 
     def __init__(self, place: Path) -> None:
         import coverage
@@ -218,10 +220,16 @@ class LineMap:
         table = self._of_file[mutant.path]
         found = {name for name in table.get(mutant.line, set()) if name in self._seconds}
         found = found or {name for names in table.values() for name in names if name in self._seconds}
-        return sorted(found, key=self._seconds.__getitem__)
+        # Files stay together: what a file sets up is made once.
+        of_file: dict[str, float] = {}
+        for name in found:
+            of_file[name.partition("::")[0]] = of_file.get(name.partition("::")[0], 0.0) + self._seconds[name]
+        return sorted(found, key=lambda name: (of_file[name.partition("::")[0]], name.partition("::")[0]))
 
 
 # Break, test, count.
+
+TRIED = "tried.jsonl"
 
 
 class Tree:
@@ -248,52 +256,61 @@ class Tree:
         }  # fmt: skip
 
     def notices(self, mutant: Mutant, tests: Sequence[str], longest_s: float) -> tuple[str, float]:
-        """Return the test that failed, "" for none, and the seconds it took."""
-        path = self.root / mutant.path
-        whole = path.read_text("utf-8")
-        path.write_text(broken(mutant), "utf-8")
+        """Return the first test that fails with the fault and not without it, "" for none, and the seconds it took."""
+        path, began_s = self.root / mutant.path, time.monotonic()
+        whole, left = path.read_text("utf-8"), list(tests)
+        while left:
+            path.write_text(broken(mutant), "utf-8")
+            failed = self._first_failure(left, longest_s)
+            path.write_text(whole, "utf-8")
+            if failed not in left:
+                return failed, round(time.monotonic() - began_s, 1)
+            if not self._first_failure([failed], longest_s):
+                return failed, round(time.monotonic() - began_s, 1)
+            left.remove(failed)
+        return "", round(time.monotonic() - began_s, 1)
+
+    def _first_failure(self, tests: Sequence[str], longest_s: float) -> str:
         names = self.folder / "tests.txt"
         names.write_text("\n".join(tests))
-        command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--timeout", "120"]
-        began_s = time.monotonic()
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-x",
+            "-p",
+            "no:cacheprovider",
+            "--timeout",
+            "120",
+            f"@{names}",
+        ]
         try:
             done = subprocess.run(
-                [*command, f"@{names}"], cwd=self.root, env=self.environment, capture_output=True, text=True,
-                timeout=longest_s, start_new_session=True,
-            )  # fmt: skip
+                command, cwd=self.root, env=self.environment, capture_output=True, text=True, timeout=longest_s
+            )
         except subprocess.TimeoutExpired:
-            return "", time.monotonic() - began_s
-        finally:
-            path.write_text(whole, "utf-8")
-        seconds = time.monotonic() - began_s
+            return ""
         if done.returncode == 0:
-            return "", seconds
-        failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-        return (failed[0].split()[1] if failed else f"exit code {done.returncode}"), seconds
+            return ""
+        failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
+        return failed[1] if failed else f"exit code {done.returncode}"
 
 
-def try_all(mutants: Sequence[Mutant], keep: Path, longest_s: float) -> None:
-    """Try every fault that was not tried before, two at a time; append one line each to the file that is kept."""
-    tried = {json.loads(line)["mutant"] for line in _lines(keep / "tried.jsonl")}
-    maps = {layer: LineMap(keep / layer) for layer in MARKS if (keep / layer / "seconds.tsv").exists()}
-    trees = [Tree(), Tree()]
+def try_all(mutants: Sequence[Mutant], layer: str, keep: Path, longest_s: float) -> None:
+    """Try every fault that no layer has noticed and this one has not tried; append a line each to the file kept."""
+    rows = [json.loads(line) for line in _lines(keep / TRIED)]
+    done = {row["mutant"] for row in rows if row["test"] or row["layer"] == layer}
+    left = [mutant for mutant in mutants if mutant.name not in done]
+    line_map, trees = LineMap(keep / layer), [Tree(), Tree()]
 
     def work(which: int) -> None:
-        for mutant in mutants[which :: len(trees)]:
-            if mutant.name in tried:
-                continue
-            noticed_by, test, seconds = "", "", 0.0
-            for layer, line_map in maps.items():
-                if tests := line_map.tests(mutant):
-                    test, took_s = trees[which].notices(mutant, tests, longest_s)
-                    seconds += took_s
-                    if test:
-                        noticed_by = layer
-                        break
-            facts = {"layer": noticed_by, "test": test, "seconds": round(seconds, 1)}
-            row = {"mutant": mutant.name, "room": mutant.room, **facts}
-            with (keep / "tried.jsonl").open("a") as file:
-                file.write(json.dumps(row) + "\n")
+        for mutant in left[which :: len(trees)]:
+            tests = line_map.tests(mutant)
+            test, seconds = trees[which].notices(mutant, tests, longest_s) if tests else ("", 0.0)
+            row = {"mutant": mutant.name, "room": mutant.room, "layer": layer, "test": test, "seconds": seconds}
+            with (keep / TRIED).open("a") as file:
+                file.write(json.dumps(row | {"tests": len(tests)}) + "\n")
 
     with ThreadPoolExecutor(len(trees)) as pool:
         list(pool.map(work, range(len(trees))))
@@ -307,20 +324,21 @@ def _lines(path: Path) -> list[str]:
 
 def print_table(mutants: Sequence[Mutant], keep: Path) -> None:
     """Print how many faults of each room were noticed, and by which layer."""
-    rows = {row["mutant"]: row for row in map(json.loads, _lines(keep / "tried.jsonl"))}
-    mine = [rows[m.name] for m in mutants if m.name in rows]
+    rows = [json.loads(line) for line in _lines(keep / TRIED)]
+    noticed = {row["mutant"]: row["layer"] for row in rows if row["test"]}
+    room_of = {row["mutant"]: row["room"] for row in rows}
+    mine = [mutant.name for mutant in mutants if mutant.name in room_of]
     print("| room | tried | noticed by the fast layer | by the long one alone | by none |\n|---|---|---|---|---|")
     for room in [*ROOMS, "all"]:
-        here = [row for row in mine if room in (row["room"], "all")]
-        counts = Counter(row["layer"] for row in here)
-        print(f"| {room} | {len(here)} | {counts['fast']} | {counts['long']} | {counts['']} |")
-    fast, every = (sum(row["layer"] in layers for row in mine) for layers in (("fast",), ("fast", "long")))
+        counts = Counter(noticed.get(name, "") for name in mine if room in (room_of[name], "all"))
+        print(f"| {room} | {counts.total()} | {counts['fast']} | {counts['long']} | {counts['']} |")
+    fast, every = sum(noticed.get(name) == "fast" for name in mine), sum(name in noticed for name in mine)
     low, high = wilson(fast, every)
     print(f"\nOf {every} that any test noticed the fast layer notices {fast}: {fast / max(1, every):.1%}", end="")
-    print(f" (95 % {low:.1%} to {high:.1%}). Median {np.median([row['seconds'] for row in mine]):.1f} s a fault.")
-    for row in mine:
-        if row["layer"] != "fast":
-            print(f"- {row['layer'] or 'none'}: `{row['mutant']}` {row['test']}")
+    print(f" (95 % {low:.1%} to {high:.1%}). Median {np.median([row['seconds'] for row in rows]):.1f} s a trial.")
+    for name in mine:
+        if noticed.get(name) != "fast":
+            print(f"- {noticed.get(name, 'none')}: `{name}`")
 
 
 def main() -> None:
@@ -337,7 +355,7 @@ def main() -> None:
         return
     mutants = drawn(options.count, options.seed)
     if options.what == "try":
-        try_all(mutants, options.keep, options.longest)
+        try_all(mutants, options.layer, options.keep, options.longest)
     print_table(mutants, options.keep)
 
 
