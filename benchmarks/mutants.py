@@ -7,8 +7,9 @@
     python benchmarks/mutants.py table                 count
 
 A fault is drawn by a seed over the rooms that decide: a comparison, an arithmetic or logical operator, a constant, a
-missing `not`. It is tried in a copy of the tree. The tests that run the broken line run, the quickest files first, until one
-fails that does not fail without the fault. A fault that nobody noticed within `--longest` seconds of a layer counts as not noticed.
+missing `not`. It is tried in a copy of the tree. The tests that run the broken line run, the quickest files first,
+until one fails that does not fail without the fault. A fault that no test of a layer noticed within `--longest`
+seconds counts as not noticed by it.
 """
 
 import argparse
