@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # uv installs what uv.lock names and checks every hash. Where it is missing it comes from the index, into .venv.
 UV ?= $(or $(shell command -v uv),$(BIN)/uv)
-SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) $(UV) sync --quiet --frozen --inexact --no-install-project
+SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) $(UV) sync --quiet --frozen --inexact --no-install-project --compile-bytecode
 
 # From plain indexes torch comes with 2.7 GB of CUDA on Linux; its own index has the CPU build. Elsewhere the build of
 # the plain index is the CPU build.
