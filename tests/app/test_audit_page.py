@@ -21,7 +21,7 @@ def say(key: str, **values: object) -> str:
 
 
 def button(screen, key: str):
-    return next(one for one in screen.button if one.label == say(key))
+    return next((one for one in screen.button if one.label == say(key)), None)
 
 
 def test_a_plan_is_drawn_once_and_again_only_with_a_reason(calibrated: str, show) -> None:
@@ -50,21 +50,19 @@ def test_recordings_are_looked_at_and_what_cannot_audit_a_unit_says_why(
     why = {row.iloc[0]: row.iloc[-1] for _, row in screen.table[-1].value.iterrows()}
     assert why["A1.csv"] == "" and "reference" in why["A2.csv"] and "X9" in why["X9.csv"]
     with open_registry(calibrated) as registry:
-        before = registry.calibration("A1", lot_id="small").record.after_rmse
         kept = {entry.serial for entry in registry.recordings("small", kind="audit")}
     next(one for one in screen.button if one.key == "audit-take").click().run(timeout=300)
     assert not screen.exception and not screen.error
     with open_registry(calibrated) as registry:
         assert {entry.serial for entry in registry.recordings("small", kind="audit")} == kept | {"A1"}
-        after = registry.calibration("A1", lot_id="small").record.after_rmse
-        assert after is not None and (before is None or before > 0)
+        assert registry.calibration("A1", lot_id="small").record.after_rmse is not None
         assert any(row.actor == "Erin" for row in registry.audit_rows())
 
 
 def test_who_may_not_set_up_may_not_draw(calibrated: str, show) -> None:
     screen = show(calibrated, "audit", role="quality", lot="small")
     assert not screen.exception
-    assert not [one for one in screen.button if one.label == say("audit.draw.do")]
+    assert button(screen, "audit.draw.do") is None
 
 
 def test_the_wall_tells_a_station_that_is_silent_from_one_that_is_well(calibrated: str) -> None:
@@ -82,11 +80,10 @@ def test_the_wall_counts_what_the_lot_holds_and_leaves_no_alert_unsaid(calibrate
         view = lot_view(registry, "small")
         many = [Alert("golden", {"station": "s", "serial": "G", "at": "now"}, True)] * (MOST_ALERTS + 2)
         found = wall_view(registry, view, many, say)
-    assert {verdict: count for verdict, _, count in found.verdicts} == {
-        word: count for word, count in view.counts.items() if word != "none"
-    }
+    wanted = {word: count for word, count in view.counts.items() if word != "none"}
+    assert {verdict: count for verdict, _, count in found.verdicts} == wanted
     assert found.alerts[-1][0] == say("wall.more", count=2) and len(found.alerts) == MOST_ALERTS + 1
-    assert {chip.serial for chip in found.chips} == {run for run in ("A1", "A2", "A3", "A4")}
+    assert {chip.serial for chip in found.chips} == {"A1", "A2", "A3", "A4"}
 
 
 @pytest.mark.parametrize("language", ["en", "ko"])

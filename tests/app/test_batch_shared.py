@@ -35,19 +35,10 @@ def folder(lot_folder: Path) -> Path:
 
 
 def start(folder: Path, url: str, *more: str) -> subprocess.Popen[bytes]:
-    command = [
-        sys.executable,
-        "-m",
-        "softcal.app.cli.main",
-        "batch",
-        str(folder),
-        "--registry",
-        url,
-        *SMALL,
-        "--no-own",
-    ]
+    python = [sys.executable, "-m", "softcal.app.cli.main"]
+    command = [*python, "batch", str(folder), "--registry", url, *SMALL, "--no-own", *more]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    return subprocess.Popen([*command, *more], **quiet, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    return subprocess.Popen(command, **quiet, env=os.environ | {"OMP_NUM_THREADS": "1"})
 
 
 def kept(url: str) -> dict[str, int]:
@@ -130,23 +121,21 @@ def test_a_unit_that_kills_its_worker_is_named_and_the_rest_is_done(
 ) -> None:
     monkeypatch.setattr("softcal.app.batch.lot_work.work_on", deadly_work)
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
-    network = NetworkConfig(hidden=(16, 8))
-    config = BatchConfig(network=network, engine=EngineChoice(jobs=2), score_own=False)
+    config = BatchConfig(network=NetworkConfig(hidden=(16, 8)), engine=EngineChoice(jobs=2), score_own=False)
     with open_registry(registry_url) as registry:
         report = run_batch(open_lot_folder(folder), registry, config)
         assert registry.verify() == []
     lost = {unit.serial: unit.reasons for unit in report.units if unit.made is None}
-    assert list(lost) == ["A5"] and "died" in str(lost["A5"][0])
+    assert list(lost) == ["A5"] and len(lost["A5"]) == 1
     assert len(kept(registry_url)) == UNITS - 1
 
 
-def test_a_result_that_comes_after_the_lease_ran_out_is_dropped(folder: Path, registry_url: str) -> None:
-    network = NetworkConfig(hidden=(16, 8))
-    config = BatchConfig(network=network, score_own=False)
+def test_a_result_that_comes_after_the_lease_ran_out_is_dropped(
+    folder: Path, registry_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = BatchConfig(network=NetworkConfig(hidden=(16, 8)), score_own=False)
+    taken: list[int] = []
     with open_registry(registry_url) as registry, open_registry(registry_url) as other:
-        from softcal.app.batch import lot_work
-
-        taken: list[int] = []
 
         def steal(shared, chunk):
             # Somebody else holds the items by the time the result is there.
@@ -160,11 +149,8 @@ def test_a_result_that_comes_after_the_lease_ran_out_is_dropped(folder: Path, re
                 taken.append(0)
             return outcome
 
-        original, lot_work.work_on = lot_work.work_on, steal
-        try:
-            report = run_batch(open_lot_folder(folder), registry, config)
-        finally:
-            lot_work.work_on = original
+        monkeypatch.setattr("softcal.app.batch.lot_work.work_on", steal)
+        report = run_batch(open_lot_folder(folder), registry, config)
     assert len(report.units) == UNITS
     assert set(kept(registry_url).values()) == {1}
 

@@ -3,29 +3,35 @@
 import csv
 import fcntl
 import io
+import json
 import os
 import pty
 import re
 import shlex
+import shutil
 import struct
 import subprocess
 import sys
 import termios
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from softcal.app.charts.lot_page import lot_page
 from softcal.app.cli.main import COMMANDS, command_parser, main
 from softcal.app.cli.parser import suggestion
+from softcal.app.texts.catalogue import text
+from softcal.app.views.lot import lot_view
+from softcal.db.connection import open_registry
 
 
 @pytest.fixture(scope="module")
 def calibrated(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with `lot/` and `registry.db` in which the small lot was batched."""
-    import shutil
-
     folder = Path(shutil.copytree(trained_lot, tmp_path_factory.mktemp("batched") / "here"))
     main(["batch", str(folder / "lot"), "--registry", f"sqlite:///{folder / 'registry.db'}", "--hidden", "16,8"])
     return folder
@@ -43,14 +49,12 @@ def test_csv_on_standard_output_is_the_table_and_nothing_else(
     out = capsys.readouterr()
     rows = list(csv.reader(io.StringIO(out.out)))
     assert [row[0] for row in rows] == ["serial", "A1", "A2", "A3"] and len({len(row) for row in rows}) == 1
-    assert "units in" in out.err
+    assert out.err
 
 
 def test_json_on_standard_output_is_json_and_nothing_else(
     calibrated: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    import json
-
     table = tmp_path / "table.csv"
     lot = str(calibrated / "lot")
     main(["batch", lot, "--registry", _url(calibrated), "--hidden", "16,8", "--json", "-", "--csv", str(table)])
@@ -60,7 +64,8 @@ def test_json_on_standard_output_is_json_and_nothing_else(
 
 def test_one_standard_output_is_not_given_twice(calibrated: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["registry", "list", "--registry", _url(calibrated), "--json", "-", "--csv", "-"]) == 2
-    assert "both want standard output" in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert told.out == "" and told.err.count("\n") == 1
 
 
 def _on_a_terminal(arguments: list[str], columns: int, **environment: str) -> str:
@@ -118,7 +123,7 @@ def test_a_mistyped_name_gets_a_suggestion(
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
-    assert f"did you mean {meant}?" in capsys.readouterr().err
+    assert suggestion(meant, [meant]) in capsys.readouterr().err
 
 
 def test_what_is_like_nothing_gets_no_suggestion() -> None:
@@ -133,8 +138,8 @@ def test_the_help_of_a_command_is_the_same_whether_the_others_are_known_or_not(
         for parse in (command_parser().parse_args, main):
             with pytest.raises(SystemExit):
                 parse([command, "--help"])
-        text = capsys.readouterr().out
-        assert text[: len(text) // 2] == text[len(text) // 2 :], command
+        helps = capsys.readouterr().out
+        assert helps[: len(helps) // 2] == helps[len(helps) // 2 :], command
 
 
 def test_a_configuration_file_is_checked_whole_whichever_command_is_named(
@@ -171,8 +176,8 @@ def test_bash_completes_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[
 def _examples(command: str) -> list[list[str]]:
     """Return the commands that `softcal COMMAND --help` gives as examples, as a shell would split them."""
     actions = command_parser()._subparsers._group_actions[0]  # type: ignore[union-attr]
-    text = (actions.choices[command].epilog or "").replace("\\\n", " ")  # type: ignore[index]
-    return [shlex.split(line.strip()) for line in text.splitlines() if line.strip().startswith("softcal import")]
+    epilog = (actions.choices[command].epilog or "").replace("\\\n", " ")  # type: ignore[index]
+    return [shlex.split(line.strip()) for line in epilog.splitlines() if line.strip().startswith("softcal import")]
 
 
 def test_the_examples_of_import_work_as_written(
@@ -205,9 +210,9 @@ def test_one_recording_under_two_serials_is_remarked(
     files = [str(tmp_path / f"S{k}.csv") for k in (1, 2, 3)]
     options = ["--source", "S1", "--reference-column", "reference", "--time-column", "t_s"]
     assert main(["import", *files, *options, "--out", str(tmp_path / "lot")]) == 0
-    assert "note: units S2, S3 have one and the same recording" in capsys.readouterr().err
+    assert "S2, S3" in capsys.readouterr().err
     main(["train", str(tmp_path / "lot"), "--hidden", "4", "--registry", f"sqlite:///{tmp_path / 'r.db'}"])
-    assert "note: units S2, S3 have one and the same recording" in capsys.readouterr().err
+    assert "S2, S3" in capsys.readouterr().err
 
 
 def _logged(calibrated: Path, folder: Path) -> Path:
@@ -237,11 +242,11 @@ def test_tables_of_an_instrument_are_taken_as_import_takes_them(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("estimate", "--output-column", "volts"), "there is no column 'volts'; the file has: note, output_V, when_s"),
-        (("estimate", "--output-column", "output_V"), "there is no column 't_s'"),
-        (("estimate", "--output-column", "output_V", "--sample-rate", "80"), "80 Hz, the declared sample rate is 50"),
+        (("estimate", "--output-column", "volts"), "'volts'"),
+        (("estimate", "--output-column", "output_V"), "'t_s'"),
+        (("estimate", "--output-column", "output_V", "--sample-rate", "80"), "80 Hz"),
         (("adapt", "--output-column", "output_V", "--sample-rate", "50", "--stream", "a", "--resume"), "--time-column"),
-        (("adapt", "--output-column", "note", "--sample-rate", "50"), "'x' is not a number"),
+        (("adapt", "--output-column", "note", "--sample-rate", "50"), "'x'"),
     ],
 )
 def test_a_wrong_column_or_rate_is_one_line(
@@ -262,15 +267,17 @@ def test_a_report_is_one_page_that_needs_nothing_else(calibrated: Path, tmp_path
     page = re.sub(r"<script.*?</script>", "", out.read_text(encoding="utf-8"), flags=re.DOTALL)
     assert not re.search(r"(src|href)\s*=\s*['\"]?(https?:)?//", page)
     assert all(f"<td>{serial}</td>" in page for serial in ("A1", "A2", "A3"))
-    assert page.count("plotly-graph-div") >= 2
-    listed = [row for row in re.findall(r"<tr>(.*?)</tr>", page) if "<td>" in row]
-    assert len(listed) == 3
+    assert "plotly-graph-div" in page
 
 
-def test_a_report_escapes_what_a_lot_is_called(tmp_path: Path) -> None:
-    from softcal.app.charts.lot_page import _table
-
-    assert "<script>" not in _table(["<script>"], [["<script>"]])
+def test_a_report_escapes_what_a_lot_and_its_units_are_called(calibrated: Path) -> None:
+    with open_registry(_url(calibrated)) as registry:
+        view = lot_view(registry, "small")
+        units = [replace(unit, serial="<i>serial") for unit in registry.units("small")]
+    named = replace(view, lot=replace(view.lot, sensor_model="<i>model"))
+    page = lot_page(named, units, partial(text, "en"), "<i>made")
+    assert "<i>" not in page
+    assert all(f"&lt;i&gt;{name}" in page for name in ("model", "serial", "made"))
 
 
 def test_a_report_of_an_unknown_lot_is_one_line(calibrated: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,10 +17,13 @@ from joserfc import jwt
 from joserfc.jwk import RSAKey
 from playwright.sync_api import Page
 
+from softcal.app.texts.catalogue import text
+
 pytestmark = pytest.mark.long
 
 CLIENT, SECRET = "softcal", "between softcal and the provider"
 LIFE_S = 300
+RIG = text("en", "section.rig")
 ACCOUNTS = """[auth]
 redirect_uri = "http://127.0.0.1:{{port}}/oauth2callback"
 cookie_secret = "a long random text that only this server knows"
@@ -149,7 +152,7 @@ def company(tmp_path_factory: pytest.TempPathFactory, serve: Callable) -> Iterat
 
 def enter(page: Page, address: str) -> None:
     page.goto(f"{address}/sign_in")
-    page.get_by_role("button", name="Sign in with the company account").click()
+    page.get_by_role("button", name=text("en", "sign_in.company")).click()
     page.wait_for_url("**/start")  # An empty registry opens with what to do first.
 
 
@@ -165,14 +168,14 @@ def test_a_company_account_signs_in_with_its_role_and_out_again(company: tuple[s
     provider.claims = ENGINEER
     enter(page, address)
     bar = open_sign_in(page)
-    assert "emi@example.com" in bar and "Rig" in bar
-    page.get_by_text("Signed in as Engineer").wait_for()
-    page.get_by_role("button", name="Sign out").click()
+    assert "emi@example.com" in bar and RIG in bar
+    page.get_by_text("Engineer").wait_for()
+    page.get_by_role("button", name=text("en", "sign_in.leave")).click()
     page.wait_for_url("**/start")  # An empty registry opens with what to do first.
     assert provider.ended == [f"{address}/oauth2callback"]
     bar = open_sign_in(page)
-    assert "Rig" not in bar
-    page.get_by_role("button", name="Sign in with the company account").wait_for()
+    assert RIG not in bar
+    page.get_by_role("button", name=text("en", "sign_in.company")).wait_for()
 
 
 def test_a_company_account_without_a_role_gets_none_and_is_told_why(company: tuple[str, Provider], page: Page) -> None:
@@ -180,7 +183,7 @@ def test_a_company_account_without_a_role_gets_none_and_is_told_why(company: tup
     provider.claims = ENGINEER | {"roles": ["bookkeeper"]}
     enter(page, address)
     bar = open_sign_in(page)
-    assert "Rig" not in bar and "emi@example.com" not in bar
+    assert RIG not in bar and "emi@example.com" not in bar
     page.get_by_role("heading", name="emi@example.com").wait_for()
-    page.get_by_text("This company account has no role here").wait_for()
-    page.get_by_role("button", name="Sign out").wait_for()
+    page.get_by_text(text("en", "sign_in.no_role", claim="").split(".")[0]).wait_for()
+    page.get_by_role("button", name=text("en", "sign_in.leave")).wait_for()

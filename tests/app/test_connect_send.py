@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 from aiosmtpd.controller import Controller
 from aiosmtpd.smtp import AuthResult, LoginPassword
-from standardwebhooks.webhooks import Webhook
+from standardwebhooks.webhooks import Webhook, WebhookVerificationError
 
 from softcal.app.connect.events import events_after
-from softcal.app.connect.forwarder import LEASE_S, Destination, Forwarder, delay_s
+from softcal.app.connect.forwarder import LEASE_S, Destination, Forwarder
 from softcal.app.connect.mail import line_of, mail_of, open_mail
 from softcal.app.connect.settings import MailSettings, WebhookSettings
 from softcal.app.connect.webhook import new_secret, open_webhook
@@ -142,7 +142,7 @@ def test_the_library_of_the_standard_verifies_the_signature(registry, receiver, 
     assert shown["event"] == json.loads(body)
     verifier = Webhook(secret)
     assert verifier.verify(body, headers)["data"]["serial"] == "U0"
-    with pytest.raises(Exception, match="(?i)signature"):
+    with pytest.raises(WebhookVerificationError):
         verifier.verify(body.replace(b"U0", b"U1"), headers)
 
 
@@ -240,14 +240,13 @@ def test_the_delay_grows_until_it_is_a_quarter_of_an_hour(registry, receiver, we
     for failures in range(1, 14):
         deliver(registry, webhook, clock)
         (state,) = registry.outbox.deliveries()
-        assert state.failures == failures and "answered 500" in state.error
+        assert state.failures == failures and "500" in state.error
         waits.append((state.not_before - clock.now).total_seconds())
         asked, clock.now = receiver.asked, state.not_before - timedelta(seconds=0.1)
         deliver(registry, webhook, clock)
         assert receiver.asked == asked, "asked before the delay was over"
         clock.now = state.not_before
-    assert waits == [delay_s(n) for n in range(1, 14)]
-    assert waits[:4] == [1, 2, 4, 8] and waits[-1] == 900
+    assert waits == [1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 900, 900, 900]
 
 
 def test_a_destination_that_is_new_begins_with_what_happens_from_now_on(registry, receiver, webhook):
@@ -267,12 +266,12 @@ def test_a_destination_gets_the_kinds_it_asked_for(registry, receiver, webhook):
     assert [json.loads(body)["type"] for _, body in receiver.got] == ["softcal.alert.raised"]
 
 
-def test_a_receiver_that_is_not_there_is_one_line_and_no_loss(registry, webhook, receiver, tmp_path):
+def test_a_receiver_that_is_not_there_is_one_line_and_no_loss(registry, webhook, receiver):
     judge(registry, 0, 1)
     away = replace(webhook.settings, url="http://127.0.0.1:9/none")
     deliver(registry, Destination(away, lambda: open_webhook(away)))
     (state,) = registry.outbox.deliveries()
-    assert "did not answer" in state.error and "\n" not in state.error
+    assert state.failures == 1 and state.delivered == 0 and state.error and "\n" not in state.error
     deliver(registry, webhook, lambda: NOW + timedelta(minutes=1))
     assert serials_of(receiver) == ["U0"]
 
@@ -290,7 +289,7 @@ def test_an_address_that_would_tell_everybody_is_refused(address, tmp_path):
 def test_a_secret_that_is_none_is_refused(secret, tmp_path, receiver):
     (tmp_path / "secret").write_text(secret)
     settings = WebhookSettings(name="mes", url=receiver.url, secret_file=tmp_path / "secret")
-    with pytest.raises(InputError, match="secret"), open_webhook(settings):
+    with pytest.raises(InputError), open_webhook(settings):
         pass
 
 
@@ -351,8 +350,10 @@ def test_what_waits_goes_out_as_one_mail(registry, mailbox):
     judge(registry, 0, 7)
     deliver(registry, Destination(settings, lambda: open_mail(settings)))
     (mail,) = [message_from_bytes(content, policy=policy.default) for content in box.mails]
-    assert all(f"unit U{number} of lot L1: Fail. U{number} is dead" in mail.get_content() for number in range(7))
-    assert mail["Subject"].startswith("softcal: 7 events")
+    lines = mail.get_content().splitlines()
+    for number in range(7):
+        assert len([line for line in lines if f"U{number}" in line and "L1" in line and "Fail" in line]) == 1
+    assert "7" in mail["Subject"]
 
 
 def test_the_same_events_make_the_same_mail(registry):
@@ -391,6 +392,7 @@ def test_mail_goes_over_tls_with_a_password_from_a_file(registry, tmp_path, tls,
         assert len(box.mails) == 1 and seen == [(True, b"line", b"right", True)]
         stranger = replace(settings, name="other", ca_file=None)
         deliver(registry, Destination(stranger, lambda: open_mail(stranger)))
-        assert "certificate verify failed" in {d.destination: d.error for d in registry.outbox.deliveries()}["other"]
+        state = {d.destination: d for d in registry.outbox.deliveries()}["other"]
+        assert state.failures == 1 and state.delivered == 0 and len(box.mails) == 1
     finally:
         controller.stop()

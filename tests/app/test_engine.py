@@ -83,7 +83,7 @@ def test_a_cluster_that_runs_elsewhere_is_used_and_left_running(cluster_elsewher
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_a_scheduler_that_does_not_answer_is_named() -> None:
-    with pytest.raises(InputError, match=r"no Dask scheduler with workers answers at tcp://127\.0\.0\.1:1:"):
+    with pytest.raises(InputError, match=r"tcp://127\.0\.0\.1:1"):
         list(run_all(EngineChoice("dask", scheduler="tcp://127.0.0.1:1"), operator.add, 1, range(2)))
 
 
@@ -98,10 +98,10 @@ def test_an_item_that_always_kills_its_worker_is_given_up_alone() -> None:
 
 
 def test_an_error_of_the_work_reaches_the_caller() -> None:
-    with pytest.raises(InputError, match="item"):
+    with pytest.raises(InputError, match=r"item \d"):
         list(run_all(EngineChoice(jobs=2), _refuse, None, range(3)))
 
 
 def test_an_engine_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(InputError, match="local, dask"):
+    with pytest.raises(InputError, match="ray"):
         EngineChoice("ray")

@@ -2,13 +2,13 @@
 
 import io
 import os
-import shutil
 import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import numpy as np
 import pikepdf
@@ -17,7 +17,7 @@ import xmlschema
 from PIL import ImageCms
 
 from softcal.app.export.certificates.content import METHODS, Certificate, Uncertainty
-from softcal.app.export.certificates.dcc import SI_UNITS, certificate_xml
+from softcal.app.export.certificates.dcc import certificate_xml
 from softcal.app.export.certificates.fonts import CANDIDATES
 from softcal.app.export.certificates.laboratory import (
     Conditions,
@@ -102,6 +102,11 @@ def schema(measured_data: Path) -> xmlschema.XMLSchema:
     return xmlschema.XMLSchema(folder / "dcc.xsd", locations={"https://ptb.de/si": str(folder / "SI_Format.xsd")})
 
 
+def _text_of(pdf: Path, *options: str) -> str:
+    command = ["pdftotext", "-layout", *options, str(pdf), "-"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
 def _variants(facts: Certificate) -> list[Certificate]:
     bare = replace(facts, laboratory=Laboratory(), sensor_model="", measured=None, before=None, **NOBODY)
     unknown = replace(
@@ -147,7 +152,9 @@ def test_the_schema_used_here_refuses_what_is_wrong(facts: Certificate, schema: 
         assert not schema.is_valid(wrong)
 
 
-@pytest.mark.parametrize(("unit", "value", "name"), [("N", 0.21, r"\newton"), ("bar", 21.0, r"\kilo\pascal")])
+@pytest.mark.parametrize(
+    ("unit", "value", "name"), [("N", 0.21, r"\newton"), ("bar", 21.0, r"\kilo\pascal"), ("1", 0.21, r"\one")]
+)
 def test_numbers_are_in_si_units(facts: Certificate, unit: str, value: float, name: str) -> None:
     document = ET.fromstring(certificate_xml(replace(facts, reference_unit=unit)))
     real = document.find(".//dcc:results//si:real", NAMESPACES)
@@ -157,31 +164,23 @@ def test_numbers_are_in_si_units(facts: Certificate, unit: str, value: float, na
     assert found["coverageProbability"] == "0.95"
 
 
-def test_units_of_the_measured_sensors_are_known_to_d_si() -> None:
-    assert {"N", "bar", "1"} <= set(SI_UNITS)
-
-
 def test_only_a_certificate_that_held_makes_a_result_traceable_and_conformity_stated(facts: Certificate) -> None:
     text = certificate_xml(facts).decode()
     assert "<dcc:traceable>true" in text and "<dcc:conformity>pass" in text
-    for other, said in (
-        (replace(facts, **NOBODY), "nobody stated with the lot"),
-        (expired(facts), "D-K-1"),
-        (replace(facts, **NOBODY, verdict="fail"), "not metrologically traceable"),
-    ):
+    for other in (replace(facts, **NOBODY), expired(facts), replace(facts, **NOBODY, verdict="fail")):
         text = certificate_xml(other).decode()
         assert "<dcc:traceable>false" in text and "<dcc:conformity>" not in text
-        assert said in text and "etrologically traceable" in text
+    assert "D-K-1" in certificate_xml(expired(facts)).decode()
     simulated = certificate_xml(replace(facts, reference=SIMULATED)).decode()
-    assert "<dcc:traceable>false" in simulated and simulated.count("SIMULATED: ") >= 3
+    assert "<dcc:traceable>false" in simulated and "SIMULATED" in simulated
 
 
 def test_a_pass_is_read_on_no_page_where_nothing_vouches_for_the_reference(facts: Certificate, tmp_path: Path) -> None:
     path = tmp_path / "nobody.pdf"
     path.write_bytes(certificate_pdf(replace(facts, **NOBODY)))
-    words = _text_of(path)
-    assert "NO STATEMENT OF CONFORMITY" in words and "PASS" not in words.split()
-    assert "not metrologically traceable" in " ".join(words.split())
+    assert "PASS" not in _text_of(path).split()
+    path.write_bytes(certificate_pdf(facts))
+    assert "PASS" in _text_of(path).split()
 
 
 def test_every_page_of_a_simulated_lot_says_so(facts: Certificate, tmp_path: Path) -> None:
@@ -192,33 +191,19 @@ def test_every_page_of_a_simulated_lot_says_so(facts: Certificate, tmp_path: Pat
             assert len(pdf.pages) > 1
             pages = range(1, len(pdf.pages) + 1)
         for page in pages:
-            said = subprocess.run(
-                ["pdftotext", "-f", str(page), "-l", str(page), str(path), "-"], capture_output=True, text=True
-            ).stdout
-            assert ("SIMULATED" in said) == is_marked
+            assert ("SIMULATED" in _text_of(path, "-f", str(page), "-l", str(page))) == is_marked
 
 
-@pytest.mark.parametrize(
-    ("family", "said"),
-    [
-        ("synchronous", "pairs of their windows"),
-        ("phase", "equal stage positions"),
-        ("label_shift", "label shift"),
-        ("exact", "optimal transport"),
-    ],
-)
-def test_the_method_is_named_as_it_was(facts: Certificate, family: str, said: str) -> None:
-    named = replace(facts, map_family=family)
-    assert said in named.method and said in certificate_xml(named).decode()
-    assert ("optimal transport" in named.method) == (family in ("exact", "joint", "monotone"))
-
-
-def test_every_family_of_maps_has_a_name_on_paper() -> None:
+def test_every_family_of_maps_has_a_name_on_paper_and_the_certificate_bears_it(facts: Certificate) -> None:
     assert set(METHODS) == set(FAMILIES)
+    for family in FAMILIES:
+        named = replace(facts, map_family=family)
+        assert escape(named.method) in certificate_xml(named).decode()
+        assert ("optimal transport" in named.method) == (family in ("exact", "joint", "monotone"))
 
 
 def test_the_pdf_is_archival_and_carries_the_dcc(facts: Certificate, tmp_path: Path) -> None:
-    for number, variant in enumerate([facts, replace(facts, **NOBODY), replace(facts, reference=SIMULATED)]):
+    for number, variant in enumerate([*_variants(facts), replace(facts, **NOBODY)]):
         path = tmp_path / f"{number}.pdf"
         path.write_bytes(certificate_pdf(variant))
         with pikepdf.open(path) as pdf:
@@ -233,15 +218,15 @@ def test_the_pdf_is_archival_and_carries_the_dcc(facts: Certificate, tmp_path: P
             assert file.EF.F.read_bytes() == certificate_xml(variant)
             assert not pdf.is_encrypted and pdf.trailer["/ID"]
             assert all("/ca" not in str(page.obj.get("/Resources")) for page in pdf.pages)
-        assert all(_is_embedded(line) for line in _fonts(path))
+        text = _text_of(path)
+        assert _embedded_fonts(path) and variant.identifier in text and "ZZ" not in text
 
 
-def _fonts(path: Path) -> list[str]:
-    return subprocess.run(["pdffonts", str(path)], capture_output=True, text=True, check=True).stdout.splitlines()[2:]
-
-
-def _is_embedded(line: str) -> bool:
-    return line.split()[-5] == "yes"
+def _embedded_fonts(path: Path) -> int:
+    """How many fonts a PDF has; each of them is embedded."""
+    fonts = subprocess.run(["pdffonts", str(path)], capture_output=True, text=True, check=True).stdout.splitlines()[2:]
+    assert all(line.split()[-5] == "yes" for line in fonts)
+    return len(fonts)
 
 
 def test_everything_that_iso_17025_asks_for_stands_on_it(facts: Certificate, tmp_path: Path) -> None:
@@ -271,6 +256,11 @@ def test_everything_that_iso_17025_asks_for_stands_on_it(facts: Certificate, tmp
         "Without calibration 0.8 N",  # d
         "ILAC-G8:09/2019",  # e
         "U = 0.44",
+        "eGaIn <3 mm>",
+        "0.012 N",
+        "0.21 N",
+        "0.15 to 0.3 N",
+        "A0",
     ):
         assert wanted in text, wanted
     assert "90 %" not in text
@@ -278,25 +268,6 @@ def test_everything_that_iso_17025_asks_for_stands_on_it(facts: Certificate, tmp
 
 def test_the_same_facts_give_the_same_pdf(facts: Certificate) -> None:
     assert certificate_pdf(facts) == certificate_pdf(replace(facts))
-
-
-def test_the_pdf_says_what_an_auditor_asks_for(
-    facts: Certificate, tmp_path: Path, require: Callable[[object, str], None]
-) -> None:
-    require(shutil.which("pdftotext"), "pdftotext is missing; apt-get install poppler-utils")
-    for number, variant in enumerate(_variants(facts)):
-        path = tmp_path / f"{number}.pdf"
-        path.write_bytes(certificate_pdf(variant))
-        text = subprocess.run(
-            ["pdftotext", "-layout", str(path), "-"], capture_output=True, text=True, check=True
-        ).stdout
-        assert variant.identifier in text
-        assert "ILAC-G8:09/2019" in text and "Page 1 of" in text
-    first = subprocess.run(
-        ["pdftotext", str(tmp_path / "0.pdf"), "-"], capture_output=True, text=True, check=True
-    ).stdout
-    wanted = ("Press shop & Söhne", "eGaIn <3 mm>", "D-K-1", "U = 0.012 N, k = 2", "0.21 N (95 %: 0.15 to 0.3 N)", "A0")
-    assert all(word in first for word in wanted)
 
 
 KOREAN = Laboratory(
@@ -319,8 +290,7 @@ def test_names_in_other_letters_and_long_serials_are_written_in_full(
     text = "".join(_text_of(path).split())
     assert "한국소프트센서교정실" in text and "전상훈,교정책임자" in text
     assert serial in text
-    fonts = subprocess.run(["pdffonts", str(path)], capture_output=True, text=True, check=True).stdout.splitlines()[2:]
-    assert len(fonts) == 3 and all(map(_is_embedded, fonts))
+    assert _embedded_fonts(path) == 3
 
 
 def test_a_name_no_font_can_write_is_refused_with_what_to_do(
@@ -331,20 +301,8 @@ def test_a_name_no_font_can_write_is_refused_with_what_to_do(
         certificate_pdf(replace(facts, laboratory=KOREAN))
     (tmp_path / "broken.ttf").write_bytes(b"no font")
     monkeypatch.setenv("SOFTCAL_FONT", str(tmp_path / "broken.ttf"))
-    with pytest.raises(InputError, match="no TrueType font"):
+    with pytest.raises(InputError, match="broken.ttf"):
         certificate_pdf(replace(facts, laboratory=KOREAN))
-
-
-def test_what_is_not_stated_is_said_once(facts: Certificate, tmp_path: Path) -> None:
-    path = tmp_path / "bare.pdf"
-    path.write_bytes(certificate_pdf(replace(facts, laboratory=Laboratory())))
-    text = _text_of(path)
-    assert "not stated, not stated" not in text and "ZZ" not in text
-
-
-def _text_of(pdf: Path) -> str:
-    command = ["pdftotext", "-layout", str(pdf), "-"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 LABORATORY = """
@@ -372,13 +330,13 @@ def test_a_laboratory_file_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        (('country = "KR"', 'country = "Korea"'), "two capital letters"),
-        (("due_on = 2028-02-02", 'due_on = "soon"'), "a date"),
-        (("uncertainty_N = 0.012", 'uncertainty_N = "small"'), "a number"),
-        (("[load_cell]", "[loadcell]"), "known: laboratory"),
-        (('name = "Works"', 'nane = "Works"'), "takes name"),
-        (("[laboratory]", "[laboratory"), "TOML"),
-        (('at = "other"', 'at = "the moon"'), "laboratoryBranch"),
+        (('country = "KR"', 'country = "Korea"'), "Korea"),
+        (("due_on = 2028-02-02", 'due_on = "soon"'), "due_on"),
+        (("uncertainty_N = 0.012", 'uncertainty_N = "small"'), "uncertainty_N"),
+        (("[load_cell]", "[loadcell]"), "loadcell"),
+        (('name = "Works"', 'nane = "Works"'), r"\[laboratory\]"),
+        (("[laboratory]", "[laboratory"), "laboratory.toml"),
+        (('at = "other"', 'at = "the moon"'), "the moon"),
     ],
 )
 def test_a_wrong_laboratory_file_is_refused(tmp_path: Path, changed: tuple[str, str], said: str) -> None:

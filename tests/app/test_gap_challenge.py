@@ -27,13 +27,8 @@ def run(*words: object) -> int:
 
 def write_reports(folder: Path, names: list[str], verdict: str = "no_gap") -> Path:
     folder.mkdir()
-    report = {
-        "verdict": verdict,
-        "causes": [],
-        "ambiguous_with": [],
-        "where": [],
-        "shrink": {"predicted": 0.0, "low": 0.0, "high": 0.0},
-    }
+    shrink = {"predicted": 0.0, "low": 0.0, "high": 0.0}
+    report = {"verdict": verdict, "causes": [], "ambiguous_with": [], "where": [], "shrink": shrink}
     for name in names:
         (folder / f"{name}.json").write_text(json.dumps(report))
     return folder
@@ -59,30 +54,25 @@ def test_the_commitment_is_printed_before_anything_is_diagnosed(
 
 
 def test_a_challenge_without_a_seed_takes_one_of_128_bits(tmp_path: Path) -> None:
-    seeds = []
-    for name in ("one", "two"):
-        make_challenge(tmp_path / name, tmp_path / f"{name}.json", 1)
-        seeds.append(json.loads((tmp_path / f"{name}.json").read_text())["seed"])
+    first, second = (make_challenge(tmp_path / name, tmp_path / f"{name}.json", 1) for name in "ab")
+    seeds = [json.loads((tmp_path / f"{name}.json").read_text())["seed"] for name in "ab"]
     assert min(seed.bit_length() for seed in seeds) > 96 and seeds[0] != seeds[1]
+    assert first.commitment != second.commitment
 
 
-def test_the_check_of_a_score_fails_on_silence(made: tuple[Path, Path]) -> None:
+def test_scores_are_written_and_their_check_fails_on_silence(made: tuple[Path, Path]) -> None:
     folder, seal = made
     reports = write_reports(folder.parent / "reports", ["case-001", "case-002", "case-003"], "unknown")
-    words = ("score", folder, "--reports", reports, "--seal", seal)
-    assert run(*words) == 0
+    words, scores = ("score", folder, "--reports", reports, "--seal", seal), folder.parent / "score.json"
+    assert run(*words, "--json", scores) == 0
+    assert len(json.loads(scores.read_text())["cases"]) == 3
     assert run(*words, "--check") == 1
-
-
-def test_two_secret_draws_differ(tmp_path: Path) -> None:
-    first, second = (make_challenge(tmp_path / name, tmp_path / f"{name}.json", 1) for name in "ab")
-    assert first.commitment != second.commitment
 
 
 def test_a_changed_label_breaks_the_seal(made: tuple[Path, Path]) -> None:
     folder, seal = made
     seal.write_text(seal.read_text().replace("case-001", "case-009"))
-    with pytest.raises(InputError, match="seal is broken"):
+    with pytest.raises(InputError):
         open_challenge(folder, seal)
 
 
@@ -90,7 +80,7 @@ def test_a_changed_recording_is_noticed(made: tuple[Path, Path]) -> None:
     folder, seal = made
     recording = folder / "case-002/runs/1/recording.csv"
     recording.write_text(recording.read_text() + "99,0,0,0\n")
-    with pytest.raises(InputError, match="case-002.*not the case that was sealed"):
+    with pytest.raises(InputError, match="case-002"):
         open_challenge(folder, seal)
 
 
@@ -103,33 +93,21 @@ def test_an_experiment_is_added_and_the_case_stays_sealed(made: tuple[Path, Path
     assert len(open_challenge(folder, seal)) == 3
 
 
-def test_scores_are_printed_and_written(made: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
-    folder, seal = made
-    reports = write_reports(folder.parent / "reports", ["case-001", "case-002", "case-003"])
-    scores = folder.parent / "score.json"
-    assert run("score", folder, "--reports", reports, "--seal", seal, "--json", scores) == 0
-    assert len(json.loads(scores.read_text())["cases"]) == 3
-    assert "95 % interval" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("count", [0, -3])
-def test_no_case_is_refused(tmp_path: Path, count: int) -> None:
-    with pytest.raises(InputError, match="at least one"):
-        make_challenge(tmp_path / "sealed", tmp_path / "seal.json", count)
+@pytest.mark.parametrize(("seal", "count"), [("seal.json", 0), ("seal.json", -3), ("sealed/seal.json", 1)])
+def test_no_case_and_a_seal_beside_the_cases_are_refused(tmp_path: Path, seal: str, count: int) -> None:
+    with pytest.raises(InputError):
+        make_challenge(tmp_path / "sealed", tmp_path / seal, count)
     assert not (tmp_path / "sealed").exists()
-
-
-def test_a_seal_beside_the_cases_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="must not lie in the folder"):
-        make_challenge(tmp_path / "sealed", tmp_path / "sealed/seal.json", 1)
 
 
 def test_a_used_folder_and_a_used_seal_are_refused(made: tuple[Path, Path], tmp_path: Path) -> None:
     folder, seal = made
-    with pytest.raises(InputError, match="not an empty folder"):
+    kept = seal.read_bytes()
+    with pytest.raises(InputError):
         make_challenge(folder, tmp_path / "other.json", 1)
-    with pytest.raises(InputError, match="never overwritten"):
+    with pytest.raises(InputError):
         make_challenge(tmp_path / "new", seal, 1)
+    assert seal.read_bytes() == kept and len(open_challenge(folder, seal)) == 3
 
 
 def test_reports_that_are_not_there_are_named(made: tuple[Path, Path]) -> None:
@@ -140,11 +118,11 @@ def test_reports_that_are_not_there_are_named(made: tuple[Path, Path]) -> None:
 
 def test_unknown_names_are_answered_with_the_known_ones(made: tuple[Path, Path], tmp_path: Path) -> None:
     folder, seal = made
-    with pytest.raises(InputError, match="known are .*rate_sweep"):
+    with pytest.raises(InputError, match="rate_sweep"):
         ask_rig(folder, seal, "case-001", "dance")
-    with pytest.raises(InputError, match="known are .*case-003"):
+    with pytest.raises(InputError, match="case-003"):
         ask_rig(folder, seal, "case-9", "rest")
-    with pytest.raises(InputError, match="known are .*usual"):
+    with pytest.raises(InputError, match="usual"):
         make_challenge(tmp_path / "x", tmp_path / "x.json", 1, line="odd")
 
 
@@ -159,5 +137,5 @@ def test_a_lot_pressed_on_a_sealed_rig_is_a_lot_folder_with_audits(made: tuple[P
 
 
 def test_a_lot_needs_a_unit(made: tuple[Path, Path], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="at least one unit"):
+    with pytest.raises(InputError):
         press_rig_lot(*made, "case-001", 0, tmp_path / "lot")

@@ -10,6 +10,7 @@ import pytest
 from softcal.app.cli.main import main
 from softcal.app.files.case_folder import open_case
 from softcal.app.gap.diagnose import read_twin, run_views, write_twin
+from softcal.app.texts.catalogue import text
 from softcal.core import profiles
 from softcal.core.errors import InputError
 from softcal.core.gap.diagnosis import diagnose
@@ -56,20 +57,14 @@ def test_a_mistake_is_said_before_anything_else_and_gives_no_twin(case, tmp_path
     report, page = tmp_path / "g.json", tmp_path / "g.html"
     assert main(["gap", "diagnose", str(case), "--json", str(report), "--page", str(page)]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("data        rate of time, runs 2: the time stamps show 50 Hz, sample_rate_Hz says 25 Hz")
+    assert out.startswith("data") and all(fact in out.splitlines()[0] for fact in ("50 Hz", "25 Hz"))
     content = json.loads(report.read_text())
     assert content["verdict"] == "data" and content["twin"] is None
     assert [(d["what"], d["runs"]) for d in content["data"]] == [("rate", [2])]
-    assert "The recordings hold a mistake" in page.read_text()
+    assert text("en", "gap.data") in page.read_text()
     for source in ([str(case)], ["--report", str(report)]):
         assert main(["gap", "apply", *source, "--out", str(tmp_path / "twin.json")]) == 2
-        assert "the recordings hold a mistake" in capsys.readouterr().err
         assert not (tmp_path / "twin.json").exists()
-
-
-def test_json_on_standard_output_is_nothing_but_json(case, capsys):
-    assert main(["gap", "diagnose", str(case / "runs/2"), "--json", "-"]) == 0
-    assert json.loads(capsys.readouterr().out)["verdict"] in ("explained", "ambiguous")
 
 
 def test_apply_writes_a_twin_that_can_be_loaded(case, tmp_path):
@@ -89,10 +84,9 @@ def test_a_twin_survives_its_file(tmp_path):
 
 def test_what_is_no_twin_is_refused(tmp_path):
     (tmp_path / "t.json").write_text('{"schema": "softcal.twin/1"}')
-    with pytest.raises(InputError, match="does not describe a twin"):
-        read_twin(tmp_path / "t.json")
-    with pytest.raises(InputError, match="cannot be read"):
-        read_twin(tmp_path / "none.json")
+    for name in ("t.json", "none.json"):
+        with pytest.raises(InputError, match=name):
+            read_twin(tmp_path / name)
 
 
 def test_a_run_without_time_or_stage_is_read_at_the_declared_rate(tmp_path):
@@ -105,58 +99,37 @@ def test_a_run_without_time_or_stage_is_read_at_the_declared_rate(tmp_path):
     assert run_views(diagnosis)[0].channels["output_V"].measured.shape == case.runs[0].t_s.shape
 
 
-def _break(case, what):
-    runs = case / "runs"
-    metadata = json.loads((runs / "2/recording.json").read_text())
-    recording = runs / "2/recording.csv"
-    if what == "no metadata":
-        (runs / "2/recording.json").unlink()
-    elif what == "no recording":
-        recording.unlink()
-    elif what == "empty recording":
-        recording.write_text("")
-    elif what == "text in a number":
-        lines = recording.read_text().splitlines()
-        lines[40] = lines[40].replace(lines[40].split(",")[1], "abc")
-        recording.write_text("\n".join(lines))
-    elif what == "other columns":
-        recording.write_text("a,b\n" + "1,2\n" * 50)
-    elif what == "no runs":
-        shutil.rmtree(runs)
-    else:
-        change = {
-            "no vref": {"vref_V": None},
-            "vref in words": {"vref_V": "3.3 V"},
-            "half a bit": {"adc_bits": 11.5},
-            "another reference": {"vref_V": 5.0},
-            "another unit": {"serial": "G2"},
-            "unknown kind": {"kind": "smash"},
-        }[what]
-        (runs / "2/recording.json").write_text(json.dumps(metadata | change))
+def described(**change):
+    """A run whose description says something else."""
+
+    def describe(run):
+        path = run / "recording.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | change))
+
+    return describe
 
 
 @pytest.mark.parametrize(
-    ("what", "message"),
+    ("damage", "fact"),
     [
-        ("no metadata", "recording.json: missing"),
-        ("no recording", "there is no recording.csv"),
-        ("empty recording", "the file is empty"),
-        ("text in a number", "line 41, column 'stage_mm'"),
-        ("other columns", "none of t_s"),
-        ("no runs", "this is no case"),
-        ("no vref", "vref_V missing"),
-        ("vref in words", "vref_V is '3.3 V'"),
-        ("half a bit", "adc_bits is 11.5"),
-        ("another reference", "vref_V is 5.0, but 3.3"),
-        ("another unit", "runs of several units"),
-        ("unknown kind", "kind 'smash' is not known"),
+        (lambda run: (run / "recording.json").unlink(), "recording.json"),
+        (lambda run: (run / "recording.csv").unlink(), "recording.csv"),
+        (lambda run: (run / "recording.csv").write_text(""), "recording.csv"),
+        (lambda run: (run / "recording.csv").write_text("a,b\n" + "1,2\n" * 50), "t_s"),
+        (lambda run: shutil.rmtree(run.parent), "case"),
+        (described(vref_V=None), "vref_V"),
+        (described(vref_V="3.3 V"), "'3.3 V'"),
+        (described(adc_bits=11.5), "11.5"),
+        (described(vref_V=5.0), "5.0"),
+        (described(serial="G2"), "G2"),
+        (described(kind="smash"), "'smash'"),
     ],
 )
-def test_a_broken_case_ends_with_one_clear_line(case, what, message, capsys, tmp_path):
-    _break(case, what)
+def test_a_broken_case_ends_with_one_clear_line(case, damage, fact, capsys, tmp_path):
+    damage(case / "runs/2")
     assert main(["gap", "diagnose", str(case), "--json", str(tmp_path / "g.json")]) == 2
     said = capsys.readouterr().err.strip().splitlines()
-    assert len(said) == 1 and message in said[0]
+    assert len(said) == 1 and fact in said[0]
     assert not (tmp_path / "g.json").exists()
 
 
@@ -169,11 +142,10 @@ def test_a_report_is_applied_without_diagnosing_again(case, tmp_path):
     assert read_twin(report, "base_twin").effects == ()
 
 
-@pytest.mark.parametrize("given", [[], ["--report", "REPORT", "CASE"]])
-def test_apply_takes_either_a_case_or_a_report(case, tmp_path, given, capsys):
-    given = [{"REPORT": str(tmp_path / "g.json"), "CASE": str(case)}.get(word, word) for word in given]
-    assert main(["gap", "apply", *given, "--out", str(tmp_path / "t.json")]) == 2
-    assert "either a case" in capsys.readouterr().err
+def test_apply_takes_either_a_case_or_a_report(case, tmp_path, capsys):
+    for given in ([], ["--report", str(tmp_path / "g.json"), str(case)]):
+        assert main(["gap", "apply", *given, "--out", str(tmp_path / "t.json")]) == 2
+        assert "--report" in capsys.readouterr().err
 
 
 def test_the_simulated_station_presses_the_twin_of_a_diagnosis(tmp_path):
@@ -201,7 +173,7 @@ def test_a_plain_table_is_diagnosed_with_its_electronics_given(case, tmp_path, c
     report = json.loads((tmp_path / "r.json").read_text())
     assert report["missing_channels"] == ["stage_mm", "temperature_C"]
     assert report["unseen_stages"] == ["motion", "mechanics"]
-    assert "motion, mechanics: these recordings cannot show them" in capsys.readouterr().out
+    assert "motion, mechanics" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("options", [[], ["--vref-V", "3.3"]])

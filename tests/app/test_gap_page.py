@@ -51,10 +51,8 @@ def run(rng: np.random.Generator) -> RunView:
 
 def test_the_page_answers_the_five_questions(run: RunView) -> None:
     page = gap_page(REPORT, [run], "A17", ENGLISH)
-    for words in ("Where the twin is wrong", "Why", "What it gains", "How sure", "What to press next"):
-        assert words in page
-    assert "thermal drift" in page and "temperature step" in page and "97 %" in page
-    assert "cannot tell apart: thermal drift or ageing drift" in page
+    assert [key for key in ("where", "why", "gain", "sure", "next") if ENGLISH(f"gap.{key}") not in page] == []
+    assert all(fact in page for fact in ("thermal drift", "ageing drift", "temperature step", "97 %"))
 
 
 def test_nothing_is_loaded_from_elsewhere(run: RunView) -> None:
@@ -73,7 +71,7 @@ def test_every_verdict_has_its_page(run: RunView, verdict: str) -> None:
     empty = {"causes": [], "where": [], "ambiguous_with": [], "hidden_fraction": {}, "next_experiment": {}}
     nothing = {"predicted": None, "low": None, "high": None, "held_out": None}
     page = gap_page({**REPORT, **empty, "verdict": verdict, "shrink": nothing}, [run], "A17", ENGLISH)
-    assert "No further run" in page and "No forecast" in page
+    assert ENGLISH("gap.next.none") in page and ENGLISH("gap.gain.none") in page
 
 
 def test_a_mistake_in_the_recordings_has_its_page(run: RunView) -> None:
@@ -86,7 +84,7 @@ def test_a_mistake_in_the_recordings_has_its_page(run: RunView) -> None:
     }
     page = gap_page({**REPORT, "verdict": "data", "data": [data]}, [run], "A17", ENGLISH)
     assert "unit factor" in page and "&lt;9.8&gt;" in page and "multiply by 9.807" in page
-    assert "What it gains to fix it" not in page
+    assert ENGLISH("gap.gain") not in page
 
 
 def test_the_residual_map_counts_in_units_of_the_noise(run: RunView) -> None:

@@ -63,21 +63,12 @@ def test_metrics_are_closed_and_no_page_may_be_framed_or_fetch_elsewhere(address
     assert "http" not in policy["connect-src"] and "*" not in headers["content-security-policy"]
 
 
-@pytest.mark.parametrize(
-    ("host", "own"),
-    [
-        ("[::1]:8501", True),
-        ("192.168.0.7", True),
-        ("LOCALHOST.", True),
-        ("line.example:80", True),
-        ("x.line.example", False),
-        ("127.0.0.1.evil.example", False),
-        ("localhost:1@evil.example", False),
-        ("", False),
-    ],
-)
-def test_own_names_are_names_and_no_parts_of_names(host, own):
-    assert is_own(host, own_names(["line.example"])) is own
+def test_own_names_are_names_and_no_parts_of_names():
+    own = own_names(["line.example"])
+    for host in ("[::1]:8501", "192.168.0.7", "LOCALHOST.", "line.example:80"):
+        assert is_own(host, own) is True, host
+    for host in ("x.line.example", "127.0.0.1.evil.example", "localhost:1@evil.example", ""):
+        assert is_own(host, own) is False, host
 
 
 def test_the_policy_lets_every_page_of_softcal_be_drawn(address, page: Page):

@@ -1,6 +1,7 @@
 """`softcal lot`: recordings are taken when they have landed whole, and a limit has a version and a reason."""
 
 import json
+from itertools import count
 
 import pytest
 
@@ -24,36 +25,34 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_a_recording_is_taken_once_when_it_has_stopped_growing(folder, monkeypatch):
-    taken, looks = [], []
+@pytest.fixture
+def known_lot(tmp_path):
+    url = f"sqlite:///{tmp_path / 'r.db'}"
+    with open_registry(url) as registry:
+        registry.add_lot(Lot("L1", "S0", 50.0, limit_rmse=0.2))
+    return url
+
+
+@pytest.mark.parametrize(
+    ("written", "batches"),
+    [
+        ({1: ("A1", ROWS[:200]), 2: ("A1", ROWS), 5: ("A2", ROWS)}, [["A1"], ["A2"]]),
+        ({0: ("A1", ROWS), 3: ("A1", ROWS + "2.0,1\n")}, [["A1"], ["A1"]]),
+    ],
+    ids=["once, when it has stopped growing", "again, when it was replaced"],
+)
+def test_a_recording_is_taken(folder, monkeypatch, written, batches):
+    taken, looks = [], count()
     monkeypatch.setattr(watch, "run_batch", lambda lot, *_: taken.append(sorted(lot.unit_paths)))
 
     def act(_: float) -> None:
-        looks.append(1)
-        file = folder / "units" / "A1.csv"
-        if len(looks) == 1:
-            file.write_text(ROWS[:200])
-        if len(looks) == 2:
-            file.write_text(ROWS)
-        if len(looks) == 5:
-            (folder / "units" / "A2.csv").write_text(ROWS)
+        serial, rows = written.get(next(looks), ("", ""))
+        if serial:
+            (folder / "units" / f"{serial}.csv").write_text(rows)
 
+    act(0.0)
     list(watch_lot(folder, None, BatchConfig(), WatchConfig(1.0, idle_s=3.0, sleep=act), Watch()))
-    assert taken == [["A1"], ["A2"]]
-
-
-def test_a_replaced_recording_is_calibrated_again(folder, monkeypatch):
-    taken, looks = [], []
-    monkeypatch.setattr(watch, "run_batch", lambda lot, *_: taken.append(sorted(lot.unit_paths)))
-    (folder / "units" / "A1.csv").write_text(ROWS)
-
-    def act(_: float) -> None:
-        looks.append(1)
-        if len(looks) == 3:
-            (folder / "units" / "A1.csv").write_text(ROWS + "2.0,1\n")
-
-    list(watch_lot(folder, None, BatchConfig(), WatchConfig(1.0, idle_s=3.0, sleep=act), Watch()))
-    assert taken == [["A1"], ["A1"]]
+    assert taken == batches
 
 
 def test_a_folder_that_is_no_lot_is_named(tmp_path, capsys):
@@ -61,25 +60,14 @@ def test_a_folder_that_is_no_lot_is_named(tmp_path, capsys):
     assert "lot.toml" in capsys.readouterr().err
 
 
-def test_a_limit_needs_a_reason_and_keeps_its_versions(tmp_path, capsys):
-    url = f"sqlite:///{tmp_path / 'registry.db'}"
-    with open_registry(url) as registry:
-        registry.add_lot(Lot("L1", "S0", 50.0, limit_rmse=0.2))
-    common = ["lot", "limit", "L1", "--registry", url]
-    assert main([*common, "--rmse", "0.1"]) == 2 and "needs --reason" in capsys.readouterr().err
+def test_a_limit_needs_a_reason_and_keeps_its_versions(known_lot, capsys):
+    common = ["lot", "limit", "L1", "--registry", known_lot]
+    assert main([*common, "--rmse", "0.1"]) == 2 and "--reason" in capsys.readouterr().err
     assert main([*common, "--rmse", "0.1", "--reason", "drawing C", "--json", "-"]) == 0
     versions = json.loads(capsys.readouterr().out)["versions"]
     assert [(v["version"], v["rmse"]) for v in versions] == [(1, 0.2), (2, 0.1)]
     assert main([*common, "--rmse", "0.3", "--reason", "late", "--expect", "1"]) == 2
-    assert "changed to 0.1" in capsys.readouterr().err
-
-
-@pytest.fixture
-def known_lot(tmp_path):
-    url = f"sqlite:///{tmp_path / 'r.db'}"
-    with open_registry(url) as registry:
-        registry.add_lot(Lot("L1", "S0", 50.0))
-    return url
+    assert "0.1" in capsys.readouterr().err
 
 
 def test_rules_of_a_lot_are_set_with_a_reason_and_shown_with_their_versions(known_lot, capsys):

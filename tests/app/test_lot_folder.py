@@ -40,26 +40,25 @@ def test_a_units_reference_column_is_not_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("toml", "says"),
+    ("toml", "named"),
     [
-        (GOOD.replace("A0", "A7"), "no recording of the source unit 'A7'; found A0"),
-        (GOOD.replace('id = "x"\n', ""), "[lot] id is None"),
-        (GOOD.replace("50.0", '"fast"'), "a number was expected"),
-        (GOOD + 'source = "A5"\n', "given more than once"),
-        ("[lot\n", "not valid TOML"),
-        (GOOD.replace("50.0", "-1.0"), "a positive number was expected"),
+        (GOOD.replace("A0", "A7"), "'A7'.*A0"),
+        (GOOD.replace('id = "x"\n', ""), r"\[lot\] id"),
+        (GOOD.replace("50.0", '"fast"'), "'fast'"),
+        (GOOD + 'source = "A5"\n', "source"),
+        ("[lot\n", "TOML"),
+        (GOOD.replace("50.0", "-1.0"), "-1.0"),
     ],
 )
-def test_a_lot_toml_that_cannot_be_used_says_why(tmp_path: Path, toml: str, says: str) -> None:
-    with pytest.raises(InputError) as error:
+def test_a_lot_toml_that_cannot_be_used_is_refused(tmp_path: Path, toml: str, named: str) -> None:
+    with pytest.raises(InputError, match=named):
         open_lot_folder(_lot(tmp_path, toml))
-    assert says in str(error.value)
 
 
 def test_a_serial_in_two_formats_is_refused(tmp_path: Path) -> None:
     _lot(tmp_path)
     pd.read_csv(tmp_path / "units/A1.csv").to_parquet(tmp_path / "units/A1.parquet")
-    with pytest.raises(InputError, match="given twice"):
+    with pytest.raises(InputError, match="A1"):
         open_lot_folder(tmp_path)
 
 
@@ -97,16 +96,16 @@ def test_what_the_source_was_compared_with_is_read_and_written(lot_folder: Path)
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "named"),
     [
-        (("used_on = 2026-06-01", 'used_on = "June"'), "a date"),
-        (("uncertainty = 0.012", "uncertainty = 0"), "above 0"),
-        (("uncertainty = 0.012", 'uncertainty = "small"'), "a number"),
-        (("due_on = 2028-01-01", "due_on = 2025-01-01"), "not after"),
-        (('id = "small"', 'id = "small"\nsimulated = "yes"'), "true or false"),
+        (("used_on = 2026-06-01", 'used_on = "June"'), "used_on"),
+        (("uncertainty = 0.012", "uncertainty = 0"), "uncertainty"),
+        (("uncertainty = 0.012", 'uncertainty = "small"'), "uncertainty"),
+        (("due_on = 2028-01-01", "due_on = 2025-01-01"), "2025-01-01"),
+        (('id = "small"', 'id = "small"\nsimulated = "yes"'), "simulated"),
     ],
 )
-def test_a_reference_that_cannot_be_is_refused(lot_folder: Path, changed: tuple[str, str], said: str) -> None:
+def test_a_reference_that_cannot_be_is_refused(lot_folder: Path, changed: tuple[str, str], named: str) -> None:
     (lot_folder / "lot.toml").write_text(REFERENCE.replace(*changed))
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=named):
         open_lot_folder(lot_folder)

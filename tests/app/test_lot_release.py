@@ -3,7 +3,7 @@
 import json
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -16,14 +16,15 @@ from softcal.app.batch.audit_evidence import AuditReader
 from softcal.app.batch.line_statement import stated_line
 from softcal.app.batch.release import LineRelease, decide_release, update_release
 from softcal.app.cli.main import main
-from softcal.app.texts.catalogue import catalogue, text
+from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
 from softcal.core.quality.widening import Widening
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.line_spread import LineSpread
-from softcal.core.words.reason import Reason
+from softcal.core.words.reason import Reason, reason
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
+from softcal.db.registry import Registry
 from softcal.db.registry_base import RegistrySettings
 
 SMALL = ("--hidden", "16,8", "--no-own")
@@ -62,202 +63,180 @@ def make_lot(trained_lot: Path, press_unit: Press, tmp_path: Path) -> MakeLot:
     return make
 
 
-def _batch(folder: Path, url: str, tmp_path: Path, *more: str) -> dict:
-    file = tmp_path / "batch.json"
-    assert main(["batch", str(folder), "--registry", url, *SMALL, "--json", str(file), *more]) in (0, 1)
-    return json.loads(file.read_text())
+@pytest.fixture
+def registry(registry_url: str) -> Iterator[Registry]:
+    with open_registry(registry_url) as registry:
+        yield registry
+
+
+@pytest.fixture
+def batch(registry_url: str, tmp_path: Path) -> Callable[..., dict]:
+    """`batch(folder, *more)`: calibrate a lot and return the report."""
+
+    def run(folder: Path, *more: str) -> dict:
+        file = tmp_path / "batch.json"
+        assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--json", str(file), *more]) in (0, 1)
+        return json.loads(file.read_text())
+
+    return run
+
+
+def _codes(registry: Registry, serial: str) -> set[str]:
+    return {why.code for why in registry.units("large", serial)[0].reasons}
 
 
 def _unmeasured(report: dict) -> list[dict]:
     return [unit for unit in report["units"] if not unit["audited"]]
 
 
-def test_units_nobody_measured_pass_on_the_audits_of_the_others(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_units_nobody_measured_pass_on_the_audits_of_the_others(make_lot, batch, tmp_path, capsys, registry):
     folder = make_lot()
-    report = _batch(folder, registry_url, tmp_path, "--out", str(tmp_path / "out"))
+    report = batch(folder, "--out", str(tmp_path / "out"))
     release = report["release"]
     assert (release["audits"], release["risk"], release["confidence"]) == (10, 0.1, 0.9)
     assert [unit["verdict"] for unit in _unmeasured(report)] == ["pass"] * 4
     assert sorted(release["released"]) == sorted(unit["serial"] for unit in _unmeasured(report))
     assert all(unit["released"] for unit in _unmeasured(report))
-    assert "at most 10% of the 4 units released by sample" in release["statement"]
     assert release["statement"] in capsys.readouterr().out
     serial = _unmeasured(report)[0]["serial"]
     assert any(serial in file.name for file in (tmp_path / "out").rglob("*"))
-    with open_registry(registry_url) as registry:
-        assert len(registry.history(serial)) == 2
-        first, second = (stored.record for stored in registry.history(serial))
-        assert second.map_sha256 == first.map_sha256 and second.verdict == "pass" != first.verdict
-        scaled = second.evidence["interval_scale"] * first.arrays["interval.half_width"]
-        assert np.allclose(second.arrays["interval.half_width"], np.hypot(scaled, second.evidence["interval_added"]))
-        assert second.predicted_rmse == pytest.approx(first.predicted_rmse * second.evidence["forecast_scale"])
-    again = _batch(folder, registry_url, tmp_path)
+    assert len(registry.history(serial)) == 2
+    first, second = (stored.record for stored in registry.history(serial))
+    assert second.map_sha256 == first.map_sha256 and second.verdict == "pass" != first.verdict
+    scaled = second.evidence["interval_scale"] * first.arrays["interval.half_width"]
+    assert np.allclose(second.arrays["interval.half_width"], np.hypot(scaled, second.evidence["interval_added"]))
+    assert second.predicted_rmse == pytest.approx(first.predicted_rmse * second.evidence["forecast_scale"])
+    again = batch(folder)
     assert again["release"] == release
-    with open_registry(registry_url) as registry:
-        assert len(registry.history(serial)) == 2
+    assert len(registry.history(serial)) == 2
 
 
 def test_the_line_reads_no_recording_and_the_other_units_only_where_an_audit_came(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    make_lot, batch, monkeypatch, registry
+):
     folder = make_lot(audits=9)
-    report = _batch(folder, registry_url, tmp_path)
+    report = batch(folder)
     serials = [unit["serial"] for unit in _unmeasured(report)]
     recordings, asked = [], []
-    with open_registry(registry_url) as registry:
-        reads, standings = registry.recording, registry.standings
-        monkeypatch.setattr(registry, "recording", lambda sha256: (recordings.append(sha256), reads(sha256))[1])
-        monkeypatch.setattr(registry, "standings", lambda lot, of: (asked.append(list(of)), standings(lot, of))[1])
-        line = LineRelease(registry)
-        line.press("large", serials[0])
-        assert any(set(serials) <= set(of) for of in asked), "the first press reads the whole lot"
-        asked.clear()
-        for serial in serials[1:]:
-            line.press("large", serial)
-        # Audited units are asked for each time: which one stands is how a new audit is noticed.
-        assert not [of for of in asked if len(set(of) & set(serials)) > 1]
-        assert recordings == []
+    reads, standings = registry.recording, registry.standings
+    monkeypatch.setattr(registry, "recording", lambda sha256: (recordings.append(sha256), reads(sha256))[1])
+    monkeypatch.setattr(registry, "standings", lambda lot, of: (asked.append(list(of)), standings(lot, of))[1])
+    line = LineRelease(registry)
+    line.press("large", serials[0])
+    assert any(set(serials) <= set(of) for of in asked), "the first press reads the whole lot"
+    asked.clear()
+    for serial in serials[1:]:
+        line.press("large", serial)
+    # Audited units are asked for each time: which one stands is how a new audit is noticed.
+    assert not [of for of in asked if len(set(of) & set(serials)) > 1]
+    assert recordings == []
 
 
-def test_without_audits_no_calibration_is_read_whole(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _batch(make_lot(audits=0), registry_url, tmp_path)
-    with open_registry(registry_url) as registry:
-        monkeypatch.setattr(registry, "calibration", lambda *_, **__: pytest.fail("a calibration was read whole"))
-        decided = update_release(registry, "large")
-        assert decided is not None and decided.forecasts and decided.found is None
+def test_without_audits_no_calibration_is_read_whole(make_lot, batch, monkeypatch, registry):
+    batch(make_lot(audits=0))
+    monkeypatch.setattr(registry, "calibration", lambda *_, **__: pytest.fail("a calibration was read whole"))
+    decided = update_release(registry, "large")
+    assert decided is not None and decided.forecasts and decided.found is None
 
 
-def test_without_audits_nothing_passes_and_the_line_says_what_to_audit(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path
-) -> None:
-    report = _batch(make_lot(audits=0), registry_url, tmp_path, "--out", str(tmp_path / "out"))
-    assert {unit["verdict"] for unit in report["units"]} <= {"conditional", "fail", "retest"}
-    assert not any(unit["released"] for unit in report["units"]) and report["release"]["released"] == []
-    assert "audit 9 more units" in report["release"]["statement"]
-    conditional = [unit for unit in report["units"] if unit["verdict"] == "conditional"]
-    assert conditional and all("audit" in " ".join(unit["reasons"]) for unit in conditional)
+def test_without_audits_nothing_passes_and_the_report_says_how_many_to_audit(make_lot, batch, tmp_path, registry):
+    report = batch(make_lot(audits=0), "--out", str(tmp_path / "out"))
+    assert not any(unit["released"] or unit["verdict"] == "pass" for unit in report["units"])
+    assert report["release"]["released"] == []
+    assert report["release"]["wanted"] == 9
+    conditional = [unit for unit in registry.units("large") if unit.verdict == "conditional"]
+    assert conditional and all("forecast_only" in {why.code for why in unit.reasons} for unit in conditional)
 
 
-def test_too_few_audits_promise_nothing(make_lot: MakeLot, registry_url: str, tmp_path: Path) -> None:
-    report = _batch(make_lot(audits=5), registry_url, tmp_path)
-    assert report["release"]["wanted"] == 4 and report["release"]["released"] == []
-    assert all(unit["verdict"] != "pass" for unit in _unmeasured(report))
-
-
-def test_a_lot_read_on_another_day_is_not_released(make_lot: MakeLot, registry_url: str, tmp_path: Path) -> None:
-    report = _batch(make_lot(day_gain=1.35, limit_N=0.4), registry_url, tmp_path)
+def test_a_lot_read_on_another_day_is_not_released(make_lot, batch):
+    report = batch(make_lot(day_gain=1.35, limit_N=0.4))
     assert report["release"]["released"] == []
     assert all(unit["verdict"] != "pass" for unit in _unmeasured(report))
 
 
-def test_more_audits_decide_the_lot_again(make_lot: MakeLot, registry_url: str, tmp_path: Path) -> None:
+def test_more_audits_decide_the_lot_again(make_lot, batch):
     folder = make_lot()
     kept = sorted((folder / "audit").iterdir())[8:]
     contents = {path: path.read_text() for path in kept}
     for path in kept:
         path.unlink()
-    assert _batch(folder, registry_url, tmp_path)["release"]["released"] == []
+    report = batch(folder)
+    assert report["release"]["wanted"] == 1 and report["release"]["released"] == []
+    assert all(unit["verdict"] != "pass" for unit in _unmeasured(report))
     for path, content in contents.items():
         path.write_text(content)
-    assert len(_batch(folder, registry_url, tmp_path)["release"]["released"]) == 4
+    assert len(batch(folder)["release"]["released"]) == 4
 
 
-def test_one_audit_recording_for_two_units_releases_nothing(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_audit_recording_for_two_units_releases_nothing(make_lot, registry_url, tmp_path, capsys, registry):
     folder = make_lot()
     shutil.copy(folder / "audit/large-00.csv", folder / "audit/large-01.csv")
     file = tmp_path / "batch.json"
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--json", str(file)]) == 2
     error = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "large-00 and large-01 are one recording" in error and "nothing was released" in error
-    with open_registry(registry_url) as registry:
-        assert "large" not in registry.lot_ids(), "it is told before anything is trained or fitted"
+    assert "large-00" in error and "large-01" in error
+    assert "large" not in registry.lot_ids(), "it is told before anything is trained or fitted"
 
 
-@pytest.mark.parametrize(
-    ("spoil", "says"),
-    [
-        ("gf", "audit of large-03 contradicts the others"),
-        ("exchanged", "look exchanged: each rests at"),
-    ],
-)
-def test_audits_that_cannot_be_true_release_nothing(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], spoil: str, says: str
-) -> None:
+@pytest.mark.parametrize("spoil", ["gf", "exchanged"])
+def test_audits_that_cannot_be_true_release_nothing(make_lot, registry_url, tmp_path, capsys, spoil, registry):
     folder = make_lot()
     if spoil == "gf":
         frame = pd.read_csv(folder / "audit/large-03.csv")
         frame.assign(reference=101.97 * frame["reference"]).to_csv(folder / "audit/large-03.csv", index=False)
+        wrong = {"large-03"}
     else:
         # The two whose outputs at rest differ most: units that rest alike cannot be told apart by it.
         rest = {path: pd.read_csv(path)["output"].quantile(0.02) for path in (folder / "audit").iterdir()}
         one, other = min(rest, key=rest.__getitem__), max(rest, key=rest.__getitem__)
+        wrong = {one.stem, other.stem}
         first = one.read_bytes()
         one.write_bytes(other.read_bytes())
         other.write_bytes(first)
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--json", str(tmp_path / "b.json")]) == 2
     error = capsys.readouterr().err.strip().splitlines()[-1]
-    assert says in error and "nothing was released" in error
-    with open_registry(registry_url) as registry:
-        assert not [unit for unit in registry.units("large") if unit.verdict == "pass" and unit.after_rmse is None]
+    assert {word.strip(".,:;") for word in error.split() if "large-" in word} >= wrong
+    assert not [unit for unit in registry.units("large") if unit.verdict == "pass" and unit.after_rmse is None]
 
 
-def test_audits_made_under_another_method_qualify_nothing(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_audits_made_under_another_method_qualify_nothing(make_lot, batch, registry):
     folder = make_lot()
-    _batch(folder, registry_url, tmp_path)
-    with open_registry(registry_url) as registry:
-        evidence = AuditReader(registry).evidence("large", "another method", datetime.now(UTC))
+    batch(folder)
+    evidence = AuditReader(registry).evidence("large", "another method", datetime.now(UTC))
     assert not evidence.qualification.is_given and evidence.widening == Widening()
-    assert "another sensor model or method" in str(evidence.qualification.reason)
 
 
-def test_a_golden_unit_of_another_sensor_model_withdraws_nothing(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path
-) -> None:
+def test_a_golden_unit_of_another_sensor_model_withdraws_nothing(make_lot, batch, registry):
     for name in ("one", "three", "seventh"):
-        _batch(make_lot(name, audits=4), registry_url, tmp_path)
-    _batch(make_lot("other", audits=0, model="XX"), registry_url, tmp_path)
-    _batch(make_lot("fourteenth", audits=0), registry_url, tmp_path)
+        batch(make_lot(name, audits=4))
+    batch(make_lot("other", audits=0, model="XX"))
+    batch(make_lot("fourteenth", audits=0))
     now = datetime.now(UTC)
-    with open_registry(registry_url) as registry:
-        method_id = registry.standings("one", ["one-00"])["one-00"].made.method_id  # type: ignore[union-attr]
-        registry.add_golden_run(GoldenRun("line", "other-00", now, 9.0, "N", False))
-        assert AuditReader(registry).evidence("fourteenth", method_id, now).qualification.is_given
-        registry.add_golden_run(GoldenRun("line", "seventh-05", now, 9.0, "N", False))
-        assert not AuditReader(registry).evidence("fourteenth", method_id, now).qualification.is_given
+    method_id = registry.standings("one", ["one-00"])["one-00"].made.method_id  # type: ignore[union-attr]
+    registry.add_golden_run(GoldenRun("line", "other-00", now, 9.0, "N", False))
+    assert AuditReader(registry).evidence("fourteenth", method_id, now).qualification.is_given
+    registry.add_golden_run(GoldenRun("line", "seventh-05", now, 9.0, "N", False))
+    assert not AuditReader(registry).evidence("fourteenth", method_id, now).qualification.is_given
 
 
-def test_a_lot_states_its_line_and_the_line_knows_it(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lot_states_its_line_and_the_line_knows_it(make_lot, batch, registry_url, capsys, registry):
     folder = make_lot(audits=0)
-    plain = {unit["serial"]: unit for unit in _batch(folder, registry_url, tmp_path)["units"]}
-    assert all("beside the forecast; state [line]" in " ".join(unit["reasons"]) for unit in plain.values())
-    with open_registry(registry_url) as registry:
-        assert stated_line(registry, "large") is None
+    plain = {unit["serial"]: unit for unit in batch(folder)["units"]}
+    assert stated_line(registry, "large") is None
+    assert all("line.open" in _codes(registry, serial) for serial in plain)
     with (folder / "lot.toml").open("a") as file:
         file.write("[line]\nload_spread = 0.05\n")
-    for unit in _batch(folder, registry_url, tmp_path)["units"]:
+    for unit in batch(folder)["units"]:
         assert unit["predicted_rmse"] > plain[unit["serial"]]["predicted_rmse"]
-        assert "loads units that give the same output 5.0% differently" in " ".join(unit["reasons"])
-    with open_registry(registry_url) as registry:
-        assert stated_line(registry, "large") == LineSpread(0.05)
+    assert stated_line(registry, "large") == LineSpread(0.05)
+    assert all("line.stated" in _codes(registry, serial) for serial in plain)
     (folder / "lot.toml").write_text((folder / "lot.toml").read_text().replace("0.05\n", "5\n"))
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL]) == 2
-    assert "[line] load_spread is 5; a share of the load between 0 and 1" in capsys.readouterr().err
+    assert "load_spread is 5" in capsys.readouterr().err
 
 
-def test_golden_runs_of_several_days_are_kept_from_the_limit(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path, press_unit: Press
-) -> None:
-    report = _batch(make_lot(audits=10), registry_url, tmp_path)
+def test_golden_runs_of_several_days_are_kept_from_the_limit(make_lot, batch, registry_url, press_unit, registry):
+    report = batch(make_lot(audits=10))
     serial = _unmeasured(report)[0]["serial"]
     start, gains = datetime.now(UTC), (1.0, 1.7, 0.6, 1.5)
     for day, gain in enumerate(gains):
@@ -268,27 +247,23 @@ def test_golden_runs_of_several_days_are_kept_from_the_limit(
             golden = LabelledRecording(OutputRecording(serial, t_s, output, 50.0), force_N)
             registry.add_recording("large", golden, "audit")
             registry.add_golden_run(GoldenRun("line", serial, at, 0.1, "N", True))
-    with open_registry(registry_url) as registry:
-        decided = update_release(registry, "large", now=start + timedelta(days=5))
+    decided = update_release(registry, "large", now=start + timedelta(days=5))
     assert decided is not None and decided.released == () and min(decided.days.values()) > 0
-    assert "is kept for another day, as golden runs show it" in str(decided.statement)
     assert decided.judgement(serial).reasons[0].code == "sampled.day"
 
 
-def test_three_earlier_lots_qualify_one_without_audits(make_lot: MakeLot, registry_url: str, tmp_path: Path) -> None:
+def test_three_earlier_lots_qualify_one_without_audits(make_lot, batch):
     for name in ("one", "three", "seventh"):
-        _batch(make_lot(name, audits=4), registry_url, tmp_path)
-    report = _batch(make_lot("fourteenth", audits=0), registry_url, tmp_path)
+        batch(make_lot(name, audits=4))
+    report = batch(make_lot("fourteenth", audits=0))
     assert report["release"]["qualification"] == "earlier lots" and report["release"]["audits"] == 12
-    other = _batch(make_lot("othermodel", audits=0, model="XX"), registry_url, tmp_path)
+    other = batch(make_lot("othermodel", audits=0, model="XX"))
     assert other["release"]["qualification"] == "none"
 
 
-def test_the_statement_is_one_page_and_kept_in_the_registry(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_statement_is_one_page_and_kept_in_the_registry(make_lot, batch, registry_url, tmp_path, capsys, registry):
     folder = make_lot()
-    _batch(folder, registry_url, tmp_path)
+    batch(folder)
     pdf, file = tmp_path / "lot.pdf", tmp_path / "release.json"
     capsys.readouterr()
     command = ["lot", "release", str(folder), "--registry", registry_url, "--pdf", str(pdf), "--json", str(file)]
@@ -296,84 +271,57 @@ def test_the_statement_is_one_page_and_kept_in_the_registry(
     assert pdf.read_bytes().startswith(b"%PDF") and len(re.findall(rb"/Type /Page\b", pdf.read_bytes())) == 1
     told = json.loads(file.read_text())
     assert told["statement"] in capsys.readouterr().out and len(told["released"]) == 4
-    with open_registry(registry_url) as registry:
-        assert len(registry.events("lot_release", ("large",))) == 1
+    assert len(registry.events("lot_release", ("large",))) == 1
 
 
-def test_the_plan_says_how_many_audits_promise_what(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_plan_draws_as_many_audits_as_the_promise_takes(make_lot, batch, registry_url, tmp_path):
     folder = make_lot(audits=0)
-    _batch(folder, registry_url, tmp_path)
-    capsys.readouterr()
+    batch(folder)
     file = tmp_path / "plan.json"
     assert main(["lot", "audit-plan", str(folder), "--registry", registry_url, "--json", str(file)]) == 0
-    told, plan = capsys.readouterr().out, json.loads(file.read_text())
-    assert "10 audits" in told and "22" in told
+    plan = json.loads(file.read_text())
     assert len(plan["plan"]["random"]) == 10 and not plan["plan"]["doubtful"]
 
 
-def test_a_statement_of_an_unknown_lot_is_refused_in_one_line(
-    registry_url: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["lot", "release", "nowhere", "--registry", registry_url]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
-def test_a_lot_of_three_is_told_to_measure_all_or_to_bring_earlier_lots(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lot_of_three_is_told_to_measure_all_or_to_bring_earlier_lots(make_lot, batch, registry):
     folder = make_lot(audits=3)
     for path in sorted((folder / "units").iterdir())[3:]:
         path.unlink()
     audits = {path: path.read_bytes() for path in (folder / "audit").iterdir()}
     for path in audits:
         path.unlink()
-    release = _batch(folder, registry_url, tmp_path)["release"]
-    assert "its 3 units are no more than the 9 audits a promise takes" in release["statement"]
+    release = batch(folder)["release"]
     assert release["wanted"] == 3 and release["released"] == []
-    capsys.readouterr()
-    assert main(["lot", "audit-plan", str(folder), "--registry", registry_url]) == 0
-    told = capsys.readouterr().out
-    assert "no promise by sample: its 3 units" in told and "promise of 1 in 10" not in told
+    decided = decide_release(registry, "large", datetime.now(UTC))
+    assert decided is not None
+    why = decided.statement.values["why"]
+    assert isinstance(why, Reason) and why.values["small"] == reason("part.small_lot", units=3, wanted=9, least=3)
     for path, content in audits.items():
         path.write_bytes(content)
-    release = _batch(folder, registry_url, tmp_path)["release"]
+    release = batch(folder)["release"]
     assert release["audited"] == 3 and release["released"] == []
-    assert "no unit is left to release by sample: 3 audited units of this lot" in release["statement"]
 
 
-def test_the_statement_is_said_in_the_language_of_the_reader(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path
-) -> None:
+def test_the_statement_is_said_in_the_language_of_the_reader(make_lot, batch, registry_url, tmp_path, registry):
     folder, korean = make_lot(), partial(text, "ko")
-    _batch(folder, registry_url, tmp_path)
+    batch(folder)
     pages = {language: tmp_path / f"{language}.pdf" for language in ("en", "ko")}
     for language, pdf in pages.items():
         command = ["lot", "release", str(folder), "--registry", registry_url, "--pdf", str(pdf)]
         assert main([*command, "--language", language]) == 0
         assert len(re.findall(rb"/Type /Page\b", pdf.read_bytes())) == 1
     assert pages["en"].read_bytes() != pages["ko"].read_bytes()
-    with open_registry(registry_url) as registry:
-        decided = decide_release(registry, "large", datetime.now(UTC))
-        (kept,) = registry.events("lot_release", ("large",))
+    decided = decide_release(registry, "large", datetime.now(UTC))
+    (kept,) = registry.events("lot_release", ("large",))
     assert decided is not None
     stated = said(decided.statement, korean)
-    assert "표본으로 출하하는 유닛 4개" in stated
     assert not re.findall(r"[a-z]{3,}", stated), "words of another language"
     assert said(Reason.of(json.loads(kept.after or "{}")["statement_reason"]), korean) == stated
 
 
-def test_every_sentence_of_the_page_on_a_lot_stands_in_both_languages() -> None:
-    english, korean = (
-        {key for key in texts if key.startswith("paper.")} for texts in (catalogue()["en"], catalogue()["ko"])
-    )
-    assert english == korean and len(english) > 30
-
-
 def test_a_lot_with_a_golden_run_is_fitted_to_it_and_a_wrong_one_stops_the_batch(
-    make_lot: MakeLot, registry_url: str, tmp_path: Path, press_unit: Press, capsys: pytest.CaptureFixture[str]
-) -> None:
+    make_lot, batch, registry_url, press_unit, capsys, registry
+):
     folder = make_lot(audits=0)
     for path in sorted((folder / "units").iterdir())[1:]:
         path.unlink()
@@ -381,12 +329,13 @@ def test_a_lot_with_a_golden_run_is_fitted_to_it_and_a_wrong_one_stops_the_batch
     # The only unit, and the source in its sitting, under the same loads.
     press_unit(1500, 1.1, 0.52, 5).drop(columns="reference").to_csv(folder / "units/large-00.csv", index=False)
     press_unit(1500, 1.0, 0.5, 5).to_csv(golden / "A0.csv", index=False)
-    (unit,) = _batch(folder, registry_url, tmp_path)["units"]
-    assert unit["knowledge"] == "paired" and "fitted to the golden run" in " ".join(unit["reasons"])
+    (unit,) = batch(folder)["units"]
+    assert unit["knowledge"] == "paired"
+    assert "bridge.measured" in _codes(registry, "large-00")
     (golden / "A0.csv").rename(golden / "large-00.csv")
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL]) == 2
-    assert "the golden unit of this lot is its source A0" in capsys.readouterr().err
+    assert "A0" in capsys.readouterr().err
     shutil.copy(folder / "source/A0.csv", golden / "A0.csv")
     (golden / "large-00.csv").unlink()
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL]) == 2
-    assert "A0.csv: golden run of A0: it is the source's own recording" in capsys.readouterr().err
+    assert "A0.csv" in capsys.readouterr().err

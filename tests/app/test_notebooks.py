@@ -42,7 +42,7 @@ def left_by(tmp_path: Path) -> Callable[..., list]:  # type: ignore[type-arg]
     return run
 
 
-def test_every_notebook_is_a_script_of_cells_that_a_page_names_and_a_test_runs() -> None:
+def test_every_notebook_is_a_script_of_cells_that_a_page_names_and_a_test_runs():
     files = sorted(NOTEBOOKS.glob("*"))
     assert {path.stem for path in files} == set(ASKED)
     named = re.findall(r"^\| `(\w+)\.py`", (ROOT / "docs/notebooks.md").read_text("utf-8"), re.MULTILINE)
@@ -52,29 +52,29 @@ def test_every_notebook_is_a_script_of_cells_that_a_page_names_and_a_test_runs()
         assert text.startswith("# %% [markdown]\n# # ") and text.count("\n# %%\n") >= 2, path.name
 
 
-def test_the_papers_tables(left_by: Callable[..., list]) -> None:  # type: ignore[type-arg]
+def test_the_papers_tables(left_by):
     after_own, gained, shares, least_s = left_by("paper_tables")
     assert after_own < 1.2 and gained > 3
     assert shares == ["100%", "50%", "25%", "10%"] and least_s > 0
 
 
-def test_own_data(left_by: Callable[..., list], tmp_path: Path) -> None:  # type: ignore[type-arg]
+def test_own_data(left_by, tmp_path):
     measured_N, predicted_N, verdict, inside = left_by("own_data")
     assert verdict == "pass" and 0.5 < predicted_N / measured_N < 2 and 0.85 < inside < 0.97
     assert (tmp_path / "estimates.csv").is_file()
 
 
-def test_a_new_map_family(left_by: Callable[..., list], install_example: Callable[[Path], Path]) -> None:  # type: ignore[type-arg]
+def test_a_new_map_family(left_by, install_example):
     wrong, errors_N = left_by("new_map_family", install_example(ROOT / "examples" / "softcal-example-map"))
     assert wrong == []
     assert errors_N["moments"]["half range"] > 2 * errors_N["moments"]["none"]
 
 
-def test_a_gap(left_by: Callable[..., list]) -> None:  # type: ignore[type-arg]
+def test_a_gap(left_by):
     assert left_by("gap")[:2] == ["explained", "channel_creep"]
 
 
-def test_drift(left_by: Callable[..., list]) -> None:  # type: ignore[type-arg]
+def test_drift(left_by):
     untouched_N, followed_N, alarm = left_by("drift")
     assert untouched_N[-1] > 5 * untouched_N[0] and followed_N[-1] < 0.2 * untouched_N[-1]
     assert alarm == ""

@@ -9,49 +9,50 @@ from softcal.core.errors import InputError
 from softcal.core.profiles import BUILT_IN, moves
 
 
+def read_back(folder, profile):
+    path = folder / "p.toml"
+    path.write_text(profile_toml(profile))
+    return read_profile(path)
+
+
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_a_profile_is_read_back_as_it_was_written(tmp_path, name):
     profile = BUILT_IN[name](np.random.default_rng(1), 3.0)
-    path = tmp_path / "p.toml"
-    path.write_text(profile_toml(profile))
-    found = read_profile(path)
+    found = read_back(tmp_path, profile)
     t_s, stage_mm = profile.sample(50.0)
-    assert found.name == profile.name
-    assert found.presses == profile.presses
+    assert (found.name, found.presses) == (profile.name, profile.presses)
     np.testing.assert_allclose(found.position_mm(t_s), stage_mm, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ['the "long" one', "one\\two", "two\nlines"])
 def test_any_name_survives_its_file(tmp_path, name):
-    path = tmp_path / "p.toml"
-    path.write_text(profile_toml(moves(name, (1.0, 0.0), (2.0, 2.0), (0.5, 0.5))))
-    assert read_profile(path).name == name
+    assert read_back(tmp_path, moves(name, (1.0, 0.0), (2.0, 2.0), (0.5, 0.5))).name == name
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("content", "named"),
     [
-        ("moves = [[1.0, 2.0]]", "move 1 is"),
-        ("moves = [[1.0, 2.0, 0.0], [0.0, 0.0, 1.0]]", "move 2 is"),
-        ("moves = [[1.0, 2.0, -1.0]]", "hold of 0 s or more"),
-        ("moves = [['a', 2.0, 1.0]]", "move 1 is"),
-        ("moves = [[nan, 2.0, 1.0]]", "move 1 is"),
-        ("steps = []", "unknown key 'steps'"),
-        ("name = 'x'", "no moves"),
-        ("moves = [", "is no TOML"),
+        ("moves = [[1.0, 2.0]]", "move 1 "),
+        ("moves = [[1.0, 2.0, 0.0], [0.0, 0.0, 1.0]]", "move 2 "),
+        ("moves = [[1.0, 2.0, -1.0]]", "move 1 "),
+        ("moves = [['a', 2.0, 1.0]]", "move 1 "),
+        ("moves = [[nan, 2.0, 1.0]]", "move 1 "),
+        ("steps = []", "'steps'"),
+        ("name = 'x'", "moves"),
+        ("moves = [", "TOML"),
     ],
 )
-def test_what_makes_no_sense_is_named(tmp_path, content, message):
+def test_what_makes_no_sense_is_named(tmp_path, content, named):
     path = tmp_path / "p.toml"
     path.write_text(content)
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=named):
         read_profile(path)
 
 
 def test_a_file_is_listed_written_edited_and_pressed(tmp_path, capsys):
     path, out = tmp_path / "touch.toml", tmp_path / "A1.csv"
     assert main(["station", "profiles"]) == 0
-    assert "slow touch-down" in capsys.readouterr().out
+    assert "ramps" in capsys.readouterr().out
     assert main(["station", "profiles", "--write", "ramps", str(path)]) == 0
     path.write_text('name = "quick"\nmoves = [[0.0, 1.0, 0.5], [1.5, 4.0, 0.2], [0.0, 4.0, 0.5]]\n')
     pressed = ["station", "unit", "--simulated", "--serial", "A1", "--out", str(out), "--profile", str(path)]
@@ -59,4 +60,4 @@ def test_a_file_is_listed_written_edited_and_pressed(tmp_path, capsys):
     assert out.exists()
     path.write_text("moves = [[9.5, 4.0, 0.2], [0.0, 4.0, 0.5]]\n")
     assert main([*pressed, "--spool", str(tmp_path)]) == 3
-    assert "goes to 9.5 mm, the station allows" in capsys.readouterr().err
+    assert "9.5 mm" in capsys.readouterr().err

@@ -41,31 +41,30 @@ def unit(source: softcal.SourceNetwork, tables: list[pd.DataFrame]) -> softcal.U
     return softcal.fit_map(source, softcal.Recording.from_frame(tables[1], time_s="t_s", serial="S2"))
 
 
-def test_the_readme_example_runs_as_written(
-    tables: list[pd.DataFrame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def write(tables: list[pd.DataFrame], folder: Path, columns: dict[str, str]) -> list[str]:
+    """Write S1 and S2 with their columns renamed, and return the files."""
+    files = [str(folder / f"S{k}.csv") for k in (1, 2)]
+    for table, file in zip(tables, files, strict=False):
+        table.rename(columns=columns).to_csv(file, index=False)
+    return files
+
+
+def test_the_readme_example_runs_as_written(tables, tmp_path, monkeypatch, capsys):
     code = re.search(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
     assert code and len([line for line in code[1].splitlines() if line.strip()]) <= 6
-    for k in (1, 2):
-        named = tables[k - 1].rename(columns={"output": "output_V", "reference": "force_N"})
-        named.to_csv(tmp_path / f"S{k}.csv", index=False)
+    write(tables, tmp_path, {"output": "output_V", "reference": "force_N"})
     monkeypatch.chdir(tmp_path)
     exec(compile(code[1], "README.md", "exec"), {})
     said = capsys.readouterr().out
     assert said.split()[0] in ("pass", "conditional", "fail", "retest") and "estimate" in said
 
 
-def test_the_cookbook_runs_as_written(
-    tables: list[pd.DataFrame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, registry_url: str
-) -> None:
+def test_the_cookbook_runs_as_written(tables, tmp_path, monkeypatch, registry_url):
     # The registry of the small lot knows A1 to A3; the cookbook's reader has calibrated S2.
     blocks = re.findall(r"```python\n(.*?)```", COOKBOOK.read_text(encoding="utf-8"), re.DOTALL)
     assert len(blocks) >= 6
-    for k in (1, 2):
-        named = tables[k - 1].rename(columns={"output": "output_V", "reference": "force_N"})
-        named.to_csv(tmp_path / f"S{k}.csv", index=False)
+    files = write(tables, tmp_path, {"output": "output_V", "reference": "force_N"})
     lot = ["--source", "S1", "--output-column", "output_V", "--reference-column", "force_N", "--sample-rate", "50"]
-    files = [str(tmp_path / f"S{k}.csv") for k in (1, 2)]
     assert main(["import", *files, *lot, "--out", str(tmp_path / "lot")]) == 0
     main(["batch", str(tmp_path / "lot"), "--hidden", "16,8", "--registry", registry_url])
     monkeypatch.setenv("SOFTCAL_REGISTRY", registry_url)
@@ -76,18 +75,16 @@ def test_the_cookbook_runs_as_written(
     assert np.isfinite(names["estimate"]).all() and len(names["force_N"]) == len(names["output_V"])  # type: ignore[call-overload, arg-type]
 
 
-def test_every_public_name_is_there_and_nothing_is_loaded_before_it_is_asked_for() -> None:
+def test_every_public_name_is_there_and_nothing_is_loaded_before_it_is_asked_for():
     assert all(getattr(softcal, name) is not None for name in softcal.__all__)
     assert sorted(softcal.__all__) == dir(softcal)
     code = "import softcal, sys; print([m for m in ('numpy', 'pandas', 'torch', 'sqlalchemy') if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
-    with pytest.raises(AttributeError, match="no attribute 'fit_maps'"):
+    with pytest.raises(AttributeError, match="'fit_maps'"):
         softcal.fit_maps  # noqa: B018
 
 
-def test_a_unit_of_another_gain_is_estimated_without_its_reference(
-    source: softcal.SourceNetwork, unit: softcal.Unit, tables: list[pd.DataFrame]
-) -> None:
+def test_a_unit_of_another_gain_is_estimated_without_its_reference(source, unit, tables):
     reference = tables[1]["reference"].to_numpy()
     found = unit.estimate(tables[1]["output"])
     uncorrected = softcal.fit_map(
@@ -99,18 +96,14 @@ def test_a_unit_of_another_gain_is_estimated_without_its_reference(
     assert (found["lower"] <= found["estimate"])[14:].all() and found["estimate"][:14].isna().all()
 
 
-def test_the_reference_of_a_target_changes_nothing(
-    source: softcal.SourceNetwork, unit: softcal.Unit, tables: list[pd.DataFrame]
-) -> None:
+def test_the_reference_of_a_target_changes_nothing(source, unit, tables):
     labelled = tables[1].assign(reference=0.0)
     with_labels = softcal.Recording.from_frame(labelled, reference="reference", time_s="t_s", serial="S2")
     again = softcal.fit_map(source, with_labels)
     pd.testing.assert_frame_equal(again.estimate(tables[1]["output"]), unit.estimate(tables[1]["output"]))
 
 
-def test_pandas_keeps_its_index_and_arrays_give_the_same_numbers(
-    unit: softcal.Unit, tables: list[pd.DataFrame]
-) -> None:
+def test_pandas_keeps_its_index_and_arrays_give_the_same_numbers(unit, tables):
     series = tables[1]["output"].set_axis(range(7, 1507))
     by_series, by_array = unit.estimate(series), unit.estimate(series.to_numpy())
     assert list(by_series.index) == list(range(7, 1507))
@@ -119,13 +112,8 @@ def test_pandas_keeps_its_index_and_arrays_give_the_same_numbers(
     pd.testing.assert_frame_equal(recording.to_frame(), tables[1][["t_s", "output", "reference"]])
 
 
-def test_python_and_command_line_give_one_calibration(
-    tables: list[pd.DataFrame], source: softcal.SourceNetwork, unit: softcal.Unit, tmp_path: Path
-) -> None:
-    for k in (1, 2):
-        tables[k - 1].to_csv(tmp_path / f"S{k}.csv", index=False)
-    url = f"sqlite:///{tmp_path / 'registry.db'}"
-    files = [str(tmp_path / f"S{k}.csv") for k in (1, 2)]
+def test_python_and_command_line_give_one_calibration(tables, source, unit, tmp_path):
+    files, url = write(tables, tmp_path, {}), f"sqlite:///{tmp_path / 'registry.db'}"
     made = ["--source", "S1", "--reference-column", "reference", "--time-column", "t_s", "--out", str(tmp_path / "lot")]
     assert main(["import", *files, *made]) == 0
     main(["batch", str(tmp_path / "lot"), "--hidden", "16,8", "--registry", url])
@@ -137,28 +125,28 @@ def test_python_and_command_line_give_one_calibration(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "named"),
     [
-        ({"output": [1.0] * 20}, "neither sample_rate_Hz nor t_s"),
-        ({"output": [1.0, float("nan")] * 20, "sample_rate_Hz": 50}, "output is nan at sample 1"),
-        ({"output": ["a"] * 20, "sample_rate_Hz": 50}, "output holds something that is no number"),
-        ({"output": [1.0] * 20, "reference": [1.0] * 19, "sample_rate_Hz": 50}, "reference has 19"),
-        ({"output": [1.0] * 20, "sample_rate_Hz": -1}, "neither sample_rate_Hz"),
+        ({"output": [1.0] * 20}, "sample_rate_Hz .*t_s"),
+        ({"output": [1.0, float("nan")] * 20, "sample_rate_Hz": 50}, "output .*sample 1"),
+        ({"output": ["a"] * 20, "sample_rate_Hz": 50}, "output "),
+        ({"output": [1.0] * 20, "reference": [1.0] * 19, "sample_rate_Hz": 50}, "reference .*19"),
+        ({"output": [1.0] * 20, "sample_rate_Hz": -1}, "sample_rate_Hz"),
     ],
 )
-def test_a_bad_recording_is_refused_when_it_is_made(arguments: dict[str, object], words: str) -> None:
-    with pytest.raises(softcal.InputError, match=re.escape(words)):
+def test_a_bad_recording_is_refused_when_it_is_made(arguments, named):
+    with pytest.raises(softcal.InputError, match=named):
         softcal.Recording(**arguments)
 
 
-def test_a_missing_column_lists_those_there_are(tables: list[pd.DataFrame]) -> None:
-    with pytest.raises(softcal.InputError, match=r"no column 'outpt'; the table has t_s, output, reference"):
+def test_a_missing_column_lists_those_there_are(tables):
+    with pytest.raises(softcal.InputError, match="'outpt'.*t_s, output, reference"):
         softcal.Recording.from_frame(tables[0], output="outpt", time_s="t_s")
 
 
-def test_anchors_must_come_in_pairs(source: softcal.SourceNetwork, tables: list[pd.DataFrame]) -> None:
+def test_anchors_must_come_in_pairs(source, tables):
     target = softcal.Recording.from_frame(tables[1], time_s="t_s")
-    with pytest.raises(softcal.InputError, match="as many of both"):
+    with pytest.raises(softcal.InputError):
         softcal.fit_map(source, target, anchors=([0.5, 0.6], [0.0]))
     anchored = softcal.fit_map(source, target, anchors=pd.DataFrame({"output": [0.54], "reference": [0.0]}))
     assert anchored.predicted_rmse is not None
@@ -167,11 +155,11 @@ def test_anchors_must_come_in_pairs(source: softcal.SourceNetwork, tables: list[
 @parametrize_with_checks(
     [softcal.NetworkRegressor(hidden=(8,), max_epochs=60)], expected_failed_checks=lambda estimator: {}
 )
-def test_the_network_keeps_every_convention_of_scikit_learn(estimator: object, check) -> None:  # type: ignore[no-untyped-def]
+def test_the_network_keeps_every_convention_of_scikit_learn(estimator, check):
     check(estimator)
 
 
-def test_a_map_and_the_network_make_a_pipeline(source: softcal.SourceNetwork, tables: list[pd.DataFrame]) -> None:
+def test_a_map_and_the_network_make_a_pipeline(source, tables):
     recording = softcal.Recording.from_frame(tables[0], reference="reference", time_s="t_s").labelled
     regressor = softcal.NetworkRegressor(hidden=(16, 8)).fit(recording.windows, recording.window_reference)
     pipeline = make_pipeline(softcal.MapTransformer(source), FrozenEstimator(regressor))
@@ -183,25 +171,23 @@ def test_a_map_and_the_network_make_a_pipeline(source: softcal.SourceNetwork, ta
     assert pipeline[0].family_ != "auto" and pipeline[0].transform(output).shape == (1500, 15)
 
 
-def test_a_transformer_says_what_it_lacks(source: softcal.SourceNetwork, tables: list[pd.DataFrame]) -> None:
-    with pytest.raises(softcal.InputError, match="has no source"):
+def test_a_transformer_says_what_it_lacks(source, tables):
+    with pytest.raises(softcal.InputError, match="source"):
         softcal.MapTransformer().fit(tables[1][["output"]])
     with pytest.raises(ValueError, match="one column"):
         softcal.MapTransformer(source).fit(tables[1][["output", "reference"]])
-    with pytest.raises(softcal.InputError, match="'affin' is unknown"):
+    with pytest.raises(softcal.InputError, match="'affin'"):
         softcal.MapTransformer(source, family="affin").fit(tables[1][["output"]])
 
 
-def test_the_network_is_worth_as_much_to_cross_validation_as_to_the_command_line(
-    tables: list[pd.DataFrame],
-) -> None:
+def test_the_network_is_worth_as_much_to_cross_validation_as_to_the_command_line(tables):
     recording = softcal.Recording.from_frame(tables[0], reference="reference", time_s="t_s").labelled
     regressor = softcal.NetworkRegressor(hidden=(16, 8))
     scores = cross_val_score(regressor, recording.windows, recording.window_reference, cv=3)
     assert scores.min() > 0.8
 
 
-def test_a_stage_position_reaches_the_map() -> None:
+def test_a_stage_position_reaches_the_map():
     lot = simulate_lot(1, LotDesign(good=1, source_s=40, unit_s=30, audit_s=30, has_stage=True))
     tables = [lot.source.unlabelled.arrays() | {"reference": lot.source.reference}, lot.units[0].recording.arrays()]
     columns = {"time_s": "t_s", "stage_mm": "stage_mm"}
@@ -209,5 +195,5 @@ def test_a_stage_position_reaches_the_map() -> None:
     target = softcal.Recording.from_frame(pd.DataFrame(tables[1]), **columns)
     assert softcal.fit_map(softcal.fit_network(known, **SMALL), target).family == "phase"
     assert list(target.to_frame()) == ["t_s", "output", "stage_mm"]
-    with pytest.raises(softcal.InputError, match="there is no column 'where'"):
+    with pytest.raises(softcal.InputError, match="'where'"):
         softcal.Recording.from_frame(pd.DataFrame(tables[1]), time_s="t_s", stage_mm="where")

@@ -63,11 +63,11 @@ def test_one_bad_spool_keeps_no_other_from_being_recovered(bad, whole, tmp_path)
     assert (tmp_path / "out" / "Z9.csv") not in first.files
 
 
-def test_a_folder_and_a_locked_file_in_the_place_of_a_spool_are_named(whole, tmp_path):
+def test_a_folder_in_the_place_of_a_spool_is_named(whole, tmp_path):
     (tmp_path / "a.spool").mkdir()
     (tmp_path / "z.spool").write_bytes(whole)
     first, last = recover(tmp_path, tmp_path / "out")
-    assert first.end.startswith("not readable") and last.end == "done"
+    assert first.end and not first.files and last.end == "done"
 
 
 def test_two_finished_runs_of_one_unit_are_both_kept(whole, tmp_path):
@@ -94,15 +94,13 @@ def test_a_recording_of_before_is_not_written_over(whole, tmp_path):
     assert found.files and found.files[0].exists()
 
 
+OUTPUT, CELL = ([Sample(0.1 * k, 0.1 * k, (level,)) for k in range(5)] for level in (0.5, 1.0))
+POLLS = [StagePosition(0.2 * k, k) for k in range(3)]
 SILENT = {
-    "output": (
-        [],
-        [Sample(0.1 * k, 0.1 * k, (0.2 * k,)) for k in range(5)],
-        [StagePosition(0.2 * k, k) for k in range(3)],
-    ),
-    "force": ([Sample(0.1 * k, 0.1 * k, (0.5,)) for k in range(5)], [], [StagePosition(0.2 * k, k) for k in range(3)]),
-    "output and force": ([], [], [StagePosition(0.2 * k, k) for k in range(3)]),
-    "stage": ([Sample(0.1 * k, 0.1 * k, (0.5,)) for k in range(5)], [Sample(0.1, 0.1, (1.0,))], []),
+    "output": ([], CELL, POLLS),
+    "force": (OUTPUT, [], POLLS),
+    "output and force": ([], [], POLLS),
+    "stage": (OUTPUT, CELL[:1], []),
 }
 
 

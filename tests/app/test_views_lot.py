@@ -8,8 +8,6 @@ import pytest
 
 from softcal.app.charts import lot as charts_lot
 from softcal.app.charts.palette import DARK, LIGHT
-from softcal.app.charts.style import nice_step
-from softcal.app.files.spreadsheet import excel_bytes
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import plainly
 from softcal.app.views.common import percent
@@ -27,7 +25,7 @@ def runs_of(values) -> list[RunEntry]:
     ]
 
 
-def test_a_stable_process_has_a_capability(rng) -> None:
+def test_a_stable_process_has_a_capability() -> None:
     values = 0.08 + 0.004 * np.tile([-1.0, 0.4, 1.1, -0.6, 0.2, -0.9, 0.8], 6)
     process = process_view(runs_of(values), 0.12)
     assert process.capability is not None and process.refusal is None
@@ -38,14 +36,14 @@ def test_a_stable_process_has_a_capability(rng) -> None:
 def test_an_unstable_process_has_none_and_names_the_rule_and_the_unit(rng) -> None:
     values = np.r_[0.08 + 0.002 * rng.normal(size=40), 0.2]
     process = process_view(runs_of(values), 0.12)
-    assert process.capability is None and "not stable" in str(process.refusal)
+    assert process.capability is None and process.refusal is not None and process.refusal.code == "chart.unstable"
     beyond = next(broken for broken in process.broken if broken.rule == 1)
     assert (beyond.last, beyond.forbids) == ("U040", True)
 
 
 def test_too_few_units_make_no_chart() -> None:
     process = process_view(runs_of([0.1] * 5), 0.12)
-    assert process.chart is None and "at least 8" in str(process.refusal)
+    assert process.chart is None and process.refusal is not None and process.refusal.code == "chart.few"
 
 
 def statement(source: str, relation: str, rmse: float) -> Reason:
@@ -85,19 +83,3 @@ def test_only_all_is_a_hundred_per_cent() -> None:
         "> 99.9 %",
         "100 %",
     ]
-
-
-@pytest.mark.parametrize("span", [0.0031, 0.7, 1.0, 14.0, 99_000.0])
-def test_ticks_stand_at_round_numbers(span: float) -> None:
-    step = nice_step(span)
-    assert 1 <= span / step <= 6 and round(step / 10 ** np.floor(np.log10(step) + 1e-9)) in (1, 2, 5)
-
-
-def test_no_cell_of_an_exported_table_can_run() -> None:
-    import io
-
-    from openpyxl import load_workbook
-
-    content = excel_bytes(["serial", "reason"], [("=1+1", "+cmd|' /C calc'!A0")])
-    sheet = load_workbook(io.BytesIO(content)).active
-    assert [cell.data_type for cell in sheet[2]] == ["s", "s"] and sheet["A2"].value == "'=1+1"

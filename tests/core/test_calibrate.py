@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softcal.core.errors import InputError, UnitRefused
+from softcal.core.errors import InputError
 from softcal.core.maps.config import MapConfig
 from softcal.core.metrics import rmse
 from softcal.core.recording import OutputRecording
@@ -20,7 +20,6 @@ from softcal.core.unit.findings import opening_findings
 from softcal.core.unit.method import Method
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.verdict import Limit
-from softcal.core.words.reason import joined
 
 AFFINE, AUTO = Method(map=MapConfig(family="affine")), Method()
 
@@ -65,16 +64,10 @@ def test_equal_input_gives_equal_result(calibrate, good):
 def test_the_record_is_lossless_and_json(calibrate, linear_network, good):
     calibration = calibrate(good)
     record = calibration.to_record("input", "recording", fit_s=0.1)
-    stored = replace(
-        record, settings=json.loads(json.dumps(record.settings)), evidence=json.loads(json.dumps(dict(record.evidence)))
-    )
-    again = Calibration.from_record(stored)
-    assert (
-        again.decision == calibration.decision
-        and again.method == calibration.method
-        and again.forecast == calibration.forecast
-    )
-    assert again.output_limits == calibration.output_limits
+    settings, evidence = (json.loads(json.dumps(dict(kept))) for kept in (record.settings, record.evidence))
+    again = Calibration.from_record(replace(record, settings=settings, evidence=evidence))
+    for name in ("decision", "method", "forecast", "output_limits"):
+        assert getattr(again, name) == getattr(calibration, name)
     assert all(isinstance(array, np.ndarray) for array in record.arrays.values())
     one, two = (estimate(linear_network, c, good) for c in (calibration, again))
     for name in ("estimate", "lower", "upper", "flag"):
@@ -82,8 +75,8 @@ def test_the_record_is_lossless_and_json(calibrate, linear_network, good):
 
 
 def test_without_a_limit_the_verdict_says_where_its_limit_comes_from(calibrate, good):
-    assert "no limit was stated" in str(calibrate(good).decision.predicted.reasons[-2])
-    assert "stated for the lot" in str(calibrate(good, Limit("N", 0.5)).decision.predicted.reasons[-2])
+    for limit, code in ((None, "part.automatic"), (Limit("N", 0.5), "part.stated")):
+        assert calibrate(good, limit).decision.predicted.reasons[-2].values["origin"].code == code
 
 
 def test_a_generous_limit_is_held_by_the_forecast_alone_and_a_strict_one_fails(calibrate, good):
@@ -95,14 +88,14 @@ def test_a_generous_limit_is_held_by_the_forecast_alone_and_a_strict_one_fails(c
 
 
 def test_a_limit_in_another_unit_is_refused(calibrate, good):
-    with pytest.raises(InputError, match="limit is in kPa"):
+    with pytest.raises(InputError, match="kPa.* N"):
         calibrate(good, Limit("kPa", 0.3))
 
 
-def test_reversed_wiring_fails_in_words(calibrate, good):
+def test_reversed_wiring_fails(calibrate, good):
     calibration = calibrate(replace(good, output=1.5 - good.output), Limit("N", 10.0))
     assert "reversed" in findings(calibration) and calibration.decision.verdict == "fail"
-    assert "wrong wiring" in joined(calibration.decision.reasons)
+    assert "reversed" in {why.code for why in calibration.decision.reasons}
 
 
 def test_a_clipped_unit_never_passes(calibrate, good):
@@ -118,11 +111,6 @@ def test_drift_inside_the_recording_is_told_from_creep(calibrate, good):
 def test_another_sensor_type_is_unfamiliar(calibrate, good, rng):
     chatter = replace(good, output=good.output + rng.normal(0, 0.03, len(good)))
     assert "unfamiliar" in findings(calibrate(chatter))
-
-
-def test_a_dead_unit_is_refused(calibrate, good):
-    with pytest.raises(UnitRefused, match="dead channel"):
-        calibrate(replace(good, output=np.full(len(good), 0.5)))
 
 
 def test_too_little_data_never_passes(calibrate, press):
@@ -141,7 +129,7 @@ def test_a_unit_pressed_below_half_the_range_says_so(calibrate, press):
     lighter = replace(unit.unlabelled, output=0.5 + (unit.unlabelled.output - 0.5) * 0.25)
     calibration = calibrate(lighter, Limit("N", 10.0))
     assert "stretched" in findings(calibration) and calibration.decision.predicted.verdict == "retest"
-    assert "below half" in " ".join(map(str, calibration.decision.reasons))
+    assert "stretched" in {why.code for why in calibration.decision.reasons}
 
 
 def test_a_unit_a_third_less_sensitive_is_not_called_badly_pressed(calibrate, press):
@@ -189,7 +177,7 @@ def test_a_simulated_lot_depends_on_its_seed_alone_and_holds_every_fault():
 
 
 def test_an_unknown_fault_lists_the_known_ones():
-    with pytest.raises(InputError, match="known: dead, saturated"):
+    with pytest.raises(InputError, match="'haunted'.*dead, saturated"):
         LotDesign(bad={"haunted": 1})
 
 

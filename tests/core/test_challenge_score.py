@@ -1,5 +1,6 @@
 """Scoring of reports against opened labels."""
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -89,8 +90,6 @@ def test_shrink_is_scored_on_the_run_kept_back() -> None:
 
 
 def test_the_record_of_a_score_is_plain_json() -> None:
-    import json
-
     sheet = score_reports([label("channel_creep")], {"case-1": report("explained", {"channel_creep": 0.9})})
     record = json.loads(json.dumps(sheet.to_record(), allow_nan=False))
     assert record["cases"][0]["outcome"] == "right"

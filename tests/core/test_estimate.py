@@ -8,7 +8,6 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import FitProblem
-from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
@@ -23,10 +22,6 @@ def calibration(source_model, linear_network, press) -> Calibration:
     made = calibrate(UnitProblem(source_model, problem.target, anchors=problem.anchors))
     exact = AffineMap(gain=1 / 1.3, offset=-0.05 / 1.3)
     return replace(made, unit_map=exact, output_limits=OutputLimits(-np.inf, np.inf, stuck_samples=100))
-
-
-def with_output(recording: OutputRecording, output) -> OutputRecording:
-    return replace(recording, output=output)
 
 
 def test_estimates_follow_the_load_and_the_interval_encloses_them(linear_network, calibration, press):
@@ -59,21 +54,21 @@ def test_a_frozen_output_is_flagged_stuck(linear_network, calibration, press):
     recording = press(3, gain=1.3, offset_V=0.05).unlabelled
     output = recording.output.copy()
     output[1000:1300] = output[1000]
-    flag = estimate(linear_network, calibration, with_output(recording, output)).flag
+    flag = estimate(linear_network, calibration, replace(recording, output=output)).flag
     assert set(flag[1000 + 99 : 1300]) == {"stuck"} and "stuck" not in flag[:1000]
 
 
 def test_a_sample_at_a_rail_is_flagged_saturated(linear_network, calibration, press):
     recording = press(3, gain=1.3, offset_V=0.05).unlabelled
     clipped = replace(calibration, output_limits=OutputLimits(-np.inf, 0.9, stuck_samples=10_000))
-    flag = estimate(linear_network, clipped, with_output(recording, np.minimum(recording.output, 0.9))).flag
+    flag = estimate(linear_network, clipped, replace(recording, output=np.minimum(recording.output, 0.9))).flag
     at_rail = recording.output[TAPS - 1 :] >= 0.9
     assert at_rail.any() and set(flag[TAPS - 1 :][at_rail]) == {"saturated"}
 
 
 def test_a_load_beyond_the_source_is_out_of_range_and_its_interval_wider(linear_network, calibration, press):
     recording = press(3, gain=1.3, offset_V=0.05).unlabelled
-    doubled = estimate(linear_network, calibration, with_output(recording, 0.7 + 2 * (recording.output - 0.7)))
+    doubled = estimate(linear_network, calibration, replace(recording, output=0.7 + 2 * (recording.output - 0.7)))
     normal = estimate(linear_network, calibration, recording)
     beyond = doubled.flag == "out of range"
     assert beyond.any() and np.all(doubled.estimate[beyond] > 3.0)
@@ -82,16 +77,16 @@ def test_a_load_beyond_the_source_is_out_of_range_and_its_interval_wider(linear_
 
 def test_fast_chatter_is_unfamiliar(linear_network, calibration, press, rng):
     recording = press(3, gain=1.3, offset_V=0.05).unlabelled
-    noisy = with_output(recording, recording.output + rng.normal(0, 0.05, len(recording)))
+    noisy = replace(recording, output=recording.output + rng.normal(0, 0.05, len(recording)))
     assert np.mean(estimate(linear_network, calibration, noisy).flag == "unfamiliar") > 0.5
 
 
 def test_calibration_of_another_network_is_refused(linear_network, calibration, press):
     other = replace(linear_network, reference_mean=1.0)
-    with pytest.raises(InputError, match="was calibrated with network"):
+    with pytest.raises(InputError, match=f"{linear_network.id[:12]}.*{other.id[:12]}"):
         estimate(other, calibration, press(3).unlabelled)
 
 
 def test_output_in_another_unit_is_refused(linear_network, calibration, press):
-    with pytest.raises(InputError, match="output is in counts"):
+    with pytest.raises(InputError, match="counts.* V"):
         estimate(linear_network, calibration, replace(press(3).unlabelled, output_unit="counts"))

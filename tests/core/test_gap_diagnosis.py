@@ -76,6 +76,9 @@ def test_a_single_effect_is_named_and_closes_the_gap(effect_id):
     assert diagnosis.places[0].stage == first.stage
     assert diagnosis.shrink.held_out > 0.9
     assert abs(diagnosis.shrink.held_out - diagnosis.shrink.predicted) < 0.1
+    report = diagnosis.report()
+    assert effect_id in {entry["effect"] for entry in report["twin"]["effects"]}
+    assert twin_from_record(report["twin"], "report").effects
 
 
 def test_a_cause_that_explains_nothing_on_unseen_samples_is_not_named(monkeypatch, plain):
@@ -221,7 +224,7 @@ def test_an_output_offset_that_drifts_is_not_blamed_on_ageing():
         runs.append(dataclasses.replace(run, output_V=np.round(drifting_V / READOUT.step_V) * READOUT.step_V))
     diagnosis = diagnose(Case("G1", tuple(runs)))
     assert diagnosis.verdict == "unknown"
-    assert diagnosis.places[0].stage == "electronics" and "offset that drifts" in str(diagnosis.places[0].detail)
+    assert diagnosis.places[0].stage == "electronics"
 
 
 def test_the_forecast_of_a_half_explained_gap_counts_the_noise_of_a_driving_force():
@@ -327,7 +330,7 @@ def test_a_warm_divider_is_held_open_beside_thermal_drift_until_a_warmed_dummy_t
     assert diagnosis.next_experiment.profile == "dummy_resistor"
     diagnosis = diagnose(with_warmed_dummy(case, 0.002))
     assert diagnosis.verdict == "unknown"
-    assert diagnosis.places[0].stage == "electronics" and "divider resistor" in str(diagnosis.places[0].detail)
+    assert diagnosis.places[0].stage == "electronics"
 
 
 def test_a_warmed_dummy_that_stays_put_leaves_the_drift_to_the_channel():
@@ -402,40 +405,27 @@ def test_a_hum_enters_the_twin_without_the_phases_of_the_runs():
     assert setting.values["A"] == pytest.approx(0.004, rel=0.1)
 
 
-@pytest.mark.parametrize("effect_id", SINGLES)
-def test_every_single_cause_makes_a_report(effect_id):
-    report = diagnose(make_case((effect_id, SINGLES[effect_id], ()), seed=3)).report()
-    assert effect_id in {entry["effect"] for entry in report["twin"]["effects"]}
-    assert twin_from_record(report["twin"], "report").effects
-
-
 def test_runs_that_do_not_belong_together_are_refused(plain):
     other = dataclasses.replace(plain.runs[1], readout=dataclasses.replace(READOUT, vref_V=5.0))
-    with pytest.raises(InputError, match="vref_V is 5.0, but 3.3 in run 0"):
+    with pytest.raises(InputError, match="run 1.*vref_V.*5.0.*3.3.*run 0"):
         Case("G1", (plain.runs[0], other))
-    with pytest.raises(InputError, match="force_N is missing, other runs have it"):
+    with pytest.raises(InputError, match="run 1.*force_N"):
         Case("G1", (plain.runs[0], dataclasses.replace(plain.runs[1], force_N=None)))
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "facts"),
     [
-        ({"output_V": np.full(40, 0.5)}, "output_V is 0.5 throughout"),
-        ({"force_N": np.full(40, np.nan)}, "force_N is nan at sample 0"),
-        ({"kind": "dummy_resistor"}, "needs dummy_ohm"),
-        ({"stage_mm": None, "force_N": None}, "two of stage_mm, force_N, output_V"),
+        ({"output_V": np.full(40, 0.5)}, "output_V .*0.5"),
+        ({"force_N": np.full(40, np.nan)}, "force_N .*nan .*40"),
+        ({"kind": "dummy_resistor"}, "dummy_ohm"),
+        ({"stage_mm": None, "force_N": None}, "stage_mm, force_N, output_V"),
     ],
 )
-def test_a_run_without_meaning_is_refused(change, message):
-    good = {
-        "name": "run",
-        "t_s": np.arange(40) / 50.0,
-        "readout": READOUT,
-        "stage_mm": np.linspace(0, 1, 40),
-        "force_N": np.linspace(0, 1, 40),
-        "output_V": np.linspace(0, 1, 40),
-    }
-    with pytest.raises(InputError, match=message):
+def test_a_run_without_meaning_is_refused(change, facts):
+    good = {"name": "run", "t_s": np.arange(40) / 50.0, "readout": READOUT}
+    good |= dict.fromkeys(("stage_mm", "force_N", "output_V"), np.linspace(0, 1, 40))
+    with pytest.raises(InputError, match=facts):
         Run(**(good | change))
 
 

@@ -1,5 +1,8 @@
 """Noise that fades is read from what a fit leaves, and a gap is never called noise."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import cho_solve, cholesky, solve_triangular, toeplitz
@@ -115,37 +118,21 @@ def _as_noise(case: Case, spread_N: float) -> bool:
     return is_noise(fit(problem, Hypothesis(), start))
 
 
+def _under_load(case: Case, newtons: Callable[[Run], Array]) -> Case:
+    """The case with a force added where the sensor is pressed."""
+    pressed = (replace(r, force_N=r.force_N + newtons(r) * (r.stage_mm > BASE.u0_mm)) for r in case.runs)
+    return Case("G1", tuple(pressed))
+
+
 def test_what_follows_the_load_is_no_noise_however_large_noise_is_taken_to_be() -> None:
-    dragging = _case(10)
-    runs = tuple(
-        Run(
-            r.name,
-            r.t_s,
-            READOUT,
-            r.stage_mm,
-            np.asarray(r.force_N) + 0.1 * np.sign(np.gradient(r.stage_mm)) * (np.asarray(r.stage_mm) > BASE.u0_mm),
-            r.output_V,
-        )
-        for r in dragging.runs
-    )
-    assert not _as_noise(Case("G1", runs), 0.1)
+    dragging = _under_load(_case(10), lambda run: 0.1 * np.sign(np.gradient(run.stage_mm)))
+    assert not _as_noise(dragging, 0.1)
     assert _as_noise(_case(11, newtons=0.1), 0.1)
 
 
 def test_noise_that_comes_with_the_load_is_no_floor() -> None:
-    rng, quiet = np.random.default_rng(12), _case(12)
-    runs = tuple(
-        Run(
-            r.name,
-            r.t_s,
-            READOUT,
-            r.stage_mm,
-            np.asarray(r.force_N) + _fading(rng, len(r), 0.06, 0.5) * (np.asarray(r.stage_mm) > BASE.u0_mm),
-            r.output_V,
-        )
-        for r in quiet.runs
-    )
-    assert not _as_noise(Case("G1", runs), 0.06)
+    rng = np.random.default_rng(12)
+    assert not _as_noise(_under_load(_case(12), lambda run: _fading(rng, len(run), 0.06, 0.5)), 0.06)
 
 
 def test_a_problem_of_white_noise_is_weighted_as_ever() -> None:

@@ -120,7 +120,7 @@ def test_within_the_noise_every_unit_counts_and_a_cheaper_cause_counts_once():
 
 
 def test_a_lot_of_one_unit_is_told():
-    with pytest.raises(InputError, match="at least 2"):
+    with pytest.raises(InputError):
         diagnose_lot({"u": make_unit("U", 1)})
 
 

@@ -53,17 +53,13 @@ def _untared(tare_N: float, *effects: EffectSetting) -> Case:
     return _case([dataclasses.replace(run, force_N=np.asarray(run.force_N) + tare_N) for run in runs])
 
 
-def _prediction(problem: Problem, base: BaseParameters) -> Array:
+def _prediction(problem: Problem, base: BaseParameters = BASE) -> Array:
     return problem.predict(Hypothesis(), np.array([to_fit(p, getattr(base, p.name)) for p in PARAMETERS]))
-
-
-def _true_prediction(problem: Problem) -> Array:
-    return _prediction(problem, BASE)
 
 
 def _found(problem: Problem) -> Array:
     """(runs, 3) offsets of force, resistance and seat at the true parameters."""
-    found = offsets(problem, BASE, _true_prediction(problem.bare))
+    found = offsets(problem, BASE, _prediction(problem.bare))
     return np.array([[o.force_N, o.resistance, o.seat_mm] for o in found])
 
 
@@ -83,7 +79,7 @@ def test_the_directions_are_those_of_the_twin() -> None:
     """A twin with another resistance and surface, and one whose offsets are taken off, leave the same."""
     moved = _runs((0.0, 0.008, 0.0), seats_mm=(0.0, 0.015, 0.0))
     problem = Problem(_case(moved), SIGMA)
-    left = (problem.measured - _true_prediction(problem)) / problem.noise
+    left = (problem.measured - _prediction(problem)) / problem.noise
     own = dataclasses.replace(BASE, r0_ohm=BASE.r0_ohm * 1.008, u0_mm=BASE.u0_mm + 0.015)
     of_moved = np.concatenate([np.full(b.place.stop - b.place.start, b.run == 1) for b in problem.blocks])
     true_left = (problem.measured - _prediction(problem.bare, own)) / problem.noise
@@ -119,13 +115,12 @@ def test_a_cause_on_an_untared_rig_is_named_alone() -> None:
 @pytest.mark.parametrize("channel", ["force_N", "output_V"])
 def test_a_tone_is_not_taken_for_noise(channel: str) -> None:
     noise = SIGMA[channel]
-    runs = _runs()
-    toned = [
-        dataclasses.replace(
-            run, **{channel: np.asarray(getattr(run, channel)) + 3 * noise * np.sin(2 * np.pi * 17.3 * run.t_s)}
-        )
-        for run in runs
-    ]
+
+    def with_tone(run: Run) -> Run:
+        tone = 3 * noise * np.sin(2 * np.pi * 17.3 * run.t_s)
+        return dataclasses.replace(run, **{channel: np.asarray(getattr(run, channel)) + tone})
+
+    toned = [with_tone(run) for run in _runs()]
     found = strongest_tone(base_fit(_case(toned)))
     assert found is not None and found.channel == channel and found.frequency_Hz == pytest.approx(17.3, abs=0.1)
     assert diagnose(_case(toned)).verdict != "no_gap"
@@ -144,7 +139,7 @@ def test_a_surface_that_lies_lower_leaves_no_corner_at_first_touch() -> None:
         force_N, output_V = simulate(Twin(unit, (), READOUT), t_s, stage_mm, np.random.default_rng(0))
         runs.append(Run("ramps", t_s, READOUT, stage_mm, force_N, output_V))
     problem = Problem(_case(runs), SIGMA)
-    error = problem.measured - _true_prediction(problem)
+    error = problem.measured - _prediction(problem)
     left = {c: max(float(np.max(np.abs(error[b.place]))) for b in problem.blocks if b.channel == c) for c in SIGMA}
     # A straight step along the slopes leaves k1·40 µm = 44 mN and 0.1 mV.
     assert left["force_N"] < 0.003

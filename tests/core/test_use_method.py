@@ -61,21 +61,21 @@ def test_a_state_shares_nothing_with_what_it_was_taken_of() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "name"),
     [
-        (lambda state: state.pop("last_s"), "Outer.last_s is missing or unknown"),
-        (lambda state: state.update(more=1), "Outer.more is missing or unknown"),
-        (lambda state: state["inner"].update(mean=[[1.0, 2.0]]), "Inner.mean has shape"),
-        (lambda state: state["inner"].update(mean=[1.0, 2.0, 3.0]), "Inner.covariance has shape"),
-        (lambda state: state["inner"].update(mean="none"), "Inner.mean is no array of numbers"),
-        (lambda state: state["many"][1].pop("mean"), "Inner.mean is missing or unknown"),
+        (lambda state: state.pop("last_s"), "Outer.last_s"),
+        (lambda state: state.update(more=1), "Outer.more"),
+        (lambda state: state["inner"].update(mean=[[1.0, 2.0]]), "Inner.mean"),
+        (lambda state: state["inner"].update(mean=[1.0, 2.0, 3.0]), "Inner.covariance"),
+        (lambda state: state["inner"].update(mean="none"), "Inner.mean"),
+        (lambda state: state["many"][1].pop("mean"), "Inner.mean"),
     ],
 )
-def test_what_does_not_fit_is_refused_in_one_line(change: object, said: str) -> None:
+def test_what_does_not_fit_is_refused_in_one_line(change: object, name: str) -> None:
     state = through_json(outer())
     change(state)  # type: ignore[operator]
 
-    with pytest.raises(InputError, match=said) as refusal:
+    with pytest.raises(InputError, match=name) as refusal:
         restored(Outer, state)
     assert "\n" not in str(refusal.value)
 

@@ -25,10 +25,8 @@ def test_what_comes_back_is_what_was_there(factory, backup, new_url):
     restore(backup, url)
     with open_registry(url, create=False) as again:
         assert again.verify() == []
-        assert (
-            again.units() == factory.registry.units()
-            and again.audit_rows(factory.registry.origin) == factory.registry.audit_rows()
-        )
+        assert again.units() == factory.registry.units()
+        assert again.audit_rows(factory.registry.origin) == factory.registry.audit_rows()
         assert [row.action for row in again.audit_rows(again.origin)] == ["restore"]
         assert again.origin != factory.registry.origin, "two copies that are both written to must be told apart"
         again.rollback("A1", 1, reason="goes on")
@@ -63,14 +61,15 @@ def test_a_backup_taken_while_others_write_is_consistent(factory, tmp_path):
 
 def test_a_backup_is_never_overwritten(factory, backup):
     content = backup.read_bytes()
-    with pytest.raises(RegistryError, match="exists"):
+    with pytest.raises(RegistryError, match="backup.db"):
         back_up(factory.registry.database, backup)
     assert backup.read_bytes() == content
 
 
 def test_a_registry_with_data_is_never_restored_over(factory, backup, registry_url):
-    with pytest.raises(RegistryError, match="is not empty"):
+    with pytest.raises(RegistryError):
         restore(backup, registry_url)
+    assert factory.registry.calibration("A1").revision == 2
 
 
 def test_a_damaged_backup_restores_nothing(backup, tmp_path):
@@ -79,13 +78,13 @@ def test_a_damaged_backup_restores_nothing(backup, tmp_path):
     content[at] ^= 0xFF
     damaged, target = tmp_path / "damaged.db", tmp_path / "target.db"
     damaged.write_bytes(content)
-    with pytest.raises(RegistryError, match="damaged|malformed"):
+    with pytest.raises(RegistryError, match="damaged.db"):
         restore(damaged, f"sqlite:///{target}")
     assert not target.exists()
 
 
 def test_a_backup_into_no_folder_leaves_nothing(factory, tmp_path):
-    with pytest.raises(RegistryError, match="does not exist"):
+    with pytest.raises(RegistryError, match="nowhere"):
         back_up(factory.registry.database, tmp_path / "nowhere" / "backup.db")
-    with pytest.raises(RegistryError, match="no such file"):
+    with pytest.raises(RegistryError, match="nothing.db"):
         restore(tmp_path / "nothing.db", "sqlite://")

@@ -1,6 +1,7 @@
 """A role of the line can calibrate and cannot rewrite history; a reader can only read."""
 
 import uuid
+from contextlib import nullcontext
 from datetime import date
 
 import pytest
@@ -61,7 +62,7 @@ def test_the_line_can_do_all_its_work(as_role, make_factory, recording_of):
     queue, work = registry.work_queue, WorkSet("L1", "a" * 64)
     queue.enqueue(work, {"A1": "b" * 64})
     assert all(queue.finish("me", [item.id]) for item in queue.claim("me", work, 1, 60))
-    with pytest.raises(InputError, match="PIN is wrong"):
+    with pytest.raises(InputError):
         registry.sign_in("kim", "0000")
     assert registry.sign_in("kim", "2580").name == "kim" and registry.verify() == []
 
@@ -75,8 +76,9 @@ def test_what_the_line_may_not_set_is_said_in_one_line(as_role, make_factory):
         lambda: line.set_user("eve", "quality", "1234", actor="eve"),
         lambda: line.add_certificate(CellCertificate("C", "1", "x", date(2026, 1, 1), date(2027, 1, 1), 50.0, 0.1)),
     ):
-        with pytest.raises(RegistryError, match="permission denied.*account"):
+        with pytest.raises(RegistryError, match="permission denied") as refused:
             forbidden()
+        assert "\n" not in str(refused.value)
     assert line.verify() == []
 
 
@@ -124,11 +126,9 @@ def test_every_change_of_every_table_is_tried_by_who_may_not_make_it(as_role, ma
 def test_of_people_the_line_may_count_wrong_pins_only(as_role, column):
     database = as_role("line").database
     statement = text(f'UPDATE users SET "{column}" = "{column}" WHERE false')
-    if column in ("failures", "locked_until"):
-        with database.writing() as connection:
-            connection.execute(statement)
-        return
-    with pytest.raises(RegistryError, match="permission denied"), database.writing() as connection:
+    is_allowed = column in ("failures", "locked_until")
+    refused = nullcontext() if is_allowed else pytest.raises(RegistryError, match="permission denied")
+    with refused, database.writing() as connection:
         connection.execute(statement)
 
 
@@ -136,10 +136,9 @@ def test_a_reader_reads_units_and_no_pins(as_role, make_factory):
     make_factory(as_role("manager")).calibrate("A1", 1)
     reader = as_role("reader")
     assert reader.calibration("A1").revision == 1
-    with pytest.raises(RegistryError, match="permission denied"):
-        reader.users()
-    with pytest.raises(RegistryError, match="permission denied"):
-        reader.add_refusal("L1", "A2", "retest", (plain("cable"),))
+    for forbidden in (reader.users, lambda: reader.add_refusal("L1", "A2", "retest", (plain("cable"),))):
+        with pytest.raises(RegistryError, match="permission denied"):
+            forbidden()
 
 
 def test_a_name_that_is_no_role_is_refused():

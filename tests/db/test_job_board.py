@@ -22,7 +22,7 @@ def test_a_job_is_taken_once_and_tells_how_far_it_is(board):
     assert board.take(job_id).request == {"lot": "L1"}
     board.report(job_id, 0.5, "epoch 3", {"epoch": [1, 2, 3]})
     assert (board.job(job_id).fraction, board.job(job_id).trace) == (0.5, {"epoch": [1, 2, 3]})
-    with pytest.raises(InputError, match="is not waiting"):
+    with pytest.raises(InputError, match=job_id):
         board.take(job_id)
 
 
@@ -66,5 +66,5 @@ def test_jobs_are_listed_newest_first_by_kind(registry):
 
 
 def test_a_job_nobody_knows_is_named(board):
-    with pytest.raises(InputError, match="'nothing' is not in the registry"):
+    with pytest.raises(InputError, match="'nothing'"):
         board.job("nothing")

@@ -78,7 +78,7 @@ def test_the_marker_changes_with_whatever_is_added_to_a_lot(lot, factory, record
 
 
 def test_an_unknown_order_or_lot_is_named(lot):
-    with pytest.raises(InputError, match="cannot be sorted by 'rmse; drop'"):
+    with pytest.raises(InputError, match="'rmse; drop'"):
         UnitFilter(sort="rmse; drop")
-    with pytest.raises(InputError, match="'L9' is not in the registry"):
+    with pytest.raises(InputError, match="'L9'"):
         lot.unit_page("L9", UnitFilter())

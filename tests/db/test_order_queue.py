@@ -27,7 +27,7 @@ def test_an_order_comes_out_as_it_was_placed(queue):
 
 def test_a_second_run_is_refused_while_one_is_not_over(queue):
     queue.place(press("o1"))
-    with pytest.raises(InputError, match=r"not over \(unit A1, queued\)"):
+    with pytest.raises(InputError, match="A1"):
         queue.place(press("o2"))
     queue.place(press("o3", "s2"))
     queue.report(Progress("o1", RunState.DONE))
@@ -71,10 +71,10 @@ def test_a_station_that_starts_ends_what_it_left(queue):
 
 def test_a_station_has_one_owner(queue):
     queue.beat(Heartbeat("s1", StationState.READY, NOW, process="host:1"))
-    with pytest.raises(InputError, match="served by host:1"):
-        queue.beat(Heartbeat("s1", StationState.READY, NOW + timedelta(seconds=1), process="host:2"))
-    with pytest.raises(InputError, match="served by host:1"):  # a busy machine is late with its beat
-        queue.beat(Heartbeat("s1", StationState.READY, NOW + SILENT_AFTER + timedelta(seconds=1), process="host:2"))
+    for silent_for in (timedelta(0), SILENT_AFTER):  # a busy machine is late with its beat
+        with pytest.raises(InputError, match="host:1"):
+            at = NOW + silent_for + timedelta(seconds=1)
+            queue.beat(Heartbeat("s1", StationState.READY, at, process="host:2"))
     late = NOW + TAKEN_OVER_AFTER + timedelta(seconds=1)
     queue.beat(Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2"))
     assert queue.heartbeat("s1") == Heartbeat("s1", StationState.STARTING, late, ("warming up",), "host:2")
@@ -110,5 +110,5 @@ def test_silence_is_seen(registry, queue):
 
 
 def test_an_unknown_order_is_named(queue):
-    with pytest.raises(InputError, match="'o9' is not in the registry"):
+    with pytest.raises(InputError, match="'o9'"):
         queue.progress("o9")

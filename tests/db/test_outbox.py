@@ -58,5 +58,5 @@ def test_a_cursor_comes_back_as_it_was_given():
 
 @pytest.mark.parametrize("text", ["x", "a:", ":3", "a:-1", "a:1e9", "a:٣", "a:1.", "a:12345678901", "a b:1"])
 def test_a_cursor_that_was_not_given_is_refused(text):
-    with pytest.raises(InputError, match="cursor"):
+    with pytest.raises(InputError):
         cursor_of(text)

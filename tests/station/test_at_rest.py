@@ -12,18 +12,24 @@ from softcal.station.interfaces import Move
 SETTLE_S, READING_S = 2.0, 3.0
 
 
-@pytest.mark.parametrize("weight_N", [0.0, 0.5, 2.0])
-def test_a_weight_is_read_while_nothing_moves(weight_N: float) -> None:
+@pytest.fixture
+def rig():
+    """A homed bench and the simulated station behind it."""
     (unit,) = draw_lot(np.random.default_rng(3), 1)
     with open_simulated_bench(unit, 3) as (bench, station):
         bench.stage.home()
-        before_mm, told = station.axis.position_mm, []
-        bench.stage.begin = lambda move: told.append(move)  # type: ignore[method-assign]
-        bench.stage.home = lambda *_: told.append("home")  # type: ignore[method-assign]
-        station.rig.weight_N = weight_N
-        seen: list[tuple[float, float]] = []
-        reading = read_at_rest(bench, "A1", SETTLE_S, READING_S, lambda done, left: seen.append((done, left)))
-        bears_N = np.mean([station.rig.read(station.world.now_s() + k * 0.02)[0] for k in range(20)])
+        yield bench, station
+
+
+@pytest.mark.parametrize("weight_N", [0.0, 0.5, 2.0])
+def test_a_weight_is_read_while_nothing_moves(rig, weight_N):
+    bench, station = rig
+    before_mm, told, seen = station.axis.position_mm, [], []
+    bench.stage.begin = told.append
+    bench.stage.home = lambda *_: told.append("home")
+    station.rig.weight_N = weight_N
+    reading = read_at_rest(bench, "A1", SETTLE_S, READING_S, lambda done, left: seen.append((done, left)))
+    bears_N = np.mean([station.rig.read(station.world.now_s() + k * 0.02)[0] for k in range(20)])
     assert (told, station.axis.position_mm) == ([], before_mm)
     assert bears_N == pytest.approx(weight_N, abs=0.05), "the unit does not bear the weight"
     assert len(reading.output) == pytest.approx(READING_S * bench.readout.rate_Hz, rel=0.1)
@@ -32,35 +38,23 @@ def test_a_weight_is_read_while_nothing_moves(weight_N: float) -> None:
     assert list(done) == sorted(done) and list(left) == sorted(left, reverse=True)
 
 
-def test_heavier_is_further_from_the_output_without_a_load() -> None:
-    (unit,) = draw_lot(np.random.default_rng(3), 1)
-    levels = []
-    with open_simulated_bench(unit, 3) as (bench, station):
-        bench.stage.home()
-        for weight_N in (0.0, 1.0, 2.0):
-            station.rig.weight_N = weight_N
-            levels.append(float(np.mean(read_at_rest(bench, "A1", SETTLE_S, READING_S, lambda *_: None).output)))
+def test_heavier_is_further_from_the_output_without_a_load(rig):
+    (bench, station), levels = rig, []
+    for weight_N in (0.0, 1.0, 2.0):
+        station.rig.weight_N = weight_N
+        levels.append(float(np.mean(read_at_rest(bench, "A1", SETTLE_S, READING_S, lambda *_: None).output)))
     steps = np.diff(levels)
     assert np.all(steps > 0) or np.all(steps < 0)
 
 
-def test_a_readout_that_falls_silent_ends_the_reading() -> None:
-    (unit,) = draw_lot(np.random.default_rng(3), 1)
-    with open_simulated_bench(unit, 3) as (bench, station):
-        bench.stage.home()
-
-        def unplug(done: float, left: float) -> None:
-            if done > 0.5:
-                station.readout_wire.close()
-
-        with pytest.raises(NoReply):
-            read_at_rest(bench, "A1", SETTLE_S, READING_S, unplug)
+def test_a_readout_that_falls_silent_ends_the_reading(rig):
+    bench, station = rig
+    with pytest.raises(NoReply):
+        read_at_rest(bench, "A1", SETTLE_S, READING_S, lambda done, _: done > 0.5 and station.readout_wire.unplug())
 
 
-def test_a_stage_that_moves_is_not_read_under() -> None:
-    (unit,) = draw_lot(np.random.default_rng(3), 1)
-    with open_simulated_bench(unit, 3) as (bench, _):
-        bench.stage.home()
-        bench.stage.begin(Move(2.0, 0.5))
-        with pytest.raises(CommandRefused, match="moves"):
-            read_at_rest(bench, "A1", SETTLE_S, READING_S, lambda *_: None)
+def test_a_stage_that_moves_is_not_read_under(rig):
+    bench, _ = rig
+    bench.stage.begin(Move(2.0, 0.5))
+    with pytest.raises(CommandRefused):
+        read_at_rest(bench, "A1", SETTLE_S, READING_S, lambda *_: None)

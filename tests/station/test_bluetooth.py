@@ -2,6 +2,7 @@
 
 import inspect
 import sys
+import threading
 from dataclasses import replace
 
 import pytest
@@ -20,7 +21,6 @@ ADDRESS = "ble://AA:BB:CC:DD:EE:FF"
 
 @pytest.fixture
 def bleak(monkeypatch):
-    """Bleak as far as softcal uses it, over sockets of this machine."""
     monkeypatch.setitem(sys.modules, "bleak", SimulatedBleak)
 
 
@@ -49,8 +49,6 @@ def test_without_bleak_the_package_is_named(monkeypatch):
 
 
 def test_a_board_that_is_not_there_is_one_sentence_and_leaves_no_thread(bleak):
-    import threading
-
     with pytest.raises(NoReply, match="ble://127.0.0.1:1") as caught:
         Link("ble://127.0.0.1:1", HostClock(), name="load cell")
     assert "\n" not in str(caught.value)

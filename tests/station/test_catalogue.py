@@ -1,7 +1,9 @@
 """Drivers: found in softcal's own folder and in installed packages, with their keys, and what a broken one costs."""
 
+import re
 import subprocess
 import sys
+import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -81,18 +83,14 @@ def test_a_driver_of_an_installed_package_is_used_like_a_shipped_one(installed):
     )
     assert config.readout.gain == 3.0
     assert "# gain: of its amplifier." in station_toml(config)
-    with pytest.raises(InputError, match="known are port, kind, rate_Hz, channels, .*gain; did you mean gain"):
-        station_from_table(
-            {"stage": {"port": "a"}, "force": {"port": "f"}, "readout": {"port": "b", "kind": "ours", "gian": 3}}
-        )
 
 
 @pytest.mark.parametrize(
     ("entry_point", "code", "fault"),
     [
         ("softcal.readouts", "import there_is_no_such_library", "ModuleNotFoundError"),
-        ("softcal.readouts", "DRIVER = 7", "is no softcal.station.driver.Driver"),
-        ("softcal.stages", GOOD, "calls itself readout 'ours'"),
+        ("softcal.readouts", "DRIVER = 7", "softcal.station.driver.Driver"),
+        ("softcal.stages", GOOD, "readout 'ours'"),
         ("softcal.readouts", "raise SystemError('no dongle')", "no dongle"),
     ],
 )
@@ -102,26 +100,24 @@ def test_a_broken_package_is_named_and_harms_nobody_else(installed, entry_point,
     assert fault in offer.fault
     assert driver_of("readout", "arduino").kind == "arduino"
     role = {group: role for role, group in catalogue.GROUPS.items()}[entry_point]
-    with pytest.raises(InputError, match="mend or uninstall lab_broken"):
+    with pytest.raises(InputError, match="lab_broken"):
         driver_of(role, "ours")
 
 
 def test_two_packages_with_one_kind_are_both_named(installed):
     installed("lab_arduino", "[softcal.readouts]\narduino = lab_arduino:DRIVER\n", GOOD.replace('"ours"', '"arduino"'))
-    with pytest.raises(InputError, match=r"softcal \S+ and lab_arduino 1.2; uninstall all but one"):
+    with pytest.raises(InputError, match=r"softcal .*lab_arduino 1\.2"):
         driver_of("readout", "arduino")
 
 
 def test_an_unknown_kind_lists_the_known_ones_of_packages_too(installed):
     installed("lab_ours", "[softcal.readouts]\nours = lab_ours:DRIVER\n", GOOD)
-    with pytest.raises(InputError, match=r"readout.kind is 'theirs'; known are arduino, .*ours"):
+    with pytest.raises(InputError, match=r"readout\.kind.*'theirs'.*arduino, .*ours"):
         driver_of("readout", "theirs")
 
 
 @pytest.mark.parametrize("offer", offers(), ids=lambda offer: f"{offer.role} {offer.kind}")
 def test_the_section_of_every_driver_survives_its_own_file_and_explains_every_key(offer):
-    import tomllib
-
     other = {"stage": {"port": "/dev/a"}, "force": {"port": "/dev/f"}, "readout": {"port": "/dev/b"}}
     section = SECTIONS[offer.role]
     port = "tcp://127.0.0.1:5025" if "tcp" in offer.driver.wires else "/dev/c"
@@ -130,42 +126,33 @@ def test_the_section_of_every_driver_survives_its_own_file_and_explains_every_ke
     config = station_from_table(other | {section: {"port": port, "kind": offer.kind}})
     text = station_toml(config)
     assert station_from_table(tomllib.loads(text)) == config
-    explained = (
-        " ".join(line for line in text.splitlines() if line.startswith("# ")).replace(",", " ").replace(":", " ")
-    )
-    assert [f.name for f in fields(offer.driver.config) if f.name not in explained.split()] == []
+    explained = re.findall(r"\w+", " ".join(line for line in text.splitlines() if line.startswith("# ")))
+    assert [f.name for f in fields(offer.driver.config) if f.name not in explained] == []
 
 
 @pytest.mark.parametrize(
-    ("table", "message"),
+    ("table", "code", "facts"),
     [
-        ({"port": "/dev/a", "axiz": "Z"}, r"\[stage\] unknown key 'axiz'; known are port, kind, baud_rate, axis"),
-        ({"port": "/dev/a", "axis": "W"}, "known are X, Y, Z"),
-        ({"port": "/dev/a", "axis": 3}, "text was expected"),
-        ({"port": "/dev/a", "kind": "zaber", "microstep_mm": 0}, "above 0"),
-        ({"port": "/dev/a", "kind": "zaber", "axis": "Z"}, "a whole number was expected"),
-        ({"kind": "esm"}, r"\[stage\] port is missing"),
-        ({"port": "USB0::1::2::3::INSTR"}, "is a visa port; kind 'grbl' speaks over serial, tcp"),
-        ({"port": "/dev/b"}, "have the same port '/dev/b'"),
+        ({"port": "/dev/a", "axiz": "Z"}, "unknown_key", r"\[stage\].*'axiz'.*port, kind, baud_rate, axis"),
+        ({"port": "/dev/a", "axis": "W"}, "known", r"stage\.axis.*X, Y, Z"),
+        ({"port": "/dev/a", "axis": 3}, "wrong_type", r"stage\.axis"),
+        ({"port": "/dev/a", "kind": "zaber", "microstep_mm": 0}, "positive", r"stage\.microstep_mm"),
+        ({"port": "/dev/a", "kind": "zaber", "axis": "Z"}, "wrong_type", r"stage\.axis"),
+        ({"kind": "esm"}, "no_key", r"\[stage\] port"),
+        ({"port": "USB0::1::2::3::INSTR"}, "wrong_wire", "visa.*'grbl'.*serial, tcp"),
+        ({"port": "/dev/b"}, "same_port", "'/dev/b'"),
     ],
 )
-def test_what_a_driver_does_not_understand_is_refused_with_what_it_does(table, message):
-    with pytest.raises(InputError, match=message):
+def test_what_a_driver_does_not_understand_is_refused_with_what_it_does(table, code, facts):
+    with pytest.raises(InputError, match=facts) as refused:
         station_from_table({"stage": table, "force": {"port": "/dev/f"}, "readout": {"port": "/dev/b"}})
+    assert refused.value.reason.code == f"station_file.{code}"
 
 
 @pytest.mark.parametrize("name", ['the "long" one', "one\\two", "two\nlines", "\u7b2c\u4e00"])
 def test_any_name_of_a_station_survives_its_file(name):
-    import tomllib
-
     config = StationConfig(StageConfig("/dev/a"), ReadoutConfig("/dev/b"), name=name)
     assert tomllib.loads(station_toml(config))["name"] == name
-
-
-def test_only_common_keys_are_enough():
-    config = StationConfig(StageConfig("/dev/a"), ReadoutConfig("/dev/b"))
-    assert "is_reversed = true" in station_toml(config)
-    assert "vref_V = 5.0" in station_toml(config)
 
 
 def test_a_scale_of_nothing_is_refused_when_the_file_is_read():
@@ -178,9 +165,9 @@ def test_a_declaration_that_is_none_is_refused():
     class Other:
         port: str
 
-    with pytest.raises(ValueError, match="derived from one of StageConfig"):
+    with pytest.raises(ValueError, match="StageConfig"):
         Driver("x", "x", Other, GRBL[0].open, GRBL[0].simulate)
-    with pytest.raises(ValueError, match="wires is empty"):
+    with pytest.raises(ValueError, match="wires"):
         Driver("x", "x", GRBL[0].config, GRBL[0].open, GRBL[0].simulate, wires=())
 
 

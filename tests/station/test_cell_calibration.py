@@ -24,8 +24,7 @@ def test_weights_on_the_simulated_cell_give_its_counts_per_newton_back():
     assert calibration.largest_error_N < 0.01
 
 
-def test_the_line_agrees_with_a_closed_form(rng):
-    """Two points: the scale is the quotient of the differences."""
+def test_the_scale_of_two_points_is_the_quotient_of_their_differences():
     calibration = fit_cell((0.0, 1.0), (500.0, -9306.65), (1.0, 1.0))
     assert calibration.per_N == pytest.approx(-1000.0)
     assert calibration.zero == pytest.approx(500.0)
@@ -38,11 +37,8 @@ def test_a_nonlinear_cell_shows_in_the_largest_error():
     assert calibration.largest_error_N > 0.1
 
 
-def test_one_weight_is_no_scale():
-    with pytest.raises(InputError, match="no scale"):
+def test_one_weight_or_a_dead_cell_is_no_scale():
+    with pytest.raises(InputError):
         fit_cell((0.5, 0.5), (1.0, 1.0), (0.1, 0.1))
-
-
-def test_a_dead_cell_has_no_scale():
-    with pytest.raises(BadReply, match="does not follow"):
+    with pytest.raises(BadReply):
         fit_cell((0.0, 0.5), (100.0, 100.5), (1.0, 1.0))

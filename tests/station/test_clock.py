@@ -48,7 +48,7 @@ def test_the_rate_of_a_clock_of_whole_milliseconds_is_right_even_when_lines_are_
 
 
 def test_one_pair_is_not_enough():
-    with pytest.raises(ValueError, match="at least 2"):
+    with pytest.raises(ValueError):
         fit_clock(np.array([1.0]), np.array([2.0]))
 
 

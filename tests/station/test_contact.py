@@ -89,32 +89,28 @@ def test_units_of_other_stiffness_are_aligned_within_micrometres():
     assert np.std(errors_mm) < 0.008
 
 
-def test_a_cell_that_shows_nothing_while_the_output_changes_is_dead():
-    cell = [Sample(0.01 * k, None, (0.0,)) for k in range(40)]
-    output = [Sample(0.01 * k, None, (1.0,)) for k in range(40)]
-    search = ContactSearch(FixtureConfig(), True, cell, output)
+def searching(late_s=0.0):
+    """A search above the unit, cell and output at rest for 0.4 s."""
+    cell, output = ([Sample(0.01 * k, None, (level,)) for k in range(40)] for level in (0.0, 1.0))
+    return ContactSearch(FixtureConfig(), True, cell, output, late_s=late_s), cell, output
+
+
+@pytest.mark.parametrize(("late_s", "waited_s", "dead_s"), [(0.0, (), 0.5), (0.25, (0.5, 0.6, 0.7), 0.76)])
+def test_a_cell_that_shows_nothing_while_the_output_changes_is_dead_when_its_delay_is_over(late_s, waited_s, dead_s):
+    search, _, output = searching(late_s)
     assert not search.is_over()
-    output.append(Sample(0.5, None, (1.2,)))
-    with pytest.raises(BadReply, match="shows no contact although the output has changed by 0.2"):
-        search.is_over()
-
-
-def test_a_late_cell_is_waited_for_before_it_is_called_dead():
-    cell = [Sample(0.01 * k, None, (0.0,)) for k in range(40)]
-    output = [Sample(0.01 * k, None, (1.0,)) for k in range(40)]
-    search = ContactSearch(FixtureConfig(), True, cell, output, late_s=0.25)
-    for at_s in (0.5, 0.6, 0.7):
+    for at_s in waited_s:
         output.append(Sample(at_s, None, (1.2,)))
         assert not search.is_over()
-    output.append(Sample(0.76, None, (1.2,)))
-    with pytest.raises(BadReply, match="shows no contact although the output has changed by 0.2"):
+    output.append(Sample(dead_s, None, (1.2,)))
+    with pytest.raises(BadReply) as dead:
         search.is_over()
+    assert dead.value.reason.code == "rig.no_contact.cell"
+    assert dead.value.reason.values["change"] == pytest.approx(0.2)
 
 
 def test_an_output_far_ahead_of_a_force_that_is_felt_is_no_fault():
-    cell = [Sample(0.01 * k, None, (0.0,)) for k in range(40)]
-    output = [Sample(0.01 * k, None, (1.0,)) for k in range(40)]
-    search = ContactSearch(FixtureConfig(), True, cell, output)
+    search, cell, output = searching()
     cell.append(Sample(0.5, None, (0.1,)))
     output.append(Sample(0.5, None, (1.2,)))
     assert not search.is_over()

@@ -1,12 +1,13 @@
 """Every shipped driver passes the kit for drivers, and the kit fails drivers that do something else."""
 
 import threading
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import pytest
 
 from softcal.core.errors import DeviceError
 from softcal.station.catalogue import driver_of, offers
+from softcal.station.drivers.arduino import ArduinoConfig
 from softcal.station.interfaces import Move
 from softcal.station.testing import Nonconformity, checks
 
@@ -163,10 +164,6 @@ def test_a_driver_with_one_thing_wrong_fails(role, kind, wrong, sentences):
 
 
 def test_a_driver_without_explained_keys_fails():
-    from dataclasses import dataclass
-
-    from softcal.station.drivers.arduino import ArduinoConfig
-
     @dataclass(frozen=True)
     class Silent(ArduinoConfig):
         """No word on its key."""
@@ -176,5 +173,5 @@ def test_a_driver_without_explained_keys_fails():
     (keys,) = [
         check for check in checks(replace(driver_of("readout", "arduino"), config=Silent)) if "keys" in str(check)
     ]
-    with pytest.raises(Nonconformity, match="must explain gain"):
+    with pytest.raises(Nonconformity, match="gain"):
         keys()

@@ -72,27 +72,20 @@ def test_positions_are_stamped_between_question_and_answer(homed):
 
 
 @pytest.mark.parametrize(
-    ("move", "message"),
+    ("move", "facts"),
     [
-        (Move(40.1, 5.0), r"40.1 mm is outside \[0, 40\] mm; nothing was sent"),
-        (Move(-0.1, 5.0), "nothing was sent"),
-        (Move(10.0, 26.0), r"26 mm/s is outside \(0, 25\] mm/s; nothing was sent"),
-        (Move(10.0, 0.0), "nothing was sent"),
+        (Move(40.1, 5.0), r"40\.1 mm .*\[0, 40\] mm"),
+        (Move(-0.1, 5.0), "-0.1 mm "),
+        (Move(10.0, 26.0), r"26 mm/s .*\(0, 25\] mm/s"),
+        (Move(10.0, 0.0), " 0 mm/s"),
     ],
 )
-def test_out_of_range_sends_nothing(homed, move, message):
+def test_out_of_range_sends_nothing(homed, move, facts):
     stage, world, controller = homed
-    with pytest.raises(CommandRefused, match=message):
+    with pytest.raises(CommandRefused, match=facts):
         stage.begin(move)
     world.sleep_s(0.1)
     assert not controller.axis.is_moving
-
-
-def test_a_stage_that_was_not_homed_does_not_move(far_end):
-    world, controller = far_end
-    stage = GrblStage(Link(controller.wire.port, world))
-    with pytest.raises(CommandRefused, match="not homed"):
-        stage.begin(Move(1.0, 1.0))
 
 
 def test_stop_brakes_at_once_and_keeps_the_position(homed):
@@ -132,20 +125,11 @@ def test_a_host_that_comes_back_after_a_stall_finishes_the_move(homed):
     assert controller.axis.position_mm == pytest.approx(21.0, abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("setting", "value", "message"), [(22, 0.0, "homing is disabled"), (13, 1.0, "reported in inches")]
-)
-def test_a_controller_that_is_not_set_up_is_refused(far_end, setting, value, message):
+@pytest.mark.parametrize(("setting", "value", "cure"), [(22, 0.0, r"\$22=1"), (13, 1.0, r"\$13=0")])
+def test_a_controller_that_is_not_set_up_is_refused(far_end, setting, value, cure):
     world, controller = far_end
     controller.settings[setting] = value
-    with pytest.raises(CommandRefused, match=message):
-        GrblStage(Link(controller.wire.port, world))
-
-
-def test_a_silent_port_is_no_controller(far_end):
-    world, controller = far_end
-    controller.wire.is_silent = True
-    with pytest.raises(NoReply, match="no GRBL controller|no answer"):
+    with pytest.raises(CommandRefused, match=cure):
         GrblStage(Link(controller.wire.port, world))
 
 
@@ -153,11 +137,12 @@ def test_a_reset_in_mid_run_makes_the_position_unknown_until_homed_again(homed):
     stage, world, controller = homed
     stage.begin(Move(21.0, 10.0))
     world.at(world.now_s() + 0.3, controller.dip_power)
-    with pytest.raises(DeviceError, match="started again by itself"):
+    with pytest.raises(DeviceError) as restarted:
         poll_until_done(stage, world)
+    assert restarted.value.reason.code == "grbl.restarted"
     stage.stop()
     assert not stage.is_position_known
-    with pytest.raises(CommandRefused, match="not homed"):
+    with pytest.raises(CommandRefused):
         stage.begin(Move(1.0, 1.0))
     stage.home()
     assert stage.position_mm == pytest.approx(controller.axis.position_mm, abs=1e-3)
@@ -166,7 +151,7 @@ def test_a_reset_in_mid_run_makes_the_position_unknown_until_homed_again(homed):
 def test_a_port_has_one_owner_and_the_other_is_named(far_end):
     world, controller = far_end
     first = Link(controller.wire.port, world)
-    with pytest.raises(NoReply, match="cannot be opened|in use"):
+    with pytest.raises(NoReply, match=controller.wire.port):
         Link(controller.wire.port, world)
     first.close()
     Link(controller.wire.port, world).close()

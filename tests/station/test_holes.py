@@ -13,7 +13,7 @@ from softcal.core.words.reason import plain
 from softcal.station.acquisition import FEELING, PRESSING, record
 from softcal.station.config import station_from_table
 from softcal.station.drivers.grbl import GrblStage
-from softcal.station.identify import DeviceIdentity
+from softcal.station.identify import DeviceIdentity, identify
 from softcal.station.interfaces import Held, Move
 from softcal.station.link import Link
 from softcal.station.motion import StoppedByHand
@@ -22,6 +22,7 @@ from softcal.station.simulated.grbl import SimulatedGrbl
 from softcal.station.simulated.law_unit import ForceLaw
 from softcal.station.simulated.motion import Axis
 from softcal.station.simulated.rig_trial import RigCase, open_rig, press, press_until_gone
+from softcal.station.simulated.text_stream import SimulatedTextStream
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
 
@@ -76,9 +77,9 @@ def test_a_stop_that_had_to_cut_the_motion_still_lifts(slow_stage):
 def test_default_acceleration_and_a_stop_of_20_N_mm_stay_at_the_limit_and_end_lifted():
     case = replace(QUICK, acceleration_mm_s2=10.0, law=ForceLaw(stop_mm=1.5, stop_N_mm=20.0))
     outcome = press(case, ramps([2.0], 5.0, rest_s=0.5))
-    assert "the limit is 5 N" in outcome.message
+    assert " 5 N" in outcome.message
     assert outcome.largest_N < 6.0
-    assert outcome.is_up and "the stage is stopped and lifted" in outcome.message
+    assert outcome.is_up
 
 
 @pytest.mark.parametrize("stop_N_mm", [100.0, 1000.0])
@@ -92,7 +93,7 @@ def test_a_hard_stop_under_a_soft_layer_is_met_slowly(stop_N_mm):
 def test_a_rigid_thing_in_the_way_of_the_approach_is_met_slowly():
     case = replace(QUICK, stiffest_N_mm=1000.0, surface_mm=1.2, law=ForceLaw(stop_mm=0.0, stop_N_mm=1000.0))
     outcome = press(case, PROFILE)
-    assert "something is in the way at 1.2" in outcome.message
+    assert " 1.2" in outcome.message
     assert outcome.largest_N < 0.9 * case.capacity_N
     assert outcome.is_up
 
@@ -100,19 +101,14 @@ def test_a_rigid_thing_in_the_way_of_the_approach_is_met_slowly():
 def test_a_profile_that_a_stop_cannot_hold_is_refused_with_the_speed_that_can():
     case = replace(QUICK, acceleration_mm_s2=10.0, law=ForceLaw(stop_mm=1.0, stop_N_mm=8.0), limit_N=15.0)
     outcome = press(case, ramps([1.8], 8.0, rest_s=0.5))
-    assert "a stop could end at" in outcome.message
-    fastest = float(re.search(r"press at ([\d.]+) mm/s or slower", outcome.message)[1])
+    fastest = min(map(float, re.findall(r"([\d.]+) mm/s(?!²)", outcome.message)))
     assert 0.0 < fastest < 8.0
     assert press(case, ramps([1.8], 0.95 * fastest, rest_s=0.5)).message == ""
 
 
 def test_the_self_test_watches_the_force_and_keeps_above_the_approach():
     with open_rig(replace(QUICK, surface_mm=1.4, law=ForceLaw(stop_mm=0.0, stop_N_mm=60.0))) as (bench, station):
-        findings = self_test(bench)
-        stage = [finding for finding in findings if not finding.is_good]
-        assert any(
-            "something is in the way" in str(finding.cure) and "lifted" in str(finding.cure) for finding in stage
-        )
+        assert not all(finding.is_good for finding in self_test(bench) if str(finding.device) == "stage")
         assert station.axis.deepest_mm - 1.4 < 12.0 / 60.0
     with open_rig(QUICK) as (bench, station):
         assert all(finding.is_good for finding in self_test(bench) if str(finding.device) == "stage")
@@ -128,8 +124,9 @@ def test_the_self_test_can_be_stopped():
                 homed_s.append(bench.clock.now_s())
                 raise KeyboardInterrupt
 
-        with pytest.raises(StoppedByHand, match="stopped by the keyboard; the stage is stopped and lifted"):
+        with pytest.raises(StoppedByHand) as stopped:
             self_test(bench, on_wait=press_ctrl_c)
+        assert stopped.value.reason.values["state"].code == "left.lifted"
         assert homed_s and not station.axis.is_moving
 
 
@@ -137,21 +134,22 @@ def test_the_self_test_can_be_stopped():
 def test_a_held_stage_is_not_lifted_and_the_load_on_the_unit_is_said(phase):
     with open_rig(QUICK) as (bench, station):
         hold_when(station, phase, 0.8)
-        with pytest.raises(Held, match=r"not lifted, with -?[\d.]+ N on the load cell") as caught:
+        with pytest.raises(Held, match=r" -?[\d.]+ N ") as caught:
             record(bench, "H1", PROFILE, True, station.on_progress)
         stands_mm = station.axis.position_mm
         station.world.sleep_s(10.0)
         assert station.axis.position_mm == stands_mm
-        said_N = float(re.search(r"with (-?[\d.]+) N on", str(caught.value))[1])
+        left = caught.value.reason.values["state"]
+        assert (left.code, left.values["state"].code) == ("left.stands", "left.held")
         depth_mm = stands_mm - QUICK.surface_mm
-        assert said_N == pytest.approx(float(QUICK.law.force_N(depth_mm)), abs=0.15)
+        assert left.values["force_N"] == pytest.approx(float(QUICK.law.force_N(depth_mm)), abs=0.15)
 
 
 def test_a_stage_held_while_it_goes_back_ends_the_run_in_time():
     with open_rig(QUICK) as (bench, station):
         hold_when(station, "reading the zero return", 0.05)
         began_s = station.world.now_s()
-        with pytest.raises(Held, match="not lifted"):
+        with pytest.raises(Held):
             record(bench, "H1", PROFILE, True, station.on_progress)
         assert station.world.now_s() - began_s < 60.0
 
@@ -160,17 +158,14 @@ def test_a_stage_held_while_it_is_lifted_after_a_stop_stays_there():
     with open_rig(QUICK) as (bench, station):
 
         def break_cell_then_hold(progress):
-            if (
-                progress.phase == PRESSING
-                and progress.stage_mm > QUICK.surface_mm + 1.5
-                and station.force_wire.is_plugged
-            ):
+            is_deep = progress.phase == PRESSING and progress.stage_mm > QUICK.surface_mm + 1.5
+            if is_deep and station.force_wire.is_plugged:
                 station.force_wire.unplug()
                 station.world.at(station.world.now_s() + 0.35, station.stage.press_hold)
 
-        with pytest.raises(NoReply, match="not lifted, it may stand on the unit") as caught:
+        with pytest.raises(NoReply) as caught:
             record(bench, "H1", PROFILE, True, break_cell_then_hold)
-        assert "could not be lifted" not in str(caught.value)
+        assert caught.value.reason.values["state"].code == "left.may_stand"
         stands_mm = station.axis.position_mm
         station.world.sleep_s(10.0)
         assert station.axis.position_mm == stands_mm
@@ -194,12 +189,11 @@ def test_ctrl_c_stops_lifts_and_says_so():
             if progress.phase == PRESSING and progress.stage_mm > QUICK.surface_mm + 1.0:
                 raise KeyboardInterrupt
 
-        with pytest.raises(
-            StoppedByHand, match="stopped by the keyboard; the stage is stopped and lifted, the run is a"
-        ):
+        with pytest.raises(StoppedByHand) as stopped:
             record(bench, "C1", PROFILE, True, interrupt)
+        assert stopped.value.reason.values["state"].code == "left.lifted"
         assert station.axis.position_mm == pytest.approx(QUICK.approach_mm, abs=0.01)
-        assert isinstance(StoppedByHand(""), DeviceError)  # the command says it in one line and ends with exit code 3
+        assert isinstance(stopped.value, DeviceError)  # Exit code 3.
 
 
 def test_the_self_test_names_unsafe_settings_and_the_command_that_mends_each():
@@ -207,23 +201,22 @@ def test_the_self_test_names_unsafe_settings_and_the_command_that_mends_each():
         bench.stage.settings.values.update({1: 25.0, 20: 0.0, 21: 0.0})
         found = {str(f.value): str(f.cure) for f in self_test(bench) if str(f.what) == "setting"}
     assert set(found) == {"$1=25", "$20=0", "$21=0", "$122=10"}
-    assert [cure.split(" once")[0] for cure in found.values()] == [
-        "send $1=255", "send $20=1", "send $21=1", "send $122=200",
-    ]  # fmt: skip
+    cures = [re.findall(r"\$\d+=\d+", cure) for cure in found.values()]
+    assert cures == [["$1=255"], ["$20=1"], ["$21=1"], ["$122=200"]]
 
 
 TABLE = {"stage": {"port": "/dev/a"}, "readout": {"port": "/dev/b"}}
 
 
 def test_a_station_without_a_load_cell_is_refused_unless_a_person_answers_for_it():
-    with pytest.raises(InputError, match=r"section \[force\] is missing, so nothing limits the force"):
+    with pytest.raises(InputError, match=r"\[force\]"):
         station_from_table(TABLE)
     assert station_from_table(TABLE | {"safety": {"without_cell": True}}).force is None
 
 
 def test_a_limit_that_leaves_no_room_to_stop_is_refused():
     force = {"port": "/dev/c", "capacity_N": 20.0}
-    with pytest.raises(InputError, match=r"safety.force_N is 19; a value in \[0, 16\]"):
+    with pytest.raises(InputError, match=r"safety\.force_N .*19.*\[0, 16\]"):
         station_from_table(TABLE | {"force": force, "safety": {"force_N": 19.0}})
 
 
@@ -233,27 +226,24 @@ STAGE = DeviceIdentity("/dev/s", "stage", "grbl", plain("Grbl 1.1h"))
 def test_two_streams_that_could_be_either_are_not_guessed_between():
     first = DeviceIdentity("/dev/1", "readout", "arduino", plain("text stream"), 80.0, 1)
     second = DeviceIdentity("/dev/2", "readout", "arduino", plain("text stream"), 50.0, 1)
-    with pytest.raises(NoReply, match=r"/dev/1.*/dev/2.*could each be a sensor readout"):
+    with pytest.raises(NoReply, match="/dev/1.*/dev/2"):
         station_of([STAGE, first, second])
 
 
 def test_a_station_file_is_never_made_without_a_load_cell():
     readout = DeviceIdentity("/dev/1", "readout", "arduino", plain("softcal readout 1"), 50.0, 1)
-    with pytest.raises(NoReply, match="not found: a load cell"):
+    with pytest.raises(NoReply) as missing:
         station_of([STAGE, readout])
+    assert missing.value.reason.values["parts"].code == "part.cell"
 
 
 def test_a_bare_stream_of_small_counts_is_not_taken_for_a_readout(rng):
-    from softcal.station.identify import identify
-    from softcal.station.simulated.text_stream import SimulatedTextStream
-
     world, wire = World(), Wire(rng)
     world.add(SimulatedTextStream(wire, lambda now_s: (8_000 + int(rng.integers(-40, 40)),), 80.0, banner=b""))
     world.sleep_s(2.0)
     found = identify(wire.port, world)
     wire.close()
     assert found.role == ""
-    assert "load cell or readout" in str(found.says)
 
 
 def test_every_move_of_softcal_is_made_in_one_place():
@@ -298,4 +288,4 @@ def test_a_controller_that_runs_on_further_than_it_was_told_is_a_fault():
         told = bench.stage.runs_on_mm
         bench.stage.runs_on_mm = lambda move: told(move) - 0.1
         (found,) = [f for f in self_test(bench) if str(f.what) == "ran on when left alone"]
-    assert "further than it was told" in str(found.cure)
+    assert not found.is_good

@@ -32,30 +32,21 @@ def station(rng):
 
 
 def test_each_device_is_known_by_what_it_says(station):
-    found = {
-        device.role: device
-        for device in (
-            identify(wire.port, station.world)
-            for wire in (station.stage_wire, station.force_wire, station.readout_wire)
-        )
-    }
+    wires = (station.stage_wire, station.force_wire, station.readout_wire)
+    found = {device.role: device for device in (identify(wire.port, station.world) for wire in wires)}
     assert (found["stage"].kind, found["force"].kind, found["readout"].kind) == ("grbl", "hx711", "arduino")
     assert found["force"].rate_Hz == pytest.approx(80.0, rel=0.1)
     assert found["readout"].rate_Hz == pytest.approx(50.0)
 
 
 @pytest.mark.parametrize(
-    ("wire", "english", "korean"),
-    [
-        ("stage_wire", "Grbl 1.1h|GRBL controller, ", "라고 응답|GRBL 제어기, "),
-        ("force_wire", "says 'softcal load cell", "라고 응답"),
-        ("readout_wire", "says 'softcal readout", "라고 응답"),
-    ],
+    ("wire", "answer"),
+    [("stage_wire", "Grbl|GRBL"), ("force_wire", "softcal load cell"), ("readout_wire", "softcal readout")],
 )
-def test_every_port_says_what_it_is_taken_for_and_why_in_both_languages(station, wire, english, korean):
+def test_every_port_says_what_it_answered_in_both_languages(station, wire, answer):
     says = identify(getattr(station, wire).port, station.world).says
-    assert re.search(english, str(says))
-    assert re.search(korean, said(says, partial(text, "ko")))
+    in_korean = said(says, partial(text, "ko"))
+    assert re.search(answer, str(says)) and re.search(answer, in_korean) and in_korean != str(says)
 
 
 def test_a_port_that_another_program_has_open_without_a_lock_is_named_and_left_alone(station, monkeypatch):
@@ -67,8 +58,8 @@ def test_a_port_that_another_program_has_open_without_a_lock_is_named_and_left_a
         (found,) = rig.find_devices([])
         other.kill()
     assert found.role == ""
-    assert re.search(rf"in use by .*process {other.pid}\)", str(found.says))
-    with pytest.raises(NoReply, match=r"not found: a stage and a sensor readout and a load cell.*in use by"):
+    assert re.search(rf"\b{other.pid}\b", str(found.says))
+    with pytest.raises(NoReply, match=rf"\b{other.pid}\b"):
         rig.station_of([found])
 
 
@@ -77,7 +68,7 @@ def test_a_controller_that_cannot_home_is_told_every_setting_that_is_unsafe(stat
     with pytest.raises(CommandRefused) as refused:
         GrblStage(link.Link(station.stage_wire.port, station.world))
     for command in ("$22=1", "$1=255", "$20=1", "$122=200"):
-        assert f"send {command} once" in str(refused.value)
+        assert command in str(refused.value)
 
 
 def test_a_device_that_says_nothing_is_no_device(station):
@@ -110,8 +101,9 @@ def test_a_run_waits_for_a_board_that_boots_and_moves_nothing_meanwhile(board):
 def test_a_board_that_never_speaks_ends_the_run_before_anything_moves():
     with open_simulated_bench(seed=1) as (bench, station):
         at_mm, station.readout_wire.is_silent = station.axis.position_mm, True
-        with pytest.raises(NoReply, match="sensor readout: nothing for"):
+        with pytest.raises(NoReply) as silent:
             record(bench, "A1", QUICK, True)
+        assert silent.value.reason.values["why"].code == "rig.silent"
         assert station.axis.position_mm == at_mm
 
 
@@ -125,11 +117,9 @@ def test_all_faults_are_named_at_once():
         station.stage.switch = "stuck"
         station.readout.rate_factor = 0.5
         station.rig.force_fault = lambda now_s, force_N: force_N + 5.0
-        cures = [str(finding.cure) for finding in self_test(bench) if not finding.is_good]
-    assert len(cures) == 3
-    assert any("stuck" in cure for cure in cures)
-    assert any("50 Hz were expected" in cure for cure in cures)
-    assert any("zero it" in cure for cure in cures)
+        bad = [finding for finding in self_test(bench) if not finding.is_good]
+    assert {str(finding.device) for finding in bad} == {"stage", "load cell", "sensor readout"} and len(bad) == 3
+    assert any("50 Hz" in str(finding.cure) for finding in bad)
 
 
 def test_without_motion_nothing_moves():

@@ -2,7 +2,6 @@
 
 import inspect
 import sys
-from dataclasses import replace
 
 import pytest
 
@@ -30,7 +29,7 @@ def test_range_and_resolution_are_set_as_the_file_says():
 def test_a_range_that_the_device_does_not_have_is_refused():
     with DriverRig(DRIVER) as rig:
         rig.simulated.far_end._value = lambda name, now_s: 10.0
-        with pytest.raises(CommandRefused, match="AIN0_RANGE was set to 0.1 and reads 10"):
+        with pytest.raises(CommandRefused, match="AIN0_RANGE.* 0.1 .* 10"):
             rig.open(full_scale_V=0.1)
 
 
@@ -49,7 +48,7 @@ def test_a_setting_that_cannot_be_is_refused_when_the_file_is_read(key, value, s
 
 def test_without_the_library_both_parts_are_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "labjack.ljm", None)
-    with pytest.raises(NoReply, match=r"install LJM .*pip install 'softcal\[labjack\]'") as caught:
+    with pytest.raises(NoReply, match=r"LJM.*pip install 'softcal\[labjack\]'") as caught:
         DRIVER.open(LabjackConfig("470012345"), Opening(HostClock()))
     assert "\n" not in str(caught.value)
 
@@ -59,8 +58,7 @@ def test_a_voltage_that_is_no_number_is_no_reading():
         reader = rig.open()
         reader.start()
         rig.level = float("nan")
-        error = rig.fault_within(1.0, reader.poll)
-        assert "which is no voltage" in str(error)
+        assert "nan" in str(rig.fault_within(1.0, reader.poll))
 
 
 @pytest.mark.long
@@ -82,8 +80,3 @@ def test_softcal_calls_the_library_as_it_is(monkeypatch):
         own = list(inspect.signature(getattr(SimulatedLjm, name)).parameters)[1:]
         assert own == list(inspect.signature(getattr(ljm, name)).parameters), name
     assert issubclass(ljm.LJMError, Exception)
-
-
-def test_the_driver_of_the_simulated_library_is_the_shipped_one():
-    with DriverRig(DRIVER) as rig:
-        assert isinstance(rig.config, LabjackConfig) and replace(rig.config).kind == DRIVER.kind

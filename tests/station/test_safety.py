@@ -55,7 +55,7 @@ def test_one_late_line_is_no_frozen_channel() -> None:
     watch = StreamWatch(READOUT, SafetyConfig(), 0.0)
     watch.check(Sample(1.00, 1.00, (1.559,)), 1.00)
     watch.check(Sample(1.13, 1.02, (1.559,)), 1.65)
-    with pytest.raises(BadReply, match="does not change"):
+    with pytest.raises(BadReply):
         for k in range(10):
             watch.check(Sample(1.13 + 0.02 * k, 1.04 + 0.02 * k, (1.559,)), 1.65)
 

@@ -1,7 +1,5 @@
 """Bench instruments over SCPI: answers of their manuals, then the driver over TCP, a serial line and PyVISA."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from softcal.station.clock import HostClock
 from softcal.station.driver import Opening
 from softcal.station.drivers.scpi import DRIVERS, DmmConfig, LcrConfig, dmm_setup, lcr_setup, parse_reading
 from softcal.station.link import Link
-from softcal.station.simulated.medium import SocketEnd
+from softcal.station.simulated.medium import SocketEnd, serial_line
 from softcal.station.simulated.scpi import SimulatedDmm, SimulatedLcr
 from softcal.station.simulated.wire import Wire
 from softcal.station.simulated.world import World
@@ -28,41 +26,44 @@ def test_answers_of_the_manuals():
 
 
 @pytest.mark.parametrize(
-    ("line", "message"),
+    ("line", "code"),
     [
-        (b"+9.90000000E+37", "overload"),
-        (b"-9.90000000E+37", "overload"),
-        (b"nan", "overload"),
-        (b"+9.90000E+37,+9.90000E+37,+1", "overload"),
-        (b"+1.0E-11,+1.0E-02,+4", "cannot keep the level"),
-        (b"+1.0E-11,+1.0E-02,-1", "no data"),
-        (b"+1.0E-11,+1.0E-02,+9", "status 9"),
-        (b"+1.0E-11,+1.0E-02,x", "whole number"),
-        (b"", "a number was expected"),
-        (b"Keysight Technologies,34461A", "a number was expected"),
-        (b"\xff\xfe", "a number was expected"),
+        (b"+9.90000000E+37", "scpi.overload"),
+        (b"-9.90000000E+37", "scpi.overload"),
+        (b"nan", "scpi.overload"),
+        (b"+9.90000E+37,+9.90000E+37,+1", "scpi.overloaded"),
+        (b"+1.0E-11,+1.0E-02,+4", "scpi.level"),
+        (b"+1.0E-11,+1.0E-02,-1", "scpi.no_data"),
+        (b"+1.0E-11,+1.0E-02,+9", "scpi.status.other"),
+        (b"+1.0E-11,+1.0E-02,x", "scpi.whole"),
+        (b"", "scpi.reading"),
+        (b"Keysight Technologies,34461A", "scpi.reading"),
+        (b"\xff\xfe", "scpi.reading"),
     ],
 )
-def test_what_is_no_reading_is_not_taken_for_one(line, message):
-    with pytest.raises(BadReply, match=message):
+def test_what_is_no_reading_is_not_taken_for_one(line, code):
+    with pytest.raises(BadReply) as refused:
         parse_reading(line)
+    why = refused.value.reason
+    assert why.values.get("why", why).code == code
 
 
 @pytest.mark.parametrize(
-    ("config", "keys", "message"),
+    ("config", "keys", "facts"),
     [
-        (DmmConfig, {"quantity": "current"}, "known are voltage, resistance, resistance_4w"),
-        (DmmConfig, {"cycles": 0.5}, "known are 0.02, 0.2, 1, 10, 100"),
-        (DmmConfig, {"cycles": 1.0}, "at most 40 readings a second"),
-        (DmmConfig, {"channels": 2}, "reads one channel"),
-        (DmmConfig, {"full_scale": 0.0}, "above 0"),
-        (LcrConfig, {"quantity": "inductance"}, "known are capacitance, resistance"),
-        (LcrConfig, {"frequency_Hz": 5e6}, r"\[20, 2e\+06\]"),
-        (LcrConfig, {"level_V": 0.0}, r"\(0, 20\]"),
+        (DmmConfig, {"quantity": "current"}, r"\.quantity.* voltage, resistance, resistance_4w"),
+        (DmmConfig, {"cycles": 0.5}, r"\.cycles.* 0.02, 0.2, 1, 10, 100"),
+        (DmmConfig, {"cycles": 1.0}, r"\.rate_Hz.* 40 "),
+        (DmmConfig, {"rate_Hz": 500.0}, r"\.rate_Hz.* 200 "),
+        (DmmConfig, {"channels": 2}, r"\.channels .*2"),
+        (DmmConfig, {"full_scale": 0.0}, r"\.full_scale .*0"),
+        (LcrConfig, {"quantity": "inductance"}, r"\.quantity.* capacitance, resistance"),
+        (LcrConfig, {"frequency_Hz": 5e6}, r"\.frequency_Hz.*\[20, 2e\+06\]"),
+        (LcrConfig, {"level_V": 0.0}, r"\.level_V.*\(0, 20\]"),
     ],
 )
-def test_what_the_instrument_cannot_do_is_refused_when_the_file_is_read(config, keys, message):
-    with pytest.raises(InputError, match=message):
+def test_what_the_instrument_cannot_do_is_refused_when_the_file_is_read(config, keys, facts):
+    with pytest.raises(InputError, match=facts):
         config("tcp://10.0.0.1:5025", **keys)
 
 
@@ -140,13 +141,13 @@ def test_fifty_readings_a_second_through_its_integration(wired):
 def test_a_command_the_instrument_does_not_take_is_said_before_anything_moves(wired):
     world, far_end = wired(SimulatedDmm, lambda now_s: 1.0)
     far_end.refuses = "TRIG:DEL"
-    with pytest.raises(CommandRefused, match='-113,"Undefined header"'):
+    with pytest.raises(CommandRefused, match="-113"):
         opened(DMM, DmmConfig(far_end.wire.port), world)
 
 
 def test_another_instrument_at_the_address_is_named(wired):
     world, far_end = wired(SimulatedLcr, lambda now_s: 1.0)
-    with pytest.raises(NoReply, match="E4980A.* is none of 34410A"):
+    with pytest.raises(NoReply, match="E4980A.*34410A"):
         opened(DMM, DmmConfig(far_end.wire.port), world)
     Link(far_end.wire.port, world).close()
 
@@ -156,14 +157,13 @@ def test_an_overload_ends_the_readings(wired):
     reader = opened(LCR, LcrConfig(far_end.wire.port), world)
     collect(world, reader, 0.2)
     far_end.is_overloaded = True
-    with pytest.raises(BadReply, match="overload"):
+    with pytest.raises(BadReply) as over:
         collect(world, reader, 0.5)
+    assert over.value.reason.values["why"].code == "scpi.overloaded"
     reader.close()
 
 
 def test_the_same_driver_over_a_serial_line(wired):
-    from softcal.station.simulated.medium import serial_line
-
     world, far_end = wired(SimulatedDmm, lambda now_s: 42.0, serial_line())
     reader = opened(DMM, DmmConfig(far_end.wire.port), world)
     assert collect(world, reader, 0.3)[0].values == (42.0,)
@@ -228,11 +228,7 @@ def test_an_instrument_switched_off_while_pressing_aborts_the_run():
     profile = moves("short", [0.0, 2.0, 0.0], [2.0, 2.0, 2.0], [0.5, 0.5, 0.5])
     with open_simulated_bench(seed=3, readout_kind="scpi_lcr") as (bench, station):
         tell = {"pressing": station.readout_wire.unplug}
-        with pytest.raises(NoReply, match=r"sensor readout .*gone"):
+        with pytest.raises(NoReply) as gone:
             record(bench, "A1", profile, True, lambda progress: tell.pop(progress.phase, lambda: None)())
+        assert gone.value.reason.values["why"].code == "rig.gone"
         assert not station.axis.is_moving
-
-
-def test_a_config_is_replaced_without_its_checks_being_lost():
-    with pytest.raises(InputError, match="at most"):
-        replace(DmmConfig("tcp://10.0.0.1:5025"), rate_Hz=500.0)

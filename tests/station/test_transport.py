@@ -88,7 +88,7 @@ def test_lines_cross_a_socket_as_they_cross_a_serial_port(echo):
     assert link.next_line(0.5).text == b"one"
     link.write(b"o\n")
     assert link.next_line(0.5).text == b"two"
-    with pytest.raises(NoReply, match=r"readout \(tcp://.*no answer within 0.1 s"):
+    with pytest.raises(NoReply, match=r"readout \(tcp://.* 0\.1 s"):
         link.next_line(0.1)
     link.close()
     link.close()
@@ -112,8 +112,9 @@ def test_a_device_that_closes_its_socket_is_gone(echo):
     link.write(b"x\n")
     link.next_line(0.5)
     wire.unplug()
-    with pytest.raises(NoReply, match="the device is gone"):
+    with pytest.raises(NoReply) as gone:
         link.next_line(1.0)
+    assert gone.value.reason.code == "rig.gone"
 
 
 def test_what_was_sent_before_the_end_is_still_read():
@@ -123,20 +124,20 @@ def test_what_was_sent_before_the_end_is_still_read():
         device.sendall(b"last words\n")
         device.close()
         assert link.next_line(2.0).text == b"last words"
-        with pytest.raises(NoReply, match="gone"):
+        with pytest.raises(NoReply):
             link.next_line(2.0)
 
 
 def test_an_address_where_nothing_listens_is_named():
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
-    with pytest.raises(NoReply, match=rf"stage \(tcp://127.0.0.1:{port}\): cannot be reached"):
+    with pytest.raises(NoReply, match=rf"stage \(tcp://127.0.0.1:{port}\)"):
         Link(f"tcp://127.0.0.1:{port}", HostClock(), name="stage")
 
 
 @pytest.mark.parametrize("port", ["tcp://localhost", "tcp://localhost:0", "tcp://localhost:70000", "tcp://:5025"])
 def test_a_badly_written_address_is_refused_with_an_example(port):
-    with pytest.raises(NoReply, match=r"tcp://192.168.0.7:5025 was expected"):
+    with pytest.raises(NoReply, match=r"tcp://192\.168\.0\.7:5025"):
         Link(port, HostClock())
 
 
@@ -148,10 +149,6 @@ def test_a_driver_that_refuses_its_device_gives_the_port_back(rng):
     wire.close()
 
 
-def _answer(link: Link) -> bytes:
-    return link.next_line(3.0).text
-
-
 def test_questions_and_answers_over_a_visa_socket(echo, require):
     pytest.importorskip("pyvisa_py")
     world, wire = echo
@@ -160,7 +157,7 @@ def test_questions_and_answers_over_a_visa_socket(echo, require):
         link = Link(f"TCPIP0::127.0.0.1::{port}::SOCKET", HostClock())
         for k in range(20):
             link.write(b"READ? %d\n" % k)
-            assert _answer(link) == b"READ? %d" % k
+            assert link.next_line(3.0).text == b"READ? %d" % k
         link.close()
         link.close()
 
@@ -173,7 +170,7 @@ def test_a_visa_device_that_goes_away_is_gone(rng):
     with world.in_background():
         link = Link(f"TCPIP0::127.0.0.1::{wire.port.rpartition(':')[2]}::SOCKET", HostClock(), name="readout")
         link.write(b"?\n")
-        assert _answer(link) == b"?"
+        assert link.next_line(3.0).text == b"?"
         wire.unplug()
         with pytest.raises(NoReply, match="readout"):
             for _ in range(50):
@@ -261,7 +258,7 @@ def test_a_usb_instrument_through_pyvisa(tmp_path, monkeypatch):
     link = Link("USB0::0x2A8D::0x1301::MY1::INSTR", HostClock(), name="readout")
     link.write(b"CONF:RES\n")
     link.write(b"*IDN?\n")
-    assert _answer(link) == b"softcal,meter,1,0"
+    assert link.next_line(3.0).text == b"softcal,meter,1,0"
     link.close()
 
 
@@ -278,9 +275,7 @@ def test_a_visa_resource_that_is_not_there_is_seen_at_the_first_question():
 
 def test_a_visa_resource_that_cannot_be_opened_is_named():
     pytest.importorskip("pyvisa_py")
-    with pytest.raises(
-        NoReply, match=r"readout \(USB0::0x0000::0x0000::NOBODY::INSTR\): cannot be opened.*pyvisa-shell"
-    ):
+    with pytest.raises(NoReply, match=r"readout \(USB0::0x0000::0x0000::NOBODY::INSTR\)"):
         Link("USB0::0x0000::0x0000::NOBODY::INSTR", HostClock(), name="readout")
 
 

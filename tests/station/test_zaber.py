@@ -5,7 +5,7 @@ from zaber_motion import Units
 from zaber_motion.ascii import Connection
 from zaber_motion.exceptions import CommandFailedException
 
-from softcal.core.errors import BadReply, CommandRefused, DeviceError, NoReply
+from softcal.core.errors import BadReply, CommandRefused, DeviceError
 from softcal.station.drivers.zaber import ZaberStage
 from softcal.station.frames import zaber
 from softcal.station.interfaces import Move
@@ -99,19 +99,17 @@ def test_declared_quantities_agree_with_the_simulated_device(driver):
     assert device.max_speed_mm_s == pytest.approx(25.0, rel=1e-4)
     device.speed = 5000.0
     assert stage.settings["maxspeed"] == 5000.0
-    with pytest.raises(CommandRefused, match="nothing was sent"):
+    with pytest.raises(CommandRefused):
         device.speed = -1.0
+    assert stage.settings["maxspeed"] == 5000.0
 
 
-def test_out_of_range_or_not_homed_sends_nothing(driver):
+def test_out_of_range_sends_nothing(driver):
     device, _, stage = driver
-    with pytest.raises(CommandRefused, match="not homed"):
-        device.begin(Move(5.0, 4.0))
     device.home()
-    with pytest.raises(CommandRefused, match=r"outside \[0, 40\] mm"):
-        device.begin(Move(41.0, 4.0))
-    with pytest.raises(CommandRefused, match="mm/s"):
-        device.begin(Move(5.0, 400.0))
+    for move, facts in ((Move(41.0, 4.0), r"41 mm .*\[0, 40\] mm"), (Move(5.0, 400.0), "400 mm/s")):
+        with pytest.raises(CommandRefused, match=facts):
+            device.begin(move)
     assert not stage.axis.is_moving
 
 
@@ -126,23 +124,12 @@ def test_stop_brakes_and_keeps_the_position(driver):
     assert device.position_mm == pytest.approx(stage.axis.position_mm, abs=1e-3)
 
 
-@pytest.mark.parametrize(("fault", "message"), [("stall", "stalled and stopped"), ("turn_knob", "moved by its knob")])
-def test_a_move_that_was_not_undisturbed_is_not_good(driver, fault, message):
+@pytest.mark.parametrize(("fault", "flag"), [("stall", "FS"), ("turn_knob", "NC")])
+def test_a_move_that_was_not_undisturbed_is_not_good(driver, fault, flag):
     device, world, stage = driver
     device.home()
     device.begin(Move(30.0, 10.0))
     world.at(world.now_s() + 0.5, getattr(stage, fault))
-    with pytest.raises(DeviceError, match=message):
+    with pytest.raises(DeviceError, match=flag):
         finish(device, world)
     assert not device.is_position_known
-
-
-def test_a_device_that_falls_silent_is_seen(driver):
-    device, world, stage = driver
-    device.home()
-    device.begin(Move(30.0, 10.0))
-    stage.wire.is_silent = True
-    began_s = world.now_s()
-    with pytest.raises(NoReply):
-        finish(device, world)
-    assert world.now_s() - began_s < 0.5
