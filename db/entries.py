@@ -346,12 +346,14 @@ class User:
         role: operator, engineer or quality.
         is_active: whether the person may sign in.
         version: counts the changes, so that two editors do not overwrite each other.
+        is_alone: whether nobody else has an account, and the role decides about people.
     """
 
     name: str
     role: str
     is_active: bool
     version: int
+    is_alone: bool = False
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from datetime import timedelta
 from functools import cache
 from typing import TYPE_CHECKING
 
-from sqlalchemy import Connection, RowMapping, insert, select, update
+from sqlalchemy import Connection, RowMapping, func, insert, select, update
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason, reason
@@ -79,22 +79,22 @@ class People(RegistryBase):
                 raise InputError(Reason("account.changed", {"name": repr(name), "found": found, "version": version}))
             if known is None and pin is None:
                 raise InputError(Reason("account.needs_pin", {"name": repr(name)}))
-            user = User(name, role, is_active, version + 1)
-            values = vars(user) | {"failures": 0, "locked_until": None, "changed_at": self.settings.clock()}
+            values = {"name": name, "role": role, "is_active": is_active, "version": version + 1}
+            values |= {"failures": 0, "locked_until": None, "changed_at": self.settings.clock()}
             if pin is not None:
                 values["pin_hash"] = _hasher().hash(pin)
             statement = insert(users) if known is None else update(users).where(users.c.name == name)
             connection.execute(statement.values(**values))
             before = people_as_told(known) if known else None
-            kept = _row(connection, name)
-            after = {} if kept is None else people_as_told(kept)
-            self._tell(connection, "set_user", name, after, before, actor, reason)
-            return user
+            kept = connection.execute(select(users).where(users.c.name == name)).mappings().one()
+            self._tell(connection, "set_user", name, people_as_told(kept), before, actor, reason)
+            return user_of(connection, kept)
 
     def users(self) -> list[User]:
         """Return everybody by name."""
         with self.database.reading() as connection:
-            return [_user(row) for row in connection.execute(select(users).order_by(users.c.name)).mappings()]
+            rows = connection.execute(select(users).order_by(users.c.name)).mappings().all()
+            return [user_of(connection, row) for row in rows]
 
     def sign_in(self, name: str, pin: str) -> User:
         """Return the person when the PIN is right.
@@ -116,9 +116,10 @@ class People(RegistryBase):
                 if pause:
                     self._tell(connection, "lock", name, {"until": pause}, None, name)
             refused = _refusal(row, is_locked, is_right)
-        if refused is not None or row is None:
+            user = None if row is None else user_of(connection, row)
+        if refused is not None or user is None:
             raise InputError(refused or Reason("account.wrong_pin"))
-        return _user(row)
+        return user
 
     def _tell(
         self,
@@ -136,14 +137,31 @@ class People(RegistryBase):
         )
 
 
+def permissions(user: User) -> frozenset[str]:
+    """Return what a person may do: what the role allows, and everything while nobody else has an account.
+
+    Who decides about people could give themselves a second account, so that this gives no right that was not there.
+    """
+    if not user.is_active:
+        return frozenset()
+    return frozenset().union(*PERMISSIONS.values()) if user.is_alone else PERMISSIONS[user.role]
+
+
 def may(user: User, action: str) -> bool:
-    """Whether a person's role allows an action of `PERMISSIONS`."""
-    return user.is_active and action in PERMISSIONS[user.role]
+    """Whether a person may do an action of `PERMISSIONS`."""
+    return action in permissions(user)
+
+
+def user_of(connection: Connection, row: RowMapping) -> User:
+    """Return the person of a row that has name, role, is_active and version."""
+    is_alone = "people" in PERMISSIONS[row["role"]] and connection.scalar(select(func.count()).select_from(users)) == 1
+    return User(row["name"], row["role"], row["is_active"], row["version"], is_alone)
 
 
 def people_as_told(row: RowMapping) -> dict[str, object]:
     """Return a person as the audit trail tells of one: the hash of the PIN only as a hash of its own."""
-    return vars(_user(row)) | {"pin_sha256": hashlib.sha256(row["pin_hash"].encode()).hexdigest()}
+    told = {name: row[name] for name in ("name", "role", "is_active", "version")}
+    return told | {"pin_sha256": hashlib.sha256(row["pin_hash"].encode()).hexdigest()}
 
 
 def _refusal(row: RowMapping | None, is_locked: bool, is_right: bool) -> Reason | None:
@@ -165,7 +183,3 @@ def _is_pin(stored: str, pin: str) -> bool:
 
 def _row(connection: Connection, name: str) -> RowMapping | None:
     return connection.execute(select(users).where(users.c.name == name)).mappings().first()
-
-
-def _user(row: RowMapping) -> User:
-    return User(row["name"], row["role"], row["is_active"], row["version"])

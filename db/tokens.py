@@ -14,6 +14,7 @@ from sqlalchemy import Connection, RowMapping, insert, select, update
 from softcal.core.errors import InputError
 from softcal.db import history
 from softcal.db.entries import Token, User
+from softcal.db.people import user_of
 from softcal.db.registry_base import RegistryBase, damaged
 from softcal.db.tables import audit, canonical_json, tokens, users
 
@@ -81,14 +82,14 @@ class TokenTable(RegistryBase):
             InputError: unknown, ended or withdrawn, or its account is not active; it does not say which.
             RegistryError: the token stands in the table and not in the audit trail.
         """
-        query = select(tokens, users.c.role, users.c.is_active, users.c.version).join(users)
+        query = select(tokens, users.c.name, users.c.role, users.c.is_active, users.c.version).join(users)
         with self.database.reading() as connection:
             row = connection.execute(query.where(tokens.c.sha256 == _sha256(secret))).mappings().first()
             if row is None or row["is_withdrawn"] or not row["is_active"] or row["ends_at"] <= self.settings.clock():
                 raise InputError("this token is unknown, has ended or was withdrawn, or its account is not active")
             if _last_told(connection, row["token_id"]) != canonical_json(history.plain(token_as_told(row))):
                 raise damaged(f"token {row['token_id']} is not what the audit trail tells of it")
-        return User(row["account"], row["role"], row["is_active"], row["version"])
+            return user_of(connection, row)
 
     def _row(self, connection: Connection, token_id: str) -> RowMapping:
         row = connection.execute(select(tokens).where(tokens.c.token_id == token_id)).mappings().first()

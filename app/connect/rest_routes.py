@@ -26,7 +26,7 @@ from softcal.db.entries import User
 from softcal.db.job_board import Job
 from softcal.db.lot_pages import UnitFilter
 from softcal.db.outbox import cursor_of, cursor_text
-from softcal.db.people import PERMISSIONS, may
+from softcal.db.people import PERMISSIONS, may, permissions
 from softcal.db.registry import Registry
 
 MOST = 500
@@ -89,8 +89,8 @@ routes = APIRouter()
 @routes.get("/me", response_model=answers.AccountAnswer, tags=["account"])
 def me(user: SignedIn) -> dict[str, Any]:
     """Say whose token this is."""
-    permissions = sorted(PERMISSIONS[user.role])
-    return {"account": user.name, "role": user.role, "permissions": permissions, "version": version("softcal")}
+    known = {"account": user.name, "role": user.role, "permissions": sorted(permissions(user))}
+    return known | {"version": version("softcal")}
 
 
 @routes.get("/lots", response_model=answers.LotPageAnswer, tags=["lots"])

@@ -6,6 +6,7 @@ import pytest
 
 from softcal.app.texts.catalogue import catalogue, text
 from softcal.app.ui import account as identity
+from softcal.app.ui import browser_memory
 from softcal.app.ui.pages import PAGES, pages_for
 from softcal.app.ui.pins import FREE_FAILURES, Pauses
 from softcal.core.errors import InputError
@@ -49,6 +50,36 @@ def test_the_first_person_becomes_quality_by_the_code_that_the_server_printed(ne
     assert capfd.readouterr().out.count(code) == 1
     first_person(screen, code.replace("-", " "))
     assert people_of(new_registry) == [("Quinn", "quality")]
+
+
+def test_the_first_person_may_open_every_page_and_has_the_rights_of_the_role_after_the_second(
+    new_registry, show
+) -> None:
+    first_person(show(new_registry, "sign_in", role=None), identity.first_code())
+
+    def opened() -> list[str]:
+        with open_registry(new_registry) as registry:
+            return [page.name for page in pages_for(registry.sign_in("Quinn", "7391"))]
+
+    assert opened() == [page.name for page in PAGES]
+    identity._sign_ins()["alone"] = identity.SignIn("Quinn", datetime.now(UTC) + timedelta(hours=1))
+
+    def as_quinn(page: str):
+        screen = show(new_registry, page, role=None)
+        screen.session_state[browser_memory.STATE] = {identity.SESSION: "alone"}
+        return screen.run()
+
+    assert {"start-files", "start-station"} <= {button.key for button in as_quinn("start").button}
+    people = as_quinn("people")
+    assert not people.info
+    people.text_input(key="people-name--0").set_value("Erin")
+    people.selectbox(key="people-role--0").set_value("engineer")
+    for field in ("pin", "again"):
+        people.text_input(key=f"people-{field}--0").set_value("2583")
+    people.text_input(key="reason-text-people--0").set_value("second colleague")
+    people.button[0].click().run()
+    assert len(people.info) == 1
+    assert "new_lot" not in opened() and "people" in opened()
 
 
 def test_nobody_becomes_the_first_person_without_the_code(new_registry, show) -> None:

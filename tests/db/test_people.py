@@ -7,7 +7,7 @@ from sqlalchemy import select
 
 from softcal.core.errors import InputError
 from softcal.db.connection import open_registry
-from softcal.db.people import LOCKED_FOR, MOST_FAILURES, may
+from softcal.db.people import LOCKED_FOR, MOST_FAILURES, PERMISSIONS, may
 from softcal.db.registry_base import RegistrySettings
 from softcal.db.tables import users
 
@@ -74,3 +74,23 @@ def test_a_senseless_person_is_refused(registry, role, pin):
     with pytest.raises(InputError):
         registry.set_user("kim", role, pin, actor="admin")
     assert registry.users() == []
+
+
+def test_who_is_alone_may_do_everything_until_a_second_account_exists(registry):
+    everything = frozenset().union(*PERMISSIONS.values())
+    first = registry.set_user("quinn", "quality", "7391", actor="quinn")
+    _, secret = registry.add_token("quinn", "trial", 1, actor="quinn")
+    for alone in (first, registry.sign_in("quinn", "7391"), *registry.users(), registry.user_of_token(secret)):
+        assert {action for action in everything if may(alone, action)} == everything
+    registry.set_user("kim", "operator", "2580", actor="quinn")
+    known = (registry.sign_in("quinn", "7391"), registry.users()[1], registry.user_of_token(secret))
+    for quality in known:
+        assert {action for action in everything if may(quality, action)} == PERMISSIONS["quality"]
+    # Who may not sign in any more was somebody: duties that were parted stay so.
+    registry.set_user("kim", "operator", actor="quinn", is_active=False, version=1)
+    assert not may(registry.sign_in("quinn", "7391"), "set_up")
+
+
+def test_an_only_account_that_may_not_make_others_gets_nothing_more(registry):
+    operator = registry.set_user("kim", "operator", "2580", actor="admin")
+    assert not may(operator, "people") and not may(operator, "set_up")

@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from softcal.app.ui.account import actor
+from softcal.app.ui.account import actor, person
 from softcal.app.ui.desk import ask_reason, in_words, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
@@ -21,11 +21,15 @@ def render() -> None:
     heading("people")
     if done := st.session_state.pop("people-done", ""):
         st.success(done, icon=":material/check:")
+    if st.session_state.pop("people-parted", False):
+        st.info(say("people.parted", role=say(f"role.{person().role}")), icon=":material/group_add:")
     left, right = st.columns([3, 2])
     with left:
         table([_row(user) for user in people])
         for role in ROLES:
             st.caption(f"**{say(f'role.{role}')}** · {say(f'role.{role}.may')}")
+        if person().is_alone:
+            st.caption(say("role.alone.may"))
     if rest_may_follow():
         with right, st.container(border=True):
             _change(people)
@@ -61,6 +65,7 @@ def _change(people: list[User]) -> None:
     reason = ask_reason(f"people-{mark}", say("people.save"), "people", pins)
     if reason is None:
         return
+    was_alone = person().is_alone
     try:
         if pin:
             check_pin(pin, again)
@@ -71,4 +76,5 @@ def _change(people: list[User]) -> None:
         st.error(in_words(error), icon=":material/error:")
         return
     st.session_state["people-done"] = say("people.saved", name=name)
+    st.session_state["people-parted"] = was_alone and not person().is_alone
     st.rerun()

@@ -31,7 +31,7 @@ def render() -> None:
         if is_signed_in():
             _who(person().name)
             st.markdown(say("sign_in.role", role=say(f"role.{person().role}")))
-            st.caption(say(f"role.{person().role}.may"))
+            st.caption(say("role.alone.may" if person().is_alone else f"role.{person().role}.may"))
             _leave()
         elif account := account_without_role():
             _who(account)

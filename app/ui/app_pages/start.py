@@ -64,6 +64,6 @@ def _way(name: str, page: str, icon: str) -> None:
         if st.button(say(f"start.{name}.do"), width="stretch", key=f"start-{name}"):
             go_to(page)
     else:
-        st.caption(say("start.sign_in"))
+        st.caption(say("start.sign_in" if registry().users() else "start.first"))
         if st.button(say("sign_in.title"), width="stretch", key=f"start-{name}-sign-in"):
             go_to("sign_in")
