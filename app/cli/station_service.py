@@ -293,12 +293,15 @@ def run_status(options: argparse.Namespace) -> int:
 
 
 def _status(registry: "Registry", beat: "Heartbeat", held: tuple[str, ...]) -> dict[str, object]:
+    from softcal.app.line.facts import SILENT, state_of
+    from softcal.app.line.place import is_alive
+
     active = registry.order_queue.active(beat.station)
     run = "" if active is None else f"{active[0].kind} {active[0].serial}, {active[1].phase or active[1].state}".strip()
-    is_there = registry.order_queue.is_answering(beat.station)
+    state = state_of(beat, datetime.now(UTC), is_alive(beat.process))
     return {
         "station": beat.station,
-        "state": beat.state.value if is_there or beat.state == "off" else f"not answering (was {beat.state})",
+        "state": f"not answering (was {beat.state})" if state == SILENT else state,
         "at": f"{beat.at:%Y-%m-%d %H:%M:%S} UTC",
         "process": beat.process,
         "reasons": list(map(str, beat.reasons)),

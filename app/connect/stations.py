@@ -1,27 +1,26 @@
 """What stations say of themselves, as JSON values: one answer for REST, MQTT and OPC UA."""
 
+from datetime import UTC, datetime
 from typing import Any
 
-from softcal.core.orders import Heartbeat, Order, Progress, StationState
+from softcal.app.line.facts import state_of
+from softcal.app.line.place import is_alive
+from softcal.core.orders import Heartbeat, Order, Progress
 from softcal.db.registry import Registry
 
 NEWEST = 20
 """So many of a station's newest orders are looked through for the last unit it judged."""
 
-SILENT = "silent"
-"""State of a station that gives no sign of life and did not end in good order."""
-
 
 def station_json(registry: Registry, beat: Heartbeat) -> dict[str, Any]:
     """Return a station: its state, the unit it presses, the last unit it judged, and where the lot of it stands."""
     queue = registry.order_queue
-    is_there = queue.is_answering(beat.station) or beat.state is StationState.OFF
     active = queue.active(beat.station)
     judged = next((o for o, p in queue.runs(beat.station, NEWEST) if o.kind.is_about_unit and p.verdict), None)
     lot_id = active[0].lot_id if active else judged.lot_id if judged else ""
     return {
         "station": beat.station,
-        "state": str(beat.state) if is_there else SILENT,
+        "state": state_of(beat, datetime.now(UTC), is_alive(beat.process)),
         "at": beat.at.isoformat(),
         "reasons": [str(why) for why in beat.reasons],
         "serial": active[0].serial if active else None,

@@ -9,6 +9,7 @@ from pathlib import Path
 from softcal.app.batch.lot_work import BatchConfig, Watch
 from softcal.app.bootstrap import data_folder
 from softcal.app.jobs.outcome import Outcome, Teller
+from softcal.app.jobs.process import DEMO
 from softcal.core.errors import InputError
 from softcal.core.network.config import EpochReport
 from softcal.db.job_board import Job
@@ -55,7 +56,7 @@ def demo(registry: Registry, job: Job, tell: Teller) -> Outcome:
         tell.step(PRESSING * runs / total, "press", done=runs, total=total)
 
     tell.step(0.0, "press", done=0, total=total)
-    folder = press_demo_lot(config, lots_folder() / "demo", on_run)
+    folder = press_demo_lot(config, lots_folder() / DEMO, on_run)
     report = run_demo(config, folder, registry, lot_watch(tell, PRESSING))
     return Outcome("", {"lot": report.lot_id, "counts": report.counts})
 

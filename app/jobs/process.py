@@ -14,6 +14,9 @@ from softcal.db.registry import Registry
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 """The station at this machine comes first: a job takes one core."""
 
+DEMO = "demo"
+"""Name of the demo's lot."""
+
 
 def start_job(registry: Registry, kind: str, request: Mapping[str, Any], actor: str) -> str:
     """Write a job down, start its process and return its id."""

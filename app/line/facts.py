@@ -26,7 +26,21 @@ SHOWN_RUNS = 14
 MOST_AT_ONCE = 16
 """So many units of one run are looked for."""
 
+SILENT = "silent"
+"""State of a station that gives no sign of life and did not end in good order."""
+
 LineRun = tuple[Order, Progress]
+
+
+def state_of(beat: Heartbeat, now: datetime, is_alive: bool | None) -> str:
+    """Return what a station is doing as every screen and interface says it; `ready`: it takes a unit now.
+
+    Args:
+        is_alive: whether its process lives; None where that cannot be seen from here.
+    """
+    patience = HUNG_AFTER if is_alive else SILENT_AFTER
+    is_there = is_alive is not False and now - beat.at <= patience
+    return str(beat.state) if is_there or beat.state is StationState.OFF else SILENT
 
 
 @dataclass(frozen=True)
@@ -103,12 +117,14 @@ class LineFacts:
         return self.heartbeat.station if self.heartbeat else ""
 
     @property
+    def station_state(self) -> str:
+        """What the station is doing, by `state_of`; "" where none is chosen."""
+        return state_of(self.heartbeat, self.now, self.is_alive) if self.heartbeat else ""
+
+    @property
     def is_answering(self) -> bool:
         """Whether the station's service is there: its process is seen to live, or its beat is fresh."""
-        beat = self.heartbeat
-        if beat is None or beat.state is StationState.OFF or self.is_alive is False:
-            return False
-        return self.now - beat.at <= (HUNG_AFTER if self.is_alive else SILENT_AFTER)
+        return self.station_state not in ("", SILENT, StationState.OFF)
 
     @property
     def is_stopped(self) -> bool:

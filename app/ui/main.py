@@ -5,6 +5,7 @@ from pathlib import Path
 import streamlit as st
 from streamlit.navigation.page import Page as StreamlitPage
 
+from softcal.app.jobs.process import DEMO
 from softcal.app.ui.account import is_signed_in, person
 from softcal.app.ui.browser_memory import keep
 from softcal.app.ui.components.liveness import liveness
@@ -23,8 +24,8 @@ def run() -> None:
     liveness()
     with errors_in_words():
         sections: dict[str, list[StreamlitPage]] = {"": []}
-        is_empty = not registry().lot_ids()
-        for entry in pages_for(person(), is_empty):
+        is_new = set(registry().lot_ids()) <= {DEMO}
+        for entry in pages_for(person(), is_new):
             title = say(f"section.{entry.section}") if entry.section else ""
             sections.setdefault(title, []).append(
                 st.Page(entry.render, title=_title(entry.name), url_path=entry.name, icon=f":material/{entry.icon}:")
@@ -32,9 +33,8 @@ def run() -> None:
         # The default page has no address of its own: a hidden one leads to the start while there is nothing yet, later
         # to what the person works with.
         bar = sections[""]
-        first = bar[0] if is_empty or bar[0].url_path != "start" else bar[1]
         home = st.Page(
-            lambda: st.switch_page(first),
+            lambda: st.switch_page(_first(bar, is_new)),
             title=say("app.title"),
             url_path="home",
             default=True,
@@ -42,6 +42,12 @@ def run() -> None:
         )
         st.navigation({**sections, "": [home, *sections[""]]}, position="top").run()
     keep()
+
+
+def _first(bar: list[StreamlitPage], is_new: bool) -> StreamlitPage:
+    # A line without a station has nothing to do.
+    wanted = "start" if is_new else "line" if registry().order_queue.stations() else "lot"
+    return next((page for page in bar if page.url_path == wanted), bar[0])
 
 
 def _title(name: str) -> str:

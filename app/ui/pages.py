@@ -22,7 +22,7 @@ class PageEntry:
         icon: of Streamlit's bundled Material symbols.
         actions: of `PERMISSIONS`; a role that has one of them may open the page. Empty: everybody.
         section: menu it stands in, key of its title `section.NAME`; "" stands in the bar itself.
-        begins: whether everybody may open it while the registry knows no lot yet.
+        begins: whether everybody may open it while the registry knows no lot but the demo's.
     """
 
     name: str
@@ -31,13 +31,13 @@ class PageEntry:
     section: str = ""
     begins: bool = False
 
-    def is_open_to(self, user: User, is_empty: bool = False) -> bool:
+    def is_open_to(self, user: User, is_new: bool = False) -> bool:
         """Whether a person may open it.
 
         Args:
-            is_empty: the registry knows no lot yet.
+            is_new: the registry knows no lot but the demo's.
         """
-        return not self.actions or (self.begins and is_empty) or any(may(user, action) for action in self.actions)
+        return not self.actions or (self.begins and is_new) or any(may(user, action) for action in self.actions)
 
     @property
     def render(self) -> Callable[[], None]:
@@ -74,6 +74,6 @@ PAGES = (
 )
 
 
-def pages_for(user: User, is_empty: bool = False) -> tuple[PageEntry, ...]:
-    """Return the pages a person may open, in the order of the navigation; `is_empty` as in `PageEntry.is_open_to`."""
-    return tuple(page for page in PAGES if page.is_open_to(user, is_empty))
+def pages_for(user: User, is_new: bool = False) -> tuple[PageEntry, ...]:
+    """Return the pages a person may open, in the order of the navigation; `is_new` as in `PageEntry.is_open_to`."""
+    return tuple(page for page in PAGES if page.is_open_to(user, is_new))

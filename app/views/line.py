@@ -97,7 +97,7 @@ class LineView:
 
     Args:
         state: key of `TONES`.
-        word: READY, RUNNING, PASS, FAIL, STOPPED, ... in the language of the screen.
+        word: READY (a unit can be pressed), RUNNING, PASS, FAIL, STOPPED, ... in the language of the screen.
         serial: the unit that is meant, "" without.
         instruction: the one thing to do now.
         details: plain sentences: why it is so, what the station says, its code.
@@ -382,11 +382,9 @@ def _is_why_stopped(facts: LineFacts, run: LineRun) -> bool:
 
 
 def _cells(facts: LineFacts, operator: str, words: Words) -> tuple[tuple[str, str], ...]:
-    beat, lot = facts.heartbeat, facts.lot
-    station = facts.station or "–"
-    if beat is not None:
-        state = beat.state.value if facts.is_answering else "silent"
-        station = f"{station} · {words(f'line.station.{state}')}"
+    station, lot = facts.station or "–", facts.lot
+    if facts.heartbeat is not None:
+        station = f"{station} · {words(f'station.state.{facts.station_state}')}"
     counts = dict(lot.counts) if lot else {}
     judged = sum(counts.values()) - counts.get("none", 0)
     target = (lot.rules.target if lot else None) or (sum(counts.values()) if counts.get("none") else None)

@@ -4,6 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from softcal.app.line.facts import state_of
+from softcal.app.line.place import is_alive
 from softcal.app.views.alerts import Alert
 from softcal.app.views.common import number, percent
 from softcal.app.views.line import TONES, Chip
@@ -11,7 +13,6 @@ from softcal.app.views.lot import LotView
 from softcal.core.orders import Heartbeat, StationState
 from softcal.core.quality.yields import Share
 from softcal.db.entries import UnitStanding
-from softcal.db.order_queue import SILENT_AFTER
 from softcal.db.registry import Registry
 
 Words = Callable[..., str]
@@ -100,9 +101,8 @@ def _alerts(found: Sequence[Alert], words: Words) -> tuple[tuple[str, bool], ...
 def _station(beat: Heartbeat, now: datetime, words: Words) -> StationTile | None:
     if beat.state is StationState.OFF:
         return None
-    is_there = now - beat.at <= SILENT_AFTER
-    state = str(beat.state) if is_there else "silent"
-    is_well = is_there and beat.state in (StationState.READY, StationState.RUNNING)
+    state = state_of(beat, now, is_alive(beat.process))
+    is_well = state in (StationState.READY, StationState.RUNNING)
     return StationTile(beat.station, words(f"station.state.{state}"), is_well)
 
 

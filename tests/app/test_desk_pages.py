@@ -1,5 +1,7 @@
 """The engineer's pages, drawn in process: what they show, what they refuse in words, and what reaches the registry."""
 
+import os
+import socket
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from functools import partial
@@ -10,12 +12,16 @@ import pytest
 
 from softcal.app.charts.palette import LIGHT
 from softcal.app.charts.station import profile_figure
+from softcal.app.connect.stations import station_json
 from softcal.app.gap.desk import practise
+from softcal.app.line.facts import Screen, read_line
 from softcal.app.texts.catalogue import text
 from softcal.app.ui import lot_memory
 from softcal.app.ui.panels import told
+from softcal.app.views.line import line_view
 from softcal.app.views.lot import lot_view
 from softcal.app.views.profile import bounds
+from softcal.app.views.wall import wall_view
 from softcal.core.orders import Heartbeat, OrderKind, RunState, StationState
 from softcal.core.profiles import BUILT_IN
 from softcal.core.quality.line_rules import LineRules
@@ -174,6 +180,34 @@ def test_a_station_that_does_not_answer_gets_no_order(calibrated: str, show) -> 
     assert "line-1" in screen.error[0].value
     with open_registry(calibrated) as registry:
         assert registry.order_queue.runs("line-1") == []
+
+
+HERE = f"{socket.gethostname()}:{os.getpid()}"
+GONE = f"{socket.gethostname()}:{2**22 + 1}"
+"""A process that cannot be: Linux numbers them up to 2^22 (proc(5), pid_max)."""
+
+
+@pytest.mark.parametrize(
+    ("state", "age_s", "process", "shown"),
+    [
+        *((state, -60, "another:1", str(state)) for state in StationState),
+        (StationState.READY, 5, "another:1", "silent"),
+        (StationState.READY, -60, GONE, "silent"),
+        (StationState.READY, 4, HERE, "ready"),
+        (StationState.OFF, 5, GONE, "off"),
+    ],
+)
+def test_every_screen_and_interface_has_one_word_for_a_station(calibrated, show, state, age_s, process, shown) -> None:
+    beat = Heartbeat("line-1", state, datetime.now(UTC) - timedelta(seconds=age_s), process=process)
+    say = partial(text, "en")
+    with open_registry(calibrated) as registry:
+        registry.order_queue.beat(beat)
+        at_line = line_view(read_line(registry, Screen()), "", say).cells[0][1]
+        on_wall = [tile.word for tile in wall_view(registry, lot_view(registry, "small"), (), say).stations]
+        assert station_json(registry, beat)["state"] == shown
+    word = say(f"station.state.{shown}")
+    assert at_line == f"line-1 · {word}" and on_wall == ([] if shown == "off" else [word])
+    assert any(f"**{word}**" in line.value for line in show(calibrated, "station").markdown)
 
 
 def test_the_source_is_ordered_from_a_station_that_answers(calibrated: str, show) -> None:

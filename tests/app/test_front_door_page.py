@@ -50,13 +50,13 @@ def test_an_empty_registry_begins_at_the_start_page_for_everybody(tmp_path: Path
 def test_the_start_page_is_the_engineers_once_there_is_a_lot() -> None:
     start = next(page for page in PAGES if page.name == "start")
     operator, engineer = User("", "operator", True, 0), User("Erin", "engineer", True, 1)
-    assert start.is_open_to(operator, is_empty=True) and not start.is_open_to(operator)
+    assert start.is_open_to(operator, is_new=True) and not start.is_open_to(operator)
     assert start.is_open_to(engineer)
 
 
-def test_the_demo_is_pressed_calibrated_and_found_by_its_page(
-    tmp_path: Path, trained_lot: Path, show, jobs_at_once: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def demo_lot(trained_lot: Path, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The demo presses a small lot that is there; how many units it was asked for."""
     pressed: list[int] = []
 
     def press(config, folder: Path, on_run):
@@ -67,16 +67,23 @@ def test_the_demo_is_pressed_calibrated_and_found_by_its_page(
         return open_lot_folder(folder)
 
     monkeypatch.setattr("softcal.app.line.demo.press_demo_lot", press)
+    return pressed
+
+
+def test_the_demo_ends_on_the_page_of_its_lot_for_who_is_alone(
+    tmp_path: Path, demo_lot: list[int], open_page, jobs_at_once: None
+) -> None:
     url = f"sqlite:///{tmp_path / 'new.db'}"
-    screen = show(url, "start", role="operator")
-    gone: list[str] = []
-    monkeypatch.setattr("streamlit.switch_page", lambda page, **_: gone.append(page.url_path))
-    button(screen, "start.demo.do").click().run(timeout=300)
+    screen = open_page(url)
+    screen.button(key="demo").click().run(timeout=300)
     with open_registry(url) as registry:
-        assert registry.lot_ids() == ["demo"] and pressed == [4]
-        assert registry.verdict_counts("demo")["none"] == 0
-    assert gone == ["lot"]
-    assert next(b for b in show(url, "start").button).label == text("en", "start.demo.open")
+        assert registry.lot_ids() == ["demo"] and demo_lot == [4]
+        judged = sum(count for verdict, count in registry.verdict_counts("demo").items() if verdict != "none")
+    assert not screen.exception and screen.title[0].value == text("en", "page.lot")
+    assert screen.selectbox(key="choose-lot").value == "demo"
+    assert judged and f"{judged} / {judged}" in {metric.value for metric in screen.metric}
+    # Whoever comes back finds it, and the other ways to begin beside it.
+    assert {"demo-open", "start-files-sign-in"} <= {button.key for button in open_page(url).button}
 
 
 def dropped(folder: Path) -> list[tuple[str, bytes, str]]:

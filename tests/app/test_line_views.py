@@ -99,6 +99,17 @@ def test_every_situation_has_its_state_with_a_word_and_an_instruction():
     assert {situation.split(",")[0] for situation in SITUATIONS} | {"away"} == set(TONES)
 
 
+@pytest.mark.parametrize("language", texts.LANGUAGES)
+def test_ready_says_that_a_unit_can_be_pressed_and_nothing_else(language):
+    say = partial(texts.text, language)
+    words = {situation: line_view(facts(**changes), "Kim", say) for situation, changes in SITUATIONS.items()}
+    ready = {situation for situation, view in words.items() if view.word == words["armed"].word}
+    assert ready == {"ready", "armed"}
+    for situation in ready:
+        stands = facts(**SITUATIONS[situation])
+        assert stands.may_press and stands.lot and stands.station_state == "ready"
+
+
 @pytest.mark.parametrize(
     ("code", "facts_of_it", "step"),
     [
@@ -250,7 +261,7 @@ def test_every_code_of_the_station_has_its_instruction_in_every_language():
 
 def test_the_bar_tells_station_lot_product_operator_count_and_yield():
     station, *others = (value for _, value in shown().cells)
-    assert station.startswith("line-1") and SAY("line.station.ready") in station
+    assert station.startswith("line-1") and SAY("station.state.ready") in station
     assert others == ["L1", "eGaIn pad", "Kim", "4 / 6", "75%"]
     # A stated target goes before the number of known units.
     lot = replace(LOT, rules=LineRules(target=500))

@@ -1,8 +1,8 @@
-"""The front door: the demo, a lot out of files, a station; while the registry is empty everybody comes here."""
+"""The front door: the demo, a lot out of files, a station; while there is no other lot everybody comes here."""
 
 import streamlit as st
 
-from softcal.app.jobs.process import start_job
+from softcal.app.jobs.process import DEMO, start_job
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.desk import errors_in_words, registry, words
@@ -35,11 +35,11 @@ def _demo() -> None:
     st.markdown(say("start.demo.how", units=UNITS))
     job = newest_job("demo")
     is_busy = job is not None and job.state.is_active
-    if "demo" in registry().lot_ids() and not is_busy:
+    if DEMO in registry().lot_ids() and not is_busy:
         if job is not None and job.state is RunState.DONE:
             _landed(job.job_id)
         if st.button(say("start.demo.open"), type="primary", width="stretch", key="demo-open"):
-            go_to("lot", lot="demo")
+            go_to("lot", lot=DEMO)
         return
     if st.button(say("start.demo.do"), type="primary", width="stretch", disabled=is_busy, key="demo"):
         permit("calibrate")
@@ -52,7 +52,7 @@ def _demo() -> None:
 def _landed(job_id: str) -> None:
     """Lead to the lot whoever has waited for it here."""
     if st.session_state.pop("demo-asked", "") == job_id:
-        go_to("lot", lot="demo")
+        go_to("lot", lot=DEMO)
 
 
 def _way(name: str, page: str, icon: str) -> None:

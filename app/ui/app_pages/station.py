@@ -4,7 +4,9 @@ from datetime import UTC, datetime
 
 import streamlit as st
 
+from softcal.app.line.facts import state_of
 from softcal.app.line.gate_facts import quarantine
+from softcal.app.line.place import is_alive
 from softcal.app.ui.account import person
 from softcal.app.ui.components.rig_setup import rig_setup
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
@@ -43,8 +45,7 @@ def _state(station: str) -> None:
     beat = registry().order_queue.heartbeat(station)
     if beat is None:
         return
-    is_there = registry().order_queue.is_answering(station)
-    state = say(f"station.state.{beat.state}") if is_there else say("station.state.silent")
+    state = say(f"station.state.{state_of(beat, datetime.now(UTC), is_alive(beat.process))}")
     cells = (("station.state", state), ("station.seen", instant(beat.at)), ("station.by", beat.process))
     st.markdown(" · ".join(f"{say(label)}: **{value}**" for label, value in cells))
     for reason in beat.reasons:
