@@ -50,8 +50,8 @@ def run(options: argparse.Namespace) -> int:
     if options.json != "-":
         print(
             f"{options.serial} revision {revision}: gain times {gain:.4g} ± {found.gain_error:.1%}, "
-            f"offset {offset:+.4g}, level at rest ± {found.rest_error:.2g} (one standard uncertainty)"
+            f"offset {offset:+.4g}, estimate at rest ± {found.rest_error:.2g} (one standard uncertainty)"
         )
         print(f"error at the loads: RMSE {found.before_rmse:.3g} before, {found.after_rmse:.3g} after")
-    say("a trimmed unit is conditional until it, or others of its lot, are audited with the map in use now")
+    say("a trimmed unit is conditional at best, and one that failed its audit stays so, until it is audited again")
     return 0

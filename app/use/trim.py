@@ -8,16 +8,20 @@ from softcal.app.registry.source import source_recording, unlabelled
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
+from softcal.core.unit.judging import Grounds
 from softcal.core.unit.method import Method
 from softcal.core.unit.uncertainty import Interval
-from softcal.core.unit.verdict import Decision, Judgement, Verdict
+from softcal.core.unit.verdict import Decision, Verdict
 from softcal.core.use.method import UseMethod
 from softcal.core.use.trim import Trimmed, trim
 from softcal.core.words.reason import reason
+from softcal.db.entries import StoredCalibration
 from softcal.db.registry import Registry
 
 LOADS = "loads"
 """Group of a calibration's settings that keeps the known loads it was trimmed by."""
+
+AUDITED = "audited_before_trim"
 
 
 def trim_unit(
@@ -36,7 +40,7 @@ def trim_unit(
         InputError: the loads cannot be of this unit, or the unit is not in the registry; nothing was changed.
     """
     stored = registry.calibration(serial, lot_id=lot_id)
-    record = stored.record
+    record = _unscaled(registry, stored)
     loads = read_anchors(loads_file, [serial])[serial]
     problem = FitProblem(
         source_recording(registry, record.network_id),
@@ -45,10 +49,10 @@ def trim_unit(
     )
     problem = replace(problem, config=(record.method or Method()).map)
     before = Calibration.from_record(record)
-    found = trim(problem, before.unit_map, loads, record.knowledge.kind, UseMethod().trim)
+    found = trim(problem, before.unit_map, before.interval, loads, UseMethod().trim)
     # What the trim leaves open, whichever way the load moves.
-    wider = before.interval.widened(found.variance(before.interval, problem.source))
-    trimmed = _record(record, found, wider, loads)
+    wider = before.interval.widened(found.variance(before.interval))
+    trimmed = _record(record, _decided(stored.record, found, loads), found, wider, loads)
     why = f"trimmed by {len(loads.output)} loads"
     revision = registry.add_calibration(stored.lot_id, trimmed, actor=actor, reason=why, decided_by="trim")
     return found, revision
@@ -72,12 +76,40 @@ def _values(loads: Anchors) -> dict[str, list[float]]:
     return {"output": loads.output.tolist(), "reference": loads.reference.tolist()}
 
 
-def _record(record: CalibrationRecord, found: Trimmed, wider: Interval, loads: Anchors) -> CalibrationRecord:
+def _unscaled(registry: Registry, stored: StoredCalibration) -> CalibrationRecord:
+    """Return a calibration before audits of other units scaled it: they are asked again what a trimmed one is worth."""
+    base = stored.record.evidence.get("base_revision")
+    if base is None:
+        return stored.record
+    record = registry.calibration(stored.serial, int(base), lot_id=stored.lot_id).record
+    return replace(record, evidence={name: value for name, value in record.evidence.items() if name != "base_revision"})
+
+
+def _decided(record: CalibrationRecord, found: Trimmed, loads: Anchors) -> tuple[Decision, Grounds | None]:
+    """Return what is decided on a trimmed unit, and its grounds: nothing passes that was measured with another map.
+
+    A measured fail stays: known loads say nothing about what lies between and beyond them.
+    """
+    decision, grounds = record.decision, record.grounds
+    is_held = decision.measured is not None and decision.measured.verdict is Verdict.FAIL
+    said = [reason("trimmed", loads=len(loads.output), before=found.before_rmse, after=found.after_rmse)]
+    if decision.is_audited or AUDITED in {why.code for why in decision.bars}:
+        said.append(reason(AUDITED))
+    bars = (*said, *(why for why in decision.bars if why.code not in ("trimmed", AUDITED)))
+    if grounds is not None:
+        grounds = replace(grounds, measured=grounds.measured if is_held else None, bars=bars)
+    return replace(decision, measured=decision.measured if is_held else None, bars=bars), grounds
+
+
+def _record(
+    record: CalibrationRecord,
+    decided: tuple[Decision, Grounds | None],
+    found: Trimmed,
+    wider: Interval,
+    loads: Anchors,
+) -> CalibrationRecord:
     """Return the calibration with the trimmed map. What was measured or sampled was so with the map before."""
-    said = reason("trimmed", loads=len(loads.output), before=found.before_rmse, after=found.after_rmse)
-    predicted = record.decision.predicted
-    best = max(predicted.verdict, Verdict.CONDITIONAL, key=lambda word: word.severity)
-    decision = Decision(Judgement(best, (said, *predicted.reasons)))
+    decision, grounds = decided
     told = {
         "map_anchor_gain": found.unit_map.gain,
         "map_anchor_offset": found.unit_map.offset,
@@ -88,16 +120,17 @@ def _record(record: CalibrationRecord, found: Trimmed, wider: Interval, loads: A
     arrays |= {f"map.{name}": array for name, array in found.unit_map.arrays().items()}
     arrays["interval.half_width"] = wider.half_width
     kept = {"base": record.input_sha256, **_values(loads)}
-    return replace(
+    settings = {**record.settings, "decision": decision.to_json(), LOADS: _values(loads)}
+    if grounds is not None:
+        settings["grounds"] = grounds.to_json()
+    trimmed = replace(
         record,
         map_sha256=map_sha256(found.unit_map),
         arrays=arrays,
-        settings={**record.settings, "decision": decision.to_json(), LOADS: _values(loads)},
+        settings=settings,
         verdict=str(decision.verdict),
         reasons=decision.reasons,
-        before_rmse=None,
-        after_rmse=None,
-        own_rmse=None,
         evidence={**record.evidence, **told},
         input_sha256=content_sha256({}, kept),
     )
+    return trimmed if decision.is_audited else replace(trimmed, before_rmse=None, after_rmse=None, own_rmse=None)

@@ -168,6 +168,34 @@ def source_level(source: LabelledRecording, load: float, config: AnchorConfig) -
     return float(level), float(np.hypot(scatter, config.load_error * span * _mean_slope(source)))
 
 
+@dataclass(frozen=True, eq=False)
+class SourceLevels:
+    """What a source puts out at rest, by load: a straight line between neighbours.
+
+    Args:
+        load: (k,) evenly spaced and rising, in the reference unit.
+        output: (k,) in the output unit.
+    """
+
+    load: Array
+    output: Array
+
+    def at(self, load: Array) -> Array:
+        """Return the output under loads within the table."""
+        return np.interp(load, self.load, self.output)
+
+    @classmethod
+    def of(cls, source: LabelledRecording, count: int, config: AnchorConfig) -> "SourceLevels":
+        """Take `count` of them from a recording, and two more at each end, where its line goes on."""
+        low, high = float(source.reference.min()), float(source.reference.max())
+        step = (high - low) / (count - 1)
+        load = low + step * np.arange(-2.0, count + 2)
+        output = np.array([source_level(source, one, config)[0] for one in load[2:-2]])
+        first, last = output[0] - output[1], output[-1] - output[-2]
+        before, after = output[0] + first * np.array([2.0, 1.0]), output[-1] + last * np.array([1.0, 2.0])
+        return cls(load, np.concatenate([before, output, after]))
+
+
 def source_bend(source: LabelledRecording, config: AnchorConfig) -> float:
     """Return how far the source's output over load is from a straight line, RMS, as a share of its rise."""
     low, high = np.quantile(source.reference, config.bend_range)

@@ -247,10 +247,16 @@ class TrimConfig:
     """Re-anchoring by known loads at the place of use (`trim.py`).
 
     Args:
-        most_gain: a gain that changes by more than this factor is another unit, or other units of load.
+        most_change: a gain that changes by more than this share is another unit, or other units of load. The device
+            holds no larger one.
+        levels: of the source that are known to a trim, over its range; with two more at each end they reach a tenth of
+            the range beyond it, as `AnchorConfig.beyond` allows.
+        most_misfit: loads that are still misread by more than so many standard uncertainties contradict one another.
     """
 
-    most_gain: float = setting(2.0)
+    most_change: float = setting(0.5, "docs/format.md")
+    levels: int = setting(21, "docs/format.md")
+    most_misfit: float = setting(3.0)
 
 
 @dataclass(frozen=True)

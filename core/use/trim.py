@@ -1,17 +1,19 @@
-"""Trim a calibrated unit at its place of use: two or more known loads re-anchor its map. No file, no registry here."""
+"""Trim a calibrated unit at its place of use: two or more known loads re-anchor its map. No file, no registry here.
+
+The device trims by the same rule (docs/format.md; `core/export/stream.py`).
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.maps.anchors import AnchoredMap, check_loads, firmness, refine
+from softcal.core.maps.anchors import AnchoredMap, SourceLevels, check_loads
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rmse
-from softcal.core.network.network import Network
-from softcal.core.recording import Array, LabelledRecording
+from softcal.core.recording import Array
 from softcal.core.unit.method import LEVELS
-from softcal.core.unit.uncertainty import Interval
+from softcal.core.unit.uncertainty import NORMAL_90, Interval
 from softcal.core.use.method import TrimConfig
 from softcal.core.windows import resting
 
@@ -24,77 +26,127 @@ class Trimmed:
 
     Args:
         unit_map: the map with the new gain and offset behind it.
-        gain_error: standard uncertainty of the gain, as a share of it.
-        rest_error: the same of the level at rest, in the source's output unit.
-        covariance: (2, 2) of the two.
+        covariance: (2, 2) of zero and gain: of the straight line, in the reference unit and in its share, that the
+            estimates may be off by.
         before_rmse, after_rmse: error of the estimates at the loads, without and with the trim, in the reference unit.
     """
 
     unit_map: AnchoredMap
-    gain_error: float
-    rest_error: float
     covariance: Array
     before_rmse: float
     after_rmse: float
 
-    def variance(self, interval: Interval, source: LabelledRecording) -> Array:
+    @property
+    def gain_error(self) -> float:
+        """Standard uncertainty of the gain, as a share of it."""
+        return float(np.sqrt(self.covariance[1, 1]))
+
+    @property
+    def rest_error(self) -> float:
+        """Standard uncertainty of an estimate without load, in the reference unit."""
+        return float(np.sqrt(self.covariance[0, 0]))
+
+    def variance(self, interval: Interval) -> Array:
         """Return the (LEVELS,) variance of the trim at the load levels of an interval, in squares of the reference.
 
-        An error of the level at rest moves every estimate alike, one of the gain grows with the load; between the
-        loads of the trim they cancel in part.
+        The errors at the loads are independent, and run on in a straight line between and beyond them.
         """
-        load = (interval.high - interval.low) * (np.arange(LEVELS) + 0.5) / LEVELS
-        rise = float(np.ptp(source.unlabelled.output) / np.ptp(source.reference))
-        if np.corrcoef(source.unlabelled.output, source.reference)[0, 1] < 0:
-            rise = -rise
-        line = np.stack([rise * load, np.ones(LEVELS)], axis=1)
-        return np.asarray(np.sum((line @ self.covariance) * line, axis=1) / rise**2)
+        load = interval.low + (interval.high - interval.low) * (np.arange(LEVELS) + 0.5) / LEVELS
+        line = np.stack([np.ones(LEVELS), load], axis=1)
+        return np.asarray(np.sum((line @ self.covariance) * line, axis=1))
 
 
 def trim(
     problem: FitProblem,
     unit_map: UnitMap,
+    interval: Interval,
     loads: Anchors,
-    kind: str = "",
     config: TrimConfig = TrimConfig(),  # noqa: B008 - frozen
 ) -> Trimmed:
     """Re-anchor a map by known loads at the place of use.
 
+    Gain and offset carry what the map makes of the loads onto what the source shows under them, by a straight line
+    weighted with the inverse variances. The map is not believed beside the loads: it is trimmed since it has moved.
+    Not known of a load are the load itself, the error of the calibration at any reading, and what f misreads at rest.
+
     Args:
         problem: source, network and recording of the unit the map was fitted with.
         unit_map: in use now; an earlier trim of it is trimmed further, not stacked.
+        interval: of the estimates before.
         loads: outputs at rest under known loads, at least two different ones.
-        kind: how the loads behind the map were known (`LoadKnowledge.kind`): two loads do not outvote many pairs.
         config: which loads, and which gain, can be of this unit.
 
     Raises:
-        InputError: the loads cannot be of this unit as they stand; the message says which and why.
+        InputError: the loads cannot be of this unit as they stand, or leave more open than they correct; the message
+            says which and why.
     """
+    source, network, unit = problem.source, problem.network, problem.source.reference_unit
     if len(loads.reference) < 2:
         raise InputError(f"{len(loads.reference)} known load; zero and span take two different ones; {NOTHING}")
-    check_loads(problem.source, loads, NOTHING, problem.config.anchors)
-    network = problem.network
-    before = _error(network, unit_map, loads)
-    anchors = problem.config.anchors
-    found = refine(problem, unit_map, loads, firmness(kind, anchors))
-    gain = found.unit_map.gain
-    if not 1 / config.most_gain <= gain <= config.most_gain:
+    check_loads(source, loads, NOTHING, problem.config.anchors)
+    output, load = (np.asarray(values, np.float64) for values in (loads.output, loads.reference))
+    wanted = SourceLevels.of(source, config.levels, problem.config.anchors).at(load)
+    read = unit_map.apply(resting(output)).mean(axis=1)
+    error = _errors(problem, interval, load, wanted)
+    first, last = int(np.argmin(load)), int(np.argmax(load))
+    # The source's own rise between the outermost loads: outputs in the unit of the loads.
+    rise = (wanted[last] - wanted[first]) / (load[last] - load[first])
+    apart = abs((read[last] - read[first]) / rise)
+    open_ = NORMAL_90 * float(np.hypot(error[first], error[last]))
+    if min(apart, load[last] - load[first]) <= open_:
         raise InputError(
-            f"the loads ask for {gain:.2g} x the gain of unit {problem.target.serial}; that is another unit, or "
-            f"other units of load or output; {NOTHING}"
+            f"loads {first + 1} and {last + 1} cannot be told apart: outputs {output[first]:.6g} and "
+            f"{output[last]:.6g} {source.unlabelled.output_unit} are {apart:.3g} {unit} apart, the loads "
+            f"{load[last] - load[first]:.3g} {unit}, and each must be more than {open_:.3g} {unit}, which the readings "
+            f"leave open; {NOTHING}; read loads further apart, each at rest"
         )
-    if found.misfit > anchors.most_misfit:
+    gain, offset = _line(read, wanted, error)
+    if abs(gain - 1) > config.most_change:
         raise InputError(
-            f"no gain and offset read these loads as the source reads its own: {found.misfit:.2g} standard "
-            f"uncertainties are left; they contradict one another or are of another unit; {NOTHING}"
+            f"the loads ask for {gain:.2g} x the gain of unit {problem.target.serial}, {1 - config.most_change:.2g} to "
+            f"{1 + config.most_change:.2g} was expected; that is another unit, or other units of load or output; "
+            f"{NOTHING}; check serial and columns, or calibrate it again"
         )
-    after = _error(network, found.unit_map, loads)
-    return Trimmed(_joined(found.unit_map), found.gain_error, found.rest_error, found.covariance, before, after)
+    missing = np.abs(wanted - read) / abs(rise)
+    if np.all(missing <= error):
+        raise InputError(
+            f"the map reads these loads already: it is off by {missing.max():.3g} {unit} at most, less than the "
+            f"{error.max():.3g} {unit} a trim by them is known to; {NOTHING}; no trim is needed"
+        )
+    left = (offset + gain * read - wanted) / rise / error
+    worst = int(np.argmax(np.abs(left)))
+    if abs(left[worst]) > config.most_misfit:
+        raise InputError(
+            f"load {worst + 1} is still misread by {abs(left[worst] * error[worst]):.3g} {unit} after the trim, "
+            f"{config.most_misfit * error[worst]:.3g} {unit} at most was expected; the loads contradict one another; "
+            f"{NOTHING}; read them again"
+        )
+    found = AnchoredMap(unit_map, gain, offset)
+    before, after = (rmse(network.evaluate(one.apply(resting(output))), load) for one in (unit_map, found))
+    if after > before:
+        raise InputError(
+            f"the unit reads these loads worse after the trim than before: RMSE {after:.3g} and {before:.3g} {unit}; "
+            f"{NOTHING}; read loads further apart, each at rest"
+        )
+    design = np.stack([np.ones_like(load), load], axis=1) / error[:, None]
+    # Loads that do not fit a straight line know neither number better than they fit.
+    spread = max(1.0, float(np.sqrt(np.mean(left**2))))
+    covariance = np.asarray(np.linalg.inv(design.T @ design) * spread**2, np.float64)
+    return Trimmed(_joined(found), covariance, before, after)
 
 
-def _error(network: Network, unit_map: UnitMap, loads: Anchors) -> float:
-    estimate = network.evaluate(unit_map.apply(resting(np.asarray(loads.output, np.float64))))
-    return rmse(estimate, np.asarray(loads.reference, np.float64))
+def _errors(problem: FitProblem, interval: Interval, load: Array, wanted: Array) -> Array:
+    """Return the (k,) standard uncertainty of what is read under each load, in the reference unit."""
+    band = interval.half_width[:, interval.column(load)].max(axis=0)
+    misread = problem.network.evaluate(resting(wanted)) - load
+    known = problem.config.anchors.load_error * float(np.ptp(problem.source.reference))
+    return np.asarray(np.hypot(np.hypot(band, misread) / NORMAL_90, known))
+
+
+def _line(read: Array, wanted: Array, error: Array) -> tuple[float, float]:
+    """Return gain and offset of the weighted straight line that carries `read` onto `wanted`."""
+    gain, offset = np.polyfit(read, wanted, 1, w=1 / error)
+    return float(gain), float(offset)
 
 
 def _joined(found: AnchoredMap) -> AnchoredMap:

@@ -125,6 +125,7 @@ ENGLISH: Mapping[str, str] = {
         "stated, is {rmse:.3g} {unit} beside the forecast; state [line] in lot.toml, or audit"
     ),
     "trimmed": "trimmed by {loads} known loads: RMSE there {before:.3g}, now {after:.3g}; not measured since",
+    "audited_before_trim": "its audit was taken before the trim, with the map of then; a new audit decides",
     "predicted_otherwise": "before the audit it was predicted {verdict}: {why}",
     # What is wrong with a table that was to audit a unit.
     "audit.stranger": "the lot has no unit {serial}; call the file by the serial of the unit",

@@ -12,10 +12,14 @@ from softcal.db.connection import open_registry
 GAIN, OFFSET_V = 1.15, 0.54
 
 
+def batch(lot_folder: Path, registry_url: str) -> int:
+    return main(["batch", str(lot_folder), "--registry", registry_url, "--hidden", "16,8", "--no-own"])
+
+
 @pytest.fixture
 def trimmed(lot_folder: Path, registry_url: str, tmp_path: Path):  # type: ignore[no-untyped-def]
     """`trimmed(output, reference)`: the exit code of a trim of A1 by these loads."""
-    main(["batch", str(lot_folder), "--registry", registry_url, "--hidden", "16,8", "--no-own"])
+    batch(lot_folder, registry_url)
 
     def run(output: list[float], reference: list[float]) -> int:
         file = tmp_path / "loads.csv"
@@ -64,14 +68,51 @@ def test_two_loads_make_a_revision_that_reads_them(trimmed, registry_url, tmp_pa
         ([0.54, 0.9], [0.0, 2500.0]),
         ([0.9, 0.54], [0.0, 2.5]),
         ([0.54, 0.9, 0.9], [0.0, 2.5, 2.5]),
+        ([0.54, 0.5401], [0.0, 2.5]),
+        ([0.54, 0.75, 0.97], [0.0, 2.5, 2.55]),
     ],
-    ids=["one", "of another unit", "exchanged", "the same"],
+    ids=["one", "of another unit", "exchanged", "the same", "not told apart", "contradict"],
 )
 def test_loads_that_cannot_be_of_it_change_nothing(trimmed, registry_url, capsys, output, reference):
     before = _revisions(registry_url)
     capsys.readouterr()
     assert trimmed(output, reference) == 2
     assert capsys.readouterr().err.count("\n") == 1 and _revisions(registry_url) == before
+
+
+def _measured_badly(lot_folder: Path) -> None:
+    """The audit of A1 finds loads 1.5 times what the unit reads."""
+    file = lot_folder / "audit" / "A1.csv"
+    audit = pd.read_csv(file)
+    audit.assign(reference=1.5 * audit["reference"]).to_csv(file, index=False)
+
+
+def test_a_trim_does_not_lift_a_measured_fail(trimmed, lot_folder, registry_url, tmp_path):
+    _measured_badly(lot_folder)
+    assert batch(lot_folder, registry_url) == 1
+    loads = [drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]
+    for revisions in (1, 2):
+        assert trimmed(*loads) == (0 if revisions == 1 else 2), "the same loads find nothing more to correct"
+        assert batch(lot_folder, registry_url) == 1, "a batch that measures nothing new decides nothing new"
+        with open_registry(registry_url) as registry:
+            record = registry.calibration("A1").record
+        assert record.verdict == "fail" and record.decision.is_audited and record.after_rmse
+        assert {"trimmed", "audited_before_trim"} <= {why.code for why in record.reasons}
+    out = str(tmp_path / "out")
+    export = ["export", "--registry", registry_url, "--serial", "A1", "--format", "blob", "--out", out]
+    for more in ([], ["--release", "conditional"]):
+        assert main([*export, *more]) == 2
+        assert not list((tmp_path / "out").glob("unit-*"))
+
+
+def test_a_new_audit_decides_on_a_trimmed_unit_and_older_ones_of_others_do_not(trimmed, lot_folder, registry_url):
+    assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
+    batch(lot_folder, registry_url)
+    with open_registry(registry_url) as registry:
+        record = registry.calibration("A1").record
+    assert record.verdict == "conditional" and not record.decision.is_audited
+    assert "audited_before_trim" in {why.code for why in record.reasons}
+    assert record.evidence["map_anchor_gain"] != 1.0, "the batch leaves the trimmed map in use"
 
 
 def test_a_stream_that_begins_with_known_loads_is_followed_from_the_trimmed_map(
