@@ -8,7 +8,6 @@ from softcal.app.registry.source import source_recording, unlabelled
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
-from softcal.core.unit.judging import Grounds
 from softcal.core.unit.method import Method
 from softcal.core.unit.uncertainty import Interval
 from softcal.core.unit.verdict import Decision, Verdict
@@ -52,7 +51,7 @@ def trim_unit(
     found = trim(problem, before.unit_map, before.interval, loads, UseMethod().trim)
     # What the trim leaves open, whichever way the load moves.
     wider = before.interval.widened(found.variance(before.interval))
-    trimmed = _record(record, _decided(stored.record, found, loads), found, wider, loads)
+    trimmed = _record(record, _decided(stored.record.decision, found, loads), found, wider, loads)
     why = f"trimmed by {len(loads.output)} loads"
     revision = registry.add_calibration(stored.lot_id, trimmed, actor=actor, reason=why, decided_by="trim")
     return found, revision
@@ -85,31 +84,27 @@ def _unscaled(registry: Registry, stored: StoredCalibration) -> CalibrationRecor
     return replace(record, evidence={name: value for name, value in record.evidence.items() if name != "base_revision"})
 
 
-def _decided(record: CalibrationRecord, found: Trimmed, loads: Anchors) -> tuple[Decision, Grounds | None]:
-    """Return what is decided on a trimmed unit, and its grounds: nothing passes that was measured with another map.
+def _decided(decision: Decision, found: Trimmed, loads: Anchors) -> Decision:
+    """Return what is decided on a trimmed unit: nothing passes that was measured with another map.
 
     A measured fail stays: known loads say nothing about what lies between and beyond them.
     """
-    decision, grounds = record.decision, record.grounds
     is_held = decision.measured is not None and decision.measured.verdict is Verdict.FAIL
     said = [reason("trimmed", loads=len(loads.output), before=found.before_rmse, after=found.after_rmse)]
     if decision.is_audited or AUDITED in {why.code for why in decision.bars}:
         said.append(reason(AUDITED))
     bars = (*said, *(why for why in decision.bars if why.code not in ("trimmed", AUDITED)))
-    if grounds is not None:
-        grounds = replace(grounds, measured=grounds.measured if is_held else None, bars=bars)
-    return replace(decision, measured=decision.measured if is_held else None, bars=bars), grounds
+    return replace(decision, measured=decision.measured if is_held else None, bars=bars)
 
 
 def _record(
     record: CalibrationRecord,
-    decided: tuple[Decision, Grounds | None],
+    decision: Decision,
     found: Trimmed,
     wider: Interval,
     loads: Anchors,
 ) -> CalibrationRecord:
     """Return the calibration with the trimmed map. What was measured or sampled was so with the map before."""
-    decision, grounds = decided
     told = {
         "map_anchor_gain": found.unit_map.gain,
         "map_anchor_offset": found.unit_map.offset,
@@ -121,8 +116,8 @@ def _record(
     arrays["interval.half_width"] = wider.half_width
     kept = {"base": record.input_sha256, **_values(loads)}
     settings = {**record.settings, "decision": decision.to_json(), LOADS: _values(loads)}
-    if grounds is not None:
-        settings["grounds"] = grounds.to_json()
+    # They know nothing of the trim: judged by them against another limit, it would be forgotten.
+    settings.pop("grounds", None)
     trimmed = replace(
         record,
         map_sha256=map_sha256(found.unit_map),
