@@ -28,9 +28,10 @@ from softcal.core.words.reason import Reason, plain
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, MadeCalibration, UnitStanding
 from softcal.db.found import found_in
+from softcal.db.judged_against import LimitInForce
 from softcal.db.records import PLAIN_FIELDS, record_of
 from softcal.db.registry_base import RegistryBase, damaged
-from softcal.db.tables import calibrations, in_use, refusals, units
+from softcal.db.tables import calibrations, in_use, limits, lots, refusals, units
 
 NEWEST_STATEMENT = (in_use.c.made_at.desc(), in_use.c.number.desc(), in_use.c.origin.desc())
 OF_STATEMENT = and_(
@@ -134,14 +135,21 @@ class InUseTable(RegistryBase):
     def standings(self, lot_id: str, serials: Sequence[str]) -> dict[str, UnitStanding]:
         """Return where units of a lot stand, as a report needs it: the calibration in use, or a newer refusal.
 
-        A unit with a conflict is to be decided by a person: its verdict is retest.
+        A unit with a conflict is to be decided by a person: its verdict is retest. So is that of one judged against
+        another limit than the one in force.
         """
         found: dict[str, UnitStanding] = {}
+        limit = None
         for part in _parts(serials):
             with self.database.reading() as connection:
                 undecided = {serial for _, serial in conflicts_of(connection, lot_id, part)}
                 for row in connection.execute(_newest_statements(lot_id, part)).mappings():
                     check_named(row)
+                    limit = limit or limit_in_force(connection, lot_id)
+                    if limit.is_other_than(row["evidence"]):
+                        why = (limit.why(row["evidence"]),)
+                        found[row["serial"]] = UnitStanding(row["serial"], UNDECIDED, why, row["stated_at"])
+                        continue
                     made = MadeCalibration.of(record_of(row, {}, row["settings"]), row["revision"])
                     found[made.serial] = UnitStanding(made.serial, made.verdict, made.reasons, row["stated_at"], made)
                 for serial in undecided:
@@ -278,6 +286,14 @@ def conflicts_of(
     query = query if lot_id is None else query.where(u.lot_id == lot_id)
     query = query if serials is None else query.where(u.serial.in_(serials))
     return [(lot, name) for lot, name in connection.execute(query.order_by(u.lot_id, u.serial))]
+
+
+def limit_in_force(connection: Connection, lot_id: str) -> LimitInForce:
+    """Return the newest limit of a lot."""
+    of_lot = select(limits.c.rmse).where(limits.c.lot_id == lot_id)
+    newest = of_lot.order_by(limits.c.made_at.desc(), limits.c.origin.desc()).limit(1)
+    unit = select(lots.c.reference_unit).where(lots.c.id == lot_id)
+    return LimitInForce(connection.execute(newest).scalar(), connection.execute(unit).scalar() or "")
 
 
 def conflict_line(connection: Connection, lot_id: str, serial: str) -> str:

@@ -11,7 +11,8 @@ from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason, plain
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, UnitEntry
-from softcal.db.in_use import OF_STATEMENT, conflict_line, conflicts_of, of_this_method
+from softcal.db.in_use import OF_STATEMENT, conflict_line, conflicts_of, limit_in_force, of_this_method
+from softcal.db.judged_against import LimitInForce
 from softcal.db.registry_base import RegistryBase, damaged
 from softcal.db.tables import calibrations, in_use, refusals, units
 
@@ -87,13 +88,13 @@ class LotPages(RegistryBase):
         """
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
-            undecided = _undecided(connection, lot_id)
-            table = _standing(lot_id, undecided)
+            undecided, limit = _undecided(connection, lot_id), limit_in_force(connection, lot_id)
+            table = _standing(lot_id, undecided, limit)
             condition = _condition(table, wanted)
             order = _order(table, wanted)
             query = select(table).where(condition).order_by(*order).limit(size).offset((page - 1) * size)
             total = connection.execute(select(func.count()).select_from(table).where(condition)).scalar_one()
-            entries = [_entry(lot_id, row) for row in connection.execute(query).mappings()]
+            entries = [_entry(lot_id, row, limit) for row in connection.execute(query).mappings()]
             told = [_conflict(connection, entry) if entry.serial in undecided else entry for entry in entries]
         return UnitPage(tuple(told), int(total))
 
@@ -122,7 +123,7 @@ class LotPages(RegistryBase):
         """Return a lot's target units by the verdict of their newest result; `none` counts those without."""
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
-            table = _standing(lot_id, _undecided(connection, lot_id))
+            table = _standing(lot_id, _undecided(connection, lot_id), limit_in_force(connection, lot_id))
             verdict = func.coalesce(table.c.verdict, "none")
             found = {str(v): int(n) for v, n in connection.execute(select(verdict, func.count()).group_by(verdict))}
         return {name: found.get(name, 0) for name in (*_severities(), "none")}
@@ -131,7 +132,7 @@ class LotPages(RegistryBase):
         """Return the errors of every target unit with a map, by serial."""
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
-            table = _standing(lot_id, _undecided(connection, lot_id))
+            table = _standing(lot_id, _undecided(connection, lot_id), limit_in_force(connection, lot_id))
             query = select(table.c.revision, table.c.serial, table.c.verdict, *(table.c[name] for name in ERRORS))
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
             rows = connection.execute(query.order_by(table.c.serial))
@@ -151,7 +152,7 @@ def _undecided(connection: Connection, lot_id: str) -> list[str]:
     return [serial for _, serial in conflicts_of(connection, lot_id)]
 
 
-def _standing(lot_id: str, undecided: Sequence[str]) -> Subquery:
+def _standing(lot_id: str, undecided: Sequence[str], limit: LimitInForce) -> Subquery:
     """Every target unit of a lot beside its map in use and its newest verdict, which may be a later refusal's.
 
     "Nothing newer exists" is found through the index of the table; a window function over all rows is not, and its
@@ -159,11 +160,15 @@ def _standing(lot_id: str, undecided: Sequence[str]) -> Subquery:
 
     Args:
         undecided: units for which two registries put different maps into use.
+        limit: of the lot; a verdict against another one does not stand.
     """
     c, u, r = calibrations, in_use, refusals
     is_refused = and_(r.c.made_at.is_not(None), or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
     is_open = units.c.serial.in_(undecided)
     newest = {name: case((is_refused, r.c[name]), else_=c.c[name]) for name in ("verdict", "reasons")}
+    is_unjudged = and_(u.c.made_at.is_not(None), ~is_refused, limit.is_other_in_sql())
+    newest["verdict"] = case((is_unjudged, UNDECIDED), else_=newest["verdict"])
+    newest["evidence"] = case((is_unjudged, c.c.evidence), else_=None)
     newest["made_at"] = case((is_refused, r.c.made_at), else_=u.c.made_at)
     maps: dict[str, ColumnElement[Any]] = {name: c.c[name] for name in MADE_FIELDS}
     if undecided:
@@ -208,11 +213,13 @@ def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
     return [first, table.c.serial]
 
 
-def _entry(lot_id: str, row: RowMapping) -> UnitEntry:
+def _entry(lot_id: str, row: RowMapping, limit: LimitInForce) -> UnitEntry:
     if row["is_stale"] is None:
         raise damaged(f"unit {row['serial']} of lot {lot_id}: the calibration in use was not found")
-    facts = {name: value for name, value in row.items() if name != "reasons"}
-    return UnitEntry(lot_id=lot_id, role="target", reasons=tuple(map(Reason.of, row["reasons"] or ())), **facts)
+    facts = {name: value for name, value in row.items() if name not in ("reasons", "evidence")}
+    unjudged = row["evidence"]
+    reasons = tuple(map(Reason.of, row["reasons"] or ())) if unjudged is None else (limit.why(unjudged),)
+    return UnitEntry(lot_id=lot_id, role="target", reasons=reasons, **facts)
 
 
 def _conflict(connection: Connection, entry: UnitEntry) -> UnitEntry:

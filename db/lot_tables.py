@@ -16,8 +16,10 @@ from softcal.db.in_use import (
     check_named,
     conflict_line,
     conflicts_of,
+    limit_in_force,
     of_this_method,
 )
+from softcal.db.judged_against import LimitInForce
 from softcal.db.registry_base import RegistryBase, damaged
 from softcal.db.tables import calibrations, in_use, limits, lots, refusals, units
 
@@ -169,13 +171,17 @@ class LotTables(RegistryBase):
 
 def unit_entries(connection: Connection, lot_id: str | None, serial: str | None) -> list[UnitEntry]:
     """Return units with their newest result."""
-    entries = {}
+    entries, in_force = {}, dict[str, LimitInForce]()
     for row in connection.execute(_of(select(units), units, lot_id, serial)).mappings():
         entries[row["lot_id"], row["serial"]] = {f: row[f] for f in ("lot_id", "serial", "role")}
     for row in connection.execute(_in_use(lot_id, serial)).mappings():
         check_named(row)
         _check_known(entries, row["of_lot"], row["of_unit"])
         facts = {field: row[field] for field in (*RESULT_FIELDS, "made_at")}
+        if row["of_lot"] not in in_force:
+            in_force[row["of_lot"]] = limit_in_force(connection, row["of_lot"])
+        if (limit := in_force[row["of_lot"]]).is_other_than(row["evidence"]):
+            facts |= {"verdict": UNDECIDED, "reasons": [limit.why(row["evidence"]).to_json()]}
         entries[row["of_lot"], row["of_unit"]] |= facts | {"is_stale": not row["is_this_method"]}
     for unit in conflicts_of(connection, lot_id, None if serial is None else [serial]):
         undecided = {"verdict": UNDECIDED, "reasons": [conflict_line(connection, *unit)], "is_conflict": True}
@@ -208,6 +214,7 @@ def _in_use(lot_id: str | None, serial: str | None) -> Select[Any]:
         u.lot_id.label("of_lot"),
         u.serial.label("of_unit"),
         *(c[field] for field in RESULT_FIELDS),
+        c.evidence,
         u.made_at,
         rank,
         same,

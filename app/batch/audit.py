@@ -2,17 +2,20 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from softcal.app.registry.reference import reference_expanded
+from softcal.app.registry.source import source_model
 from softcal.core.errors import InputError
+from softcal.core.quality.audit_check import KIND
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
-from softcal.core.unit.verdict import Limit, Verdict
+from softcal.core.unit.method import Method
+from softcal.core.unit.verdict import Limit, Verdict, default_limit
 from softcal.core.words.reason import plain
 from softcal.db.entries import UnitEntry
 from softcal.db.registry import Registry
 
-PLAN, STATEMENT = "audit_plan", "audit_result"
+PLAN, STATEMENT, CONFIRMED = "audit_plan", "audit_result", "audit_doubt"
 ACCEPTED = (Verdict.PASS, Verdict.CONDITIONAL)
 
 
@@ -133,7 +136,7 @@ def _holds(audit: LotAudit, serial: str) -> bool:
 def _standing(registry: Registry, lot_id: str, facts: Mapping[str, object]) -> LotAudit:
     settings = json.loads(json.dumps(facts))
     plan, limit = AuditPlan.from_settings(settings["plan"]), Limit.of(settings["limit"])
-    errors = {unit.serial: unit.after_rmse for unit in _targets(registry, lot_id)}
+    errors = {unit.serial: unit.after_rmse for unit in _targets(registry, lot_id) if not _is_doubted(unit)}
     measured = {s: float(e) for s in plan.serials if (e := errors.get(s)) is not None}
     is_complete = len(measured) == len(plan.serials)
     statement = judge_lot(plan, settings["forecasts"], measured, limit) if is_complete else None
@@ -144,13 +147,39 @@ def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:
     return [unit for unit in registry.units(lot_id) if unit.role == "target"]
 
 
+def _is_doubted(unit: UnitEntry) -> bool:
+    return any(why.code.startswith(KIND) for why in unit.reasons)
+
+
 def _accepted(registry: Registry, lot_id: str) -> dict[str, float]:
     units = [unit for unit in _targets(registry, lot_id) if unit.verdict in ACCEPTED]
     return {unit.serial: unit.predicted_rmse for unit in units if unit.predicted_rmse is not None}
 
 
+def confirmed_audits(registry: Registry, lot_id: str) -> dict[str, str]:
+    """Return the audits that a person confirmed in spite of a doubt: by serial, the hash of their output."""
+    told = (json.loads(row.after or "{}") for row in registry.events(CONFIRMED, (lot_id,)))
+    return {str(one["serial"]): str(one["output_sha256"]) for one in told}
+
+
+def confirm_audit(registry: Registry, lot_id: str, serial: str, *, reason: str, actor: str | None = None) -> None:
+    """Write down that the audit of a unit is what it is said to be; judging the lot again lets it count.
+
+    Raises:
+        InputError: nobody doubts it, or no reason was given.
+    """
+    standing = registry.standings(lot_id, [serial]).get(serial)
+    made = None if standing is None else standing.made
+    if made is None or made.audit is None or made.decision.doubt is None:
+        raise InputError(f"the audit of {serial} in lot {lot_id!r} is not in doubt; there is nothing to confirm")
+    if not reason.strip():
+        raise InputError(f"say why the audit of {serial} is right in spite of the doubt; a reason was expected")
+    facts = {"serial": serial, "output_sha256": made.audit.output_sha256, "doubt": made.decision.doubt.to_json()}
+    registry.add_event("confirm", CONFIRMED, (lot_id,), facts, reason=reason, actor=actor)
+
+
 def lot_limit(registry: Registry, lot_id: str) -> Limit:
-    """Return the lot's limit, or the one its units were judged by where none was stated.
+    """Return the lot's limit, or the one that follows from its source's own error where none was stated.
 
     Raises:
         InputError: none was stated, and no unit was calibrated yet.
@@ -161,6 +190,11 @@ def lot_limit(registry: Registry, lot_id: str) -> Limit:
     serial = next((unit.serial for unit in _targets(registry, lot_id) if unit.revision is not None), None)
     if serial is None:
         raise InputError(f"lot {lot_id!r} states no limit and has no calibrated unit yet; calibrate its units first")
-    evidence = registry.calibration(serial, lot_id=lot_id).record.evidence
-    origin = plain(str(evidence["limit_origin"]))
-    return Limit(lot.reference_unit, float(str(evidence["limit_rmse"])), origin, expanded)
+    record = registry.calibration(serial, lot_id=lot_id).record
+    origin = plain(str(record.evidence["limit_origin"]))
+    if str(origin) == str(Limit.origin) or record.limit_rmse is None:
+        # Its limit was taken back since.
+        method = record.method or Method()
+        rmse = source_model(registry, record.network_id, method).held_out_rmse
+        return replace(default_limit(lot.reference_unit, rmse, method.decision), reference_expanded=expanded)
+    return Limit(lot.reference_unit, record.limit_rmse, origin, expanded)

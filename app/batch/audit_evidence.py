@@ -1,15 +1,15 @@
 """What the audits of a lot and of earlier lots say about its other units: read from the registry, each audit once."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 
 import numpy as np
 
-from softcal.app.batch.audit import lot_audit, lot_limit
+from softcal.app.batch.audit import confirmed_audits, lot_audit, lot_limit
 from softcal.core.lot import Lot
 from softcal.core.quality.acceptance import Promise, tolerance_factor
-from softcal.core.quality.audit_check import check_audits
+from softcal.core.quality.audit_check import doubtful_audits
 from softcal.core.quality.qualification import PastAudit, Qualification, qualify
 from softcal.core.quality.release import AuditedUnit, audits_wanted
 from softcal.core.quality.widening import AuditedSamples, Widening, fit_widening
@@ -20,7 +20,8 @@ from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.line_spread import SeenGains, seen_gains
 from softcal.core.unit.method import CONFIDENCE, Method
 from softcal.core.unit.verdict import Limit, Verdict
-from softcal.db.entries import MadeCalibration, UnitStanding
+from softcal.core.words.reason import Reason
+from softcal.db.entries import MadeCalibration
 from softcal.db.registry import Registry
 
 RELEASABLE = (Verdict.PASS, Verdict.CONDITIONAL)
@@ -38,6 +39,7 @@ class AuditEvidence:
         widening: of the 90 % intervals.
         seen: gains that the audited units of the lot read their loads with; None where there are too few.
         days: gains of golden units of the sensor model on different days; None where there are too few.
+        doubts: audits of the lot that are set aside, by serial, and why.
     """
 
     qualification: Qualification
@@ -45,6 +47,7 @@ class AuditEvidence:
     widening: Widening
     seen: SeenGains | None = None
     days: SeenGains | None = None
+    doubts: Mapping[str, Reason] = field(default_factory=dict)
 
     def day_rmse(self, load_rms: float | None) -> float:
         """Return the error that another day adds to a unit with this RMS load, in the same unit; 0 without golden runs.
@@ -56,7 +59,7 @@ class AuditEvidence:
         return tolerance_factor(self.days.count, self.days.count - 1, PROMISE) * self.days.spread * load_rms
 
 
-Audited = Mapping[str, tuple[AuditedUnit, UnitStanding, MadeCalibration]]
+Audited = Mapping[str, tuple[AuditedUnit, datetime, MadeCalibration]]
 
 
 class AuditReader:
@@ -77,20 +80,25 @@ class AuditReader:
         Args:
             method_id: of the forecasts that the audits are to speak for.
             now: the time of the decision.
-
-        Raises:
-            InputError: the audits cannot all be true; nothing may be released on them.
         """
         registry, lot = self._registry, self._registry.lot(lot_id)
         audited = self._audited(lot)
-        here = [audit for audit, _, made in audited.values() if made.method_id == method_id]
         readings = {serial: self._reading(lot_id, made) for serial, (_, _, made) in audited.items()}
-        check_audits({serial: reading for serial, reading in readings.items() if reading is not None})
+        confirmed = confirmed_audits(registry, lot_id)
+        doubts = doubtful_audits(
+            {
+                serial: reading
+                for serial, reading in readings.items()
+                if reading is not None and confirmed.get(serial) != reading.output_sha256
+            }
+        )
+        audited = {serial: known for serial, known in audited.items() if serial not in doubts}
+        here = [audit for audit, _, made in audited.values() if made.method_id == method_id]
         past = [] if len(here) >= audits_wanted(PROMISE) else self._past(lot)
         # Audits of this lot under another method say as much as those of another lot: nothing.
         past += [
-            PastAudit(audit, lot.sensor_model, made.method_id, standing.made_at)
-            for audit, standing, made in audited.values()
+            PastAudit(audit, lot.sensor_model, made.method_id, at)
+            for audit, at, made in audited.values()
             if made.method_id != method_id
         ]
         golden_failed_at, units = self._golden_failed_at(lot), self._units(lot)
@@ -98,7 +106,8 @@ class AuditReader:
         gains = [reading.gain for audit in here if (reading := readings[audit.serial]) is not None]
         widening = self._widening(qualification, lot_id)
         days = self._days(lot, now)
-        return AuditEvidence(qualification, lot_limit(registry, lot_id), widening, seen_gains(gains), days)
+        limit = lot_limit(registry, lot_id)
+        return AuditEvidence(qualification, limit, widening, seen_gains(gains), days, doubts)
 
     def _units(self, lot: Lot) -> int:
         """Return how many units the lot has, or is planned to have where a line was told so."""
@@ -161,16 +170,15 @@ class AuditReader:
         """Return the audited units that speak for the others: a random draw, where one was written down."""
         plan = lot_audit(self._registry, lot.id)
         # Golden units have labelled recordings too; their calibrations are not audited.
-        entries = self._registry.recordings(lot.id, kind="audit")
+        at = {entry.serial: entry.added_at for entry in self._registry.recordings(lot.id, kind="audit")}
         doubtful = set() if plan is None else set(plan.plan.doubtful)
-        serials = sorted({entry.serial for entry in entries} - doubtful - {lot.source})
         found = {}
-        for serial, standing in self._registry.standings(lot.id, serials).items():
+        for serial, standing in self._registry.standings(lot.id, sorted(set(at) - doubtful - {lot.source})).items():
             made = standing.made
-            if made is None or not made.is_audited or made.decision.predicted.verdict not in RELEASABLE:
+            if made is None or made.decision.measured is None or made.decision.predicted.verdict not in RELEASABLE:
                 continue
             if made.forecast_rmse and made.after_rmse:
-                found[serial] = AuditedUnit(serial, made.forecast_rmse, made.after_rmse, lot.id), standing, made
+                found[serial] = AuditedUnit(serial, made.forecast_rmse, made.after_rmse, lot.id), at[serial], made
         return found
 
     def _past(self, lot: Lot) -> list[PastAudit]:
@@ -179,9 +187,10 @@ class AuditReader:
         for other in self._registry.lots():
             if other.id == lot.id or not lot.sensor_model or other.sensor_model != lot.sensor_model:
                 continue
-            for audit, standing, made in self._audited(other).values():
+            for audit, at, made in self._audited(other).values():
                 failed = made.verdict == Verdict.FAIL and made.decision.predicted.verdict == Verdict.PASS
-                found.append(PastAudit(audit, other.sensor_model, made.method_id, standing.made_at, failed))
+                if made.is_audited:
+                    found.append(PastAudit(audit, other.sensor_model, made.method_id, at, failed))
         return found
 
     def _widening(self, qualification: Qualification, lot_id: str) -> Widening:

@@ -7,25 +7,20 @@ from dataclasses import replace
 from softcal.app.batch.audit import update_lot
 from softcal.app.batch.line_statement import state_line
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
-from softcal.app.batch.release import update_release
+from softcal.app.batch.release import judge_lot
 from softcal.app.batch.report import BatchReport, UnitResult
 from softcal.app.batch.train import train_or_find
 from softcal.app.batch.unit_work import SharedWork
 from softcal.app.files.lot_folder import LotFolder
-from softcal.app.files.recording_file import naming, read_labelled
-from softcal.app.files.regular import read_regular
+from softcal.app.files.recording_file import naming
 from softcal.app.registry.golden import bridges_over, golden_of, keep_golden_of
 from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.reference import state_reference
-from softcal.core.errors import InputError
-from softcal.core.identity import content_sha256
 from softcal.core.lot import Lot
-from softcal.core.quality.lot_release import LotRelease
 from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.bridge import Bridge, make_bridge
 from softcal.core.unit.source_model import SourceModel, make_source_model
 from softcal.core.unit.verdict import Limit, default_limit, stated_limit
-from softcal.db.entries import UnitStanding
 from softcal.db.registry import Registry
 
 
@@ -36,11 +31,10 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     Whatever the registry already has for the same recording, network and configuration is not computed again.
 
     Raises:
-        InputError: the source cannot be used; without it there is no lot. Or two audits are one recording, or the
-            golden run is of another unit: nothing was fitted.
+        InputError: the source cannot be used; without it there is no lot. Or the golden run is of another unit:
+            nothing was fitted.
     """
     start_s = time.perf_counter()
-    _check_audit_files(folder)
     # Known loads that somebody names outrank those that lie in the folder.
     config = replace(config, anchors=config.anchors or folder.read_anchors())
     source = folder.read_source()
@@ -59,14 +53,14 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     bridges = bridges_over(registry, models[0], (sha256 for of in golden.values() for sha256 in of.values()))
     shared = SharedWork(folder.lot, tuple(models), own, limit, line, reference, bridge, bridges)
     watch.on_start(len(folder.unit_paths))
-    results = LotWork(folder, registry, shared, config, watch, golden).results()
+    work = LotWork(folder, registry, shared, config, watch, golden)
+    results = work.results()
     _keep_loads(registry, lot.id, config, results)
     _keep_golden(registry, lot.id, run, config, results)
-    ordered = tuple(results[serial] for serial in folder.unit_paths)
+    decided = judge_lot(registry, folder.lot.id, config.actor)
     audit = update_lot(registry, folder.lot.id, config.actor)
-    decided = update_release(registry, folder.lot.id, config.actor)
-    if decided is not None:
-        ordered = _judged(registry, folder.lot.id, ordered, decided)
+    judged = work.told(list(folder.unit_paths))
+    ordered = tuple(judged[serial] for serial in folder.unit_paths)
     return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit, config.release, decided)
 
 
@@ -114,37 +108,3 @@ def _limit(lot: Lot, sources: Sequence[SourceModel]) -> Limit | None:
         return stated
     # One limit for all units, whichever source they take: a noisier source must not widen it.
     return default_limit(lot.reference_unit, sources[0].held_out_rmse, sources[0].method.decision)
-
-
-def _check_audit_files(folder: LotFolder) -> None:
-    """Refuse one recording as the audit of two units before anything is fitted; what cannot be read is told later."""
-    owners: dict[str, str] = {}
-    units = folder.lot.output_unit, folder.lot.reference_unit
-    for serial in sorted(folder.unit_paths.keys() & folder.audit_paths.keys()):
-        path = folder.audit_paths[serial]
-        try:
-            content = read_regular(path, folder.root)
-            audit = read_labelled(path, serial, folder.lot.sample_rate_Hz, units, content)
-        except InputError:
-            continue
-        first = owners.setdefault(content_sha256({"output": audit.unlabelled.output}, {}), serial)
-        if first != serial:
-            raise InputError(
-                f"the audits of {first} and {serial} are one recording; one is of another unit; nothing was fitted and "
-                "nothing was released: put the right file into audit/ and run the batch again"
-            )
-
-
-def _judged(
-    registry: Registry, lot_id: str, units: tuple[UnitResult, ...], decided: LotRelease
-) -> tuple[UnitResult, ...]:
-    """Return the results with what the audits of the lot say about units that were not measured."""
-    standings = registry.standings(lot_id, [unit.serial for unit in units if unit.serial in decided.forecasts])
-    return tuple(_told(unit, standings.get(unit.serial)) for unit in units)
-
-
-def _told(unit: UnitResult, standing: UnitStanding | None) -> UnitResult:
-    made = None if standing is None else standing.made
-    if unit.made is None or made is None or made.decision.sampled is None:
-        return unit
-    return replace(unit, verdict=made.verdict, reasons=made.reasons, made=made)

@@ -146,7 +146,7 @@ class LotWork:
             self._tell_done(claims)
             while not self._is_done(claims):
                 self._work_off(claims)
-        return self._told(list(self._folder.unit_paths))
+        return self.told(list(self._folder.unit_paths))
 
     def _readable(self) -> Iterator[tuple[str, str]]:
         """Give serial and hash of the work of each unit; what cannot be read is that unit's result."""
@@ -177,7 +177,8 @@ class LotWork:
         self._registry.add_refusal(self._lot_id, serial, str(Verdict.RETEST), (plain(reason),), **told)
         self._ended.add(serial)
 
-    def _told(self, serials: Sequence[str]) -> dict[str, UnitResult]:
+    def told(self, serials: Sequence[str]) -> dict[str, UnitResult]:
+        """Return where units stand in the registry now."""
         standings = self._registry.standings(self._lot_id, serials)
         return {s: self._result(s, standings.get(s)) for s in serials}
 
@@ -287,7 +288,7 @@ class LotWork:
             for unit in kept:
                 self._register(unit)
             claims.queue.finish(claims.owner, [unit.task_id for unit in kept])
-            return self._told([unit.serial for unit in kept])
+            return self.told([unit.serial for unit in kept])
 
     def _register(self, unit: UnitOutcome) -> None:
         """Keep the result of a unit; one that cannot be stored is a unit that cannot be calibrated."""

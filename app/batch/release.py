@@ -7,40 +7,42 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from softcal.app.batch.audit import lot_limit
 from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
 from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.release import least_passing
 from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.judging import judged
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.db.entries import MadeCalibration, StoredCalibration, UnitStanding
+from softcal.core.words.reason import Reason
+from softcal.db.entries import MadeCalibration, StoredCalibration, UnitEntry, UnitStanding
+from softcal.db.judged_against import STALE
 from softcal.db.registry import Registry
 
 STATEMENT = "lot_release"
 WHY = "decided on the audits of the lot"
 
 
-def update_release(
+def judge_lot(
     registry: Registry, lot_id: str, actor: str | None = None, now: datetime | None = None
 ) -> LotRelease | None:
-    """Decide on the unmeasured units of a lot, and keep what changed.
+    """Judge every unit of a lot by the limit in force and by the audits, and keep what changed; nothing is fitted.
 
     Args:
         now: the time of the decision.
 
     Returns:
         None where the lot has no unit with a forecast yet.
-
-    Raises:
-        InputError: the audits cannot all be true; nothing was released.
     """
+    _judge_anew(registry, lot_id, actor)
     standing = _standing(registry, lot_id, now or datetime.now(UTC))
     if standing is None:
         return None
     decided = standing.decided()
     with registry.transaction():
-        for serial in decided.forecasts:
-            _keep(registry, lot_id, standing.units[serial], decided, actor)
+        for made in standing.moved():
+            _keep(registry, lot_id, made, decided, standing.evidence, actor)
         _tell(registry, lot_id, decided, actor)
     return decided
 
@@ -51,13 +53,31 @@ def decide_release(registry: Registry, lot_id: str, now: datetime) -> LotRelease
     return None if standing is None else standing.decided()
 
 
+def is_stale(unit: UnitEntry) -> bool:
+    """Return whether the verdict of a unit was given against another limit than the one in force."""
+    return bool(unit.reasons) and unit.reasons[0].code in STALE
+
+
+def _judge_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
+    """Judge the units whose verdict was given against another limit; one that has to be fitted for it stays stale."""
+    stale = [unit.serial for unit in registry.units(lot_id) if is_stale(unit)]
+    if not stale:
+        return
+    limit = lot_limit(registry, lot_id)
+    with registry.transaction():
+        for serial in stale:
+            record = judged(_base(registry, lot_id, registry.calibration(serial, lot_id=lot_id)), limit)
+            if record is not None:
+                _put(registry, lot_id, record, "judged against another limit", actor)
+
+
 def _standing(registry: Registry, lot_id: str, now: datetime) -> "_Standing | None":
     units = _whole_lot(registry, lot_id)
     made = _made(units)
     if not made:
         return None
     evidence = AuditReader(registry).evidence(lot_id, made[0].method_id, now)
-    return _Standing(evidence, _open(made), _least(units))
+    return _Standing(evidence, made, _least(units))
 
 
 @dataclass(frozen=True)
@@ -65,24 +85,41 @@ class _Standing:
     """What is known of a lot: the evidence it is decided on, and its units as they were then or came since.
 
     Args:
-        units: unmeasured ones, by serial.
-        least: number of them that must pass.
+        made: their calibrations.
+        least: number of unmeasured ones that must pass.
     """
 
     evidence: AuditEvidence
-    units: Mapping[str, MadeCalibration]
+    made: Sequence[MadeCalibration]
     least: float = 0.0
+
+    @property
+    def open(self) -> dict[str, MadeCalibration]:
+        """The units that nobody measured and no finding stands against, by serial."""
+        return {
+            made.serial: made
+            for made in self.made
+            if made.decision.measured is None and made.decision.predicted.verdict in RELEASABLE and made.forecast_rmse
+        }
 
     def decided(self) -> LotRelease:
         """Decide on its units."""
-        return _decided(self.evidence, self.units, self.least)
+        return _decided(self.evidence, self.open, self.least)
+
+    def moved(self) -> list[MadeCalibration]:
+        """Return the units that the audits of the lot may move: the open ones, and those whose audit is in doubt."""
+        return [
+            made
+            for made in self.made
+            if made.serial in self.open or made.serial in self.evidence.doubts or made.decision.doubt is not None
+        ]
 
 
 class LineRelease:
     """Decides on units one by one as a line presses them.
 
     The other units of the lot are read again only where the audits say something new; units that another station
-    presses meanwhile count from then on. `update_release` decides on the whole lot.
+    presses meanwhile count from then on. `judge_lot` decides on the whole lot.
 
     Args:
         registry: of the line.
@@ -93,34 +130,30 @@ class LineRelease:
         self._standing: dict[str, _Standing] = {}
 
     def press(self, lot_id: str, serial: str, actor: str | None = None, now: datetime | None = None) -> None:
-        """Decide on a unit that was calibrated just now, and keep what changed.
-
-        Raises:
-            InputError: the audits cannot all be true; nothing was released.
-        """
+        """Decide on a unit that was calibrated just now, and keep what changed."""
         registry = self._registry
         pressed = _made(registry.standings(lot_id, [serial]))
         if not pressed:
             self._standing.pop(lot_id, None)
             return
         evidence = self._reader.evidence(lot_id, pressed[0].method_id, now or datetime.now(UTC))
-        known = self._standing.get(lot_id, _Standing(evidence, {}))
+        known = self._standing.get(lot_id, _Standing(evidence, ()))
         if known.evidence != evidence or lot_id not in self._standing:
             known = self._look(lot_id, evidence)
-        others = {other: made for other, made in known.units.items() if other != serial}
-        known = replace(known, units={**others, **_open(pressed)})
+        known = replace(known, made=[*(made for made in known.made if made.serial != serial), *pressed])
         self._standing[lot_id] = known
         decided = known.decided()
-        if serial in decided.forecasts:
-            with registry.transaction():
-                _keep(registry, lot_id, known.units[serial], decided, actor)
+        for made in known.moved():
+            if made.serial == serial:
+                with registry.transaction():
+                    _keep(registry, lot_id, made, decided, evidence, actor)
 
     def _look(self, lot_id: str, evidence: AuditEvidence) -> _Standing:
         """Return where the other units of a lot stand; without a qualification none of them matters."""
         if not evidence.qualification.is_given:
-            return _Standing(evidence, {})
+            return _Standing(evidence, ())
         units = _whole_lot(self._registry, lot_id)
-        return _Standing(evidence, _open(_made(units)), _least(units))
+        return _Standing(evidence, _made(units), _least(units))
 
 
 def _whole_lot(registry: Registry, lot_id: str) -> Mapping[str, UnitStanding]:
@@ -138,15 +171,6 @@ def _least(units: Mapping[str, UnitStanding]) -> float:
     return least_passing(len(units), len(held))
 
 
-def _open(units: Sequence[MadeCalibration]) -> dict[str, MadeCalibration]:
-    """Return the units that nobody measured and no finding stands against, by serial."""
-    return {
-        made.serial: made
-        for made in units
-        if not made.is_audited and made.decision.predicted.verdict in RELEASABLE and made.forecast_rmse
-    }
-
-
 def _decided(evidence: AuditEvidence, units: Mapping[str, MadeCalibration], least: float) -> LotRelease:
     forecasts = {serial: made.forecast_rmse for serial, made in units.items() if made.forecast_rmse}
     days = {} if evidence.days is None else {s: evidence.day_rmse(made.load_rms) for s, made in units.items()}
@@ -162,21 +186,37 @@ def _decided(evidence: AuditEvidence, units: Mapping[str, MadeCalibration], leas
     )
 
 
-def _keep(registry: Registry, lot_id: str, made: MadeCalibration, decided: LotRelease, actor: str | None) -> None:
+def _keep(
+    registry: Registry,
+    lot_id: str,
+    made: MadeCalibration,
+    decided: LotRelease,
+    evidence: AuditEvidence,
+    actor: str | None,
+) -> None:
     """Store what is decided on a unit as a revision of its own, where it is not what stands."""
+    doubt, known = evidence.doubts.get(made.serial), made.decision
+    is_released = decided.found is not None and made.serial in decided.forecasts
     # Asked first: most lots have no audits, and reading a calibration whole costs more than most of the batch's writes.
-    if decided.found is None and made.decision.sampled is None:
+    if not is_released and doubt is None and known.sampled is None and known.doubt is None:
         return
-    serial = made.serial
-    stored = registry.calibration(serial, lot_id=lot_id)
-    record = judged_record(_base(registry, lot_id, stored), decided)
-    if record.input_sha256 == stored.record.input_sha256:
-        return
-    known = registry.find_calibration(serial, record.input_sha256, lot_id=lot_id)
+    base = _base(registry, lot_id, registry.calibration(made.serial, lot_id=lot_id))
+    if base.limit_rmse != evidence.limit.maximum_rmse:
+        base = judged(base, evidence.limit) or base
+    if doubt is not None:
+        base = doubted_record(base, doubt)
+    elif is_released or known.sampled is not None:
+        base = judged_record(base, decided)
+    _put(registry, lot_id, base, WHY, actor)
+
+
+def _put(registry: Registry, lot_id: str, record: CalibrationRecord, why: str, actor: str | None) -> None:
+    """Put a judgement into use, as a revision of its own where it was not kept before."""
+    known = registry.find_calibration(record.serial, record.input_sha256, lot_id=lot_id)
     if known is None:
-        registry.add_calibration(lot_id, record, actor=actor, reason=WHY, decided_by="release")
-    else:
-        registry.decide(known, "release", actor=actor, reason=WHY)
+        registry.add_calibration(lot_id, record, actor=actor, reason=why, decided_by="release")
+    elif not known.is_current:
+        registry.decide(known, "release", actor=actor, reason=why)
 
 
 def _base(registry: Registry, lot_id: str, stored: StoredCalibration) -> CalibrationRecord:
@@ -187,6 +227,18 @@ def _base(registry: Registry, lot_id: str, stored: StoredCalibration) -> Calibra
         return replace(record, evidence={**record.evidence, "base_revision": float(stored.revision)})
     base = registry.calibration(record.serial, int(revision), lot_id=lot_id).record
     return replace(base, evidence={**base.evidence, "base_revision": revision})
+
+
+def doubted_record(base: CalibrationRecord, doubt: Reason) -> CalibrationRecord:
+    """Return a calibration whose audit may not be what it is said to be: nothing is decided before that is known."""
+    decision = replace(base.decision, doubt=doubt)
+    return replace(
+        base,
+        settings={**base.settings, "decision": decision.to_json()},
+        verdict=str(decision.verdict),
+        reasons=decision.reasons,
+        input_sha256=content_sha256({}, {"base": base.input_sha256, "doubt": doubt.to_json()}),
+    )
 
 
 def judged_record(base: CalibrationRecord, decided: LotRelease) -> CalibrationRecord:

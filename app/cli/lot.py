@@ -1,4 +1,4 @@
-"""`softcal lot`: watch a lot folder, set the limit its units are judged by, plan and judge its audit."""
+"""`softcal lot`: watch a lot folder, set the limit its units are judged by, plan its audits and release it."""
 
 import argparse
 from dataclasses import replace
@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from softcal.app.bootstrap import open_chosen_registry
+from softcal.app.cli.lot_audit import add_audit
 from softcal.app.cli.options import add_csv, add_json, add_network, add_registry, network_config
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
@@ -20,11 +21,11 @@ EXAMPLES = """examples:
   softcal lot rules lot-1 --serial-pattern 'EG-[0-9]{4}' --letters upper --target 500 --reason "order 4711"
   softcal lot rules lot-1 --retests fail=0 retest=3 --reason "customer allows no second try"
   softcal lot audit-plan lot-1                   which few units to check with the load cell, and how far that is
+  softcal lot audit lot-1 measured/*.csv         bring their labelled recordings, each called by its serial
   softcal lot release lot-1 --pdf lot-1.pdf      what is promised about the units nobody measured, on one page
   softcal lot audit-plan lot-1 --new --random 20 --reason "first draw was lost in transit"
 
-Put the labelled recordings of the drawn units into the lot folder's audit/ and run `softcal batch` again: it scores
-them and judges the lot.
+After `lot audit` run `softcal batch` again: it scores the audits and judges the lot.
 """
 
 
@@ -77,6 +78,7 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     rules.add_argument("--reason", default="", help="why; needed with every change")
     rules.set_defaults(run=_rules)
+    add_audit(actions)
     _add_audit_plan(actions)
     _add_release(actions)
 
@@ -102,7 +104,7 @@ def _add_audit_plan(actions: "argparse._SubParsersAction[argparse.ArgumentParser
     audit.set_defaults(run=_audit_plan)
 
 
-def _lot_id(lot: str) -> str:
+def lot_id_of(lot: str) -> str:
     """Return the lot's id, given itself or its folder."""
     from softcal.app.files.lot_folder import open_lot_folder
 
@@ -126,16 +128,16 @@ def _add_release(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 
 def _release(options: argparse.Namespace) -> int:
-    from softcal.app.batch.release import update_release
+    from softcal.app.batch.release import judge_lot
     from softcal.app.export.certificates.lot_facts import lot_statement_facts
     from softcal.app.export.certificates.lot_statement import lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
     from softcal.app.texts.catalogue import text
 
-    lot_id = _lot_id(options.lot)
+    lot_id = lot_id_of(options.lot)
     with open_chosen_registry(options.registry, create=False) as registry:
         registry.lot(lot_id)
-        decided = update_release(registry, lot_id)
+        decided = judge_lot(registry, lot_id)
         if decided is None:
             raise InputError(f"lot {lot_id!r} has no calibrated unit yet; run `softcal batch` first")
         facts = lot_statement_facts(registry, lot_id, decided)
@@ -176,7 +178,7 @@ def _audit_plan(options: argparse.Namespace) -> int:
     from softcal.core.quality.promises import PROMISE_HEADER, promise_rows
     from softcal.core.quality.qualification import small_lot
 
-    lot_id = _lot_id(options.lot)
+    lot_id = lot_id_of(options.lot)
     with open_chosen_registry(options.registry, create=False) as registry:
         registry.lot(lot_id)
         audit = None if options.new else update_lot(registry, lot_id)
@@ -220,11 +222,13 @@ def _watch(options: argparse.Namespace) -> int:
 
 
 def _limit(options: argparse.Namespace) -> int:
+    from softcal.app.batch.judging import change_limit
+
     if options.rmse is not None and not (options.reason or "").strip():
         raise InputError("--rmse needs --reason: a limit without a reason cannot be defended")
     with open_chosen_registry(options.registry, create=False) as registry:
         if options.rmse is not None:
-            registry.set_limit(options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
+            change_limit(registry, options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
         unit = registry.lot(options.lot).reference_unit
         versions = registry.limit_versions(options.lot)
     if options.json:

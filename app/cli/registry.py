@@ -176,19 +176,23 @@ def _restore(options: argparse.Namespace) -> int:
 
 
 def _rollback(options: argparse.Namespace) -> int:
+    from softcal.app.batch.judging import roll_back
+
     with _existing(options) as registry:
         which = {"lot_id": options.lot, "origin": options.origin}
-        revision = registry.rollback(options.serial, options.to, reason=options.reason, **which)
+        revision = roll_back(registry, options.serial, options.to, reason=options.reason, **which)
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
     value = {"schema": "softcal.registry.rollback/1", "serial": options.serial, "revision": revision}
     return _answer(options, line, value | {"rolled_back_to": options.to})
 
 
 def _sync(options: argparse.Namespace) -> int:
+    from softcal.app.batch.judging import judge_stale
     from softcal.app.registry.maintenance import synchronise_with
 
     with open_chosen_registry(options.registry) as registry:
         report = synchronise_with(registry, options.other)
+        judge_stale(registry)
     for conflict in report.conflicts:
         say(f"conflict: {conflict}")
     for clock in report.clocks:

@@ -41,6 +41,7 @@ from softcal.core.unit.forecast import (
     variance_table,
 )
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
+from softcal.core.unit.judging import Grounds, Measured, limit_evidence
 from softcal.core.unit.line_spread import LineSpread, line_reason
 from softcal.core.unit.method import Method
 from softcal.core.unit.own_forecast import forecast_own, own_terms
@@ -48,7 +49,7 @@ from softcal.core.unit.rules import RuleFacts, rule_findings, rules_in_force
 from softcal.core.unit.scoring import Scores, score_map
 from softcal.core.unit.source_model import SourceModel
 from softcal.core.unit.uncertainty import ErrorForecast
-from softcal.core.unit.verdict import Decision, Finding, Judgement, Limit, decide, decide_audited, default_limit
+from softcal.core.unit.verdict import Finding, Limit, default_limit
 from softcal.core.windows import TAPS
 from softcal.core.words.reason import Reason, reason
 
@@ -149,7 +150,15 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
     if on_map is not None:
         on_map()
     scores = None if problem.audit is None else _scores(problem, chosen.unit_map, problem.audit)
-    held = _held(problem, evidence, forecast, limit, scores)
+    grounds = Grounds(
+        forecast,
+        findings,
+        _held(problem, evidence, forecast, limit, scores),
+        told=(*_bridge_reason(problem, fit), _line_reason(problem, evidence)),
+        measured=None if scores is None or problem.audit is None else Measured(scores, len(problem.audit.windows)),
+        bars=_bars(problem),
+        rules=problem.rules,
+    )
     calibration = Calibration(
         serial=target.serial,
         network_id=model.network.id,
@@ -157,11 +166,8 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
         interval=model.interval.widened(variance_table(model, evidence) + _reference_variance(problem)),
         output_limits=limits,
         forecast=forecast,
-        decision=Decision(
-            _predicted(problem, evidence, forecast, limit, (*findings, *held), _bridge_reason(problem, fit)),
-            _measured(problem, scores, limit, held),
-            bars=_bars(problem),
-        ),
+        decision=grounds.decide(limit, method.decision),
+        grounds=grounds,
         knowledge=evidence.knowledge,
         evidence=_numbers(model, target, chosen, evidence, limit, findings, lag),
         method=method,
@@ -254,26 +260,11 @@ def _scores(problem: UnitProblem, unit_map: UnitMap, audit: LabelledRecording) -
     return score_map(problem.source.network, unit_map, audit, problem.own, problem.source.method.decision)
 
 
-def _predicted(
-    problem: UnitProblem,
-    evidence: MapEvidence,
-    forecast: ErrorForecast,
-    limit: Limit,
-    findings: tuple[Finding, ...],
-    bridged: tuple[Reason, ...],
-) -> Judgement:
-    """Decide on the forecast, and say last how the day was bridged and what the line adds that no recording shows."""
-    judgement, config = decide(forecast, limit, findings), problem.source.method.line
+def _line_reason(problem: UnitProblem, evidence: MapEvidence) -> Reason:
+    """Return what the line adds that no recording shows."""
+    config = problem.source.method.line
     share = (problem.line or LineSpread(config.load_spread, config.day_spread)).share
-    said = line_reason(share, evidence.load_rms, limit.unit, problem.line is not None)
-    return replace(judgement, reasons=(*judgement.reasons, *bridged, said))
-
-
-def _measured(problem: UnitProblem, scores: Scores | None, limit: Limit, held: tuple[Finding, ...]) -> Judgement | None:
-    if scores is None or problem.audit is None:
-        return None
-    config = problem.source.method.decision
-    return decide_audited(scores.before, scores.after, len(problem.audit.windows), limit, config, held)
+    return line_reason(share, evidence.load_rms, problem.source.source.reference_unit, problem.line is not None)
 
 
 def _evidence(problem: UnitProblem, fit: FitProblem, chosen: ChosenMap, limits: OutputLimits) -> MapEvidence:
@@ -363,9 +354,7 @@ def _numbers(
         **{f"u_{name}": value for name, value in evidence.budget.items()},
         "correction_rms": evidence.correction_rms,
         "load_rms": evidence.load_rms,
-        "limit_rmse": limit.maximum_rmse,
-        "limit_origin": str(limit.origin),
-        "reference_expanded": limit.reference_expanded,
+        **limit_evidence(limit),
         "findings": ", ".join(finding.kind for finding in findings),
         **({} if lag is None else {"readout_lag_s": lag.time_constant_s}),
         **{f"own_{name}": value for name, value in own.items()},

@@ -13,6 +13,7 @@ from softcal.core.metrics import finite_or_none
 from softcal.core.unit.audit_reading import AuditReading
 from softcal.core.unit.budget import Reference
 from softcal.core.unit.health import OutputLimits
+from softcal.core.unit.judging import Grounds
 from softcal.core.unit.knowledge import LoadKnowledge, known_by
 from softcal.core.unit.method import Method
 from softcal.core.unit.scoring import Scores
@@ -32,8 +33,8 @@ class CalibrationRecord:
         map_sha256: content hash of the map alone.
         arrays: parameters of the map (names `map.*`), of the interval and support model (names `interval.*`).
         settings: JSON values beside the arrays, grouped: `map`, `interval`, `forecast`, `decision` (what was predicted
-            and what was measured), `method` (every number of the method), `reference` (what it is traced to), `audit`
-            (what its audit says beside the error).
+            and what was measured), `grounds` (what that rests on but the limit), `method` (every number of the method),
+            `reference` (what it is traced to), `audit` (what its audit says beside the error).
         predicted_rmse: forecast of the error against the reference, in the reference unit; None where none can be made.
         before_rmse, after_rmse, own_rmse: scores on an audit recording, in the reference unit; None without an audit.
         verdict: pass, conditional, fail or retest.
@@ -101,6 +102,18 @@ class CalibrationRecord:
         return Decision.of(kept)  # type: ignore[arg-type]
 
     @property
+    def grounds(self) -> Grounds | None:
+        """What it was decided on, but the limit; None in records of older versions."""
+        kept = self.settings.get("grounds")
+        return None if kept is None else Grounds.of(kept)  # type: ignore[arg-type]
+
+    @property
+    def limit_rmse(self) -> float | None:
+        """Limit it was judged against, in the reference unit; None in records of older versions."""
+        kept = self.evidence.get("limit_rmse")
+        return None if kept is None else float(kept)
+
+    @property
     def load_rms(self) -> float | None:
         """RMS load above rest that its recording shows, in the reference unit; None in records of older versions."""
         kept = self.evidence.get("load_rms")
@@ -129,6 +142,7 @@ class Calibration:
         output_limits: where the raw output stops to be believable.
         forecast: error forecast without labels, in the reference unit; None where none can be made.
         decision: what was decided, on what, and why.
+        grounds: what it was decided on, but the limit; None in records of older versions.
         knowledge: how the loads on the unit are known.
         evidence: numbers and words behind it.
         method: every number it was made with; None in records of versions that kept none.
@@ -150,6 +164,7 @@ class Calibration:
     scores: Scores | None = None
     reference: Reference | None = None
     audit: AuditReading | None = None
+    grounds: Grounds | None = None
 
     @property
     def predicted_rmse(self) -> float | None:
@@ -166,6 +181,7 @@ class Calibration:
             "interval": {**self.interval.settings(), "output_limits": limits},
             "forecast": None if self.forecast is None else vars(self.forecast),
             "decision": self.decision.to_json(),
+            "grounds": None if self.grounds is None else self.grounds.to_json(),
             "method": None if self.method is None else dict(self.method.to_json()),
             "method_id": "" if self.method is None else self.method.id,
             "reference": None if self.reference is None else self.reference.to_json(),
@@ -221,6 +237,7 @@ class Calibration:
             scores=_scores(record),
             reference=record.reference,
             audit=record.audit,
+            grounds=record.grounds,
         )
 
 

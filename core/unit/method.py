@@ -267,10 +267,10 @@ class ReleaseConfig:
         least_coverage, most_units: an interval covers at least the first share of the samples of all but the second
             share of the units (`widening.py`).
         least_gains: fewer audited units or golden runs than this show no spread of a line or its days.
-        most_gain: audits whose gains differ by this factor contradict one another.
+        most_gain: an audit whose gain differs from the others' by this factor is doubtful.
         least_others: an audit is out of line with at least so many others.
-        same_rest, other_rest: shares of a unit's span; outputs at rest nearer than the first are one unit's, further
-            apart than the second two.
+        exchanged, least_rest: two audits look exchanged where each rests nearer to the other unit than to its own by so
+            many standard deviations of what the other audits of the lot moved, or of this share of the span.
         stranger_rest, stranger_factor: an audit is of another unit where its rest moved by more than the first share
             of the span, and by the second times as much as that of any other audit.
     """
@@ -289,8 +289,8 @@ class ReleaseConfig:
     least_gains: int = setting(3)
     most_gain: float = setting(3.0, "as findings.stretch")
     least_others: int = setting(3)
-    same_rest: float = setting(0.01)
-    other_rest: float = setting(0.05)
+    exchanged: float = setting(4.0, f"{SET}: by chance one pair of audits in millions")
+    least_rest: float = setting(0.005)
     stranger_rest: float = setting(0.2)
     stranger_factor: float = setting(4.0)
 

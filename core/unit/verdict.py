@@ -172,27 +172,34 @@ class Decision:
         measured: from an audit; it counts wherever there is one.
         sampled: from audits of other units of the lot; it counts where the unit itself was not measured.
         bars: what keeps the unit from passing whatever was found: the reference itself cannot be relied on.
+        doubt: why its audit may not be what it is said to be: nothing is decided before that is known.
     """
 
     predicted: Judgement
     measured: Judgement | None = None
     sampled: Judgement | None = None
     bars: tuple[Reason, ...] = ()
+    doubt: Reason | None = None
 
     @property
     def verdict(self) -> Verdict:
         """The word that counts."""
+        if self.doubt is not None:
+            return Verdict.RETEST
         known = self.measured or self.sampled
         best = Verdict.CONDITIONAL if known is None or self.bars else Verdict.PASS
         return worst_of([(known or self.predicted).verdict, best])
 
     @property
     def is_audited(self) -> bool:
-        return self.measured is not None
+        """Whether its error was measured, and nothing speaks against that."""
+        return self.measured is not None and self.doubt is None
 
     @property
     def reasons(self) -> tuple[Reason, ...]:
         """Why, most important first; where an audit changed the word, what was predicted stands behind it."""
+        if self.doubt is not None:
+            return (self.doubt, *self._found, *self.bars)
         if self.verdict.severity > Verdict.CONDITIONAL.severity:
             return (*self._found, *self.bars)
         return (*self.bars, *self._found)
@@ -216,7 +223,8 @@ class Decision:
         others = {"measured": self.measured, "sampled": self.sampled}
         kept = {name: None if other is None else other.to_json() for name, other in others.items()}
         barred = {"bars": [one.to_json() for one in self.bars]} if self.bars else {}
-        return {"predicted": self.predicted.to_json(), **kept, **barred}
+        doubted = {} if self.doubt is None else {"doubt": self.doubt.to_json()}
+        return {"predicted": self.predicted.to_json(), **kept, **barred, **doubted}
 
     @classmethod
     def of(cls, kept: Mapping[str, object]) -> "Decision":
@@ -224,7 +232,8 @@ class Decision:
         judged = {name: kept.get(name) for name in ("predicted", "measured", "sampled")}
         found = {name: Judgement.of(one) for name, one in judged.items() if one is not None}  # type: ignore[arg-type]
         bars: Iterable[object] = kept.get("bars", ())  # type: ignore[assignment]
-        return cls(**found, bars=tuple(map(Reason.of, bars)))
+        doubt = kept.get("doubt")
+        return cls(**found, bars=tuple(map(Reason.of, bars)), doubt=None if doubt is None else Reason.of(doubt))
 
 
 _RELATION = {

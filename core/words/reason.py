@@ -48,7 +48,30 @@ ENGLISH: Mapping[str, str] = {
     ),
     "reference_uncertain": "the reference's own uncertainty U = {expanded:.3g} {unit} (k = 2) leaves no room to pass",
     "harmful": "worse than doing nothing: RMSE {after:.3g} {unit} with the map, {before:.3g} {unit} without it",
-    "forecast_only": "a forecast promises nothing before units of the lot were audited",
+    "stale_limit": (
+        "judged against {judged:.4g} {unit}, and the limit is {limit:.4g} {unit} now: run the batch of this lot again"
+    ),
+    "stale_limit_open": (
+        "judged against {judged:.4g} {unit}, and the lot states no limit any more: run the batch of this lot again"
+    ),
+    # Why one audit of a lot is set aside.
+    "doubt.one_recording": (
+        "its audit is set aside: it is the same recording as that of {other}; one of the two is of another unit: bring "
+        "the right file, or confirm this one"
+    ),
+    "doubt.exchanged": (
+        "its audit is set aside: it rests at {rest:.4g}, where {other} does, and not at {unit_rest:.4g}; the audits "
+        "look exchanged: bring the right files, or confirm this one"
+    ),
+    "doubt.gain": (
+        "its audit is set aside: its estimates are {gain:.3g} x the reference, those of the {others} others "
+        "{usual:.3g} x; is its reference in another unit, or of another sensor? Bring it anew, or confirm it"
+    ),
+    "doubt.stranger": (
+        "its audit is set aside: it rests at {rest:.4g} where its unit rests at {unit_rest:.4g}, and the {others} "
+        "others rest where their units do; is it of another unit? Bring the right file, or confirm this one"
+    ),
+    "forecast_only": "its error is a forecast, which promises nothing until audits of enough units speak for it",
     "not_qualified": "not released by sample: {why}",
     "part.here": "{audits} audited units of this lot",
     "part.of_lots": "{audits} audited units of {lots} earlier lots",

@@ -14,7 +14,7 @@ import pytest
 
 from softcal.app.batch.audit_evidence import AuditReader
 from softcal.app.batch.line_statement import stated_line
-from softcal.app.batch.release import LineRelease, decide_release, update_release
+from softcal.app.batch.release import LineRelease, decide_release, judge_lot
 from softcal.app.cli.main import main
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
@@ -135,7 +135,7 @@ def test_the_line_reads_no_recording_and_the_other_units_only_where_an_audit_cam
 def test_without_audits_no_calibration_is_read_whole(make_lot, batch, monkeypatch, registry):
     batch(make_lot(audits=0))
     monkeypatch.setattr(registry, "calibration", lambda *_, **__: pytest.fail("a calibration was read whole"))
-    decided = update_release(registry, "large")
+    decided = judge_lot(registry, "large")
     assert decided is not None and decided.forecasts and decided.found is None
 
 
@@ -168,35 +168,54 @@ def test_more_audits_decide_the_lot_again(make_lot, batch):
     assert len(batch(folder)["release"]["released"]) == 4
 
 
-def test_one_audit_recording_for_two_units_releases_nothing(make_lot, registry_url, tmp_path, capsys, registry):
-    folder = make_lot()
-    shutil.copy(folder / "audit/large-00.csv", folder / "audit/large-01.csv")
-    file = tmp_path / "batch.json"
-    assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--json", str(file)]) == 2
-    error = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "large-00" in error and "large-01" in error
-    assert "large" not in registry.lot_ids(), "it is told before anything is trained or fitted"
+def _spoiled(folder: Path, how: str) -> set[str]:
+    """Make audits of a lot wrong, and return the serials of those that are."""
+    audit = folder / "audit"
+    if how == "gf":
+        frame = pd.read_csv(audit / "large-03.csv")
+        frame.assign(reference=101.97 * frame["reference"]).to_csv(audit / "large-03.csv", index=False)
+        return {"large-03"}
+    if how == "one recording":
+        shutil.copy(audit / "large-00.csv", audit / "large-01.csv")
+        return {"large-00", "large-01"}
+    # The two whose outputs at rest differ most: units that rest alike cannot be told apart by it.
+    rest = {path: pd.read_csv(path)["output"].quantile(0.02) for path in audit.iterdir()}
+    one, other = min(rest, key=rest.__getitem__), max(rest, key=rest.__getitem__)
+    first = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(first)
+    return {one.stem, other.stem}
 
 
-@pytest.mark.parametrize("spoil", ["gf", "exchanged"])
-def test_audits_that_cannot_be_true_release_nothing(make_lot, registry_url, tmp_path, capsys, spoil, registry):
-    folder = make_lot()
-    if spoil == "gf":
-        frame = pd.read_csv(folder / "audit/large-03.csv")
-        frame.assign(reference=101.97 * frame["reference"]).to_csv(folder / "audit/large-03.csv", index=False)
-        wrong = {"large-03"}
-    else:
-        # The two whose outputs at rest differ most: units that rest alike cannot be told apart by it.
-        rest = {path: pd.read_csv(path)["output"].quantile(0.02) for path in (folder / "audit").iterdir()}
-        one, other = min(rest, key=rest.__getitem__), max(rest, key=rest.__getitem__)
-        wrong = {one.stem, other.stem}
-        first = one.read_bytes()
-        one.write_bytes(other.read_bytes())
-        other.write_bytes(first)
-    assert main(["batch", str(folder), "--registry", registry_url, *SMALL, "--json", str(tmp_path / "b.json")]) == 2
-    error = capsys.readouterr().err.strip().splitlines()[-1]
-    assert {word.strip(".,:;") for word in error.split() if "large-" in word} >= wrong
-    assert not [unit for unit in registry.units("large") if unit.verdict == "pass" and unit.after_rmse is None]
+DOUBTS = {"gf": "doubt.gain", "one recording": "doubt.one_recording", "exchanged": "doubt.exchanged"}
+
+
+@pytest.mark.parametrize("how", DOUBTS)
+def test_an_audit_that_may_be_wrong_is_set_aside_and_the_rest_of_the_lot_is_worked(make_lot, batch, how):
+    folder = make_lot(audits=12)
+    wrong = _spoiled(folder, how)
+    report = batch(folder)
+    units = {unit["serial"]: unit for unit in report["units"]}
+    assert {serial for serial, unit in units.items() if unit["verdict"] == "retest"} == wrong
+    assert {units[serial]["reason_codes"][0] for serial in wrong} == {DOUBTS[how]}
+    assert not any(units[serial]["audited"] or units[serial]["released"] for serial in wrong)
+    assert report["release"]["audited"] == 12 - len(wrong) and len(report["release"]["released"]) == 2
+    assert batch(folder)["release"] == report["release"]
+
+
+def test_a_person_can_confirm_a_doubted_audit_and_a_new_one_ends_the_doubt(make_lot, batch, registry_url, registry):
+    folder = make_lot(audits=12)
+    right = (folder / "audit/large-03.csv").read_bytes()
+    _spoiled(folder, "gf")
+    batch(folder)
+    confirm = ["lot", "audit", str(folder), "--confirm", "large-03", "--registry", registry_url]
+    assert main(confirm) == 2, "without a reason"
+    assert main([*confirm, "--reason", "the cell was read by hand"]) == 1
+    assert registry.standings("large", ["large-03"])["large-03"].verdict == "fail", "it counts as it stands now"
+    assert batch(folder)["release"]["audited"] == 12
+    (folder / "audit/large-03.csv").write_bytes(right)
+    report = batch(folder)
+    assert report["release"]["audited"] == 12 and report["counts"]["retest"] == 0
 
 
 def test_audits_made_under_another_method_qualify_nothing(make_lot, batch, registry):
@@ -247,7 +266,7 @@ def test_golden_runs_of_several_days_are_kept_from_the_limit(make_lot, batch, re
             golden = LabelledRecording(OutputRecording(serial, t_s, output, 50.0), force_N)
             registry.add_recording("large", golden, "audit")
             registry.add_golden_run(GoldenRun("line", serial, at, 0.1, "N", True))
-    decided = update_release(registry, "large", now=start + timedelta(days=5))
+    decided = judge_lot(registry, "large", now=start + timedelta(days=5))
     assert decided is not None and decided.released == () and min(decided.days.values()) > 0
     assert decided.judgement(serial).reasons[0].code == "sampled.day"
 
@@ -339,3 +358,34 @@ def test_a_lot_with_a_golden_run_is_fitted_to_it_and_a_wrong_one_stops_the_batch
     (golden / "large-00.csv").unlink()
     assert main(["batch", str(folder), "--registry", registry_url, *SMALL]) == 2
     assert "A0.csv" in capsys.readouterr().err
+
+
+def test_another_limit_judges_every_unit_at_once_and_a_verdict_against_an_old_one_never_stands(
+    make_lot, batch, registry_url, tmp_path, registry
+):
+    batch(make_lot(), "--out", str(tmp_path / "out"))
+    before = {unit.serial: unit for unit in registry.units("large") if unit.role == "target"}
+    measured = sorted(unit.after_rmse for unit in before.values() if unit.after_rmse is not None)
+    limit = (measured[4] + measured[5]) / 2
+    # The limit alone, as another registry would bring it: nothing that was judged against the old one stands.
+    registry.set_limit("large", limit, reason="drawing C")
+    stale = {unit.serial: unit for unit in registry.units("large") if unit.role == "target"}
+    standings = registry.standings("large", list(stale))
+    assert {unit.verdict for unit in stale.values()} == {one.verdict for one in standings.values()} == {"retest"}
+    assert registry.verdict_counts("large")["retest"] == UNITS
+    export = ["export", "--registry", registry_url, "--serial", next(iter(before)), "--format", "json"]
+    assert main([*export, "--out", str(tmp_path / "files")]) != 0
+    # The command judges at once; no unit is fitted again.
+    command = ["lot", "limit", "large", "--rmse", repr(limit), "--reason", "drawing C", "--registry", registry_url]
+    assert main(command) == 0
+    after = {unit.serial: unit for unit in registry.units("large") if unit.role == "target"}
+    assert all(after[serial].map_sha256 == unit.map_sha256 for serial, unit in before.items())
+    beyond = {serial for serial, unit in after.items() if unit.after_rmse is not None and unit.after_rmse > limit}
+    assert len(beyond) >= 5 and {after[serial].verdict for serial in beyond} == {"fail"}
+    counts = registry.verdict_counts("large")
+    assert counts == {**dict.fromkeys(counts, 0), **pd.Series([u.verdict for u in after.values()]).value_counts()}
+    # Back to the old limit, everything is as it was.
+    assert main([*command[:4], "0.8", *command[5:]]) == 0
+    assert {serial: registry.standings("large", [serial])[serial].verdict for serial in before} == {
+        serial: unit.verdict for serial, unit in before.items()
+    }

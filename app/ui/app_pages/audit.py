@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import streamlit as st
 
 from softcal.app.batch.audit import LotAudit, draw_plan, lot_audit
-from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audits
+from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audits, target_serials
 from softcal.app.files.spreadsheet import csv_text
 from softcal.app.jobs.process import start_job
 from softcal.app.texts.reasons import said
@@ -125,7 +125,7 @@ def _upload(lot_id: str) -> None:
         if found is None:
             return
         columns = choose_columns(found[1], wide=False)
-        looked = look_at_audits(registry(), lot_id, files, columns)
+        looked = look_at_audits(registry().lot(lot_id), target_serials(registry(), lot_id), files, columns)
         table([_row(one) for one in looked])
         taken = sum(one.recording is not None for one in looked)
         if st.button(say("audit.take", count=taken), type="primary", disabled=not taken, key="audit-take"):

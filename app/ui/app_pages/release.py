@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 
 import streamlit as st
 
-from softcal.app.batch.release import decide_release, update_release
+from softcal.app.batch.release import decide_release, judge_lot
 from softcal.app.export.certificates.lot_facts import lot_statement_facts
 from softcal.app.export.certificates.lot_statement import lot_statement_pdf
 from softcal.app.export.names import FORMATS
@@ -57,7 +57,7 @@ def _statement(lot_id: str) -> None:
         return
     if st.button(say("release.do"), type="primary", icon=":material/verified:", key="release-do"):
         permit("release")
-        made = update_release(registry(), lot_id, actor())
+        made = judge_lot(registry(), lot_id, actor())
         released = len(made.released) if made is not None else 0
         st.session_state["release-done"] = say("release.done", count=released, lot=lot_id)
         st.rerun()

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import streamlit as st
 
+from softcal.app.batch.judging import roll_back
 from softcal.app.charts import unit as charts_unit
 from softcal.app.ui.account import actor
 from softcal.app.ui.desk import ask_reason, colours, in_words, registry, show_figure, words
@@ -47,7 +48,7 @@ def _rollback(serial: str, lot_id: str, older: Sequence[int]) -> None:
         if reason is None:
             return
         try:
-            registry().rollback(serial, revision, reason=reason, actor=actor(), lot_id=lot_id)
+            roll_back(registry(), serial, revision, reason=reason, actor=actor(), lot_id=lot_id)
         except InputError as error:
             st.error(in_words(error), icon=":material/error:")
             return

@@ -1,0 +1,109 @@
+"""`softcal lot audit`: bring labelled recordings of units into a lot, or confirm one that is in doubt."""
+
+import argparse
+from pathlib import Path
+
+from softcal.app.cli.options import add_json, add_registry, positive, registry_of
+from softcal.app.output import print_table, say, write_json
+from softcal.core.errors import InputError
+
+DONE, SOME_UNIT_NOT_PASSED, REFUSED = 0, 1, 2
+EXAMPLES = """examples:
+  softcal lot audit lot-1 measured/*.csv         files called by their serials, columns t_s, output, reference
+  softcal lot audit lot-1 EG-07.xlsx --time-column time --output-column V --reference-column N
+  softcal lot audit lot-1 EG-07.csv --sample-rate 50        a table without a column of time
+  softcal lot audit lot-1 --confirm EG-07 --reason "pressed again by hand, the same result"
+
+LOT is a lot folder: the recordings go into its audit/, and `softcal batch LOT` scores them. Or it is a lot of the
+registry: they are kept there, and the next calibration of the lot scores them.
+"""
+
+
+def add_audit(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add `softcal lot audit`."""
+    parser = actions.add_parser(
+        "audit",
+        help="bring labelled recordings of units into the lot; confirm one that is in doubt",
+        description="Take labelled recordings of units, one file a unit and called by its serial. A file that cannot "
+        "be used is named and left out, and the others are taken.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("lot", metavar="LOT", help="lot folder, or a lot in the registry")
+    parser.add_argument("files", nargs="*", type=Path, metavar="FILE", help="CSV, .xlsx or Parquet; of a folder, all")
+    parser.add_argument("--output-column", default="output", help="default output; with * one unit per column")
+    parser.add_argument("--reference-column", default="reference", help="column of the load cell; default reference")
+    parser.add_argument("--time-column", metavar="NAME", help="column of the time in s; default t_s")
+    parser.add_argument("--sample-rate", type=positive, metavar="HZ", help="without a column of time: samples a second")
+    parser.add_argument("--sheet", help="sheet of an Excel file")
+    parser.add_argument("--confirm", metavar="SERIAL", help="the audit of this unit is right in spite of the doubt")
+    parser.add_argument("--reason", default="", help="why; needed with --confirm")
+    add_registry(parser)
+    add_json(parser)
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.confirm is not None:
+        if options.files:
+            raise InputError("--confirm takes no files: bring them first, then confirm what is in doubt")
+        return _confirm(options)
+    if not options.files:
+        raise InputError("no file is given: name the labelled recordings, each called by the serial of its unit")
+    return _bring(options)
+
+
+def _confirm(options: argparse.Namespace) -> int:
+    from softcal.app.batch.judging import confirm
+    from softcal.app.cli.lot import lot_id_of
+
+    lot_id = lot_id_of(options.lot)
+    with registry_of(options, create=False) as registry:
+        confirm(registry, lot_id, options.confirm, reason=options.reason)
+        standing = registry.standings(lot_id, [options.confirm])[options.confirm]
+    say(f"{options.confirm}: confirmed; its verdict is {standing.verdict}: {standing.reasons[0]}")
+    if options.json:
+        facts = {"serial": options.confirm, "verdict": standing.verdict}
+        write_json(options.json, {"schema": "softcal.lot.audit-confirm/1", "lot": lot_id, **facts})
+    return DONE if standing.verdict == "pass" else SOME_UNIT_NOT_PASSED
+
+
+def _bring(options: argparse.Namespace) -> int:
+    from softcal.app.batch.audit_files import look_at_audits, store_audits, target_serials, write_audits
+    from softcal.app.files.importing import Columns, tables_of
+    from softcal.app.files.lot_folder import open_lot_folder
+
+    time = options.time_column or (None if options.sample_rate else "t_s")
+    columns = Columns(options.output_column, options.reference_column, time)
+    files = [file for path in options.files for file in tables_of(path)]
+    folder, replaced = Path(options.lot), list[str]()
+    if (folder / "lot.toml").is_file():
+        opened = open_lot_folder(folder)
+        lot = opened.lot
+        _check_rate(options.sample_rate, lot.sample_rate_Hz)
+        found = look_at_audits(lot, opened.unit_paths.keys(), files, columns, options.sheet)
+        replaced = write_audits(folder, found)
+    else:
+        with registry_of(options, create=False) as registry:
+            lot = registry.lot(options.lot)
+            _check_rate(options.sample_rate, lot.sample_rate_Hz)
+            found = look_at_audits(lot, target_serials(registry, lot.id), files, columns, options.sheet)
+            store_audits(registry, lot.id, found)
+    taken = [one.serial for one in found if one.recording is not None]
+    if options.json:
+        refused = {one.file: str(one.refusal) for one in found if one.recording is None}
+        facts = {"lot": lot.id, "audited": taken, "replaced": replaced, "refused": refused}
+        write_json(options.json, {"schema": "softcal.lot.audit-files/1", **facts})
+    if options.json != "-":
+        rows = [[one.file, one.serial, "taken" if one.recording else f"refused: {one.refusal}"] for one in found]
+        print_table(("file", "serial", "result"), rows)
+    if replaced:
+        say(f"an older audit of {', '.join(replaced)} was replaced")
+    say(f"{len(taken)} of {len(found)} files taken; next: softcal batch {options.lot}")
+    return DONE if len(taken) == len(found) else REFUSED
+
+
+def _check_rate(stated_Hz: float | None, lot_Hz: float) -> None:
+    """Raise `InputError` where a table's rate is not the lot's: its windows would be of another length."""
+    if stated_Hz is not None and abs(stated_Hz - lot_Hz) > 1e-3 * lot_Hz:
+        raise InputError(f"--sample-rate is {stated_Hz:g} Hz, the lot's is {lot_Hz:g} Hz; nothing was taken")

@@ -1,0 +1,131 @@
+"""What a unit is judged by, kept with its calibration: another limit or a doubt about its audit needs no new fit."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from softcal.core.identity import content_sha256
+from softcal.core.unit.method import DecisionConfig
+from softcal.core.unit.scoring import Scores
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import Decision, Finding, Judgement, Limit, Verdict, decide, decide_audited
+from softcal.core.words.reason import Reason
+
+if TYPE_CHECKING:
+    from softcal.core.unit.calibration import CalibrationRecord
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What an audit of the unit showed.
+
+    Args:
+        scores: errors in the reference unit.
+        windows: number of windows behind them.
+    """
+
+    scores: Scores
+    windows: int
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """All that a unit's verdict rests on but the limit.
+
+    Args:
+        forecast: of its error, in the reference unit, before audits of other units scaled it.
+        findings: what recording and map show against it.
+        held: what rules of other packages have against it; they looked at the limit of then.
+        told: what is said last beside a forecast.
+        measured: None without an audit.
+        bars: what keeps it from passing whatever was found.
+        rules: identities of the rules that were asked.
+    """
+
+    forecast: ErrorForecast
+    findings: tuple[Finding, ...] = ()
+    held: tuple[Finding, ...] = ()
+    told: tuple[Reason, ...] = ()
+    measured: Measured | None = None
+    bars: tuple[Reason, ...] = ()
+    rules: tuple[str, ...] = ()
+
+    def decide(self, limit: Limit, config: DecisionConfig) -> Decision:
+        """Decide against a limit in the unit of the errors."""
+        predicted = decide(self.forecast, limit, (*self.findings, *self.held))
+        predicted = replace(predicted, reasons=(*predicted.reasons, *self.told))
+        return Decision(predicted, self._measured(limit, config), bars=self.bars)
+
+    def _measured(self, limit: Limit, config: DecisionConfig) -> Judgement | None:
+        if self.measured is None:
+            return None
+        scores = self.measured.scores
+        return decide_audited(scores.before, scores.after, self.measured.windows, limit, config, self.held)
+
+    def to_json(self) -> dict[str, object]:
+        """Return them as JSON values."""
+        measured = self.measured
+        return {
+            "forecast": vars(self.forecast),
+            "findings": [_finding_json(one) for one in self.findings],
+            "held": [_finding_json(one) for one in self.held],
+            "told": [one.to_json() for one in self.told],
+            "measured": measured and {"scores": asdict(measured.scores), "windows": measured.windows},
+            "bars": [one.to_json() for one in self.bars],
+            "rules": list(self.rules),
+        }
+
+    @classmethod
+    def of(cls, kept: Mapping[str, object]) -> "Grounds":
+        """Read what `to_json` wrote."""
+        read: dict[str, Iterable[object]] = {name: kept[name] for name in ("findings", "held", "told", "bars", "rules")}  # type: ignore[misc]
+        measured: Mapping[str, Any] | None = kept["measured"]  # type: ignore[assignment]
+        return cls(
+            forecast=ErrorForecast(**kept["forecast"]),  # type: ignore[arg-type]
+            findings=tuple(map(_finding_of, read["findings"])),
+            held=tuple(map(_finding_of, read["held"])),
+            told=tuple(map(Reason.of, read["told"])),
+            measured=None
+            if measured is None
+            else Measured(Scores(**measured["scores"]), int(str(measured["windows"]))),  # type: ignore[arg-type]
+            bars=tuple(map(Reason.of, read["bars"])),
+            rules=tuple(map(str, read["rules"])),
+        )
+
+
+def _finding_json(finding: Finding) -> dict[str, object]:
+    return {"reason": finding.reason.to_json(), "best": str(finding.best)}
+
+
+def _finding_of(kept: object) -> Finding:
+    facts: Mapping[str, object] = kept  # type: ignore[assignment]
+    return Finding(Reason.of(facts["reason"]), Verdict(str(facts["best"])))
+
+
+def judged(record: "CalibrationRecord", limit: Limit) -> "CalibrationRecord | None":
+    """Return a calibration judged against another limit; None where only a new fit can judge it.
+
+    Calibrations of older versions kept no grounds, and rules of other packages have to see the recording again.
+
+    Args:
+        record: as it was fitted, before audits of other units scaled it.
+        limit: in force now.
+    """
+    grounds = record.grounds
+    if grounds is None or grounds.rules:
+        return None
+    decision = grounds.decide(limit, (record.method.decision if record.method else DecisionConfig()))
+    return replace(
+        record,
+        settings={**record.settings, "decision": decision.to_json()},
+        verdict=str(decision.verdict),
+        reasons=decision.reasons,
+        evidence={**record.evidence, **limit_evidence(limit)},
+        input_sha256=content_sha256({}, {"base": record.input_sha256, "limit": limit.to_json()}),
+    )
+
+
+def limit_evidence(limit: Limit) -> dict[str, float | str]:
+    """Return a limit as a calibration keeps it among its numbers."""
+    expanded = limit.reference_expanded
+    return {"limit_rmse": limit.maximum_rmse, "limit_origin": str(limit.origin), "reference_expanded": expanded}
