@@ -57,9 +57,9 @@ def _lot_id(given: str) -> str:
 
 
 def _made(language: str) -> str:
-    from datetime import UTC, datetime
+    from datetime import datetime
     from importlib.metadata import version
 
     from softcal.app.texts.catalogue import text
 
-    return text(language, "report.made", at=f"{datetime.now(UTC):%Y-%m-%d %H:%M}", version=version("softcal"))
+    return text(language, "report.made", at=datetime.now().astimezone(), version=version("softcal"))

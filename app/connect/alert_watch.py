@@ -5,7 +5,7 @@ from datetime import datetime
 from typing import Any
 
 from softcal.app.connect.events import ALERTS, lots_judged_since
-from softcal.app.texts.catalogue import LANGUAGES, text
+from softcal.app.texts.catalogue import LANGUAGES, instant, text
 from softcal.app.views.alerts import Alert, lot_alerts, plant_alerts
 from softcal.app.views.lot import lot_view
 from softcal.db.outbox import Cursor
@@ -71,6 +71,6 @@ def told(alert: Alert, lot_id: str) -> dict[str, Any]:
         "kind": alert.kind,
         "lot": lot_id or None,
         "is_urgent": alert.is_urgent,
-        "values": dict(alert.values),
+        "values": {k: instant(v) if isinstance(v, datetime) else v for k, v in alert.values.items()},
         "text": {language: text(language, f"alert.{alert.kind}", **alert.values) for language in LANGUAGES},
     }

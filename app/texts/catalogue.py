@@ -1,6 +1,8 @@
 """The words of the screens: one catalogue, from the files beside this one."""
 
 import tomllib
+from collections.abc import Callable
+from datetime import datetime, timedelta, timezone, tzinfo
 from functools import cache
 from pathlib import Path
 
@@ -27,5 +29,21 @@ def catalogue() -> dict[str, dict[str, str]]:
 
 
 def text(language: str, key: str, /, **values: object) -> str:
-    """Return one text with its values filled in; an unknown language gives English."""
-    return filled(catalogue().get(language, catalogue()["en"])[key], values)
+    """Return one text with its values filled in, an instant in its own zone; an unknown language gives English."""
+    shown = {name: instant(value) if isinstance(value, datetime) else value for name, value in values.items()}
+    return filled(catalogue().get(language, catalogue()["en"])[key], shown)
+
+
+def words_in(language: str, zone: tzinfo | None) -> Callable[..., str]:
+    """Return the texts of a language for a reader in a time zone; None is that of this machine."""
+
+    def say(key: str, /, **values: object) -> str:
+        there = {name: v.astimezone(zone) if isinstance(v, datetime) else v for name, v in values.items()}
+        return text(language, key, **there)
+
+    return say
+
+
+def instant(at: datetime) -> str:
+    """Return an instant as every reader sees it: to the second, with the difference of its zone from UTC."""
+    return f"{at:%Y-%m-%d %H:%M:%S} {timezone(at.utcoffset() or timedelta())}"

@@ -5,6 +5,7 @@ version kept, or that was quoted from a file or a device, stays as it is.
 """
 
 from collections.abc import Callable, Iterable
+from datetime import datetime
 
 from softcal.core.words.reason import PLAIN, Reason, Value, unpacked
 
@@ -21,6 +22,9 @@ NAMES = {
 }
 """Values of a reason that are names of softcal's own, with the kind of phrase by which a language says them."""
 
+INSTANT = "at"
+"""The value of a reason that is an instant, kept as text (ISO 8601)."""
+
 BETWEEN = "; "
 
 
@@ -31,10 +35,20 @@ def said(why: Reason, words: Words) -> str:
     return words(f"{PREFIX}{why.code}", **{name: _value_said(name, v, words) for name, v in why.values.items()})
 
 
-def _value_said(name: str, value: Value, words: Words) -> Value:
+def _value_said(name: str, value: Value, words: Words) -> object:
     if isinstance(value, Reason):
         return said(value, words)
-    return phrase(NAMES[name], value, words) if name in NAMES and isinstance(value, str) else value
+    if not isinstance(value, str):
+        return value
+    return _instant(value) if name == INSTANT else phrase(NAMES[name], value, words) if name in NAMES else value
+
+
+def _instant(kept: str) -> object:
+    # A station that was not updated yet gives the hour alone.
+    try:
+        return datetime.fromisoformat(kept)
+    except ValueError:
+        return kept
 
 
 def plainly(why: Reason, words: Words) -> str:

@@ -2,14 +2,16 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from datetime import datetime, tzinfo
 from typing import Any
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import streamlit as st
 
 from softcal.app.charts.palette import Palette, palette
 from softcal.app.logs import log_crash
-from softcal.app.texts.catalogue import LANGUAGES, text
+from softcal.app.texts import catalogue
+from softcal.app.texts.catalogue import LANGUAGES, words_in
 from softcal.app.texts.reasons import all_said, said, told
 from softcal.app.ui.account import permit, person
 from softcal.app.ui.browser_memory import recall, remember
@@ -27,12 +29,14 @@ __all__ = [
     "errors_in_words",
     "in_full",
     "in_words",
+    "instant",
     "language",
     "readable",
     "registry",
     "show_figure",
     "verdict_badge",
     "words",
+    "zone",
 ]
 
 PLOT_CONFIG = {"displayModeBar": False, "displaylogo": False}
@@ -44,14 +48,27 @@ UNSEEN = f".st-key-{FIRST} {{ display: none }}"
 
 
 def language() -> str:
-    """Return the language of the address, else the one this browser chose last, else English."""
-    chosen = str(st.query_params.get(LANGUAGE) or recall(LANGUAGE))
+    """Return the language of the address, else the one chosen last at this browser, else its own, else English."""
+    chosen = str(st.query_params.get(LANGUAGE) or recall(LANGUAGE) or (st.context.locale or "").partition("-")[0])
     return chosen if chosen in LANGUAGES else "en"
 
 
+def zone() -> tzinfo | None:
+    """Return the time zone of the browser; None, that of this machine, where it says none that is known here."""
+    try:
+        return ZoneInfo(st.context.timezone or "")
+    except (ValueError, ZoneInfoNotFoundError):
+        return None
+
+
+def instant(at: datetime | None) -> str:
+    """Return an instant in the browser's time zone; a dash where there is none."""
+    return "–" if at is None else catalogue.instant(at.astimezone(zone()))
+
+
 def words() -> Callable[..., str]:
-    """Return the texts of the chosen language."""
-    return partial(text, language())
+    """Return the texts of the chosen language; instants in them are said in the browser's time zone."""
+    return words_in(language(), zone())
 
 
 def in_words(message: SoftcalError | Reason | Iterable[Reason] | str) -> str:

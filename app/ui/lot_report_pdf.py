@@ -39,7 +39,7 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made
     """Return the report of a lot, or of what a filter leaves of it.
 
     Args:
-        made: when it is made; now without.
+        made: when it is made, in the reader's time zone; now without.
 
     Raises:
         InputError: no font at hand can write the language.
@@ -53,7 +53,7 @@ def lot_report_pdf(registry: Registry, view: LotView, language: str = "en", made
         title=title,
         author="",
         software=software,
-        footer=f"{title}   {say('report.made', at=f'{now:%Y-%m-%d %H:%M}', version=version('softcal'))}",
+        footer=f"{title}   {say('report.made', at=now, version=version('softcal'))}",
         made_on=now.date(),
         numbering=say("report.page", number="{number}", count="{count}"),
     )

@@ -1,7 +1,7 @@
 """What somebody should look at now, beside the units themselves: said on the page of the lot and sent. No Streamlit."""
 
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 from softcal.app.views.common import percent
 from softcal.app.views.lot import LotView
@@ -64,7 +64,7 @@ def _golden(runs: list[GoldenRun]) -> list[Alert]:
     """Return the stations whose newest check with a golden unit failed."""
     newest = {run.station: run for run in sorted(runs, key=lambda run: run.made_at)}
     return [
-        Alert("golden", {"station": run.station, "serial": run.serial, "at": f"{run.made_at:%Y-%m-%d %H:%M} UTC"}, True)
+        Alert("golden", {"station": run.station, "serial": run.serial, "at": run.made_at}, True)
         for run in newest.values()
         if not run.passed
     ]
@@ -75,7 +75,7 @@ def _silent(beat: Heartbeat, now: datetime) -> Alert | None:
     age = now - beat.at
     if beat.state is StationState.OFF or not SILENT_AFTER < age < FORGOTTEN_AFTER:
         return None
-    return Alert("station", {"station": beat.station, "at": f"{beat.at.astimezone(UTC):%Y-%m-%d %H:%M} UTC"})
+    return Alert("station", {"station": beat.station, "at": beat.at})
 
 
 def _certificates(found: list[CellCertificate], now: datetime) -> list[Alert]:

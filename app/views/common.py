@@ -1,7 +1,6 @@
 """What several screens need to show numbers: rounding, units, and long series thinned for a chart. No Streamlit."""
 
 from collections.abc import Callable, Sequence
-from datetime import datetime
 
 import numpy as np
 
@@ -36,11 +35,6 @@ def shortened(name: str, most: int) -> str:
 def phase_said(phase: str, words: Callable[..., str]) -> str:
     """Return the phase of a run in the language of the screen; one that nobody foresaw stays as the station says it."""
     return phrase("phase", phase, words) if phase else words("phase.queued")
-
-
-def instant(at: datetime | None) -> str:
-    """Return an instant as every screen shows it: UTC, to the second."""
-    return "–" if at is None else f"{at:%Y-%m-%d %H:%M:%S} UTC"
 
 
 def thinned(values: Sequence[object] | Array, most: int = POINTS) -> slice:

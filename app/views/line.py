@@ -268,12 +268,12 @@ def _actions(facts: LineFacts, state: str) -> tuple[str, ...]:
 
 
 def _instruction(facts: LineFacts, state: str, serial: str, run: LineRun | None, words: Words) -> str:
-    values = {"serial": serial, "lot": facts.lot.id if facts.lot else "", "station": facts.station}
+    values: dict[str, object] = {"serial": serial, "lot": facts.lot.id if facts.lot else "", "station": facts.station}
     if state == "load" and facts.load is not None and run is not None:
         return words(f"line.load.do{'' if facts.load.value else '.nothing'}", **values, **_load_values(facts, run))
     if state == "ask":
         last = facts.standings.get(serial) or facts.results[-1]
-        values |= {"verdict": words(f"verdict.{last.verdict}"), "at": f"{last.made_at.astimezone():%Y-%m-%d %H:%M}"}
+        values |= {"verdict": words(f"verdict.{last.verdict}"), "at": last.made_at}
         return words("line.ask.do", **values, left=facts.retests_left)
     if run is not None and state in ("broken", "stopped"):
         return words(_code_key(run[1], words))
@@ -338,8 +338,7 @@ def _changed(facts: LineFacts, run: LineRun | None, words: Words) -> tuple[str, 
     now = standing_of(facts, run) if run else ()
     if run is None or not now or run[1].verdict in ("", now[0].verdict):
         return ()
-    at = f"{now[0].made_at.astimezone():%Y-%m-%d %H:%M}"
-    return (words("line.changed", verdict=words(f"verdict.{run[1].verdict}"), at=at),)
+    return (words("line.changed", verdict=words(f"verdict.{run[1].verdict}"), at=now[0].made_at),)
 
 
 def _result(facts: LineFacts, run: LineRun, words: Words) -> tuple[str, ...]:
@@ -366,8 +365,7 @@ def _news(facts: LineFacts, state: str, words: Words) -> tuple[str, ...]:
         return ()
     if pressed and pressed[0] > network.since:
         return ()
-    at = f"{network.since.astimezone():%Y-%m-%d %H:%M}"
-    values = {"network": network.network.id[:8], "at": at, "actor": network.actor, "reason": network.reason}
+    values = {"network": network.network.id[:8], "at": network.since, "actor": network.actor, "reason": network.reason}
     return (words("line.network_changed", **values),)
 
 

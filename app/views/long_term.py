@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
 from softcal.db.adaptation_tables import AdaptedUnit
@@ -20,7 +21,7 @@ class UnitInUseView:
     """
 
     serial: str
-    made_at: str
+    made_at: datetime
     steps: int
     drift: float
     predicted_rmse: float
@@ -66,7 +67,7 @@ def _unit(entry: AdaptedUnit, reference_unit: str) -> UnitInUseView:
     step = entry.entry
     return UnitInUseView(
         entry.serial,
-        f"{entry.made_at:%Y-%m-%d %H:%M:%S} UTC",
+        entry.made_at,
         entry.steps,
         float(step["shift"]),
         float(step["predicted_rmse"]),

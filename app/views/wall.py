@@ -87,7 +87,7 @@ def wall_view(
         stations,
         _chips(registry, view.lot.id, words),
         _alerts(found, words),
-        words("wall.drawn", at=f"{now.astimezone(UTC):%H:%M:%S}"),
+        words("wall.drawn", at=now),
     )
 
 

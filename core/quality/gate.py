@@ -224,5 +224,7 @@ def _golden(facts: StationFacts) -> Condition:
         says = reason("gate.golden_bad", serial=golden.serial)
         return Condition(Reason("gate.name.golden"), False, says)
     return Condition(
-        Reason("gate.name.golden"), True, reason("gate.golden", serial=golden.serial, at=f"{golden.at:%H:%M}")
+        Reason("gate.name.golden"),
+        True,
+        reason("gate.golden", serial=golden.serial, at=golden.at.isoformat(timespec="seconds")),
     )

@@ -444,7 +444,7 @@ SENTENCES: Mapping[str, str] = {
         "golden unit {serial} lies outside its control limits; units since the last good check are quarantined; call "
         "the engineer"
     ),
-    "gate.golden": "{serial} within its limits at {at} UTC",
+    "gate.golden": "{serial} within its limits at {at}",
     "gate.needs_reason": "an override needs a reason; the gate is as it was",
     "gate.homed": "homed",
     "gate.name.certificate": "certificate",

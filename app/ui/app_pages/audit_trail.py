@@ -7,10 +7,9 @@ import streamlit as st
 from softcal.app.files.spreadsheet import csv_text
 from softcal.app.ui.account import actor
 from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.desk import empty, errors_in_words, registry, words
+from softcal.app.ui.desk import empty, errors_in_words, instant, registry, words, zone
 from softcal.app.ui.panels import heading, table_to_choose
 from softcal.app.views.audit_trail import HEADINGS, Entry, TrailFilter, trail
-from softcal.app.views.common import instant
 
 NEWEST, PAGE = 5000, 200
 
@@ -68,7 +67,7 @@ def _filter(entries: list[Entry]) -> TrailFilter:
 
 
 def _midnight(day: date | None, at: time) -> datetime | None:
-    return None if day is None else datetime.combine(day, at, UTC)
+    return None if day is None else datetime.combine(day, at, zone()).astimezone(UTC)
 
 
 def _counts(found: int, of: int, is_whole: bool) -> None:

@@ -5,11 +5,11 @@ import streamlit as st
 from softcal.app.charts.compare import maps_together, predicted_over_load
 from softcal.app.charts.lots import errors_of_lots
 from softcal.app.texts.reasons import all_said
-from softcal.app.ui.desk import colours, empty, errors_in_words, registry, show_figure, verdict_badge, words
+from softcal.app.ui.desk import colours, empty, errors_in_words, instant, registry, show_figure, verdict_badge, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import heading, table
-from softcal.app.views.common import instant, number
+from softcal.app.views.common import number
 from softcal.app.views.lots import MOST_LOTS, lot_rows
 from softcal.app.views.unit import UnitView, unit_view
 

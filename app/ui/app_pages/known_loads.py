@@ -12,9 +12,8 @@ from softcal.app.registry.source import source_recording
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.lot_upload import dropped_files, forget_files
-from softcal.app.ui.desk import errors_in_words, in_words, registry, words
+from softcal.app.ui.desk import errors_in_words, in_words, instant, registry, words
 from softcal.app.ui.panels import go_to, lot_heading, table, units_of
-from softcal.app.views.common import instant
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.maps.anchors import check_loads

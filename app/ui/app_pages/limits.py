@@ -6,11 +6,11 @@ from softcal.app.batch.judging import change_limit
 from softcal.app.charts import lot as charts_lot
 from softcal.app.ui.account import actor
 from softcal.app.ui.components.rules_form import rules_form
-from softcal.app.ui.desk import ask_reason, colours, errors_in_words, in_words, registry, words
+from softcal.app.ui.desk import ask_reason, colours, errors_in_words, in_words, instant, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import figure_under, headline, lot_heading, table
-from softcal.app.views.common import instant, number, percent
+from softcal.app.views.common import number, percent
 from softcal.app.views.lot import LotView
 from softcal.core.errors import InputError
 from softcal.db.entries import LimitEntry

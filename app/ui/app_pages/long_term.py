@@ -4,7 +4,7 @@ import streamlit as st
 
 from softcal.app.charts.long_term import course_figure
 from softcal.app.texts.reasons import phrase
-from softcal.app.ui.desk import choose, colours, empty, errors_in_words, registry, show_figure, words
+from softcal.app.ui.desk import choose, colours, empty, errors_in_words, instant, registry, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
 from softcal.app.views.common import number
@@ -46,6 +46,6 @@ def _row(unit: UnitInUseView) -> dict[str, object]:
         say("lot.predicted"): number(unit.predicted_rmse, unit.reference_unit),
         say("chart.drift_scale"): number(unit.drift),
         say("long_term.steps"): unit.steps,
-        say("column.made"): unit.made_at,
+        say("column.made"): instant(unit.made_at),
         say("column.remark"): phrase("adapt", unit.alarm, say),
     }

@@ -2,10 +2,10 @@
 
 from softcal.app.ui.components.network_panels import comparison, training
 from softcal.app.ui.components.network_release import release
-from softcal.app.ui.desk import empty, errors_in_words, registry, words
+from softcal.app.ui.desk import empty, errors_in_words, instant, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import headline, lot_heading, table, told
-from softcal.app.views.common import instant, number
+from softcal.app.views.common import number
 from softcal.app.views.network import NetworkRow, network_rows
 
 

@@ -7,10 +7,9 @@ from softcal.app.charts import unit as charts_unit
 from softcal.app.jobs.jobs import newest_source
 from softcal.app.ui.components.lot_form import choose_or_add_lot
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import colours, errors_in_words, in_words, registry, show_figure, words
+from softcal.app.ui.desk import colours, errors_in_words, in_words, instant, registry, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import go_to, heading, numbers
-from softcal.app.views.common import instant
 from softcal.app.views.network import network_rows
 from softcal.app.views.station import source_facts
 from softcal.core.lot import Lot

@@ -10,10 +10,9 @@ from softcal.app.line.place import is_alive
 from softcal.app.ui.account import person
 from softcal.app.ui.components.rig_setup import rig_setup
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import ask_reason, errors_in_words, in_words, registry, words
+from softcal.app.ui.desk import ask_reason, errors_in_words, in_words, instant, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
-from softcal.app.views.common import instant
 from softcal.core.orders import OrderKind
 from softcal.db.people import may
 

@@ -1,10 +1,12 @@
 """The report of a lot, to take along: one PDF of what the page shows."""
 
+from datetime import UTC, datetime
+
 import streamlit as st
 
 from softcal.app.ui.account import actor
 from softcal.app.ui.callbacks import in_one_piece
-from softcal.app.ui.desk import language, registry, words
+from softcal.app.ui.desk import language, registry, words, zone
 from softcal.app.views.lot import LotView
 
 
@@ -25,7 +27,7 @@ def lot_report(view: LotView) -> None:
 def _pdf(view: LotView) -> bytes:
     from softcal.app.ui.lot_report_pdf import lot_report_pdf
 
-    return lot_report_pdf(registry(), view, language())
+    return lot_report_pdf(registry(), view, language(), datetime.now(UTC).astimezone(zone()))
 
 
 @in_one_piece

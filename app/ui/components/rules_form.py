@@ -8,9 +8,8 @@ import streamlit as st
 from softcal.app.line.load_readings import check_stated
 from softcal.app.registry.source import source_recording
 from softcal.app.ui.account import actor
-from softcal.app.ui.desk import ask_reason, in_words, registry, words
+from softcal.app.ui.desk import ask_reason, in_words, instant, registry, words
 from softcal.app.ui.panels import table
-from softcal.app.views.common import instant
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.known_loads import MOST_LOADS

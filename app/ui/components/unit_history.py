@@ -7,9 +7,9 @@ import streamlit as st
 from softcal.app.batch.judging import roll_back
 from softcal.app.charts import unit as charts_unit
 from softcal.app.ui.account import actor
-from softcal.app.ui.desk import ask_reason, colours, in_words, registry, show_figure, words
+from softcal.app.ui.desk import ask_reason, colours, in_words, instant, registry, show_figure, words
 from softcal.app.ui.panels import table, table_to_choose
-from softcal.app.views.common import instant, number
+from softcal.app.views.common import number
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.db.entries import StoredCalibration
