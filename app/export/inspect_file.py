@@ -72,7 +72,7 @@ def file_rows(file: DeviceFile, network: NetworkFile | None = None) -> list[tupl
 def _network_rows(file: NetworkFile) -> list[tuple[str, str]]:
     net = file.network
     return [
-        ("kind", "shared network, format 1.0"),
+        ("kind", f"shared network, format {MAJOR}.{file.minor}"),
         ("id", file.id.hex()),
         ("registry id", file.network_sha256),
         ("source unit", file.source_serial),

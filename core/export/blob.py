@@ -1,4 +1,4 @@
-"""The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.2: values ⇄ bytes. No file I/O here.
+"""The binary files `network-<id>.ssc` and `unit-<serial>.ssc`, format 1.3: values ⇄ bytes. No file I/O here.
 
 The layout, byte by byte, and what a reader has to check are written down in docs/format.md.
 """
@@ -25,7 +25,7 @@ from softcal.core.windows import TAPS
 MAGIC = 0x4643_5353
 """The bytes S S C F."""
 
-MAJOR, MINOR = 1, 2
+MAJOR, MINOR = 1, 3
 WEIGHTS_INT16 = 1
 SERIAL_BYTES = 20
 HEADER = struct.Struct("<IBBBBI8sII20s")
@@ -36,6 +36,7 @@ MIX_FIXED, MIX_ROW = struct.Struct("<BB"), struct.Struct("<15bBh")
 WIDE_FIXED, WIDE_ROW = struct.Struct("<BBH"), struct.Struct("<i15hH")
 CONDITIONAL, FAILED = 1, 2
 HAS_CURVE, HAS_LAYER, HAS_MIX, HAS_WIDE_MIX = 1, 2, 4, 8
+LEVELS = struct.Struct("<hH25hH")
 FORMS = (1, 2, 3, 4, 5, 8, 9)
 MAX_LAYERS, MAX_WIDTH, MAX_BANDS, MAX_SELF_TESTS = 7, 1024, 4, 4
 
@@ -108,6 +109,31 @@ class AdaptLimits:
     offset: int
 
 
+@dataclass(frozen=True)
+class LoadLevels:
+    """What the source puts out at rest, by load: a straight line between neighbours.
+
+    Args:
+        first, step: the least load, and the distance between two, in counts as estimates are.
+        counts: the 25 levels, in source counts.
+    """
+
+    first: int
+    step: int
+    counts: tuple[int, ...]
+
+    def at(self, load: int) -> int | None:
+        """Return the level under a load, rounded to the nearest count; None beyond the table."""
+        k, rest = divmod(load - self.first, self.step)
+        if k < 0 or (k, rest) > (len(self.counts) - 1, 0):
+            return None
+        if rest == 0:
+            return self.counts[k]
+        rise = self.counts[k + 1] - self.counts[k]
+        moved = (abs(rise) * rest + self.step // 2) // self.step
+        return self.counts[k] + (moved if rise > 0 else -moved)
+
+
 @dataclass(frozen=True, eq=False)
 class NetworkFile:
     """The shared network as a device holds it; once per lot.
@@ -118,6 +144,7 @@ class NetworkFile:
         source_serial: the unit f was trained on.
         period_us: time between two samples of a window in µs.
         output_unit, reference_unit: physical units, at most 8 bytes each.
+        levels: of the source, which known loads are compared with; None in files before format 1.3.
     """
 
     network: IntegerNetwork
@@ -126,6 +153,12 @@ class NetworkFile:
     period_us: int
     output_unit: str
     reference_unit: str
+    levels: LoadLevels | None = None
+
+    @property
+    def minor(self) -> int:
+        """Minor version: the least that says what is in the file."""
+        return 0 if self.levels is None else 3
 
     @property
     def gap_ms(self) -> int:
@@ -138,12 +171,17 @@ class NetworkFile:
 
     @cached_property
     def id(self) -> bytes:
-        """First 8 bytes of the SHA-256 of the body: what ties unit files to this file."""
+        """First 8 bytes of the SHA-256 of the body without levels: what ties unit files to this file.
+
+        So unit files made before a network file had levels stay its own.
+        """
         return hashlib.sha256(self._body).digest()[:8]
 
     def to_bytes(self) -> bytes:
         """Return the file."""
-        return _sealed(Kind.NETWORK, 0, self.id, 0, 0, self.source_serial, self._body)
+        levels = self.levels
+        end = b"" if levels is None else LEVELS.pack(levels.first, levels.step, *levels.counts, 0)
+        return _sealed(Kind.NETWORK, 0, self.id, 0, 0, self.source_serial, self._body + end, self.minor)
 
 
 @dataclass(frozen=True, eq=False)

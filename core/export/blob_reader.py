@@ -1,6 +1,5 @@
 """Bytes of a network or unit file back into values; every check a reader must make, in the order of docs/format.md."""
 
-import hashlib
 import struct
 import zlib
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ from softcal.core.export.blob import (
     HAS_WIDE_MIX,
     HEADER,
     KNOT,
+    LEVELS,
     MAGIC,
     MAJOR,
     MAX_BANDS,
@@ -37,6 +37,7 @@ from softcal.core.export.blob import (
     Band,
     FileRefused,
     Kind,
+    LoadLevels,
     NetworkFile,
     RefusalCause,
     SelfTest,
@@ -53,6 +54,9 @@ from softcal.core.export.integer_network import (
     PiecewiseMap,
 )
 from softcal.core.windows import TAPS
+
+WITH_LEVELS = 3
+"""Minor version from which a network file ends with the levels of its source."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +112,7 @@ def read_network(data: bytes) -> NetworkFile:
     except (ValueError, struct.error, IndexError) as error:
         raise _layout("network", error) from error
     _check_end("network", opened, end)
-    if hashlib.sha256(opened.body).digest()[:8] != opened.network_id:
+    if file.id != opened.network_id:
         raise FileRefused(RefusalCause.NETWORK, "network file: its id is not the hash of its body; export it again")
     return file
 
@@ -125,8 +129,14 @@ def _parse_network(opened: _Opened) -> tuple[NetworkFile, int]:
         layer, at = _parse_layer(opened.body, at, rows, columns)
         layers.append(layer)
     network = IntegerNetwork(tuple(layers), zero, lsb, exponent)
+    levels = None
+    if opened.minor >= WITH_LEVELS:
+        first, step, *counts, _ = LEVELS.unpack_from(opened.body, at)
+        levels, at = LoadLevels(first, step, tuple(counts)), at + LEVELS.size
+        if not step:
+            raise ValueError("levels of the source have no distance")
     units = _text(output_unit), _text(reference_unit)
-    return NetworkFile(network, sha256.hex(), opened.serial, period_us, *units), at
+    return NetworkFile(network, sha256.hex(), opened.serial, period_us, *units, levels), at
 
 
 def _parse_layer(body: bytes, at: int, rows: int, columns: int) -> tuple[IntegerLayer, int]:

@@ -14,6 +14,7 @@ from softcal.core.export.blob import (
     UNIT_BYTES,
     AdaptLimits,
     Band,
+    LoadLevels,
     NetworkFile,
     SelfTest,
     UnitFile,
@@ -38,9 +39,12 @@ from softcal.core.export.integer_network import (
 from softcal.core.export.limits import BANDS, Limits, limits_of
 from softcal.core.export.loader import join, run_self_test
 from softcal.core.export.quantise import code_range, evaluate_float64, quantise_map, quantise_network
+from softcal.core.maps.anchors import SourceLevels
+from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import UnitMap
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
+from softcal.core.use.method import TrimConfig
 from softcal.core.windows import TAPS
 
 BESIDE_MIX = slice(2, 4)
@@ -143,7 +147,19 @@ def build_network_file(network: Network, source: LabelledRecording) -> NetworkFi
         sample_period_us(source),
         network.output_unit,
         network.reference_unit,
+        _load_levels(held, source),
     )
+
+
+def _load_levels(network: IntegerNetwork, source: LabelledRecording) -> LoadLevels:
+    levels = SourceLevels.of(source, TrimConfig().levels, MapConfig().anchors)
+    count = 10.0**network.output_exponent
+    first, last = (round(float(load) / count) for load in levels.load[[0, -1]])
+    step = max(1, (last - first) // (len(levels.load) - 1))
+    loads = np.asarray((first + step * np.arange(len(levels.load))) * count, np.float64)
+    counts = np.rint((levels.at(loads) - network.input_zero) / network.input_lsb)
+    held = np.clip(counts, -ACTIVATION_MAX, ACTIVATION_MAX).astype(np.int64)
+    return LoadLevels(max(-ACTIVATION_MAX, first), step, tuple(held.tolist()))
 
 
 def sample_period_us(source: LabelledRecording) -> int:

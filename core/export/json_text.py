@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from softcal.core.errors import InputError
-from softcal.core.export.blob import AdaptLimits, Band, NetworkFile, SelfTest, UnitFile
+from softcal.core.export.blob import AdaptLimits, Band, LoadLevels, NetworkFile, SelfTest, UnitFile
 from softcal.core.export.compile_map import InputScale
 from softcal.core.export.integer_network import (
     DeviceMap,
@@ -38,6 +38,7 @@ def network_values(file: NetworkFile) -> dict[str, object]:
         "input_lsb": net.input_lsb,
         "sizes": list(net.sizes),
         "layers": [_layer_values(layer) for layer in net.layers],
+        **({} if file.levels is None else {"levels": vars(file.levels)}),
     }
 
 
@@ -58,9 +59,16 @@ def network_from_values(values: Mapping[str, Any]) -> NetworkFile:
             period_us=int(values["period_us"]),
             output_unit=str(values["output_unit"]),
             reference_unit=str(values["reference_unit"]),
+            levels=_levels_from(values.get("levels")),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise _refusal(error) from error
+
+
+def _levels_from(values: Mapping[str, Any] | None) -> LoadLevels | None:
+    if values is None:
+        return None
+    return LoadLevels(int(values["first"]), int(values["step"]), tuple(int(count) for count in values["counts"]))
 
 
 def unit_values(file: UnitFile) -> dict[str, object]:

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
-from softcal.core.export.integer_network import ACTIVATION_MAX
+from softcal.core.export.blob import UnitFile
+from softcal.core.export.integer_network import ACTIVATION_MAX, Integers
 from softcal.core.export.loader import STALE, STUCK, WARM_UP, WRONG_RATE, DeviceSensor
 from softcal.core.windows import TAPS
 
@@ -116,10 +118,18 @@ class DeviceStream:
         self._is_stuck |= (t_ms - self._moved_ms) % 2**32 >= STUCK_ms
         mapped = self._trim.shift.apply(int(unit.device_map.on_samples(np.array([code]))[0]), unit.adapt.low)
         self._ring = np.append(self._ring[1:], mapped)
-        self._outside = np.append(self._outside[1:], not unit.code_min <= code <= unit.code_max)
+        self._outside = np.append(self._outside[1:], self._is_outside(code, mapped))
         self._steps = [*self._steps[1:], step]
         self._filled = min(self._filled + 1, TAPS)
         self._last_ms, self._last_code = t_ms, code
+
+    def _is_outside(self, code: int, mapped: int) -> bool:
+        """Whether a sample is out of range: after a trim it is judged where the trim has put it."""
+        unit = self._sensor.unit_file
+        if self._trim.shift == Shift():
+            return not unit.code_min <= code <= unit.code_max
+        ends = unit.device_map.on_samples(np.array([unit.code_min, unit.code_max]))
+        return not ends.min() <= mapped <= ends.max() or bool(is_beyond(unit, np.array([code]))[0])
 
     def read(self, now_ms: int) -> tuple[int, int, int, int]:
         """Return value, lower, upper in counts, and flags; all values 0 where there is no number yet."""
@@ -144,6 +154,10 @@ class TrimResult(IntEnum):
     OUT_OF_REACH = 3
     TOO_FAR = 4
     TOO_CLOSE = 5
+    ALIKE = 6
+    NEEDLESS = 7
+    WORSE = 8
+    NO_LEVELS = 9
 
 
 def find_trim(
@@ -160,41 +174,53 @@ def find_trim(
     Returns:
         how it ended, and the trim; none unless TRIMMED.
     """
+    levels, unit = sensor.network_file.levels, sensor.unit_file
     if min(map(len, codes)) < TAPS:
         return TrimResult.MORE, Trim()
+    if levels is None:
+        return TrimResult.NO_LEVELS, Trim()
     if loads[0] == loads[1] or max(errors) > MOST_LOAD_ERROR:
         return TrimResult.TOO_CLOSE, Trim()
-    mapped = [sensor.unit_file.device_map.on_samples(c[:MOST_TRIM_SAMPLES]) for c in codes]
-    seen = [_towards_zero(int(y.sum()), len(y)) for y in mapped]
-    apart = seen[1] - seen[0]
-    if apart == 0 or any(4 * int(np.ptp(y)) > abs(apart) for y in mapped):
-        return TrimResult.MOVING, Trim()
-    wanted = [_rest_of(sensor, load) for load in loads]
-    if wanted[0] is None or wanted[1] is None:
+    used = [c[:MOST_TRIM_SAMPLES] for c in codes]
+    wanted = [y for load in loads if (y := _rest_of(sensor, levels.at(load))) is not None]
+    if len(wanted) < len(loads) or any(is_beyond(unit, c).any() for c in used):
         return TrimResult.OUT_OF_REACH, Trim()
+    mapped = [unit.device_map.on_samples(c) for c in used]
+    seen = [_towards_zero(int(y.sum()), len(y)) for y in mapped]
+    apart, rise, load = seen[1] - seen[0], abs(wanted[1] - wanted[0]), abs(loads[1] - loads[0])
+    if not rise or not apart:
+        return TrimResult.ALIKE, Trim()
+    if any(4 * int(np.ptp(y)) > abs(apart) for y in mapped):
+        return TrimResult.MOVING, Trim()
+    misread = [abs(_at_rest(sensor, wanted[k]) - loads[k]) for k in (0, 1)]
+    spread = [-(-(int(np.ptp(y)) + 2) * load // abs(apart)) for y in mapped]
+    reach = [_load_reach(sensor, loads[k], spread[k], errors[k], misread[k]) for k in (0, 1)]
+    open_ = joined(*reach)
+    if load <= open_ or abs(apart) * load // rise <= open_:
+        return TrimResult.ALIKE, Trim()
     missing = wanted[1] - wanted[0] - apart
     if abs(missing) > abs(apart) // 2:
         return TrimResult.TOO_FAR, Trim()
+    off = [min(MOST_REACH, abs(wanted[k] - seen[k]) * load // rise) for k in (0, 1)]
+    if all(422 * off[k] <= 256 * reach[k] for k in (0, 1)):
+        return TrimResult.NEEDLESS, Trim()
+    if joined(*misread) > joined(*(abs(_at_rest(sensor, seen[k]) - loads[k]) for k in (0, 1))):
+        return TrimResult.WORSE, Trim()
     gain = _towards_zero(missing * 2**15, apart)
-    offset = wanted[0] - seen[0] - (gain * (seen[0] - sensor.unit_file.adapt.low) >> 15)
+    offset = wanted[0] - seen[0] - (gain * (seen[0] - unit.adapt.low) >> 15)
     if abs(offset) > ACTIVATION_MAX:
         return TrimResult.TOO_FAR, Trim()
-    shift = Shift(gain, offset)
-    first, second = (_load_reach(sensor, mapped[k], shift, loads[k], errors[k]) for k in (0, 1))
-    return TrimResult.TRIMMED, Trim(shift, loads, (first, second))
+    return TrimResult.TRIMMED, Trim(Shift(gain, offset), loads, (reach[0], reach[1]))
 
 
-def _load_reach(sensor: DeviceSensor, seen: np.ndarray, shift: Shift, load: int, error: int) -> int:
+def _load_reach(sensor: DeviceSensor, load: int, spread: int, error: int, misread: int) -> int:
     """The 90 % half-width of what is not known at one load, in counts.
 
     How well the load itself is known; where within the range of its readings the level lies (rectangular, GUM 4.3.7,
-    widened by a count for rounding); and the error of the unit's calibration.
+    widened by a count for rounding); what f misreads at rest; and the error of the unit's calibration.
     """
-    low = shift.apply(int(seen.min()) - 1, sensor.unit_file.adapt.low)
-    high = shift.apply(int(seen.max()) + 1, sensor.unit_file.adapt.low)
-    spread = abs(_at_rest(sensor, high) - _at_rest(sensor, low))
     # 122 / 256 is 1.645 / sqrt(12), 422 / 256 is 1.645, both rounded up.
-    read = joined(-(-122 * spread // 256), -(-422 * error // 256))
+    read = joined(joined(-(-122 * spread // 256), -(-422 * error // 256)), misread)
     return joined(read, max(int(side[0]) for side in sensor.reach(np.array([load]))))
 
 
@@ -208,18 +234,27 @@ def _towards_zero(a: int, b: int) -> int:
     return abs(a) // abs(b) * (1 if (a < 0) == (b < 0) else -1)
 
 
-def _rest_of(sensor: DeviceSensor, known: int) -> int | None:
-    """The mapped sample that at rest gives `known`, by bisection between the calibrated codes; None where none does."""
-    unit = sensor.unit_file
+def _rest_of(sensor: DeviceSensor, level: int | None) -> int | None:
+    """The mapped sample that at rest stands at a level of the source, by bisection; None where none does."""
 
     def at_rest(y: int) -> int:
-        return _at_rest(sensor, y)
+        return int(sensor.unit_file.device_map.on_windows(np.full((1, TAPS), y, dtype=np.int64)).sum())
 
-    ends = unit.device_map.on_samples(np.array([unit.code_min, unit.code_max]))
-    a, b = sorted((int(ends[0]), int(ends[1])), key=at_rest)
-    if not at_rest(a) <= known <= at_rest(b):
+    if level is None:
+        return None
+    wanted = TAPS * level
+    a, b = sorted((-ACTIVATION_MAX, ACTIVATION_MAX), key=at_rest)
+    if not at_rest(a) <= wanted <= at_rest(b):
         return None
     while abs(b - a) > 1:
         middle = a + _towards_zero(b - a, 2)
-        a, b = (middle, b) if at_rest(middle) < known else (a, middle)
-    return a if known - at_rest(a) <= at_rest(b) - known else b
+        a, b = (middle, b) if at_rest(middle) < wanted else (a, middle)
+    return a if wanted - at_rest(a) <= at_rest(b) - wanted else b
+
+
+def is_beyond(unit: UnitFile, codes: Integers) -> NDArray[np.bool_]:
+    """Return which codes lie beyond the knots of a unit's curve, where it stays constant and shows nothing."""
+    curve = unit.device_map.curve
+    if curve is None:
+        return np.zeros(len(codes), dtype=np.bool_)
+    return np.asarray((codes < curve.codes[0]) | (codes > curve.codes[-1]))

@@ -190,7 +190,11 @@ class SourceLevels:
         low, high = float(source.reference.min()), float(source.reference.max())
         step = (high - low) / (count - 1)
         load = low + step * np.arange(-2.0, count + 2)
-        output = np.array([source_level(source, one, config)[0] for one in load[2:-2]])
+        inside = load[2:-2]
+        away = np.array([np.min(np.abs(source.reference - one)) for one in inside])
+        # A source that was held at a few loads shows nothing between them.
+        shown = inside[away <= config.near * (high - low)]
+        output = np.interp(inside, shown, [source_level(source, one, config)[0] for one in shown])
         first, last = output[0] - output[1], output[-1] - output[-2]
         before, after = output[0] + first * np.array([2.0, 1.0]), output[-1] + last * np.array([1.0, 2.0])
         return cls(load, np.concatenate([before, output, after]))

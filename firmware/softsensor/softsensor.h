@@ -27,7 +27,9 @@
 #define SS_TAPS 15
 #define SS_MAGIC 0x46435353u /* S S C F */
 #define SS_MAJOR 1
-#define SS_MINOR 2  /* files up to this one end where they say; later ones may append something */
+#define SS_MINOR 3  /* files up to this one end where they say; later ones may append something */
+#define SS_LEVELS 25      /* levels of the source at the end of a network file of minor version 3 */
+#define SS_LEVEL_BYTES 56 /* of the least load, the distance of two, the levels, and two zeros */
 #define SS_SHAPES 6 /* a mix has at most this many */
 #define SS_HEADER 48
 #define SS_AROUND 52 /* header and CRC */
@@ -177,6 +179,7 @@ SS_SHARED ss_status ss_check(const void *file, uint32_t bytes, uint8_t kind) {
 
 /* The functions below get a body: a file without its header. `left` is what of it is not yet accounted for. */
 #define SS_IS_LATER(body) (ss_u8((body) - SS_HEADER + 6) > SS_MINOR)
+#define SS_HAS_LEVELS(body) (ss_u8((body) - SS_HEADER + 6) > 2)
 
 /* Rows stand in blocks of four. */
 #define SS_PADDED(rows) (((uint32_t)(rows) + 3u) & 0xfffffffcu)
@@ -197,7 +200,8 @@ SS_SHARED ss_status ss_check_network(const uint8_t *p, uint32_t left) {
     if (used > left) return SS_BAD_LAYOUT;
     left -= used;
   }
-  return ss_u16(sizes) == 1 && (!left || SS_IS_LATER(p)) ? SS_OK : SS_BAD_LAYOUT;
+  if (SS_HAS_LEVELS(p)) left -= SS_LEVEL_BYTES;
+  return ss_u16(sizes) == 1 && (!left || ((int32_t)left > 0 && SS_IS_LATER(p))) ? SS_OK : SS_BAD_LAYOUT;
 }
 
 static inline const uint8_t *ss_tests(const uint8_t *unit) { return unit + 28 + 6u * ss_u8(unit + 2); }
@@ -367,16 +371,21 @@ SS_SHARED void ss_mix(const uint8_t *m, int16_t *x, uint32_t is_wide) {
   }
 }
 
+/* Map the window in s->even; returns where it stands then. */
+static inline int16_t *ss_map_window(ss_sensor *s) {
+  const uint8_t *map = s->map + 4u * ss_u8(s->unit + 1);
+  uint32_t form = ss_u8(s->unit);
+  if (form & 12) ss_mix(map, s->even, form >> 3);
+  if (!(form & 2)) return s->even;
+  ss_layer(map, SS_TAPS, SS_TAPS, s->even, s->odd, 0);
+  return s->odd;
+}
+
 /* The estimate of the window in s->even. */
 SS_SHARED int32_t ss_window(ss_sensor *s) {
-  const uint8_t *sizes = s->network + 4, *p = s->network + 84, *map = s->map + 4u * ss_u8(s->unit + 1);
-  int16_t *in = s->even, *out = s->odd, *done;
-  uint32_t left = ss_u8(s->network), form = ss_u8(s->unit);
-  if (form & 12) ss_mix(map, in, form >> 3);
-  if (form & 2) {
-    ss_layer(map, SS_TAPS, SS_TAPS, in, out, 0);
-    done = out, out = in, in = done;
-  }
+  const uint8_t *sizes = s->network + 4, *p = s->network + 84;
+  int16_t *in = ss_map_window(s), *out = in == s->even ? s->odd : s->even, *done;
+  uint32_t left = ss_u8(s->network);
   for (; left; left--, sizes += 2) {
     p = ss_layer(p, ss_u16(sizes + 2), ss_u16(sizes), in, out, left - 1);
     done = out, out = in, in = done;
@@ -440,9 +449,29 @@ static inline int32_t ss_trimmed(const ss_sensor *s, uint32_t code) {
 #endif
 }
 
+#ifdef SS_TRIM
+/* Whether a code lies beyond the knots of the curve, where it stays constant and shows nothing. */
+static inline int ss_is_beyond(const ss_sensor *s, uint32_t code) {
+  return (ss_u8(s->unit) & 1) && (code < ss_u16(s->map) || code > ss_u16(s->map + 4u * ss_u8(s->unit + 1) - 4));
+}
+#endif
+
+/* Whether a sample is out of range; after a trim it is judged where the trim has put it, y. */
+static inline int ss_is_outside(const ss_sensor *s, uint32_t code, int32_t y) {
+#ifdef SS_TRIM
+  if (s->trim.gain | s->trim.offset) {
+    int32_t a = ss_map_code(s, ss_u16(s->unit + 4)), b = ss_map_code(s, ss_u16(s->unit + 6));
+    return (a < b ? y < a || y > b : y < b || y > a) || ss_is_beyond(s, code);
+  }
+#endif
+  (void)y;
+  return code < ss_u16(s->unit + 4) || code > ss_u16(s->unit + 6);
+}
+
 /* Take one sample: a 16-bit code, and when it was taken. A step over 1.5 periods empties the window. */
 SS_SHARED void ss_push(ss_sensor *s, uint16_t code, uint32_t t_ms) {
   uint32_t step_ms;
+  int32_t y;
   uint8_t i;
   if (!s || !s->unit) return;
   step_ms = t_ms - s->last_ms;
@@ -450,11 +479,12 @@ SS_SHARED void ss_push(ss_sensor *s, uint16_t code, uint32_t t_ms) {
   if (!s->filled || code != s->last_code) s->is_stuck = 0, s->moved_ms = t_ms;
   if (t_ms - s->moved_ms >= SS_STUCK_MS) s->is_stuck = 1;
   for (i = 0; i < SS_TAPS - 1; i++) s->ring[i] = s->ring[i + 1], s->steps[i] = s->steps[i + 1];
-  s->ring[i] = (int16_t)ss_moved(s, ss_trimmed(s, code), s->gain, s->offset);
+  y = ss_trimmed(s, code);
+  s->ring[i] = (int16_t)ss_moved(s, y, s->gain, s->offset);
   s->steps[i] = (uint16_t)step_ms;
   s->last_ms = t_ms, s->last_code = code;
   if (s->filled < SS_TAPS) s->filled++;
-  i = code < ss_u16(s->unit + 4) || code > ss_u16(s->unit + 6);
+  i = (uint8_t)ss_is_outside(s, code, y);
   s->range_bits = (uint16_t)((uint32_t)s->range_bits << 1 | i);
 }
 
@@ -579,20 +609,26 @@ typedef struct {
   int32_t sum[2];
   int16_t least[2], most[2];
   uint16_t count[2];
+  uint8_t is_beyond; /* a code lay beyond the knots of the curve */
 } ss_trim;
 
 typedef enum {
   SS_TRIMMED = 0,          /* gain and offset are set; the window is empty and fills anew */
   SS_TRIM_MORE = 1,        /* closed, or fewer than 15 samples under one of the loads */
-  SS_TRIM_MOVING = 2,      /* the output moved under a load, or both loads look alike */
-  SS_TRIM_OUT_OF_REACH = 3, /* the unit never gives such an estimate at rest within its calibrated codes */
+  SS_TRIM_MOVING = 2,      /* the output moved under a load */
+  SS_TRIM_OUT_OF_REACH = 3, /* the source was not pressed so, or the curve of the unit does not reach these codes */
   SS_TRIM_TOO_FAR = 4,     /* a gain of more than half, or an offset beyond 16 bits: this is another sensor */
-  SS_TRIM_TOO_CLOSE = 5    /* the two loads are the same number, or are not known to 16383 counts */
+  SS_TRIM_TOO_CLOSE = 5,   /* the two loads are the same number, or are not known to 16383 counts */
+  SS_TRIM_ALIKE = 6,       /* the two loads cannot be told apart: they or their outputs differ by less than is known */
+  SS_TRIM_NEEDLESS = 7,    /* the unit reads both loads already, as well as a trim would be known */
+  SS_TRIM_WORSE = 8,       /* the loads would read worse than before */
+  SS_TRIM_NO_LEVELS = 9    /* the network file is older than format 1.3: export it again, it has the same id */
 } ss_trim_result;
 
 static inline void ss_trim_start(ss_trim *t) {
   uint8_t k;
   if (!t) return;
+  t->is_beyond = 0;
   for (k = 0; k < 2; k++) t->sum[k] = 0, t->count[k] = 0, t->least[k] = 32767, t->most[k] = -32767;
 }
 
@@ -608,70 +644,110 @@ static inline void ss_trim_sample(ss_trim *t, const ss_sensor *s, int load, uint
   int k = load != 0;
   if (!t || !s || !s->unit || t->count[k] >= 4096) return;
   y = ss_map_code(s, code);
+  if (ss_is_beyond(s, code)) t->is_beyond = 1;
   t->sum[k] += y, t->count[k]++;
   if (y < t->least[k]) t->least[k] = (int16_t)y;
   if (y > t->most[k]) t->most[k] = (int16_t)y;
 }
 
-/* The estimate of a window in which every mapped sample is y. */
-static inline int32_t ss_at_rest(ss_sensor *s, int32_t y) {
+static inline void ss_fill(ss_sensor *s, int32_t y) {
   uint8_t i;
   for (i = 0; i < SS_TAPS; i++) s->even[i] = (int16_t)y;
-  return ss_window(s);
 }
 
-/* Find the mapped sample that at rest gives `known`, by bisection between the calibrated codes; 0 where there is none. */
-static inline int ss_rest_of(ss_sensor *s, int32_t known, int32_t *found) {
-  int32_t a = ss_map_code(s, ss_u16(s->unit + 4)), b = ss_map_code(s, ss_u16(s->unit + 6)), middle;
-  int32_t at_a = ss_at_rest(s, a), at_b = ss_at_rest(s, b), at;
+/* How far the estimate of a window in which every mapped sample is y is from a load. */
+SS_SHARED uint32_t ss_misread(ss_sensor *s, int32_t y, int32_t load) {
+  ss_fill(s, y);
+  y = ss_window(s) - load;
+  return (uint32_t)(y < 0 ? -y : y);
+}
+
+/* The level of such a window in front of the network, times 15. */
+static inline int32_t ss_level(ss_sensor *s, int32_t y) {
+  const int16_t *x;
+  uint8_t i;
+  ss_fill(s, y);
+  x = ss_map_window(s);
+  for (y = 0, i = 0; i < SS_TAPS; i++) y += x[i];
+  return y;
+}
+
+/* Find the mapped sample that at rest stands where the source stands under a load: a straight line between the levels
+ * in the network file, then by bisection. 0 where there is none. */
+SS_SHARED int ss_rest_of(ss_sensor *s, int32_t load, int32_t *found) {
+  const uint8_t *p = s->network + 84, *sizes = s->network + 4;
+  int32_t a = -32767, b = 32767, at_a, at_b, middle, at, rise;
+  uint32_t k, away, step;
+  for (k = ss_u8(s->network); k; k--, sizes += 2) p += ss_layer_bytes(ss_u16(sizes + 2), ss_u16(sizes));
+  step = ss_u16(p + 2);
+  if (load < ss_i16(p) || !step) return 0;
+  away = (uint32_t)(load - ss_i16(p)), k = away / step, away -= k * step;
+  if (k > SS_LEVELS - 1 || (k == SS_LEVELS - 1 && away)) return 0;
+  p += 4 + 2 * k, at = ss_i16(p);
+  if (away) {
+    rise = ss_i16(p + 2) - at;
+    middle = (int32_t)(((uint32_t)(rise < 0 ? -rise : rise) * away + step / 2) / step);
+    at += rise < 0 ? -middle : middle;
+  }
+  load = SS_TAPS * at;
+  at_a = ss_level(s, a), at_b = ss_level(s, b);
   if (at_a > at_b) middle = a, a = b, b = middle, at = at_a, at_a = at_b, at_b = at;
-  if (known < at_a || known > at_b) return 0;
+  if (load < at_a || load > at_b) return 0;
   while (b - a > 1 || a - b > 1) {
-    middle = a + (b - a) / 2, at = ss_at_rest(s, middle);
-    if (at < known) a = middle, at_a = at;
+    middle = a + (b - a) / 2, at = ss_level(s, middle);
+    if (at < load) a = middle, at_a = at;
     else b = middle, at_b = at;
   }
-  *found = known - at_a <= at_b - known ? a : b;
+  *found = load - at_a <= at_b - load ? a : b;
   return 1;
 }
 
-/* 90 % half-width of what is not known at one load: how well the load itself is known, where within the range of its
- * readings the level lies (rectangular, widened by a count for rounding), and the error of the unit's calibration. */
-static inline uint16_t ss_load_reach(const ss_trim *t, ss_sensor *s, int k, int16_t load, uint32_t error) {
-  const uint8_t *band = ss_band(s->unit, load);
-  uint32_t minus = ss_u16(band + 2), plus = ss_u16(band + 4), spread;
-  int32_t low = ss_at_rest(s, ss_moved(s, (int32_t)t->least[k] - 1, s->trim.gain, s->trim.offset));
-  int32_t high = ss_at_rest(s, ss_moved(s, (int32_t)t->most[k] + 1, s->trim.gain, s->trim.offset));
-  spread = (uint32_t)(high > low ? high - low : low - high);
-  spread = ss_hypot((122 * spread + 255) / 256, (422 * error + 255) / 256); /* 1.645 / sqrt(12), and 1.645 */
-  return (uint16_t)ss_hypot(spread, minus > plus ? minus : plus);
-}
+static inline uint32_t ss_apart(int32_t a, int32_t b) { return (uint32_t)(a < b ? b - a : a - b); }
 
 /* Set gain and offset from what was seen under two known loads (in counts, as estimates are) and empty the window; from
  * then on intervals hold what the trim leaves open. `error_0` and `error_1` are the standard uncertainties of the loads,
  * in the same counts. What ss_adapt has changed is forgotten: call ss_adapt_start. Keep `trim` of ss_sensor in
- * non-volatile memory, and give it to ss_trim_restore after ss_open, if it shall outlast a restart. Unless SS_TRIMMED nothing changes. */
+ * non-volatile memory, and give it to ss_trim_restore after ss_open, if it shall outlast a restart. Unless SS_TRIMMED
+ * nothing changes. `softcal trim` has the same rule. */
 static inline ss_trim_result ss_trim_finish(const ss_trim *t, ss_sensor *s, int16_t load_0, int16_t load_1,
                                             uint16_t error_0, uint16_t error_1) {
-  int32_t seen[2], wanted[2] = {0, 0}, apart, missing, gain, offset;
+  int32_t seen[2], wanted[2] = {0, 0}, missing, gain, offset;
+  uint32_t reach[2], wrong[2], before[2], apart, rise, loads, is_open, is_needless = 1;
   int k;
   if (!t || !s || !s->unit || t->count[0] < SS_TAPS || t->count[1] < SS_TAPS) return SS_TRIM_MORE;
+  if (!SS_HAS_LEVELS(s->network)) return SS_TRIM_NO_LEVELS;
   if (load_0 == load_1 || error_0 > 16383 || error_1 > 16383) return SS_TRIM_TOO_CLOSE;
+  if (t->is_beyond || !ss_rest_of(s, load_0, &wanted[0]) || !ss_rest_of(s, load_1, &wanted[1])) return SS_TRIM_OUT_OF_REACH;
   for (k = 0; k < 2; k++) seen[k] = t->sum[k] / t->count[k];
-  apart = seen[1] - seen[0];
+  apart = ss_apart(seen[0], seen[1]), rise = ss_apart(wanted[0], wanted[1]), loads = ss_apart(load_0, load_1);
+  if (!apart || !rise) return SS_TRIM_ALIKE;
   for (k = 0; k < 2; k++)
-    if (((int32_t)t->most[k] - t->least[k]) * 4 > (apart < 0 ? -apart : apart)) return SS_TRIM_MOVING;
-  if (!apart) return SS_TRIM_MOVING;
-  if (!ss_rest_of(s, load_0, &wanted[0]) || !ss_rest_of(s, load_1, &wanted[1])) return SS_TRIM_OUT_OF_REACH;
-  missing = wanted[1] - wanted[0] - apart;
-  if ((missing < 0 ? -missing : missing) > (apart < 0 ? -apart : apart) / 2) return SS_TRIM_TOO_FAR;
-  gain = missing * 32768 / apart;
+    if (4 * ss_apart(t->least[k], t->most[k]) > apart) return SS_TRIM_MOVING;
+  for (k = 0; k < 2; k++) { /* 90 % half-width of what is not known at one load; 1.645 / sqrt(12), and 1.645, in 1/256 */
+    int16_t load = k ? load_1 : load_0;
+    const uint8_t *band = ss_band(s->unit, load);
+    uint32_t minus = ss_u16(band + 2), plus = ss_u16(band + 4);
+    uint32_t spread = ((ss_apart(t->least[k], t->most[k]) + 2) * loads + apart - 1) / apart;
+    wrong[k] = ss_misread(s, wanted[k], load), before[k] = ss_misread(s, seen[k], load);
+    spread = ss_hypot((122 * spread + 255) / 256, (422 * (uint32_t)(k ? error_1 : error_0) + 255) / 256);
+    reach[k] = ss_hypot(ss_hypot(spread, wrong[k]), minus > plus ? minus : plus);
+  }
+  is_open = ss_hypot(reach[0], reach[1]);
+  if (loads <= is_open || apart * loads / rise <= is_open) return SS_TRIM_ALIKE;
+  missing = wanted[1] - wanted[0] - (seen[1] - seen[0]);
+  if (ss_apart(missing, 0) > apart / 2) return SS_TRIM_TOO_FAR;
+  for (k = 0; k < 2; k++) {
+    uint32_t off = ss_apart(wanted[k], seen[k]) * loads / rise;
+    if (422 * (off > 65535u ? 65535u : off) > 256 * reach[k]) is_needless = 0;
+  }
+  if (is_needless) return SS_TRIM_NEEDLESS;
+  if (ss_hypot(wrong[0], wrong[1]) > ss_hypot(before[0], before[1])) return SS_TRIM_WORSE;
+  gain = missing * 32768 / (seen[1] - seen[0]);
   offset = wanted[0] - seen[0] - (gain * (seen[0] - ss_i16(s->unit + 20)) >> 15);
   if (offset > 32767 || offset < -32767) return SS_TRIM_TOO_FAR;
   s->trim.gain = (int16_t)gain, s->trim.offset = (int16_t)offset;
   s->trim.load[0] = load_0, s->trim.load[1] = load_1;
-  s->trim.reach[0] = ss_load_reach(t, s, 0, load_0, error_0);
-  s->trim.reach[1] = ss_load_reach(t, s, 1, load_1, error_1);
+  s->trim.reach[0] = (uint16_t)reach[0], s->trim.reach[1] = (uint16_t)reach[1];
   s->gain = s->offset = 0, s->filled = 0;
   return SS_TRIMMED;
 }

@@ -1,5 +1,6 @@
 """Real networks and units as device files, and the compilers that build the runtime."""
 
+import ctypes
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -100,3 +101,10 @@ def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 def build_checked(build: Callable[..., Path]) -> Callable[..., Path]:
     """`build` with address and undefined-behaviour sanitizers that stop at the first finding."""
     return lambda source, *options: build(source, "-O1", "-g", *SANITIZERS, *options)
+
+
+@pytest.fixture(scope="session")
+def bridge(build: Callable[..., Path]) -> ctypes.CDLL:
+    """The runtime with its trim as a library that Python calls; undefined behaviour stops it."""
+    trap = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
+    return ctypes.CDLL(str(build(Path(__file__).parent / "bridge.c", "-O2", "-shared", "-fPIC", *trap)))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softcal.core.export.blob import NetworkFile, UnitFile
+from softcal.core.export.blob import LoadLevels, NetworkFile, UnitFile
 from softcal.core.export.blob_reader import read_network, read_unit
 from softcal.core.export.c_text import network_header, unit_header
 from softcal.core.export.cost import device_cost
@@ -159,11 +159,17 @@ def test_a_wide_mix_gives_the_integers_of_numpy_on_every_core(
 def test_two_known_loads_trim_a_unit_on_the_board_as_in_numpy(run_on_board: Callable[..., Run], board: str) -> None:
     network = read_network((RELEASED / "network-1.0.ssc").read_bytes())
     unit = read_unit((RELEASED / "unit-1.0.ssc").read_bytes())
+    unit = replace(unit, bands=tuple(replace(band, minus=9, plus=9) for band in unit.bands))
     sensor = open_sensor(network.to_bytes(), unit.to_bytes())
     span = unit.code_max - unit.code_min
     rest = [unit.code_min + span // 5, unit.code_min + 4 * span // 5]
     loads = [int(sensor.estimate(np.full((1, 15), code)).value[0]) for code in rest]
-    drifted = [code + span // 10 for code in rest]
+    # The source as the unit was: its levels run in a line through these two.
+    step, counts = (loads[1] - loads[0]) // 16, unit.device_map.on_samples(np.array(rest))
+    levels = np.rint(counts[0] + (counts[1] - counts[0]) * np.arange(-4, 21) / 16).astype(int)
+    network = replace(network, levels=LoadLevels(loads[0] - 4 * step, step, tuple(levels.tolist())))
+    sensor = open_sensor(network.to_bytes(), unit.to_bytes())
+    drifted = [code + span // 4 for code in rest]
     codes = np.linspace(unit.code_min, unit.code_max, 60).astype(int)
     defines = f"-Os -DTRIM={loads[0]},{loads[1]} -DTRIM_CODES={drifted[0]},{drifted[1]} -DTRIM_ERRORS=0,9"
     run = run_on_board(network, unit, codes, board, defines)

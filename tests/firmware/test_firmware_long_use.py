@@ -1,9 +1,7 @@
 """Slots and on-device adaptation: an update cut off loses nothing, and what the device changes stays within bounds."""
 
 import ctypes
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,12 +13,6 @@ from softcal.core.export.stream import DeviceStream, Shift, Trim, TrimResult, fi
 
 WATCHING, ADAPTED, AT_BOUND, NOT_ADAPTABLE = range(4)
 SLOT_BYTES = 256
-
-
-@pytest.fixture(scope="module")
-def bridge(build: Callable[..., Path]) -> ctypes.CDLL:
-    trap = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
-    return ctypes.CDLL(str(build(Path(__file__).parent / "bridge.c", "-O2", "-shared", "-fPIC", *trap)))
 
 
 def _aligned(data: bytes) -> Any:
@@ -192,6 +184,13 @@ def _rests(
     return np.clip(np.rint(moved + rng.normal(0, noise, count)), 0, 65_535).astype(np.int64)
 
 
+def _load_of(case: Any, code: float) -> int:
+    """The load under which the source rests where the unit, as it was calibrated, stands at a code."""
+    levels, mapped = case.network_file.levels, case.unit_file.device_map.on_samples(np.array([round(code)]))
+    loads = levels.first + levels.step * np.arange(len(levels.counts))
+    return round(float(np.interp(mapped[0], levels.counts, loads)))
+
+
 def _trimmed(
     device: Device, codes: tuple[np.ndarray, ...], loads: tuple[int, int], errors: tuple[int, int] = (0, 0)
 ) -> tuple[TrimResult, Trim]:
@@ -219,6 +218,8 @@ def test_a_trim_on_the_device_is_that_of_numpy_bit_for_bit(
         if k % 2:  # loads that are really on
             at_rest = np.array([np.full(15, _rests(real_case, share, 1, 0, rng)[0]) for share in shares])
             loads = tuple(sensor.estimate(at_rest).value.tolist())
+        if k % 20 == 1:  # and nothing has moved
+            codes = tuple(_rests(real_case, share, 1, 0, rng) for share in shares)
         if k % 10 == 9:
             loads = loads[:1] * 2
         errors = tuple(int(n) for n in rng.integers(0, 17_000 if k % 7 == 0 else 200, 2))
@@ -228,7 +229,19 @@ def test_a_trim_on_the_device_is_that_of_numpy_bit_for_bit(
         if found[0] is TrimResult.TRIMMED:
             _assert_reads_as_numpy(device, sensor, found[1], real_case.codes[:30])
         seen.add(found[0])
-    assert seen == set(TrimResult)
+    assert seen == set(TrimResult) - {TrimResult.NO_LEVELS}
+
+
+def test_a_network_file_of_before_has_no_levels_and_the_same_units(bridge: ctypes.CDLL, real_case: Any) -> None:
+    network = replace(real_case.network_file, levels=None).to_bytes()
+    assert network[6] < real_case.network_file.to_bytes()[6]
+    unit = real_case.unit_file.to_bytes()
+    codes = tuple(np.full(20, code) for code in (real_case.unit_file.code_min, real_case.unit_file.code_max))
+    device = Device(bridge, network, unit)
+    assert device.status == 0
+    found = _trimmed(device, codes, (100, 2000))
+    assert found == find_trim(open_sensor(network, unit), codes, (100, 2000), (0, 0))
+    assert found[0] is TrimResult.NO_LEVELS
 
 
 def _assert_reads_as_numpy(device: Device, sensor: DeviceSensor, trim: Trim, codes: np.ndarray) -> None:
@@ -270,61 +283,24 @@ def test_a_root_of_squares_is_exact_at_the_ends_of_its_range(bridge: ctypes.CDLL
         assert min(np.hypot(a, b), 65_535) - 1e-9 <= found <= min(np.hypot(a, b) + 4, 65_535)
 
 
-def test_intervals_after_a_trim_hold_the_truth_as_often_as_they_say(
-    bridge: ctypes.CDLL, real_case: Any, rng: np.random.Generator
-) -> None:
-    """Loads that are not what is stated and readings that wander: nine in ten estimates stay within their interval."""
-    narrow = tuple(replace(band, minus=1, plus=1) for band in real_case.unit_file.bands)
-    network, unit = real_case.network_file.to_bytes(), replace(real_case.unit_file, bands=narrow).to_bytes()
-    sensor, device = open_sensor(network, unit), Device(bridge, network, unit)
-    span = real_case.unit_file.code_max - real_case.unit_file.code_min
-    shares, checked = (0.3, 0.7), (0.1, 0.3, 0.5, 0.7, 0.9)
-
-    def at_rest(code: float) -> int:
-        return int(sensor.estimate(np.full((1, 15), round(code))).value[0])
-
-    def code_of(share: float) -> float:
-        return real_case.unit_file.code_min + share * span
-
-    truth, error = [at_rest(code_of(share)) for share in checked], 60
-    loads = [at_rest(code_of(share)) for share in shares]
-    held, widths = [], []
-    for _ in range(200):
-        # What is stated differs from what is on by the stated uncertainty.
-        stated = tuple(round(load + rng.normal(0, error)) for load in loads)
-        codes = tuple(np.rint(code_of(share) + rng.uniform(-5, 5, 30)).astype(np.int64) for share in shares)
-        Device(bridge, network, unit)
-        result, _ = _trimmed(device, codes, stated, (error, error))
-        assert result is TrimResult.TRIMMED
-        for share, true in zip(checked, truth, strict=True):
-            for k in range(15):
-                bridge.bridge_push(round(code_of(share)), 50_000 + 20 * k)
-            value, lower, upper, _ = device.read(50_300)
-            held.append(lower <= true <= upper)
-            widths.append((upper - lower) / 2)
-    # Errors at the five levels come from two loads: 200 trims leave a standard deviation of 0.016.
-    assert 0.85 < np.mean(held) < 0.97
-    # Not by being endless: at the loads about 1.645 times what the loads are known to.
-    assert np.median(np.reshape(widths, (-1, 5))[:, 1]) < 1.3 * 1.645 * error
-
-
 def test_what_is_known_of_a_load_widens_the_interval_most_beyond_the_loads(
     bridge: ctypes.CDLL, real_case: Any, rng: np.random.Generator
 ) -> None:
     network, unit = real_case.network_file.to_bytes(), real_case.unit_file.to_bytes()
-    sensor = open_sensor(network, unit)
-    codes = tuple(_rests(real_case, share, 1.0, 0.0, rng) for share in (0.4, 0.6))
-    loads = tuple(int(sensor.estimate(np.full((1, 15), int(np.median(c)))).value[0]) for c in codes)
+    codes = tuple(_rests(real_case, share, 1.0, 0.12, rng) for share in (0.1, 0.9))
+    at_rest = tuple(_rests(real_case, share, 1.0, 0.0, rng) for share in (0.1, 0.9))
+    loads = tuple(_load_of(real_case, np.median(c)) for c in at_rest)
     reaches = []
     for error in (0, 50, 200):
-        result, trim = _trimmed(Device(bridge, network, unit), codes, loads, (error, error))
+        device = Device(bridge, network, unit)
+        result, trim = _trimmed(device, codes, loads, (error, error))
         assert result is TrimResult.TRIMMED
         apart = loads[1] - loads[0]
         reaches.append([trim.reach_at(loads[0]), trim.reach_at(loads[1] + apart), trim.reach_at(loads[1] + 3 * apart)])
     assert np.all(np.diff(reaches, axis=0) > 0) and np.all(np.diff(reaches, axis=1) > 0)
 
 
-@pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.12), (1.15, 0.0), (0.85, 0.1), (1.2, -0.1)])
+@pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.12), (1.15, 0.0), (1.2, 0.1)])
 def test_two_known_loads_bring_a_drifted_unit_back(
     bridge: ctypes.CDLL, real_case: Any, rng: np.random.Generator, gain: float, offset: float
 ) -> None:
@@ -336,7 +312,7 @@ def test_two_known_loads_bring_a_drifted_unit_back(
             bridge.bridge_push(int(code), 10_000 + 20 * k)
         return device.read(10_300)[0]
 
-    loads = tuple(settled(share, 1.0, 0.0) for share in (0.1, 0.9))
+    loads = tuple(_load_of(real_case, _rests(real_case, share, 1, 0, rng, noise=0)[0]) for share in (0.1, 0.9))
     drifted = tuple(_rests(real_case, share, gain, offset, rng) for share in (0.1, 0.9))
     before = [abs(settled(share, gain, offset) - settled(share, 1.0, 0.0)) for share in (0.1, 0.5, 0.9)]
     fresh = [settled(share, 1.0, 0.0) for share in (0.1, 0.5, 0.9)]
