@@ -5,10 +5,24 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, NamedTuple
 
-from sqlalchemy import ColumnElement, Connection, RowMapping, Subquery, Table, and_, case, func, or_, select, tuple_
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    RowMapping,
+    Subquery,
+    Table,
+    Text,
+    and_,
+    case,
+    func,
+    or_,
+    select,
+    tuple_,
+    type_coerce,
+)
 
 from softcal.core.errors import InputError
-from softcal.core.words.reason import Reason, plain
+from softcal.core.words.reason import DOUBT, Reason, plain
 from softcal.db import history
 from softcal.db.entries import UNDECIDED, UnitEntry
 from softcal.db.in_use import OF_STATEMENT, conflict_line, conflicts_of, limit_in_force, of_this_method
@@ -67,7 +81,10 @@ class UnitPage:
 
 
 class UnitErrors(NamedTuple):
-    """The errors of one unit's newest map in the reference unit, None where they were not found, and its verdict."""
+    """The errors of one unit's newest map in the reference unit, None where they were not found, and its verdict.
+
+    Of an audit that is set aside, whose errors may be another unit's, there are none.
+    """
 
     serial: str
     verdict: str
@@ -133,7 +150,8 @@ class LotPages(RegistryBase):
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
             table = _standing(lot_id, _undecided(connection, lot_id), limit_in_force(connection, lot_id))
-            query = select(table.c.revision, table.c.serial, table.c.verdict, *(table.c[name] for name in ERRORS))
+            measured = {name: case((table.c.is_doubted, None), else_=table.c[name]) for name in ERRORS[1:]}
+            query = select(table.c.revision, table.c.serial, table.c.verdict, table.c[ERRORS[0]], *measured.values())
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
             rows = connection.execute(query.order_by(table.c.serial))
             return [UnitErrors(*row) for revision, *row in rows if revision is not None]
@@ -165,10 +183,13 @@ def _standing(lot_id: str, undecided: Sequence[str], limit: LimitInForce) -> Sub
     c, u, r = calibrations, in_use, refusals
     is_refused = and_(r.c.made_at.is_not(None), or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
     is_open = units.c.serial.in_(undecided)
-    newest = {name: case((is_refused, r.c[name]), else_=c.c[name]) for name in ("verdict", "reasons")}
+    newest: dict[str, ColumnElement[Any]] = {
+        name: case((is_refused, r.c[name]), else_=c.c[name]) for name in ("verdict", "reasons")
+    }
     is_unjudged = and_(u.c.made_at.is_not(None), ~is_refused, limit.is_other_in_sql())
     newest["verdict"] = case((is_unjudged, UNDECIDED), else_=newest["verdict"])
     newest["evidence"] = case((is_unjudged, c.c.evidence), else_=None)
+    newest["is_doubted"] = type_coerce(c.c.reasons, Text).contains(f'"code":"{DOUBT}')
     newest["made_at"] = case((is_refused, r.c.made_at), else_=u.c.made_at)
     maps: dict[str, ColumnElement[Any]] = {name: c.c[name] for name in MADE_FIELDS}
     if undecided:
@@ -216,7 +237,7 @@ def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
 def _entry(lot_id: str, row: RowMapping, limit: LimitInForce) -> UnitEntry:
     if row["is_stale"] is None:
         raise damaged(f"unit {row['serial']} of lot {lot_id}: the calibration in use was not found")
-    facts = {name: value for name, value in row.items() if name not in ("reasons", "evidence")}
+    facts = {name: value for name, value in row.items() if name not in ("reasons", "evidence", "is_doubted")}
     unjudged = row["evidence"]
     reasons = tuple(map(Reason.of, row["reasons"] or ())) if unjudged is None else (limit.why(unjudged),)
     return UnitEntry(lot_id=lot_id, role="target", reasons=reasons, **facts)

@@ -2,16 +2,13 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
-from softcal.app.registry.reference import reference_expanded
-from softcal.app.registry.source import source_model
+from softcal.app.registry.limit import lot_limit
 from softcal.core.errors import InputError
-from softcal.core.quality.audit_check import KIND
 from softcal.core.quality.audit_plan import AuditConfig, AuditPlan, LotStatement, judge_lot, plan_audit
-from softcal.core.unit.method import Method
-from softcal.core.unit.verdict import Limit, Verdict, default_limit
-from softcal.core.words.reason import plain
+from softcal.core.unit.verdict import Limit, Verdict
+from softcal.core.words.reason import DOUBT
 from softcal.db.entries import UnitEntry
 from softcal.db.registry import Registry
 
@@ -148,7 +145,7 @@ def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:
 
 
 def _is_doubted(unit: UnitEntry) -> bool:
-    return any(why.code.startswith(KIND) for why in unit.reasons)
+    return any(why.code.startswith(DOUBT) for why in unit.reasons)
 
 
 def _accepted(registry: Registry, lot_id: str) -> dict[str, float]:
@@ -176,25 +173,3 @@ def confirm_audit(registry: Registry, lot_id: str, serial: str, *, reason: str, 
         raise InputError(f"say why the audit of {serial} is right in spite of the doubt; a reason was expected")
     facts = {"serial": serial, "output_sha256": made.audit.output_sha256, "doubt": made.decision.doubt.to_json()}
     registry.add_event("confirm", CONFIRMED, (lot_id,), facts, reason=reason, actor=actor)
-
-
-def lot_limit(registry: Registry, lot_id: str) -> Limit:
-    """Return the lot's limit, or the one that follows from its source's own error where none was stated.
-
-    Raises:
-        InputError: none was stated, and no unit was calibrated yet.
-    """
-    lot, expanded = registry.lot(lot_id), reference_expanded(registry, lot_id)
-    if lot.limit_rmse is not None:
-        return Limit(lot.reference_unit, lot.limit_rmse, reference_expanded=expanded)
-    serial = next((unit.serial for unit in _targets(registry, lot_id) if unit.revision is not None), None)
-    if serial is None:
-        raise InputError(f"lot {lot_id!r} states no limit and has no calibrated unit yet; calibrate its units first")
-    record = registry.calibration(serial, lot_id=lot_id).record
-    origin = plain(str(record.evidence["limit_origin"]))
-    if str(origin) == str(Limit.origin) or record.limit_rmse is None:
-        # Its limit was taken back since.
-        method = record.method or Method()
-        rmse = source_model(registry, record.network_id, method).held_out_rmse
-        return replace(default_limit(lot.reference_unit, rmse, method.decision), reference_expanded=expanded)
-    return Limit(lot.reference_unit, record.limit_rmse, origin, expanded)

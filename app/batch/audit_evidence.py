@@ -6,7 +6,9 @@ from datetime import date, datetime, timedelta
 
 import numpy as np
 
-from softcal.app.batch.audit import confirmed_audits, lot_audit, lot_limit
+from softcal.app.batch.audit import confirmed_audits, lot_audit
+from softcal.app.registry.audits import audit_of, newest_audits
+from softcal.app.registry.limit import lot_limit
 from softcal.core.lot import Lot
 from softcal.core.quality.acceptance import Promise, tolerance_factor
 from softcal.core.quality.audit_check import doubtful_audits
@@ -169,11 +171,10 @@ class AuditReader:
     def _audited(self, lot: Lot) -> Audited:
         """Return the audited units that speak for the others: a random draw, where one was written down."""
         plan = lot_audit(self._registry, lot.id)
-        # Golden units have labelled recordings too; their calibrations are not audited.
-        at = {entry.serial: entry.added_at for entry in self._registry.recordings(lot.id, kind="audit")}
+        at = {serial: entry.added_at for serial, entry in newest_audits(self._registry, lot.id).items()}
         doubtful = set() if plan is None else set(plan.plan.doubtful)
         found = {}
-        for serial, standing in self._registry.standings(lot.id, sorted(set(at) - doubtful - {lot.source})).items():
+        for serial, standing in self._registry.standings(lot.id, sorted(set(at) - doubtful)).items():
             made = standing.made
             if made is None or made.decision.measured is None or made.decision.predicted.verdict not in RELEASABLE:
                 continue
@@ -212,9 +213,8 @@ class AuditReader:
 
     def _read(self, lot_id: str, serial: str) -> AuditReading | None:
         registry = self._registry
-        audits = registry.recordings(lot_id, serial, "audit")
-        recording = registry.recording(audits[-1].sha256) if audits else None
-        if not isinstance(recording, LabelledRecording):
+        recording = audit_of(registry, newest_audits(registry, lot_id, serial).get(serial))
+        if recording is None:
             return None
         record = registry.calibration(serial, lot_id=lot_id).record
         fitted_on = registry.recording(record.recording_sha256)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.reference import lot_reference
 from softcal.app.registry.source import source_model, unlabelled
 from softcal.core.errors import UnitRefused
@@ -53,17 +54,12 @@ def compare_on_lot(registry: Registry, request: Mapping[str, Any], tell: Tell) -
 def _units(registry: Registry, lot_id: str, most: int) -> list[_Unit]:
     """Return the newest recording of each unit, those with an audit first: they say most."""
     newest = {entry.serial: entry.sha256 for entry in registry.recordings(lot_id, kind="unit")}
-    audits = {entry.serial: entry.sha256 for entry in registry.recordings(lot_id, kind="audit")}
+    audits = newest_audits(registry, lot_id)
     chosen = sorted(newest, key=lambda serial: (serial not in audits, serial))[:most]
     return [
-        _Unit(unlabelled(registry.recording(newest[serial])), _labelled(registry, audits.get(serial)))
+        _Unit(unlabelled(registry.recording(newest[serial])), audit_of(registry, audits.get(serial)))
         for serial in chosen
     ]
-
-
-def _labelled(registry: Registry, sha256: str | None) -> LabelledRecording | None:
-    found = None if sha256 is None else registry.recording(sha256)
-    return found if isinstance(found, LabelledRecording) else None
 
 
 def _row(

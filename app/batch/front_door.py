@@ -14,13 +14,13 @@ from softcal.app.bootstrap import data_folder
 from softcal.app.files.importing import ImportPlan, LookedAt, import_lot, look_through
 from softcal.app.files.lot_folder import FOLDER_OF, LotFolder, open_lot_folder, write_lot_toml
 from softcal.app.files.recording_file import write_recording
+from softcal.app.registry.audits import newest_audits
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.health import check_alive, health_findings, output_limits
 from softcal.core.unit.method import Method
 from softcal.core.words.reason import Reason
-from softcal.db.entries import RecordingEntry
 from softcal.db.registry import Registry
 
 
@@ -113,12 +113,8 @@ def lot_files(registry: Registry, lot_id: str, tell: Callable[[int, int], None])
         InputError: the lot has no source recording.
     """
     lot, stored = registry.lot(lot_id), lots_folder() / lot_id
-    # A golden unit's recordings check the station and its day; they are no audits of the lot.
-    golden = {run.serial for run in registry.golden_runs()} | {lot.source}
-    newest: dict[tuple[str, str], RecordingEntry] = {}
-    for entry in registry.recordings(lot_id):
-        if entry.kind != "audit" or entry.serial not in golden:
-            newest[entry.kind, entry.serial] = entry
+    newest = {(entry.kind, entry.serial): entry for entry in registry.recordings(lot_id) if entry.kind != "audit"}
+    newest |= {("audit", serial): entry for serial, entry in newest_audits(registry, lot_id).items()}
     with tempfile.TemporaryDirectory(prefix="softcal-lot-") as place:
         folder = Path(place) / "lot"
         if stored.is_dir():

@@ -36,6 +36,7 @@ from softcal.app.batch.unit_work import (
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.regular import read_regular
 from softcal.app.logs import note
+from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.known_loads import known_loads, values
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.identity import content_sha256
@@ -132,6 +133,7 @@ class LotWork:
         self._work = WorkSet(self._lot_id, _settings_sha256(shared, config.refit))
         self._loads_kept = _kept_loads(registry, folder, config)
         self._golden_kept = golden
+        self._audits_kept = newest_audits(registry, self._lot_id)
         self._works: dict[str, str] = {}
         self._new: set[str] = set()
         self._ended: set[str] = set()
@@ -233,7 +235,9 @@ class LotWork:
             loads = {sha256: values(kept) for sha256, kept in self._loads_kept[serial].items()}
         files = [file and [file.path.suffix, hashlib.sha256(file.content).hexdigest()] for file in (recording, audit)]
         golden = self._golden_kept.get(serial)
-        beside = {} if golden is None else {"golden": golden}
+        beside: dict[str, object] = {} if golden is None else {"golden": golden}
+        if (kept := self._audits_kept.get(serial)) is not None and audit is None:
+            beside["audit"] = kept.sha256
         return content_sha256({}, {"set": self._work.name, "files": files, "anchors": loads, **beside})
 
     def _chunks(self, claims: Claims) -> Iterator[Chunk]:
@@ -268,7 +272,10 @@ class LotWork:
             anchors = self._config.anchors.get(item.serial)
             done = known.get(item.serial, frozenset())
             kept, golden = self._loads_kept.get(item.serial, {}), self._golden_kept.get(item.serial, {})
-            yield UnitTask(item.id, item.serial, recording, audit, anchors, done, kept=kept, golden=golden)
+            measured = audit_of(self._registry, self._audits_kept.get(item.serial))
+            yield UnitTask(
+                item.id, item.serial, recording, audit, anchors, done, kept=kept, golden=golden, kept_audit=measured
+            )
 
     def _keep(self, claims: Claims, outcome: ChunkOutcome) -> list[UnitResult]:
         """Register what is still this batch's own, and close its items, in one transaction."""

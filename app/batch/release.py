@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from softcal.app.batch.audit import lot_limit
 from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
+from softcal.app.registry.limit import lot_limit
 from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.release import least_passing
@@ -183,6 +183,7 @@ def _decided(evidence: AuditEvidence, units: Mapping[str, MadeCalibration], leas
         least=least,
         seen=evidence.seen,
         days=days,
+        doubts=evidence.doubts,
     )
 
 

@@ -41,7 +41,8 @@ class UnitTask:
         item_id: its item in the work queue.
         serial: the unit.
         recording: its file; None where it could not be read, and `problem` says why.
-        audit: file of its labelled recording, which only scores.
+        audit: file of its labelled recording, which only measures.
+        kept_audit: its newest audit in the registry, where no file of one can be read.
         anchors: known loads, where someone took them.
         kept: those that the registry has, by the hash of the recording they belong to; asked where `anchors` is None.
         known: input hashes of the calibrations it has already: those are not computed again.
@@ -57,6 +58,7 @@ class UnitTask:
     problem: str = ""
     kept: Mapping[str, Anchors] = field(default_factory=dict)
     golden: Mapping[str, str] = field(default_factory=dict)
+    kept_audit: LabelledRecording | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,10 +148,15 @@ def lost(chunk: Chunk) -> ChunkOutcome:
 
 def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
     try:
-        recording, audit = _read(shared.lot, task)
+        recording = _read(shared.lot, task)
     except InputError as error:
         refusal = Refusal(Verdict.RETEST, reason("unreadable", error=str(error)))
         return UnitOutcome(task.item_id, task.serial, refusal)
+    audit, unread = task.kept_audit, ""
+    try:
+        audit = _read_audit(shared.lot, task) or audit
+    except InputError as error:
+        unread = str(error)
     anchors = task.kept.get(recording.sha256) if task.anchors is None else task.anchors
     if anchors is not None:
         try:
@@ -165,7 +172,12 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
     shown = recording, shared.limit, anchors, audit, shared.own, shared.line, shared.reference
     networks = {model.network.id for model in shared.sources}
     problems = [
-        replace(UnitProblem(model, *shown), beside=tuple(networks - {model.network.id}), rules=shared.rules)
+        replace(
+            UnitProblem(model, *shown),
+            beside=tuple(networks - {model.network.id}),
+            rules=shared.rules,
+            unread_audit=unread,
+        )
         for model in shared.sources
     ]
     # The golden run is one of the lot's own source: it says nothing of the others.
@@ -178,12 +190,15 @@ def _work_on_unit(shared: SharedWork, task: UnitTask) -> UnitOutcome:
     return UnitOutcome(task.item_id, task.serial, calibrated(problem), recording, audit)
 
 
-def _read(lot: Lot, task: UnitTask) -> tuple[OutputRecording, LabelledRecording | None]:
+def _read(lot: Lot, task: UnitTask) -> OutputRecording:
     if task.recording is None:
         raise InputError(task.problem)
-    rate_Hz, file = lot.sample_rate_Hz, task.recording
-    recording = read_recording(file.path, task.serial, rate_Hz, lot.output_unit, file.content)
+    file = task.recording
+    return read_recording(file.path, task.serial, lot.sample_rate_Hz, lot.output_unit, file.content)
+
+
+def _read_audit(lot: Lot, task: UnitTask) -> LabelledRecording | None:
     if task.audit is None:
-        return recording, None
+        return None
     units = lot.output_unit, lot.reference_unit
-    return recording, read_labelled(task.audit.path, task.serial, rate_Hz, units, task.audit.content)
+    return read_labelled(task.audit.path, task.serial, lot.sample_rate_Hz, units, task.audit.content)

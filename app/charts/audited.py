@@ -31,7 +31,7 @@ def estimate_over_reference(view: AuditedView, colours: Palette, words: Words) -
         )
     line = {"color": colours.text, "width": 1.5}
     figure.add_scatter(x=ends, y=ends, mode="lines", line=line, name=words("chart.equal"))
-    limit = view.lot.limit_rmse
+    limit = view.limit_rmse
     for k, sign in enumerate((1.0, -1.0) if limit else ()):
         dashed = {"color": colours.limit, "width": 1.5, "dash": "dash"}
         name = words("chart.limit.both", limit=f"{limit:.3g} {unit}")
@@ -63,8 +63,8 @@ def error_over_load(view: AuditedView, colours: Palette, words: Words) -> go.Fig
             showlegend=k <= 1,
             hovertemplate=f"{one.serial}: %{{y:.3g}} {unit}<extra></extra>",
         )
-    if view.lot.limit_rmse is not None:
-        named = words("chart.limit.named", limit=f"{view.lot.limit_rmse:.3g} {unit}")
-        level_line(figure, view.lot.limit_rmse, colours.limit, named, dash="dash")
+    if view.limit_rmse is not None:
+        named = words("chart.limit.named", limit=f"{view.limit_rmse:.3g} {unit}")
+        level_line(figure, view.limit_rmse, colours.limit, named, dash="dash")
     figure.update_yaxes(rangemode="tozero")
     return styled(figure, colours, f"{view.lot.reference_quantity} [{unit}]", f"RMSE [{unit}]")

@@ -28,7 +28,7 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
     """Draw how many units have which predicted error, by verdict, with the lot's limit; far outliers are counted."""
     every = view.predicted()
     figure = go.Figure()
-    top = far_end(every, view.lot.limit_rmse)
+    top = far_end(every, view.limit_rmse)
     edges = np.linspace(0.0, top, BINS + 1)
     for verdict, colour in colours.verdict.items():
         counts, _ = np.histogram(view.predicted(verdict), edges)
@@ -39,8 +39,8 @@ def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure
     whole_numbers(figure, float(np.histogram(every, edges)[0].max(initial=0)))
     # Without a step of their own the ticks would follow the bars, at odd numbers.
     figure.update_xaxes(range=[0.0, top], dtick=nice_step(top), tick0=0)
-    if view.lot.limit_rmse is not None:
-        limit_line(figure, view.lot.limit_rmse, colours, words("chart.limit"))
+    if view.limit_rmse is not None:
+        limit_line(figure, view.limit_rmse, colours, words("chart.limit"))
     title, beyond = f"{words('column.predicted')} [{view.lot.reference_unit}]", int(np.sum(every > top))
     if beyond:
         # Over the bars it would meet the line of the limit where the figure is narrow.

@@ -13,7 +13,7 @@ from softcal.app.charts.lot import audit_scores, control_chart_figure, predicted
 from softcal.app.charts.palette import palette
 from softcal.app.charts.style import Words
 from softcal.app.texts.reasons import all_said
-from softcal.app.views.common import number, percent
+from softcal.app.views.common import limit_said, number, percent
 from softcal.app.views.lot import LotView
 from softcal.db.entries import UnitEntry
 
@@ -50,14 +50,13 @@ def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str)
 def _facts(view: LotView, words: Words) -> list[tuple[str, str]]:
     unit = view.lot.reference_unit
     counts = [(words(f"verdict.{word}"), str(count)) for word, count in view.counts.items() if count]
-    limit = number(view.lot.limit_rmse, unit) if view.lot.limit_rmse else words("lot.limit.none")
     return [
         (words("lot.units"), f"{view.judged} / {view.total}"),
         *counts,
         (words("lot.first_pass"), percent(view.yields.first_pass.value)),
         (words("lot.yield"), percent(view.yields.last_pass.value)),
         (words("lot.predicted"), number(view.median_predicted, unit)),
-        (words("lot.limit"), limit),
+        (words("lot.limit"), limit_said(view.limit, words)),
         (words("lot.audited"), str(len(view.audited))),
     ]
 

@@ -23,10 +23,10 @@ def errors_of_lots(views: Sequence[LotView], colours: Palette, words: Words) -> 
                 x=[view.lot.id], q1=[first], median=[middle], q3=[third], lowerfence=[low], upperfence=[high],
                 marker_color=colours.mapped, width=0.4, showlegend=False, name=view.lot.id,
             )  # fmt: skip
-            ends.append(min(far_end(values, view.lot.limit_rmse), 1.1 * high))
-    limited = [view for view in views if view.lot.limit_rmse is not None]
+            ends.append(min(far_end(values, view.limit_rmse), 1.1 * high))
+    limited = [view for view in views if view.limit_rmse is not None]
     if limited:
-        limits = [view.lot.limit_rmse or 0.0 for view in limited]
+        limits = [view.limit_rmse or 0.0 for view in limited]
         line = {"symbol": "line-ew-open", "size": 60, "color": colours.limit, "line": {"width": 2}}
         name = words("chart.limit")
         figure.add_scatter(x=[v.lot.id for v in limited], y=limits, mode="markers", marker=line, name=name)

@@ -14,6 +14,7 @@ from softcal.app.batch.train import train_or_find
 from softcal.app.line.gate_facts import SHIFT, check_golden, quarantine
 from softcal.app.line.load_readings import LoadReadings, check_stated
 from softcal.app.line.serials import numbered
+from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.golden import bridge_over, golden_lot, keep_golden_of, newest_golden
 from softcal.app.registry.known_loads import keep_loads
 from softcal.app.registry.reference import lot_reference, state_reference
@@ -203,8 +204,10 @@ class RunKeeper:
         limit = stated_limit(lot.reference_unit, lot.limit_rmse)
         line, reference = stated_line(registry, lot.id), lot_reference(registry, lot.id)
         bridge = self._bridge_of(lot, entry, sha256, order)
+        # What was measured on the unit stands until it is measured anew, however often it is pressed.
+        audit = audit_of(registry, newest_audits(registry, lot.id, unit.serial).get(unit.serial))
         problem = UnitProblem(
-            self._source_model(entry), unit, limit, loads, line=line, reference=reference, bridge=bridge
+            self._source_model(entry), unit, limit, loads, audit, line=line, reference=reference, bridge=bridge
         )
         known = registry.find_calibration(unit.serial, problem.input_sha256, lot_id=lot.id)
         if known is not None:

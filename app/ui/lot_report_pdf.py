@@ -23,7 +23,7 @@ from softcal.app.export.certificates.parts import (
 from softcal.app.export.certificates.plots import Level, bars_plot, course_plot
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import all_said, plainly
-from softcal.app.views.common import far_end, number, percent
+from softcal.app.views.common import far_end, limit_said, number, percent
 from softcal.app.views.lot import NEEDS_A_LOOK, LotView
 from softcal.app.views.lot_runs import DESK, YieldAt
 from softcal.db.entries import UnitEntry
@@ -90,7 +90,6 @@ class _Report:
         say, view = self._say, self._view
         counts = ", ".join(f"{count} {say(f'verdict.{word}')}" for word, count in view.counts.items() if count)
         first, last = view.yields.first_pass, view.yields.last_pass
-        limit = number(view.lot.limit_rmse, self._unit) if view.lot.limit_rmse else say("lot.limit.none")
         rows = [
             (say("source.model"), view.lot.sensor_model or "–"),
             (say("lot.units"), f"{view.judged} / {view.total}: {counts}"),
@@ -100,7 +99,7 @@ class _Report:
             ),
             (say("lot.yield"), f"{percent(last.value)} ({percent(last.interval[0])} – {percent(last.interval[1])})"),
             (say("lot.predicted"), number(view.median_predicted, self._unit)),
-            (say("lot.limit"), limit),
+            (say("lot.limit"), limit_said(view.limit, say)),
             (say("lot.audited"), str(len(view.audited))),
         ]
         if view.chosen is not None:
@@ -108,7 +107,7 @@ class _Report:
         return rows
 
     def _errors(self) -> Flowable:
-        view, limit = self._view, self._view.lot.limit_rmse
+        view, limit = self._view, self._view.limit_rmse
         values = view.predicted()
         if not len(values):
             return paragraph("–")

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.core.lot import Lot
 from softcal.core.metrics import rmse
-from softcal.core.recording import Array, LabelledRecording
+from softcal.core.recording import Array
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.method import DecisionConfig
 from softcal.db.lot_pages import UnitErrors
@@ -46,16 +47,18 @@ class AuditedView:
     """Audited units of a lot.
 
     Args:
-        lot: its facts, with the limit.
+        lot: its facts.
         units: the largest errors first.
         of: how many audited units the lot has.
         edges: (BANDS + 1,) of the load bands, in the reference unit.
+        limit_rmse: in force, in the reference unit; None where there is none.
     """
 
     lot: Lot
     units: tuple[AuditTrace, ...]
     of: int
     edges: Array
+    limit_rmse: float | None = None
 
     def band_errors(self, unit: AuditTrace) -> Array:
         """Return (BANDS,) RMSE of a unit in each load band; NaN where it has too few samples."""
@@ -74,7 +77,9 @@ class AuditedView:
         return (self.edges[:-1] + self.edges[1:]) / 2
 
 
-def audited_view(registry: Registry, lot: Lot, audited: tuple[UnitErrors, ...]) -> AuditedView | None:
+def audited_view(
+    registry: Registry, lot: Lot, audited: tuple[UnitErrors, ...], limit_rmse: float | None = None
+) -> AuditedView | None:
     """Estimate the newest audits of a lot's units with the maps in use; None where no audit was kept."""
     worst = sorted(audited, key=lambda row: -(row.after_rmse or 0.0))[:MOST_UNITS]
     units = tuple(unit for row in worst if (unit := _unit(registry, lot.id, row.serial)) is not None)
@@ -82,13 +87,13 @@ def audited_view(registry: Registry, lot: Lot, audited: tuple[UnitErrors, ...]) 
         return None
     loads = np.concatenate([unit.reference for unit in units])
     low, high = float(loads.min()), float(loads.max())
-    return AuditedView(lot, units, len(audited), np.linspace(low, high if high > low else low + 1.0, BANDS + 1))
+    edges = np.linspace(low, high if high > low else low + 1.0, BANDS + 1)
+    return AuditedView(lot, units, len(audited), edges, limit_rmse)
 
 
 def _unit(registry: Registry, lot_id: str, serial: str) -> AuditTrace | None:
-    entries = registry.recordings(lot_id, serial, "audit")
-    audit = registry.recording(entries[-1].sha256) if entries else None
-    if not isinstance(audit, LabelledRecording):
+    audit = audit_of(registry, newest_audits(registry, lot_id, serial).get(serial))
+    if audit is None:
         return None
     record = registry.calibration(serial, lot_id=lot_id).record
     calibration = Calibration.from_record(record)

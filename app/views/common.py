@@ -6,6 +6,7 @@ import numpy as np
 
 from softcal.app.texts.reasons import phrase
 from softcal.core.recording import Array
+from softcal.core.unit.verdict import Limit
 
 POINTS = 4000
 """So many points of a series are drawn; more cost the browser and show nothing."""
@@ -14,6 +15,14 @@ POINTS = 4000
 def number(value: float | None, unit: str = "") -> str:
     """Return a number with three significant digits and its unit; a dash where there is none."""
     return "–" if value is None else f"{value:.3g} {unit}".strip()
+
+
+def limit_said(limit: Limit | None, words: Callable[..., str]) -> str:
+    """Return a lot's limit with its unit; one that nobody stated says so."""
+    if limit is None:
+        return words("lot.limit.none")
+    said = number(limit.maximum_rmse, limit.unit)
+    return said if limit.is_stated else words("lot.limit.derived", limit=said)
 
 
 def percent(share: float | None) -> str:

@@ -8,13 +8,14 @@ from statistics import median
 import numpy as np
 from scipy.stats import fisher_exact
 
+from softcal.app.registry.limit import limit_or_none
 from softcal.app.views.lot_runs import LotFilter, YieldAt, lot_runs, yield_over
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.control_chart import Capability, ControlChart, capability, control_chart
 from softcal.core.quality.yields import UnitRun, Yields, yields
 from softcal.core.recording import Array
-from softcal.core.unit.verdict import VERDICTS
+from softcal.core.unit.verdict import VERDICTS, Limit
 from softcal.core.words.reason import Reason
 from softcal.db.entries import RunEntry, UnitEntry
 from softcal.db.lot_pages import UnitErrors, UnitFilter
@@ -88,7 +89,7 @@ class LotView:
     """A lot at a glance.
 
     Args:
-        lot: its facts, with the newest limit.
+        lot: its facts.
         counts: target units by verdict; `none` has no result yet.
         errors: of the units with a map.
         yields: first pass and total.
@@ -99,6 +100,7 @@ class LotView:
         days, stations, operators: first-pass yield over each of them.
         chosen: serials that a filter leaves; None without a filter.
         every_station, every_operator: what a filter can choose from.
+        limit: in force for its units, stated or derived; None where none is stated and no unit is calibrated yet.
     """
 
     lot: Lot
@@ -115,6 +117,12 @@ class LotView:
     chosen: tuple[str, ...] | None = None
     every_station: tuple[str, ...] = ()
     every_operator: tuple[str, ...] = ()
+    limit: Limit | None = None
+
+    @property
+    def limit_rmse(self) -> float | None:
+        """The limit in the reference unit; None as `limit`."""
+        return None if self.limit is None else self.limit.maximum_rmse
 
     @property
     def total(self) -> int:
@@ -172,7 +180,7 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
     chosen = None if wanted.is_open else tuple(sorted({run.serial for run in runs}))
     golden = {run.serial for run in registry.golden_runs()}
     found = yields(_by_unit(runs), golden)
-    errors = registry.lot_errors(lot_id)
+    errors, limit = registry.lot_errors(lot_id), limit_or_none(registry, lot_id)
     if chosen is not None:
         kept = frozenset(chosen)
         errors = [row for row in errors if row.serial in kept]
@@ -184,7 +192,7 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
         tuple(errors),
         found,
         found.reasons,
-        process_view(runs, lot.limit_rmse),
+        process_view(runs, None if limit is None else limit.maximum_rmse),
         looks.units,
         yield_drop(runs),
         yield_over(of_units, lambda run: run.day.isoformat()),
@@ -193,6 +201,7 @@ def lot_view(registry: Registry, lot_id: str, wanted: LotFilter = EVERY_RUN) -> 
         chosen,
         tuple(sorted({run.station for run in every})),
         tuple(sorted({run.operator for run in every})),
+        limit,
     )
 
 

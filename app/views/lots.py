@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from softcal.app.texts.reasons import plainly
-from softcal.app.views.common import number, percent
+from softcal.app.views.common import limit_said, number, percent
 from softcal.app.views.lot import LotView
 
 MOST_LOTS = 6
@@ -28,7 +28,7 @@ def _facts(view: LotView, words: Words) -> dict[str, str]:
         **{words(f"verdict.{word}"): str(view.counts[word]) for word in view.counts if word != "none"},
         words("lot.first_pass"): _share(found.first_pass.value, found.first_pass.interval),
         words("lot.yield"): _share(found.last_pass.value, found.last_pass.interval),
-        words("lot.limit"): number(view.lot.limit_rmse, unit),
+        words("lot.limit"): limit_said(view.limit, words),
         words("lot.predicted"): number(view.median_predicted, unit),
         words("lot.audited"): str(len(measured)),
         words("compare.measured"): number(sorted(measured)[len(measured) // 2], unit) if measured else "–",

@@ -67,7 +67,7 @@ def wall_view(
     today = next((day.share for day in view.days if day.name == now.date().isoformat()), Share(0, 0))
     first = view.yields.first_pass
     low, high = (percent(end) for end in first.interval)
-    limit = view.lot.limit_rmse
+    limit = view.limit_rmse
     tiles = (
         (words("wall.done"), f"{view.judged} / {target}", words("lot.units")),
         (words("lot.first_pass"), percent(first.value), f"{low} – {high}" if first.of else ""),

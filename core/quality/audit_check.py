@@ -11,9 +11,6 @@ from softcal.core.unit.audit_reading import AuditReading
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.words.reason import Reason, reason
 
-KIND = "doubt."
-"""How the codes of doubts begin."""
-
 Readings = Mapping[str, AuditReading]
 Doubts = dict[str, Reason]
 

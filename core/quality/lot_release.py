@@ -29,6 +29,7 @@ class LotRelease:
         statement: the promise, or why there is none.
         seen: gains that audited units of this lot read their loads with; None where too few were audited.
         days: by serial, the error that another day adds as golden runs show it; empty without them.
+        doubts: audits that are set aside, by serial, and why.
     """
 
     qualification: Qualification
@@ -40,6 +41,12 @@ class LotRelease:
     statement: Reason
     seen: SeenGains | None = None
     days: Mapping[str, float] = field(default_factory=dict)
+    doubts: Mapping[str, Reason] = field(default_factory=dict)
+
+    @property
+    def audits(self) -> tuple[AuditedUnit, ...]:
+        """The audited units it rests on; where they do not suffice, those of the lot."""
+        return self.qualification.audits or self.qualification.here
 
     @property
     def released(self) -> tuple[str, ...]:
@@ -103,6 +110,7 @@ class LotRelease:
             "gains": None if self.seen is None else vars(self.seen),
             "day_rmse": max(self.days.values(), default=None),
             "limit": self.limit.to_json(),
+            "set_aside": {serial: str(why) for serial, why in self.doubts.items()},
         }
 
 
@@ -115,6 +123,7 @@ def release_lot(
     least: float = 0.0,
     seen: SeenGains | None = None,
     days: Mapping[str, float] | None = None,
+    doubts: Mapping[str, Reason] | None = None,
 ) -> LotRelease:
     """Decide on the units of a lot that nobody measured.
 
@@ -127,14 +136,19 @@ def release_lot(
         least: number of units that must pass, or none is released.
         seen: gains that audited units of this lot read their loads with.
         days: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
+        doubts: audits that are set aside, by serial, and why.
     """
     found = release(forecasts, qualification.audits, limit, promise, least, days) if qualification.is_given else None
     told = [
         _promised(forecasts, found, qualification, limit, promise),
         *_seen(seen),
         *_told_days(days or {}, limit.unit),
+        *([reason("release.doubts", serials=", ".join(doubts))] if doubts else []),
     ]
-    return LotRelease(qualification, limit, promise, forecasts, found, widening, several(told), seen, days or {})
+    told_in_one = several(told)
+    return LotRelease(
+        qualification, limit, promise, forecasts, found, widening, told_in_one, seen, days or {}, doubts or {}
+    )
 
 
 def _seen(seen: SeenGains | None) -> Iterator[Reason]:

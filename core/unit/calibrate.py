@@ -70,6 +70,7 @@ class UnitProblem:
         bridge: the source unit pressed again in the sitting of this unit, where somebody did.
         beside: networks of the lot's other sources, which the unit was compared with (`sources.py`).
         rules: identities of the rules of other packages that may hold the unit back; those installed here by default.
+        unread_audit: why a file that was brought as its audit cannot be read; "" where none was or it can.
     """
 
     source: SourceModel
@@ -83,6 +84,7 @@ class UnitProblem:
     bridge: Bridge | None = None
     beside: tuple[str, ...] = ()
     rules: tuple[str, ...] = field(default_factory=rules_in_force)
+    unread_audit: str = ""
 
     @cached_property
     def input_sha256(self) -> str:
@@ -115,6 +117,8 @@ def input_sha256(facts: UnitProblem, method: Method) -> str:
         settings["reference"] = facts.reference.to_json()
     if facts.beside:
         settings["beside"] = sorted(facts.beside)
+    if facts.unread_audit:
+        settings["unread_audit"] = facts.unread_audit
     if facts.rules:
         settings["rules"] = sorted(facts.rules)
     return content_sha256({}, settings)
@@ -222,7 +226,10 @@ def _bridge_reason(problem: UnitProblem, fit: FitProblem) -> tuple[Reason, ...]:
 
 
 def _bars(problem: UnitProblem) -> tuple[Reason, ...]:
-    return () if problem.reference is None else problem.reference.bars(float(problem.source.source.reference.max()))
+    highest = float(problem.source.source.reference.max())
+    barred = () if problem.reference is None else problem.reference.bars(highest)
+    unread = (reason("audit.unreadable", error=problem.unread_audit),) if problem.unread_audit else ()
+    return (*unread, *barred)
 
 
 def _reference_variance(problem: UnitProblem) -> Array:

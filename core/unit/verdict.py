@@ -91,6 +91,11 @@ class Limit:
             raise InputError(f"limit maximum_rmse = {self.maximum_rmse} {self.unit}; a positive number was expected")
 
     @property
+    def is_stated(self) -> bool:
+        """Whether somebody agreed on it; else it follows from the source's own error."""
+        return str(self.origin) == str(Limit.origin)
+
+    @property
     def acceptance_rmse(self) -> float:
         """The largest error, with its guard band, that passes: AL of ILAC-G8:09/2019.
 

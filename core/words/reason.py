@@ -16,6 +16,9 @@ from softcal.core.words.rig_sentences import SENTENCES
 
 Value = Union[str, float, int, "Reason"]
 
+DOUBT = "doubt."
+"""How the codes of reasons begin that set an audit aside."""
+
 PLAIN = "plain"
 """Code of a sentence that was kept as a sentence: by an older version, or quoted from a file or device."""
 
@@ -102,6 +105,7 @@ ENGLISH: Mapping[str, str] = {
     ),
     "release.gains": ("the audited units read {centre:.1%} of their loads, with a spread of {spread:.1%} between them"),
     "release.days": "up to {day:.3g} {unit} is kept for another day, as golden runs show it",
+    "release.doubts": "audits that may be wrong do not count: {serials}",
     "part.audits_beyond": "{audits}, {beyond} of them beyond {limit:.3g} {unit}",
     "part.any_form": (
         "whatever form the ratios have, at most {share:.1%} at that confidence and {risk:.1%} on average"
@@ -151,6 +155,9 @@ ENGLISH: Mapping[str, str] = {
     "audited_before_trim": "its audit was taken before the trim, with the map of then; a new audit decides",
     "predicted_otherwise": "before the audit it was predicted {verdict}: {why}",
     # What is wrong with a table that was to audit a unit.
+    "audit.unreadable": (
+        "its audit cannot be read: {error}; bring it with `softcal lot audit`, which takes the column names of import"
+    ),
     "audit.stranger": "the lot has no unit {serial}; call the file by the serial of the unit",
     "audit.no_reference": "it has no reference; choose the column of the load cell",
     # What the raw output shows.

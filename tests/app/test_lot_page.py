@@ -117,7 +117,7 @@ def test_the_page_is_filtered_by_station(two_stations: str, show) -> None:
 def audited(limit: float | None = 0.2) -> AuditedView:
     load = np.linspace(0.0, 8.0, 400)
     units = (AuditTrace("bad", load, load + 1.0), AuditTrace("good", load, load + 0.05 * load))
-    return AuditedView(Lot("L", "S", 50.0, limit_rmse=limit), units, 2, np.linspace(0.0, 8.0, BANDS + 1))
+    return AuditedView(Lot("L", "S", 50.0), units, 2, np.linspace(0.0, 8.0, BANDS + 1), limit)
 
 
 def test_the_error_over_load_is_that_of_each_band() -> None:

@@ -389,3 +389,37 @@ def test_another_limit_judges_every_unit_at_once_and_a_verdict_against_an_old_on
     assert {serial: registry.standings("large", [serial])[serial].verdict for serial in before} == {
         serial: unit.verdict for serial, unit in before.items()
     }
+
+
+def test_what_was_measured_stands_although_its_file_is_gone_or_cannot_be_read(make_lot, batch, registry):
+    folder = make_lot(limit_N=0.05)
+    first = {unit["serial"]: unit for unit in batch(folder)["units"]}
+    failed = [serial for serial, unit in first.items() if unit["audited"] and unit["verdict"] == "fail"]
+    assert len(failed) > 2
+    (folder / f"audit/{failed[0]}.csv").unlink()
+    (folder / f"audit/{failed[1]}.csv").write_text("time,volt,newton\n0,1,2\n")
+    second = {unit["serial"]: unit for unit in batch(folder)["units"]}
+    for serial in failed[:2]:
+        assert second[serial]["audited"] and second[serial]["verdict"] == "fail"
+        assert second[serial]["after_rmse"] == first[serial]["after_rmse"]
+    assert "audit.unreadable" in second[failed[1]]["reason_codes"]
+    assert "audit.unreadable" not in second[failed[0]]["reason_codes"]
+
+
+def test_an_audit_that_cannot_be_read_is_no_failed_run_of_its_unit(make_lot, batch, registry_url, registry):
+    folder = make_lot(audits=1)
+    names = {"t_s": "time", "output": "V", "reference": "N"}
+    measured = folder.parent / "measured"
+    measured.mkdir()
+    pd.read_csv(folder / "audit/large-00.csv").rename(columns=names).to_csv(measured / "large-00.csv", index=False)
+    shutil.copy(measured / "large-00.csv", folder / "audit/large-00.csv")
+    unit = batch(folder)["units"][0]
+    assert (unit["serial"], unit["verdict"], unit["audited"]) == ("large-00", "conditional", False)
+    assert unit["reason_codes"][0] == "audit.unreadable"
+    (measured / "stranger.csv").write_text("time,V,N\n0,1,2\n0.02,1,2\n")
+    columns = ["--time-column", "time", "--output-column", "V", "--reference-column", "N"]
+    assert main(["lot", "audit", str(folder), str(measured), *columns]) == 2, "the stranger is named, the other taken"
+    assert main(["lot", "audit", str(folder), str(measured / "large-00.csv"), *columns]) == 0
+    unit = batch(folder)["units"][0]
+    assert (unit["verdict"], unit["audited"]) == ("pass", True)
+    assert [run.verdict for run in registry.runs("large", "large-00")] == ["pass"]

@@ -87,7 +87,7 @@ def test_every_code_is_given_somewhere() -> None:
     core = Path(reasons.__file__).parents[1]
     files = [
         path
-        for folder in (core, core.parent / "app")
+        for folder in (core, core.parent / "app", core.parent / "db")
         for path in folder.rglob("*.py")
         if path.name not in ("reason.py", "gap_sentences.py")
     ]

@@ -51,7 +51,7 @@ def _calibrated(registry: Registry, lot_id: str) -> str:
 
 
 def _rows(decided: LotRelease, lot_id: str) -> tuple[StatementRow, ...]:
-    audits = sorted(decided.qualification.audits, key=lambda audit: -audit.ratio)
+    audits = sorted(decided.audits, key=lambda audit: -audit.ratio)
     return tuple(
         StatementRow(
             a.serial,

@@ -10,7 +10,7 @@ from softcal.app.ui.desk import ask_reason, colours, errors_in_words, in_words, 
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.lot_memory import remembered_lot_view
 from softcal.app.ui.panels import figure_under, headline, lot_heading, table
-from softcal.app.views.common import number, percent
+from softcal.app.views.common import limit_said, number, percent
 from softcal.app.views.lot import LotView
 from softcal.core.errors import InputError
 from softcal.db.entries import LimitEntry
@@ -58,10 +58,9 @@ def _change(view: LotView, versions: list[LimitEntry]) -> None:
     # The version a person decides on is the one first drawn, not one that somebody else has written meanwhile.
     looked_at = f"limit-seen-{view.lot.id}"
     version = st.session_state.setdefault(looked_at, newest)
-    now = number(view.lot.limit_rmse, unit) if view.lot.limit_rmse else say("lot.limit.none")
-    headline(say("limits.now", limit=now, version=newest))
+    headline(say("limits.now", limit=limit_said(view.limit, say), version=newest))
     is_automatic = st.toggle(say("limits.auto"), view.lot.limit_rmse is None, key=f"auto-{view.lot.id}-{version}")
-    usual = view.lot.limit_rmse or view.median_predicted or 1.0
+    usual = view.limit_rmse or view.median_predicted or 1.0
     wanted = st.number_input(
         f"{say('limits.new')} [{unit}]",
         min_value=0.0,

@@ -14,7 +14,7 @@ from softcal.app.ui.components.unit_table import unit_table
 from softcal.app.ui.desk import colours, empty, errors_in_words, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import figure_under, headline, lot_heading, numbers
-from softcal.app.views.common import number, percent
+from softcal.app.views.common import limit_said, number, percent
 from softcal.app.views.lot import LotView
 
 
@@ -48,7 +48,6 @@ def render() -> None:
 
 def _numbers(view: LotView) -> None:
     say, unit = words(), view.lot.reference_unit
-    limit = number(view.lot.limit_rmse, unit) if view.lot.limit_rmse else say("lot.limit.none")
     first, last = view.yields.first_pass, view.yields.last_pass
     ratio = view.after_to_own
     audited = (say("lot.audited"), str(len(view.audited)), say("lot.audited.help"))
@@ -59,7 +58,7 @@ def _numbers(view: LotView) -> None:
             (say("lot.first_pass"), percent(first.value), _interval("lot.first_pass.help", first.interval)),
             (say("lot.yield"), percent(last.value), _interval("lot.yield.help", last.interval)),
             (say("lot.predicted"), number(view.median_predicted, unit), say("lot.predicted.help")),
-            (say("lot.limit"), limit, say("lot.limit.help")),
+            (say("lot.limit"), limit_said(view.limit, say), say("lot.limit.help")),
             audited if ratio is None else compared,
         )
     )
@@ -85,7 +84,7 @@ def _figures(view: LotView) -> None:
     control_panel(view.process, view.lot)
     left, right = st.columns(2)
     with left:
-        capability_panel(view.process, view.lot)
+        capability_panel(view)
     with right:
         if view.audited:
             reasons_panel(view)

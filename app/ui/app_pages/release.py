@@ -77,7 +77,7 @@ def _statement(lot_id: str) -> None:
 def _said(decided: LotRelease, lot_id: str) -> None:
     say, unit = words(), registry().lot(lot_id).reference_unit
     limit = number(decided.limit.maximum_rmse, unit)
-    audits = decided.qualification.audits
+    audits = decided.audits
     st.markdown(say("release.counts", released=len(decided.released), open=len(decided.forecasts), limit=limit))
     st.markdown(say("release.evidence", audits=len(audits)))
     if audits:

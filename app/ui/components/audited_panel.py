@@ -34,4 +34,4 @@ def _remembered(view: LotView) -> AuditedView | None:
 def _view(
     registry_name: str, marker: str, lot_id: str, chosen: tuple[str, ...] | None, _lot: LotView
 ) -> AuditedView | None:
-    return audited_view(registry(), _lot.lot, _lot.audited)
+    return audited_view(registry(), _lot.lot, _lot.audited, _lot.limit_rmse)

@@ -21,13 +21,14 @@ def control_panel(process: ProcessView, lot: Lot) -> None:
     figure_under("lot.process", figure, "control-chart")
 
 
-def capability_panel(process: ProcessView, lot: Lot) -> None:
+def capability_panel(view: LotView) -> None:
     """Draw capability against the limit, or why it is refused, and the rules that points break."""
-    say, found = words(), process.capability
+    say, process = words(), view.process
+    found = process.capability
     if process.chart is None:
         return
     st.header(say("lot.capability"))
-    if lot.limit_rmse is None:
+    if view.limit is None or not view.limit.is_stated:
         st.caption(say("lot.capability.no_limit"))
     elif found is None:
         st.warning(in_words(process.refusal or ""), icon=":material/block:", title=say("lot.capability.refused"))

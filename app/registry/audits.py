@@ -1,0 +1,21 @@
+"""The audits of a lot's units that the registry keeps: what was measured stands until it is measured anew."""
+
+from softcal.core.recording import LabelledRecording
+from softcal.db.entries import RecordingEntry
+from softcal.db.registry import Registry
+
+
+def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) -> dict[str, RecordingEntry]:
+    """Return the newest audit of each unit of a lot, or of one of them, by serial.
+
+    A golden unit's labelled runs check the station and its day; they are no audits of the lot.
+    """
+    checks = {run.serial for run in registry.golden_runs()} | {registry.lot(lot_id).source}
+    entries = registry.recordings(lot_id, serial, "audit")
+    return {entry.serial: entry for entry in entries if entry.serial not in checks}
+
+
+def audit_of(registry: Registry, entry: RecordingEntry | None) -> LabelledRecording | None:
+    """Read an audit; None where there is none."""
+    found = None if entry is None else registry.recording(entry.sha256)
+    return found if isinstance(found, LabelledRecording) else None

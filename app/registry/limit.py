@@ -1,0 +1,42 @@
+"""The limit that the units of a lot are judged by: stated, or what follows from the source's own error."""
+
+from dataclasses import replace
+
+from softcal.app.registry.reference import reference_expanded
+from softcal.app.registry.source import source_model
+from softcal.core.errors import InputError
+from softcal.core.unit.method import Method
+from softcal.core.unit.verdict import Limit, default_limit
+from softcal.core.words.reason import plain
+from softcal.db.registry import Registry
+
+
+def lot_limit(registry: Registry, lot_id: str) -> Limit:
+    """Return the lot's limit, or the one that follows from its source's own error where none was stated.
+
+    Raises:
+        InputError: none was stated, and no unit was calibrated yet.
+    """
+    lot, expanded = registry.lot(lot_id), reference_expanded(registry, lot_id)
+    if lot.limit_rmse is not None:
+        return Limit(lot.reference_unit, lot.limit_rmse, reference_expanded=expanded)
+    units = registry.units(lot_id)
+    serial = next((unit.serial for unit in units if unit.role == "target" and unit.revision is not None), None)
+    if serial is None:
+        raise InputError(f"lot {lot_id!r} states no limit and has no calibrated unit yet; calibrate its units first")
+    record = registry.calibration(serial, lot_id=lot_id).record
+    judged = Limit(lot.reference_unit, record.limit_rmse or 1.0, plain(str(record.evidence["limit_origin"])), expanded)
+    if judged.is_stated or record.limit_rmse is None:
+        # Its limit was taken back since.
+        method = record.method or Method()
+        rmse = source_model(registry, record.network_id, method).held_out_rmse
+        return replace(default_limit(lot.reference_unit, rmse, method.decision), reference_expanded=expanded)
+    return judged
+
+
+def limit_or_none(registry: Registry, lot_id: str) -> Limit | None:
+    """Return the limit of a lot as `lot_limit`; None where none was stated and no unit was calibrated yet."""
+    try:
+        return lot_limit(registry, lot_id)
+    except InputError:
+        return None
