@@ -1,16 +1,19 @@
 """The audit of a lot from its page: draw, bring the recordings, see what they say; and the wall board."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
 from softcal.app.batch.audit import lot_audit
+from softcal.app.batch.release import doubted_record
 from softcal.app.texts.catalogue import text
 from softcal.app.views.alerts import Alert
 from softcal.app.views.lot import lot_view
 from softcal.app.views.wall import MOST_ALERTS, wall_view
 from softcal.core.orders import Heartbeat, StationState
+from softcal.core.words.reason import Reason
 from softcal.db.connection import open_registry
 
 pytestmark = pytest.mark.usefixtures("own_data")
@@ -90,3 +93,31 @@ def test_the_wall_counts_what_the_lot_holds_and_leaves_no_alert_unsaid(calibrate
 def test_the_wall_is_drawn(calibrated: str, show, language: str) -> None:
     screen = show(calibrated, "wall", role="operator", lot="small", lang=language)
     assert not screen.exception and not screen.error
+
+
+def test_every_audited_unit_is_listed_and_one_in_doubt_is_confirmed_with_a_reason(
+    calibrated: str, lot_folder: Path, show
+) -> None:
+    with open_registry(calibrated) as registry:
+        audited = sorted(entry.serial for entry in registry.recordings("small", kind="audit"))
+        made = registry.standings("small", audited)[audited[0]].made
+        assert made is not None
+        stored = registry.calibration(audited[0], lot_id="small")
+        record = stored.record
+        fitted = replace(record, evidence={**record.evidence, "base_revision": float(stored.revision)})
+        doubted = doubted_record(fitted, Reason("doubt.gain", {"gain": 0.01, "usual": 1.0, "others": 5}))
+        registry.add_calibration("small", doubted, decided_by="release")
+    screen = show(calibrated, "audit", lot="small")
+    assert sorted(screen.table[-1].value.iloc[:, 0]) == audited
+    key = f"reason-text-confirm-{audited[0]}"
+    submit = next(one for one in screen.button if one.label == say("audit.confirm", serial=audited[0]))
+    submit.click().run()
+    with open_registry(calibrated) as registry:
+        assert not registry.events("audit_doubt", ("small",)), "a reason is needed"
+    screen.text_input(key=key).set_value("pressed again by hand")
+    next(one for one in screen.button if one.label == say("audit.confirm", serial=audited[0])).click().run()
+    assert not screen.exception and not screen.error
+    with open_registry(calibrated) as registry:
+        assert len(registry.events("audit_doubt", ("small",))) == 1
+        standing = registry.standings("small", audited)[audited[0]]
+        assert standing.verdict == record.verdict and standing.made is not None and standing.made.is_audited

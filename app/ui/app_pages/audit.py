@@ -11,6 +11,7 @@ from softcal.app.jobs.process import start_job
 from softcal.app.texts.reasons import said
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.audit_plan import plan_rows
+from softcal.app.ui.components.audits_panel import audits_panel
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
 from softcal.app.ui.desk import ask_reason, errors_in_words, registry, words
@@ -38,6 +39,7 @@ def render() -> None:
             _draw(lot_id)
         else:
             _stands(audit, lot_id)
+        audits_panel(lot_id)
         _upload(lot_id)
 
 
