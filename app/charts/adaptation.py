@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from softcal.app.charts.palette import FONTS
 from softcal.app.charts.trace import Trace
 
 if TYPE_CHECKING:
@@ -44,7 +45,8 @@ def adaptation_figure(
     _line(figure, 4, trace.t_s, trace.estimate, "estimate", BLUE)
     _line(figure, 5, trace.t_s, trace.predicted_rmse, "predicted error", BLUE, step=True)
     _alarms(figure, seen)
-    figure.update_layout(title=title, template="plotly_white", height=1150, hovermode="x unified", margin={"t": 90})
+    look = {"template": "plotly_white", "font_family": FONTS, "hovermode": "x unified"}
+    figure.update_layout(title=title, height=1150, margin={"t": 90}, **look)
     figure.update_xaxes(title_text="time [s]", row=5, col=1)
     figure.update_yaxes(rangemode="tozero", row=5, col=1)
     return figure

@@ -8,6 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from softcal.app.charts.palette import FONTS
 from softcal.app.charts.style import Words
 from softcal.app.texts.reasons import said
 from softcal.app.views.gap import channel_name, effect_name, pressed_name, ranked
@@ -66,7 +67,7 @@ def _styled(figure: go.Figure, height: int, left: int = 60, **layout: Any) -> go
         template="plotly_white",
         height=height,
         margin={"l": left, "r": 20, "t": 44, "b": 44},
-        font={"family": "system-ui, Segoe UI, Roboto, Arial, sans-serif", "size": 13, "color": INK},
+        font={"family": FONTS, "size": 13, "color": INK},
         **layout,
     )
     return figure

@@ -20,6 +20,7 @@ from softcal.app.charts.gap import (
     ranking_figure,
     trace_figure,
 )
+from softcal.app.charts.palette import FONTS
 from softcal.app.charts.style import Words
 from softcal.app.texts.reasons import phrase
 from softcal.app.views.gap import (
@@ -102,7 +103,8 @@ def _mistakes(report: Mapping[str, Any], say: Words) -> str:
 
 def _document(serial: str, parts: Sequence[str], say: Words) -> str:
     title, script = escape(say("gap.page.title", serial=serial)), get_plotlyjs()
-    return _DOCUMENT.format(language=say("gap.page.lang"), title=title, script=script, body="\n".join(parts))
+    body, language = "\n".join(parts), say("gap.page.lang")
+    return _DOCUMENT.format(fonts=FONTS, language=language, title=title, script=script, body=body)
 
 
 def _told(say: Words, key: str, **values: str) -> str:
@@ -337,7 +339,7 @@ _DOCUMENT = """<!doctype html>
 <html lang="{language}"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{title}</title>
 <style>
-body {{ font: 15px/1.5 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; color: #1c2733;
+body {{ font: 15px/1.5 {fonts}; color: #1c2733;
   background: #eef1f4; margin: 0; }}
 main {{ max-width: 1080px; margin: 0 auto; padding: 24px 16px 64px; }}
 header, section {{ background: #fff; border: 1px solid #d8dee4; border-radius: 10px; padding: 18px 24px;

@@ -25,20 +25,20 @@ MOST_REASONS = 8
 
 
 def predicted_errors(view: LotView, colours: Palette, words: Words) -> go.Figure:
-    """Draw how many units have which predicted error, by verdict, with the lot's limit; far outliers are counted."""
+    """Draw how many units have which predicted error, by verdict, with the limit; the last bar holds all beyond."""
     every = view.predicted()
     figure = go.Figure()
     top = far_end(every, view.limit_rmse)
     edges = np.linspace(0.0, top, BINS + 1)
     for verdict, colour in colours.verdict.items():
-        counts, _ = np.histogram(view.predicted(verdict), edges)
+        counts, _ = np.histogram(np.minimum(view.predicted(verdict), top), edges)
         if counts.any():
             name = words(f"verdict.{verdict}")
             figure.add_bar(x=edges[:-1], y=counts, width=edges[1], offset=0, name=name, marker_color=colour)
     figure.update_layout(barmode="stack")
-    whole_numbers(figure, float(np.histogram(every, edges)[0].max(initial=0)))
+    whole_numbers(figure, float(np.histogram(np.minimum(every, top), edges)[0].max(initial=0)))
     # Without a step of their own the ticks would follow the bars, at odd numbers.
-    figure.update_xaxes(range=[0.0, top], dtick=nice_step(top), tick0=0)
+    figure.update_xaxes(range=[0.0, top + edges[1]], dtick=nice_step(top), tick0=0)
     if view.limit_rmse is not None:
         limit_line(figure, view.limit_rmse, colours, words("chart.limit"))
     title, beyond = f"{words('column.predicted')} [{view.lot.reference_unit}]", int(np.sum(every > top))

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 from softcal.app.charts.lot import audit_scores, control_chart_figure, predicted_errors, reasons_pareto
-from softcal.app.charts.palette import palette
+from softcal.app.charts.palette import FONTS, palette
 from softcal.app.charts.style import Words
 from softcal.app.texts.reasons import all_said
 from softcal.app.views.common import limit_said, number, percent
@@ -43,7 +43,10 @@ def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str)
     )
     table = _section(words("lot.table"), _table(_header(unit, words), (_row(entry, words) for entry in units)))
     return _DOCUMENT.format(
-        title=escape(f"softcal: {view.lot.id}"), script=get_plotlyjs(), body="\n".join([head, *figures, table])
+        fonts=FONTS,
+        title=escape(f"softcal: {view.lot.id}"),
+        script=get_plotlyjs(),
+        body="\n".join([head, *figures, table]),
     )
 
 
@@ -102,7 +105,7 @@ _DOCUMENT = """<!doctype html>
 <html><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{title}</title>
 <style>
-body {{ font: 15px/1.5 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; color: #1c2733;
+body {{ font: 15px/1.5 {fonts}; color: #1c2733;
   background: #eef1f4; margin: 0; }}
 main {{ max-width: 1080px; margin: 0 auto; padding: 24px 16px 64px; }}
 header, section {{ background: #fff; border: 1px solid #d8dee4; border-radius: 10px; padding: 18px 24px;

@@ -7,7 +7,6 @@ import plotly.graph_objects as go
 
 from softcal.app.charts.palette import Palette
 from softcal.app.charts.style import Words, styled
-from softcal.app.views.common import far_end
 from softcal.app.views.lot import LotView
 
 
@@ -23,7 +22,7 @@ def errors_of_lots(views: Sequence[LotView], colours: Palette, words: Words) -> 
                 x=[view.lot.id], q1=[first], median=[middle], q3=[third], lowerfence=[low], upperfence=[high],
                 marker_color=colours.mapped, width=0.4, showlegend=False, name=view.lot.id,
             )  # fmt: skip
-            ends.append(min(far_end(values, view.limit_rmse), 1.1 * high))
+            ends.append(high)
     limited = [view for view in views if view.limit_rmse is not None]
     if limited:
         limits = [view.limit_rmse or 0.0 for view in limited]

@@ -1,6 +1,10 @@
-"""Colours of the screens, light and dark. Every text colour has a contrast of 4.5:1 or more on its ground."""
+"""Letters and colours of the screens, light and dark. Every text colour has a contrast of 4.5:1 on its ground."""
 
 from dataclasses import dataclass
+
+FONTS = '"Source Sans", "Noto Sans KR", system-ui, sans-serif'
+"""Of pages and plots alike. Streamlit brings the first, `app/ui/static` the second, for the Korean letters.
+A page that was taken along is written in what its computer has."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import plotly.graph_objects as go
 
-from softcal.app.charts.palette import Palette
+from softcal.app.charts.palette import FONTS, Palette
 
 Words = Callable[..., str]
 
@@ -33,7 +33,7 @@ def coloured(figure: go.Figure, colours: Palette, height: int = HEIGHT) -> go.Fi
         margin={"l": 72, "r": 16, "t": 48, "b": 52},
         paper_bgcolor=CLEAR,
         plot_bgcolor=CLEAR,
-        font={"color": colours.text, "size": 13},
+        font={"family": FONTS, "color": colours.text, "size": 13},
         hoverlabel={"bgcolor": colours.grid, "font_color": colours.text},
         # Above the figure, not so far above the bars: where its names wrap they would come to lie over these.
         legend={"orientation": "h", "yref": "container", "y": 1.0, "yanchor": "top", "x": 0},

@@ -26,8 +26,10 @@ def output_distributions(view: UnitView, colours: Palette, words: Words) -> go.F
     high = max(float(values.max()) for _, values, _ in series)
     for name, values, colour in series:
         share, edges = np.histogram(values, bins=BINS, range=(low, high))
-        line = {"color": colour, "width": 2, "shape": "hvh", "dash": "dot" if name == "raw" else "solid"}
-        figure.add_scatter(x=edges[:-1], y=share / len(values), name=words(f"chart.{name}"), line=line)
+        line = {"color": colour, "width": 2, "shape": "hv", "dash": "dot" if name == "raw" else "solid"}
+        # A step from edge to edge: the last bin ends where the last edge is.
+        steps = np.append(share, share[-1]) / len(values)
+        figure.add_scatter(x=edges, y=steps, name=words(f"chart.{name}"), line=line)
     return styled(figure, colours, f"{words('chart.output')} [{view.lot.output_unit}]", words("chart.density"))
 
 

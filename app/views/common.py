@@ -52,8 +52,8 @@ def thinned(values: Sequence[object] | Array, most: int = POINTS) -> slice:
 
 
 def far_end(values: Array, limit: float | None) -> float:
-    """Return where the axis ends: at the largest value, unless a few of them would squeeze all others together."""
-    if not len(values):
-        return 1.0
-    most = 2.5 * float(np.quantile(values, 0.8))
-    return max(min(1.02 * float(values.max()), most), 1.2 * (limit or 0.0))
+    """Return where the bars end: at the largest value, unless a few of them would squeeze all others together."""
+    end = 1.2 * (limit or 0.0)
+    if len(values):
+        end = max(end, min(1.02 * float(values.max()), 2.5 * float(np.quantile(values, 0.8))))
+    return end or 1.0

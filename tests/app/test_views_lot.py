@@ -2,12 +2,15 @@
 
 from datetime import UTC, datetime, timedelta
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from softcal.app.charts import lot as charts_lot
+from softcal.app.charts.lots import errors_of_lots
 from softcal.app.charts.palette import DARK, LIGHT
+from softcal.app.charts.unit import output_distributions
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import plainly
 from softcal.app.views.common import percent
@@ -72,6 +75,56 @@ def test_limit_lines_are_seen_on_either_ground(rng, colours) -> None:
     figure = charts_lot.control_chart_figure(process, "N", colours, lambda key, **_: key)
     assert {shape.line.color for shape in figure.layout.shapes} == {colours.text, colours.limit}
     assert len(figure.data[0].x) == charts_lot.SHOWN_VALUES
+
+
+def errors_drawn(errors: dict[str, list[float]], limit: float | None):
+    def predicted(verdict: str | None = None):
+        return np.array(errors.get(verdict, []) if verdict else [value for some in errors.values() for value in some])
+
+    view = SimpleNamespace(predicted=predicted, limit_rmse=limit, lot=SimpleNamespace(reference_unit="N"))
+    return charts_lot.predicted_errors(view, LIGHT, lambda key, **_: key)
+
+
+@pytest.mark.parametrize("limit", [None, 0.05, 0.3, 2.0])
+@pytest.mark.parametrize(
+    "errors",
+    [
+        {"pass": [0.0427, 0.0442, 0.0443, 0.0477]},
+        {"pass": [0.1] * 40, "fail": [0.3, 9.0, 40.0]},
+        {"pass": [0.07], "conditional": [0.07]},
+        {},
+    ],
+)
+def test_the_histogram_of_errors_is_whole(errors, limit) -> None:
+    """Every unit stands in a bar, and every bar and the limit inside the axis, with room to its end."""
+    figure = errors_drawn(errors, limit)
+    low, high = figure.layout.xaxis.range
+    assert sum(int(np.sum(bar.y)) for bar in figure.data) == sum(map(len, errors.values()))
+    for bar in figure.data:
+        assert low <= min(bar.x) and max(np.asarray(bar.x) + bar.width) < high
+    for line in figure.layout.shapes:
+        assert low < line.x0 < 0.95 * high
+
+
+def test_the_boxes_of_lots_are_whole(rng) -> None:
+    values = np.r_[rng.uniform(0.05, 0.06, 90), rng.uniform(0.8, 0.9, 10)]
+    lot = SimpleNamespace(id="L", reference_unit="N")
+    view = SimpleNamespace(predicted=lambda: values, limit_rmse=None, lot=lot)
+    figure = errors_of_lots([view], LIGHT, lambda key, **_: key)
+    assert figure.data[0].upperfence[0] < figure.layout.yaxis.range[1]
+
+
+def test_the_distributions_of_outputs_are_whole(rng) -> None:
+    spaces = [rng.normal(at, 0.1, 500) for at in (1.0, 1.2, 1.0)]
+    view = SimpleNamespace(
+        source=SimpleNamespace(unlabelled=SimpleNamespace(output=spaces[0])),
+        recording=SimpleNamespace(output=spaces[1]),
+        mapped=spaces[2],
+        lot=SimpleNamespace(output_unit="V"),
+    )
+    every = np.concatenate(spaces)
+    for series in output_distributions(view, LIGHT, lambda key, **_: key).data:
+        assert (series.x[0], series.x[-1]) == (pytest.approx(every.min()), pytest.approx(every.max()))
 
 
 def test_only_all_is_a_hundred_per_cent() -> None:
