@@ -8,6 +8,7 @@ from pathlib import Path
 from softcal.app.export.signature import SigningKey
 from softcal.app.registry.source import source_recording, source_sha256, unlabelled
 from softcal.app.registry.standing import standing_of
+from softcal.app.registry.untrimmed import UNTRIMMED, untrimmed
 from softcal.core.errors import InputError, UnitRefused
 from softcal.core.export.blob import NetworkFile
 from softcal.core.export.compile_map import InputScale
@@ -18,6 +19,7 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.verdict import Release, Verdict
+from softcal.core.use.trim import as_given_now
 from softcal.core.words.reason import joined
 from softcal.db.entries import StoredCalibration, UnitStanding
 from softcal.db.registry import Registry
@@ -186,11 +188,20 @@ class UnitLoader:
     def load(self, serial: str) -> CalibratedUnit:
         """Read one unit; `InputError` where the registry does not know it."""
         stored = self.registry.calibration(serial, self.options.revision, lot_id=self.options.lot_id)
-        recording = unlabelled(self.registry.recording(stored.record.recording_sha256))
+        recording = self._recording(stored)
         lot = self.registry.lot(stored.lot_id)
         shared, recorded_on = self._shared(stored), self._recorded_on(stored)
         standing = standing_of(self.registry, stored)
         return CalibratedUnit(stored, lot, shared, recording, recorded_on, self.options, standing)
+
+    def _recording(self, stored: StoredCalibration) -> OutputRecording:
+        """Return the unit's own recording, as it would give it since its trim."""
+        recording = unlabelled(self.registry.recording(stored.record.recording_sha256))
+        if UNTRIMMED not in stored.record.evidence:
+            return recording
+        base = untrimmed(self.registry, stored)
+        before, after = (Calibration.from_record(one.record).unit_map for one in (base, stored))
+        return as_given_now(recording, before, after)
 
     def _recorded_on(self, stored: StoredCalibration) -> date:
         sha256 = stored.record.recording_sha256

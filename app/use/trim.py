@@ -5,6 +5,7 @@ from pathlib import Path
 
 from softcal.app.files.anchors import read_anchors
 from softcal.app.registry.source import source_recording, unlabelled
+from softcal.app.registry.untrimmed import UNTRIMMED, untrimmed
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
@@ -39,7 +40,8 @@ def trim_unit(
         InputError: the loads cannot be of this unit, or the unit is not in the registry; nothing was changed.
     """
     stored = registry.calibration(serial, lot_id=lot_id)
-    record = _unscaled(registry, stored)
+    base = untrimmed(registry, stored)
+    record = base.record
     loads = read_anchors(loads_file, [serial])[serial]
     problem = FitProblem(
         source_recording(registry, record.network_id),
@@ -51,7 +53,7 @@ def trim_unit(
     found = trim(problem, before.unit_map, before.interval, loads, UseMethod().trim)
     # What the trim leaves open, whichever way the load moves.
     wider = before.interval.widened(found.variance(before.interval))
-    trimmed = _record(record, _decided(stored.record.decision, found, loads), found, wider, loads)
+    trimmed = _record(base, _decided(stored.record.decision, found, loads), found, wider, loads)
     why = f"trimmed by {len(loads.output)} loads"
     revision = registry.add_calibration(stored.lot_id, trimmed, actor=actor, reason=why, decided_by="trim")
     return found, revision
@@ -75,15 +77,6 @@ def _values(loads: Anchors) -> dict[str, list[float]]:
     return {"output": loads.output.tolist(), "reference": loads.reference.tolist()}
 
 
-def _unscaled(registry: Registry, stored: StoredCalibration) -> CalibrationRecord:
-    """Return a calibration before audits of other units scaled it: they are asked again what a trimmed one is worth."""
-    base = stored.record.evidence.get("base_revision")
-    if base is None:
-        return stored.record
-    record = registry.calibration(stored.serial, int(base), lot_id=stored.lot_id).record
-    return replace(record, evidence={name: value for name, value in record.evidence.items() if name != "base_revision"})
-
-
 def _decided(decision: Decision, found: Trimmed, loads: Anchors) -> Decision:
     """Return what is decided on a trimmed unit: nothing passes that was measured with another map.
 
@@ -98,14 +91,16 @@ def _decided(decision: Decision, found: Trimmed, loads: Anchors) -> Decision:
 
 
 def _record(
-    record: CalibrationRecord,
+    base: StoredCalibration,
     decision: Decision,
     found: Trimmed,
     wider: Interval,
     loads: Anchors,
 ) -> CalibrationRecord:
     """Return the calibration with the trimmed map. What was measured or sampled was so with the map before."""
+    record = base.record
     told = {
+        UNTRIMMED: float(base.revision),
         "map_anchor_gain": found.unit_map.gain,
         "map_anchor_offset": found.unit_map.offset,
         "map_gain_error": found.gain_error,

@@ -3,7 +3,7 @@
 The device trims by the same rule (docs/format.md; `core/export/stream.py`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from softcal.core.errors import InputError
 from softcal.core.maps.anchors import AnchoredMap, SourceLevels, check_loads
 from softcal.core.maps.interface import Anchors, FitProblem, UnitMap
 from softcal.core.metrics import rmse
-from softcal.core.recording import Array
+from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.method import LEVELS
 from softcal.core.unit.uncertainty import NORMAL_90, Interval
 from softcal.core.use.method import TrimConfig
@@ -133,6 +133,19 @@ def trim(
     spread = max(1.0, float(np.sqrt(np.mean(left**2))))
     covariance = np.asarray(np.linalg.inv(design.T @ design) * spread**2, np.float64)
     return Trimmed(_joined(found), covariance, before, after)
+
+
+def as_given_now(recording: OutputRecording, before: UnitMap, after: UnitMap) -> OutputRecording:
+    """Return a recording as the unit would give it since the trim: mapped by `after` where `before` had mapped it.
+
+    What is derived from a recording (ranges, clamps, self-tests of a device file) is then of the unit as it is now.
+    """
+    output = recording.output
+    span = float(np.ptp(output))
+    raw = np.unique(np.concatenate([output - span, output, output + span]))
+    was, now = (one.apply(resting(raw)).mean(axis=1) for one in (before, after))
+    order = np.argsort(now, kind="stable")
+    return replace(recording, output=np.interp(np.interp(output, raw, was), now[order], raw[order]))
 
 
 def _errors(problem: FitProblem, interval: Interval, load: Array, wanted: Array) -> Array:

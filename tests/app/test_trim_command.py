@@ -7,6 +7,8 @@ import pandas as pd
 import pytest
 
 from softcal.app.cli.main import main
+from softcal.core.export.loader import open_sensor
+from softcal.core.windows import windows
 from softcal.db.connection import open_registry
 
 GAIN, OFFSET_V = 1.15, 0.54
@@ -91,8 +93,8 @@ def test_a_trim_does_not_lift_a_measured_fail(trimmed, lot_folder, registry_url,
     _measured_badly(lot_folder)
     assert batch(lot_folder, registry_url) == 1
     loads = [drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]
-    for revisions in (1, 2):
-        assert trimmed(*loads) == (0 if revisions == 1 else 2), "the same loads find nothing more to correct"
+    for _ in range(2):
+        assert trimmed(*loads) == 0
         assert batch(lot_folder, registry_url) == 1, "a batch that measures nothing new decides nothing new"
         with open_registry(registry_url) as registry:
             record = registry.calibration("A1").record
@@ -113,6 +115,34 @@ def test_a_new_audit_decides_on_a_trimmed_unit_and_older_ones_of_others_do_not(t
     assert record.verdict == "conditional" and not record.decision.is_audited
     assert "audited_before_trim" in {why.code for why in record.reasons}
     assert record.evidence["map_anchor_gain"] != 1.0, "the batch leaves the trimmed map in use"
+
+
+def test_a_second_trim_replaces_the_first(trimmed, registry_url):
+    assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
+    with open_registry(registry_url) as registry:
+        first = registry.calibration("A1").record
+    assert trimmed([drifted_V(0.0) + 0.3, drifted_V(2.5) + 0.3], [0.0, 2.5]) == 0
+    assert trimmed([drifted_V(0.0), drifted_V(2.5)], [0.0, 2.5]) == 0
+    with open_registry(registry_url) as registry:
+        third = registry.calibration("A1").record
+    assert third.map_sha256 == first.map_sha256
+    assert np.array_equal(third.arrays["interval.half_width"], first.arrays["interval.half_width"])
+
+
+def test_a_trimmed_unit_is_in_range_where_it_is_now(trimmed, registry_url, tmp_path, press_unit):
+    """By a command, and in the file of a device."""
+    assert trimmed([drifted_V(0.0) + 0.1, drifted_V(2.5) + 0.1], [0.0, 2.5]) == 0
+    use, out = press_unit(900, 1.1 * GAIN, OFFSET_V + 0.12, 88), tmp_path / "out"
+    use[["t_s", "output"]].to_csv(tmp_path / "in.csv", index=False)
+    common = ["--registry", registry_url, "--serial", "A1"]
+    assert main(["estimate", *common, str(tmp_path / "in.csv"), "--out", str(tmp_path / "est.csv")]) == 0
+    assert not (pd.read_csv(tmp_path / "est.csv")["flag"] == "out of range").any()
+    assert main(["export", *common, "--format", "blob", "--release", "conditional", "--out", str(out)]) == 0
+    network, unit = (next(out.glob(f"{kind}-*.ssc")).read_bytes() for kind in ("network", "unit"))
+    sensor = open_sensor(network, unit)
+    value, _, _, flags = sensor.estimate_output(windows(use["output"].to_numpy()))
+    assert np.mean(flags > 0) < 0.01
+    assert np.sqrt(np.mean((value - use["reference"].to_numpy()[14:]) ** 2)) < 0.2
 
 
 def test_a_stream_that_begins_with_known_loads_is_followed_from_the_trimmed_map(
