@@ -63,6 +63,8 @@ class Database:
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
+        self.on_first_write: Callable[[], None] | None = None
+        """Called once, after the first write transaction was kept."""
         self._thread = threading.local()
 
     @property
@@ -118,6 +120,9 @@ class Database:
                 yield connection
                 # What follows is the commit: of a connection cut from here on nobody knows what was kept.
                 phase["is_committing"] = True
+        told, self.on_first_write = self.on_first_write, None
+        if told is not None:
+            told()
 
     def once_more(self, action: Callable[[], Answer], *, is_repeatable: bool = False) -> Answer:
         """Do whole transactions, and do them once more where their connection was cut.

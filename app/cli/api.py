@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of
+from softcal.app.cli.options import add_csv, add_json, add_registry, registry_at, registry_of, say_written
 from softcal.app.output import print_table, say, write_json
 
 if TYPE_CHECKING:
@@ -77,15 +77,14 @@ def _serve(options: argparse.Namespace) -> int:
     )
     scheme = "http" if options.cert is None else "https"
     say(f"the REST interface is at {scheme}://{options.host}:{options.port}/v1; Ctrl-C ends it")
-    serve_api(serving)
+    serve_api(serving, say_written)
     return DONE
 
 
 def _openapi(options: argparse.Namespace) -> int:
-    from softcal.app.bootstrap import open_chosen_registry
     from softcal.app.connect.rest import openapi_document, rest_app
 
-    with open_chosen_registry("sqlite://") as registry:
+    with registry_at("sqlite://") as registry:
         write_json(str(options.out), openapi_document(rest_app(registry)))
     return DONE
 

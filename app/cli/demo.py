@@ -4,7 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
-from softcal.app.cli.options import add_csv, add_json, add_network, batch_watch, network_config
+from softcal.app.cli.options import add_csv, add_json, add_network, batch_watch, network_config, registry_at
 from softcal.app.output import print_table, say, write_json
 
 EXAMPLES = """examples:
@@ -43,7 +43,6 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.batch.engine import EngineChoice
     from softcal.app.batch.lot_work import BatchConfig
     from softcal.app.batch.report import report_json
-    from softcal.app.bootstrap import open_chosen_registry
     from softcal.app.export.export import export_units
     from softcal.app.gap.diagnose import read_twin
     from softcal.app.line.demo import TABLE_HEADER, DemoConfig, press_demo_lot, run_demo, table_row
@@ -54,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     config = DemoConfig(units=options.units, batch=batch, twin=twin)
     folder = press_demo_lot(config, options.out / "lot", say)
     url = f"sqlite:///{options.out / 'registry.db'}"
-    with open_chosen_registry(url) as registry:
+    with registry_at(url) as registry:
         report = run_demo(config, folder, registry, batch_watch("N"))
         passed = [unit.serial for unit in report.units if report.releases(unit)]
         export_units(registry, passed, ("json",), options.out / "files")

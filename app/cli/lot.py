@@ -5,9 +5,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from softcal.app.bootstrap import open_chosen_registry
 from softcal.app.cli.lot_audit import add_audit
-from softcal.app.cli.options import add_csv, add_json, add_network, add_registry, network_config
+from softcal.app.cli.options import add_csv, add_json, add_network, add_registry, network_config, registry_of
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 from softcal.core.quality.line_rules import LETTERS, RETESTS
@@ -135,7 +134,7 @@ def _release(options: argparse.Namespace) -> int:
     from softcal.app.texts.catalogue import text
 
     lot_id = lot_id_of(options.lot)
-    with open_chosen_registry(options.registry, create=False) as registry:
+    with registry_of(options, create=False) as registry:
         registry.lot(lot_id)
         decided = judge_lot(registry, lot_id)
         if decided is None:
@@ -164,7 +163,7 @@ def _word(is_within: bool) -> str:
 def _folder(options: argparse.Namespace) -> int:
     from softcal.app.registry.laid_out import write_lot_folder
 
-    with open_chosen_registry(options.registry, create=False) as registry:
+    with registry_of(options, create=False) as registry:
         written = write_lot_folder(registry, options.lot, options.out)
     say(f"{options.out}: " + ", ".join(f"{len(serials)} in {part}/" for part, serials in written.items()))
     if options.json:
@@ -179,7 +178,7 @@ def _audit_plan(options: argparse.Namespace) -> int:
     from softcal.core.quality.qualification import small_lot
 
     lot_id = lot_id_of(options.lot)
-    with open_chosen_registry(options.registry, create=False) as registry:
+    with registry_of(options, create=False) as registry:
         registry.lot(lot_id)
         audit = None if options.new else update_lot(registry, lot_id)
         if audit is None:
@@ -210,7 +209,7 @@ def _watch(options: argparse.Namespace) -> int:
     batch = BatchConfig(network=network_config(options), engine=EngineChoice(jobs=options.jobs), actor="softcal lot")
     passed = True
     say(f"{options.folder}: waiting for recordings; Ctrl-C stops")
-    with open_chosen_registry(options.registry) as registry:
+    with registry_of(options) as registry:
         config = WatchConfig(options.every, options.idle)
         try:
             for report in watch_lot(options.folder, registry, batch, config, Watch()):
@@ -226,7 +225,7 @@ def _limit(options: argparse.Namespace) -> int:
 
     if options.rmse is not None and not (options.reason or "").strip():
         raise InputError("--rmse needs --reason: a limit without a reason cannot be defended")
-    with open_chosen_registry(options.registry, create=False) as registry:
+    with registry_of(options, create=False) as registry:
         if options.rmse is not None:
             change_limit(registry, options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
         unit = registry.lot(options.lot).reference_unit
@@ -243,7 +242,7 @@ def _limit(options: argparse.Namespace) -> int:
 def _rules(options: argparse.Namespace) -> int:
     changes = {name: getattr(options, name) for name in ("serial_pattern", "letters", "target")}
     changes = {name: value for name, value in changes.items() if value is not None}
-    with open_chosen_registry(options.registry, create=False) as registry:
+    with registry_of(options, create=False) as registry:
         rules = registry.line_rules(registry.lot(options.lot))
         if options.retests:
             changes["retests"] = {**rules.retests, **dict(_retest(text) for text in options.retests)}

@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING
 
 from softcal.app.output import ProgressLine, say
@@ -92,13 +92,28 @@ def network_config(options: argparse.Namespace) -> "NetworkConfig":
     return NetworkConfig(hidden=options.hidden, seed=options.seed, members=options.members)
 
 
-@contextmanager
-def registry_of(options: argparse.Namespace, *, create: bool = True) -> "Iterator[Registry]":
+def registry_of(options: argparse.Namespace, *, create: bool = True) -> "AbstractContextManager[Registry]":
     """Open the registry the options name, and close it after the block; a new one is made only where `create`."""
-    from softcal.app.bootstrap import open_chosen_registry
+    return registry_at(options.registry, create=create)
 
-    with open_chosen_registry(options.registry, create=create) as registry:
+
+@contextmanager
+def registry_at(url: str | None, *, create: bool = True) -> "Iterator[Registry]":
+    """Open the registry behind a URL, None for the usual one; say which it is once something was written to it."""
+    from softcal.app.bootstrap import open_chosen_registry, registry_url
+
+    with open_chosen_registry(url, create=create) as registry:
+        registry.database.on_first_write = lambda: say_written(registry_url(url))
         yield registry
+
+
+def say_written(url: str) -> None:
+    """Say which registry was written to, without its password."""
+    from sqlalchemy import make_url
+
+    from softcal.db.database import shown_url
+
+    say(f"written to the registry {shown_url(make_url(url))}")
 
 
 def say_caution(registry: "Registry", unit: "tuple[str, int | None, str | None]", action: str) -> None:

@@ -5,8 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.bootstrap import open_chosen_registry
-from softcal.app.cli.options import add_csv, add_json, add_registry
+from softcal.app.cli.options import add_csv, add_json, add_registry, registry_of
 from softcal.app.output import print_table, write_json
 from softcal.core.errors import InputError
 
@@ -108,7 +107,7 @@ def _capability(options: argparse.Namespace) -> int:
         chart = file_chart(options.file, options.column)
         found = capability(chart, options.minimum, options.maximum)
     else:
-        with open_chosen_registry(options.registry, create=False) as registry:
+        with registry_of(options, create=False) as registry:
             chart, found = lot_capability(registry, options.lot, options.maximum)
     value = {"schema": "softcal.quality.capability/1", "capability": asdict(found), "chart": chart_json(chart)}
     row = [found.count, found.cp, found.cpk, found.cpk_lower, found.cpk_upper, found.pp, found.ppk]
@@ -119,7 +118,7 @@ def _capability(options: argparse.Namespace) -> int:
 def _yield(options: argparse.Namespace) -> int:
     from softcal.app.registry.quality import lot_yields, named_shares, yields_json
 
-    with open_chosen_registry(options.registry, create=False) as registry:
+    with registry_of(options, create=False) as registry:
         found = lot_yields(registry, options.lot, conditional_is_good=options.conditional_is_good)
     value = {"schema": "softcal.quality.yield/1", "lot": options.lot} | yields_json(found)
     rows = [[name.replace("_", " "), s.count, s.of, s.value, *s.interval] for name, s in named_shares(found)]
@@ -131,7 +130,7 @@ def _yield(options: argparse.Namespace) -> int:
 def _golden(options: argparse.Namespace) -> int:
     from softcal.app.registry.quality import chart_json, golden_charts
 
-    with open_chosen_registry(options.registry, create=False) as registry:
+    with registry_of(options, create=False) as registry:
         charts = golden_charts(registry, options.station, options.serial, options.baseline)
     found = [{"station": key[0], "serial": key[1]} | chart_json(chart) for key, chart in charts.items()]
     header = ["station", "unit", "checks", "centre", "lower", "upper", "newest", "state"]

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal.app.bootstrap import open_chosen_registry, registry_url
-from softcal.app.cli.options import add_csv, add_json, add_lot_of_serial, add_registry
+from softcal.app.bootstrap import registry_url
+from softcal.app.cli.options import add_csv, add_json, add_lot_of_serial, add_registry, registry_of, say_written
 from softcal.app.output import print_table, say, shown, write_json
 from softcal.core.errors import RegistryError
 
 if TYPE_CHECKING:
-    from softcal.db.registry import Registry
+    pass
 DONE = 0
 EXAMPLES = """examples:
   softcal registry list --lot lot-1
@@ -88,10 +88,6 @@ def _action(
     return parser
 
 
-def _existing(options: argparse.Namespace) -> "Registry":
-    return open_chosen_registry(options.registry, create=False)
-
-
 def _answer(options: argparse.Namespace, line: str, value: dict[str, object]) -> int:
     """Say what was done: as JSON where asked for, else as one line on standard output."""
     if options.json:
@@ -104,7 +100,7 @@ def _answer(options: argparse.Namespace, line: str, value: dict[str, object]) ->
 def _list(options: argparse.Namespace) -> int:
     from softcal.app.registry.listing import UNIT_HEADER, unit_json, unit_row
 
-    with _existing(options) as registry:
+    with registry_of(options, create=False) as registry:
         units = registry.units(options.lot)
     if options.json:
         write_json(options.json, {"schema": "softcal.registry.list/1", "units": [unit_json(unit) for unit in units]})
@@ -115,7 +111,7 @@ def _list(options: argparse.Namespace) -> int:
 def _history(options: argparse.Namespace) -> int:
     from softcal.app.registry.listing import HISTORY_HEADER, history_json, history_row, only_lot
 
-    with _existing(options) as registry:
+    with registry_of(options, create=False) as registry:
         units = [unit for unit in registry.units(serial=options.serial) if options.lot in (None, unit.lot_id)]
         lot_id = only_lot(options.serial, [unit.lot_id for unit in units], options.lot)
         revisions = registry.history(options.serial, lot_id)
@@ -136,7 +132,7 @@ def _history(options: argparse.Namespace) -> int:
 def _verify(options: argparse.Namespace) -> int:
     from softcal.app.registry.maintenance import verify
 
-    with _existing(options) as registry:
+    with registry_of(options, create=False) as registry:
         found = verify(registry, is_quick=options.quick, files=options.against, on_step=_checking(options))
     value: dict[str, object] = {"schema": "softcal.registry.verify/1", "faults": list(found.faults)}
     value |= {"audit_rows": found.audit_rows, "heads": found.heads, "is_quick": options.quick}
@@ -160,7 +156,7 @@ def _checking(options: argparse.Namespace) -> Callable[[str], None]:
 def _backup(options: argparse.Namespace) -> int:
     from softcal.app.registry.maintenance import back_up_registry
 
-    with _existing(options) as registry:
+    with registry_of(options, create=False) as registry:
         back_up_registry(registry, options.file)
     size_MB = options.file.stat().st_size / 1e6
     value = {"schema": "softcal.registry.backup/1", "file": str(options.file), "size_MB": size_MB}
@@ -171,6 +167,7 @@ def _restore(options: argparse.Namespace) -> int:
     from softcal.app.registry.maintenance import restore_registry
 
     restore_registry(options.file, registry_url(options.registry))
+    say_written(registry_url(options.registry))
     value: dict[str, object] = {"schema": "softcal.registry.restore/1", "file": str(options.file)}
     return _answer(options, f"restored from {options.file}; every byte of it was checked", value)
 
@@ -178,7 +175,7 @@ def _restore(options: argparse.Namespace) -> int:
 def _rollback(options: argparse.Namespace) -> int:
     from softcal.app.batch.judging import roll_back
 
-    with _existing(options) as registry:
+    with registry_of(options, create=False) as registry:
         which = {"lot_id": options.lot, "origin": options.origin}
         revision = roll_back(registry, options.serial, options.to, reason=options.reason, **which)
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
@@ -190,9 +187,11 @@ def _sync(options: argparse.Namespace) -> int:
     from softcal.app.batch.judging import judge_stale
     from softcal.app.registry.maintenance import synchronise_with
 
-    with open_chosen_registry(options.registry) as registry:
+    with registry_of(options) as registry:
         report = synchronise_with(registry, options.other)
         judge_stale(registry)
+    if report.sent:
+        say_written(options.other)
     for conflict in report.conflicts:
         say(f"conflict: {conflict}")
     for clock in report.clocks:
@@ -217,5 +216,6 @@ def _upgrade(options: argparse.Namespace) -> int:
     value["backup"] = None if done.backup is None else str(done.backup)
     if done.before == done.after:
         return _answer(options, f"the registry has schema {done.after} already; nothing to do", value)
+    say_written(registry_url(options.registry))
     made = f"; backup of the old one: {done.backup}" if done.backup else ""
     return _answer(options, f"schema {done.before or 'none'} -> {done.after}{made}", value)

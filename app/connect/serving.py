@@ -1,6 +1,7 @@
 """Serves the REST application: on this machine alone, or encrypted."""
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,8 +44,11 @@ class ServingOptions:
                 raise InputError(f"{file}: there is no such file")
 
 
-def serve_api(options: ServingOptions) -> None:
+def serve_api(options: ServingOptions, on_first_write: Callable[[str], None]) -> None:
     """Serve until Ctrl-C.
+
+    Args:
+        on_first_write: told the registry's URL once something was written to it.
 
     Raises:
         InputError: nobody can listen there.
@@ -54,6 +58,7 @@ def serve_api(options: ServingOptions) -> None:
     # A job is a process of its own; it finds the registry there.
     os.environ[REGISTRY_VARIABLE] = url
     with open_chosen_registry(url) as registry:
+        registry.database.on_first_write = lambda: on_first_write(url)
         app = rest_app(registry, ("127.0.0.1", "localhost", options.host, *options.names))
         config = uvicorn.Config(
             app,

@@ -63,7 +63,7 @@ def serve(options: UiOptions) -> int:
     server = subprocess.Popen(_server_command(options, port), env=_environment(options))
     try:
         _wait_until_healthy(server, url)
-        say(f"softcal is at {url}; Ctrl-C ends the screen, not the station")
+        say(f"softcal is at {url}; Ctrl-C ends the screen, not the station; its registry is {_shown(options.registry)}")
         if window is not None:
             _open_window(window, url, options.is_kiosk)
             return 0
@@ -75,6 +75,14 @@ def serve(options: UiOptions) -> int:
     finally:
         server.terminate()
         server.wait()
+
+
+def _shown(registry: str | None) -> str:
+    from sqlalchemy import make_url
+
+    from softcal.db.database import shown_url
+
+    return shown_url(make_url(registry_url(registry)))
 
 
 def _server_command(options: UiOptions, port: int) -> list[str]:
