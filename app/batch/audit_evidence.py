@@ -166,7 +166,8 @@ class AuditReader:
         models = {
             run.serial: {registry.lot(known).sensor_model for known in registry.lots_of(run.serial)} for run in failed
         }
-        return max((run.made_at for run in failed if models[run.serial] <= {lot.sensor_model}), default=None)
+        mine = (run.made_at for run in failed if not models[run.serial] or lot.sensor_model in models[run.serial])
+        return max(mine, default=None)
 
     def _audited(self, lot: Lot) -> Audited:
         """Return the audited units that speak for the others: a random draw, where one was written down."""

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from softcal.app.batch.audit import update_lot
+from softcal.app.batch.judging import judge_leaning
 from softcal.app.batch.line_statement import state_line
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.release import judge_lot
@@ -59,6 +60,7 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     _keep_golden(registry, lot.id, run, config, results)
     decided = judge_lot(registry, folder.lot.id, config.actor)
     audit = update_lot(registry, folder.lot.id, config.actor)
+    judge_leaning(registry, folder.lot.id, config.actor)
     judged = work.told(list(folder.unit_paths))
     ordered = tuple(judged[serial] for serial in folder.unit_paths)
     return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit, config.release, decided)

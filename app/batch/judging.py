@@ -1,9 +1,11 @@
 """What changes how units of a lot are judged, and the judgement at once: no verdict outlives what it rests on."""
 
+import json
 from collections.abc import Iterable
 
 from softcal.app.batch.audit import confirm_audit, update_lot
-from softcal.app.batch.release import is_stale, judge_lot
+from softcal.app.batch.release import STATEMENT, is_stale, judge_lot
+from softcal.core.quality.qualification import EARLIER_LOTS
 from softcal.db.entries import LimitEntry
 from softcal.db.registry import Registry
 
@@ -47,10 +49,25 @@ def confirm(registry: Registry, lot_id: str, serial: str, *, reason: str, actor:
 
 
 def judge_again(registry: Registry, lot_ids: Iterable[str], actor: str | None = None) -> None:
-    """Judge lots anew; those without a calibrated unit have nothing to judge."""
+    """Judge lots anew, and those that lean on them; lots without a calibrated unit have nothing to judge."""
     for lot_id in lot_ids:
         judge_lot(registry, lot_id, actor)
         update_lot(registry, lot_id, actor)
+        judge_leaning(registry, lot_id, actor)
+
+
+def judge_leaning(registry: Registry, lot_id: str, actor: str | None = None) -> None:
+    """Judge the lots anew that released units on the audits of other lots of this lot's sensor model.
+
+    An audit or golden unit that failed withdraws what they were released on.
+    """
+    model = registry.lot(lot_id).sensor_model
+    for lot in registry.lots():
+        if not model or lot.sensor_model != model or lot.id == lot_id:
+            continue
+        told = registry.events(STATEMENT, (lot.id,))
+        if told and json.loads(told[-1].after or "{}").get("qualification") == EARLIER_LOTS:
+            judge_lot(registry, lot.id, actor)
 
 
 def judge_stale(registry: Registry, actor: str | None = None) -> list[str]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 from softcal.app.batch.calibrating import Refusal, calibrated
+from softcal.app.batch.judging import judge_again
 from softcal.app.batch.line_statement import stated_line
 from softcal.app.batch.release import LineRelease
 from softcal.app.batch.train import train_or_find
@@ -165,6 +166,7 @@ class RunKeeper:
         lot_id = own_lot or self._registry.calibration(order.serial).lot_id
         sha256 = self._registry.add_recording(lot_id, labelled, "audit", actor=order.actor or None)
         run = check_golden(self._registry, self._station, labelled, order.actor, recording_sha256=sha256, source=source)
+        judge_again(self._registry, [lot_id], order.actor or None)
         done = replace(done, recording_sha256=sha256, verdict="pass" if run.passed else "fail")
         if run.passed:
             return replace(done, message=(Reason("golden.good"),))

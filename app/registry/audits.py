@@ -8,11 +8,14 @@ from softcal.db.registry import Registry
 def newest_audits(registry: Registry, lot_id: str, serial: str | None = None) -> dict[str, RecordingEntry]:
     """Return the newest audit of each unit of a lot, or of one of them, by serial.
 
-    A golden unit's labelled runs check the station and its day; they are no audits of the lot.
+    A golden unit's labelled runs check the station and its day; they are no audits of the lot. Of a run that does not
+    say which recording it is, all of its unit's are.
     """
-    checks = {run.serial for run in registry.golden_runs()} | {registry.lot(lot_id).source}
+    runs = registry.golden_runs()
+    checks = {run.recording_sha256 for run in runs}
+    units = {run.serial for run in runs if run.recording_sha256 is None} | {registry.lot(lot_id).source}
     entries = registry.recordings(lot_id, serial, "audit")
-    return {entry.serial: entry for entry in entries if entry.serial not in checks}
+    return {one.serial: one for one in entries if one.serial not in units and one.sha256 not in checks}
 
 
 def audit_of(registry: Registry, entry: RecordingEntry | None) -> LabelledRecording | None:

@@ -19,6 +19,8 @@ from pathlib import Path
 from subprocess import DEVNULL
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -426,3 +428,37 @@ def install_example(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path]
         return place / "site"
 
     return install
+
+
+@pytest.fixture
+def make_lot(trained_lot: Path, press_unit: Callable[..., pd.DataFrame], tmp_path: Path) -> Callable[..., Path]:
+    """`make_lot(name, audits, day_gain)`: a lot of the small lot's source; its recordings read on a day with a gain."""
+
+    def make(
+        name: str = "large",
+        audits: int = 10,
+        day_gain: float = 1.0,
+        model: str = "EG",
+        limit_N: float = 0.8,
+        units: int = 14,
+    ) -> Path:
+        folder = tmp_path / name
+        shutil.copytree(trained_lot / "lot/source", folder / "source")
+        for part in ("units", "audit"):
+            (folder / part).mkdir()
+        (folder / "lot.toml").write_text(
+            f'sample_rate_Hz = 50.0\nsource = "A0"\n[lot]\nid = "{name}"\nsensor_model = "{model}"\n'
+            f'[reference]\nunit = "N"\n[output]\nunit = "V"\n[limit]\nrmse = {limit_N}\n'
+        )
+        rng = np.random.default_rng(len(name))
+        for k in range(units):
+            gain, offset_V = 1 + 0.1 * rng.normal(), 0.5 + 0.02 * rng.normal()
+            seed = 1000 * len(name) + k
+            unit = press_unit(1500, gain, offset_V, seed)
+            unit["output"] = 0.5 + day_gain * (unit["output"] - 0.5)
+            unit[["t_s", "output"]].to_csv(folder / f"units/{name}-{k:02d}.csv", index=False)
+            if k < audits:
+                press_unit(900, gain, offset_V, seed + 500).to_csv(folder / f"audit/{name}-{k:02d}.csv", index=False)
+        return folder
+
+    return make

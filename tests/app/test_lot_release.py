@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 from softcal.app.batch.audit_evidence import AuditReader
+from softcal.app.batch.judging import judge_again
 from softcal.app.batch.line_statement import stated_line
 from softcal.app.batch.release import LineRelease, decide_release, judge_lot
 from softcal.app.cli.main import main
@@ -28,39 +29,6 @@ from softcal.db.registry import Registry
 from softcal.db.registry_base import RegistrySettings
 
 SMALL = ("--hidden", "16,8", "--no-own")
-UNITS = 14
-
-Press = Callable[[int, float, float, int], pd.DataFrame]
-MakeLot = Callable[..., Path]
-
-
-@pytest.fixture
-def make_lot(trained_lot: Path, press_unit: Press, tmp_path: Path) -> MakeLot:
-    """`make_lot(name, audits, day_gain)`: a lot of the small lot's source; its recordings read on a day with a gain."""
-
-    def make(
-        name: str = "large", audits: int = 10, day_gain: float = 1.0, model: str = "EG", limit_N: float = 0.8
-    ) -> Path:
-        folder = tmp_path / name
-        shutil.copytree(trained_lot / "lot/source", folder / "source")
-        for part in ("units", "audit"):
-            (folder / part).mkdir()
-        (folder / "lot.toml").write_text(
-            f'sample_rate_Hz = 50.0\nsource = "A0"\n[lot]\nid = "{name}"\nsensor_model = "{model}"\n'
-            f'[reference]\nunit = "N"\n[output]\nunit = "V"\n[limit]\nrmse = {limit_N}\n'
-        )
-        rng = np.random.default_rng(len(name))
-        for k in range(UNITS):
-            gain, offset_V = 1 + 0.1 * rng.normal(), 0.5 + 0.02 * rng.normal()
-            seed = 1000 * len(name) + k
-            unit = press_unit(1500, gain, offset_V, seed)
-            unit["output"] = 0.5 + day_gain * (unit["output"] - 0.5)
-            unit[["t_s", "output"]].to_csv(folder / f"units/{name}-{k:02d}.csv", index=False)
-            if k < audits:
-                press_unit(900, gain, offset_V, seed + 500).to_csv(folder / f"audit/{name}-{k:02d}.csv", index=False)
-        return folder
-
-    return make
 
 
 @pytest.fixture
@@ -372,7 +340,7 @@ def test_another_limit_judges_every_unit_at_once_and_a_verdict_against_an_old_on
     stale = {unit.serial: unit for unit in registry.units("large") if unit.role == "target"}
     standings = registry.standings("large", list(stale))
     assert {unit.verdict for unit in stale.values()} == {one.verdict for one in standings.values()} == {"retest"}
-    assert registry.verdict_counts("large")["retest"] == UNITS
+    assert registry.verdict_counts("large")["retest"] == len(before)
     export = ["export", "--registry", registry_url, "--serial", next(iter(before)), "--format", "json"]
     assert main([*export, "--out", str(tmp_path / "files")]) != 0
     # The command judges at once; no unit is fitted again.
@@ -423,3 +391,17 @@ def test_an_audit_that_cannot_be_read_is_no_failed_run_of_its_unit(make_lot, bat
     unit = batch(folder)["units"][0]
     assert (unit["verdict"], unit["audited"]) == ("pass", True)
     assert [run.verdict for run in registry.runs("large", "large-00")] == ["pass"]
+
+
+def test_an_audit_that_fails_takes_back_what_other_lots_released_on_it(make_lot, batch, registry, press_unit):
+    for name in ("one", "three", "seventh"):
+        batch(make_lot(name, audits=4))
+    late = make_lot("fourteenth", audits=0)
+    released = set(batch(late)["release"]["released"])
+    assert released
+    golden = GoldenRun("line", "A0", datetime.now(UTC), 9.0, "N", False)
+    registry.add_golden_run(golden)
+    judge_again(registry, ["one"])
+    standings = registry.standings("fourteenth", sorted(released))
+    assert {one.verdict for one in standings.values()} == {"conditional"}
+    assert not {unit["serial"] for unit in batch(late)["units"] if unit["released"]}

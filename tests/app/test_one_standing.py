@@ -1,0 +1,196 @@
+"""After any history every surface says the same of a lot: its verdicts, its audits, its limit, what is released."""
+
+from collections import Counter
+from collections.abc import Callable
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softcal.app.batch.audit import confirmed_audits
+from softcal.app.batch.release import decide_release
+from softcal.app.batch.results import lot_results
+from softcal.app.cli.main import main
+from softcal.app.export.calibrated_unit import ExportOptions
+from softcal.app.export.certificates.lot_facts import lot_statement_facts
+from softcal.app.export.export import lot_serials
+from softcal.app.line.facts import Screen, read_line
+from softcal.app.registry.limit import lot_limit
+from softcal.app.registry.quality import lot_yields
+from softcal.app.texts.catalogue import text
+from softcal.app.views.audits import audit_rows_of
+from softcal.app.views.lot import lot_view
+from softcal.app.views.wall import wall_view
+from softcal.core.errors import InputError
+from softcal.db.connection import open_registry
+from softcal.db.entries import GoldenRun
+from softcal.db.lot_pages import UnitFilter
+from softcal.db.registry import Registry
+
+LOT, UNITS, STEPS = "large", 14, 9
+SMALL = ("--hidden", "16,8", "--no-own")
+
+
+class History:
+    """One lot through drawn events, each by the command or the function that a person's surface calls."""
+
+    def __init__(self, folder: Path, url: str, rng: np.random.Generator, press: Callable[..., pd.DataFrame]) -> None:
+        self.folder, self.url, self.rng, self.press = folder, url, rng, press
+        self.told: list[str] = []
+        self.batch()
+
+    def run(self, *words: object) -> int:
+        code = main([*map(str, words), "--registry", self.url])
+        assert code in (0, 1, 2)
+        return code
+
+    def serial(self) -> str:
+        return f"{LOT}-{self.rng.integers(UNITS):02d}"
+
+    def batch(self) -> None:
+        self.run("batch", self.folder, *SMALL)
+
+    def audit(self) -> None:
+        """Some unit's audit, right or wrong, by the folder or straight into the registry."""
+        serial, seed = self.serial(), int(self.rng.integers(10_000))
+        gain, offset_V = 1 + 0.1 * self.rng.normal(), 0.5 + 0.02 * self.rng.normal()
+        table = self.press(900, gain, offset_V, seed)
+        table["reference"] *= self.rng.choice([1.0, 1.0, 101.97])
+        file = self.folder.parent / f"{serial}.csv"
+        table.to_csv(file, index=False)
+        self.run("lot", "audit", self.rng.choice([str(self.folder), LOT]), file)
+        self.batch()
+
+    def limit(self) -> None:
+        self.run("lot", "limit", LOT, "--rmse", f"{self.rng.uniform(0.05, 0.5):.3f}", "--reason", "drawn")
+
+    def limit_of_another_registry(self) -> None:
+        """A limit that comes without anybody judging by it."""
+        with open_registry(self.url) as registry:
+            registry.set_limit(LOT, float(self.rng.uniform(0.05, 0.5)), reason="drawn elsewhere")
+
+    def limit_taken_back(self) -> None:
+        with open_registry(self.url) as registry:
+            registry.set_limit(LOT, None, reason="no drawing yet")
+
+    def trim(self) -> None:
+        outputs = 0.5 + np.array([0.0, 0.4]) * self.rng.uniform(0.8, 1.2)
+        file = self.folder.parent / "loads.csv"
+        pd.DataFrame({"output": outputs, "reference": [0.0, 4.0]}).to_csv(file, index=False)
+        self.run("trim", "--serial", self.serial(), "--loads", file)
+
+    def roll_back(self) -> None:
+        serial = self.serial()
+        with open_registry(self.url) as registry:
+            revisions = [stored.revision for stored in registry.history(serial) if not stored.is_current]
+        if revisions:
+            words = ["--serial", serial, "--to", self.rng.choice(revisions), "--reason", "drawn"]
+            self.run("registry", "rollback", *words)
+
+    def golden_fails(self) -> None:
+        with open_registry(self.url) as registry:
+            registry.add_golden_run(GoldenRun("line", "A0", datetime.now(UTC), 9.0, "N", False))
+
+    def confirm(self) -> None:
+        with open_registry(self.url) as registry:
+            doubted = [row.serial for row in audit_rows_of(registry, LOT) if row.doubt is not None]
+        for serial in doubted[:1]:
+            self.run("lot", "audit", LOT, "--confirm", serial, "--reason", "drawn")
+            with open_registry(self.url) as registry:
+                assert serial in confirmed_audits(registry, LOT)
+
+    def sync(self) -> None:
+        """A second registry of the lot, in which the limit is another one, comes together with this one."""
+        other = f"sqlite:///{self.folder.parent / 'other.db'}"
+        self.run("registry", "sync", "--with", other)
+        with open_registry(other) as registry:
+            registry.set_limit(LOT, float(self.rng.uniform(0.05, 0.5)), reason="set at the centre")
+        self.run("registry", "sync", "--with", other)
+
+    def step(self) -> None:
+        events = (
+            self.batch, self.audit, self.audit, self.audit, self.limit, self.limit_of_another_registry,
+            self.limit_taken_back, self.trim, self.roll_back, self.golden_fails, self.confirm, self.sync,
+        )  # fmt: skip
+        event = events[int(self.rng.integers(len(events)))]
+        self.told.append(event.__name__)
+        event()
+
+
+def words_of(registry: Registry) -> dict[str, dict[str, str | None]]:
+    """Return the verdict of every unit as each surface reads it."""
+    serials = [unit.serial for unit in registry.units(LOT) if unit.role == "target"]
+    standings = registry.standings(LOT, serials)
+    page = registry.unit_page(LOT, UnitFilter(), size=1000).units
+    results = lot_results(registry, LOT).to_pylist()
+    return {
+        "standings": {serial: one.verdict for serial, one in standings.items()},
+        "units": {unit.serial: unit.verdict for unit in registry.units(LOT) if unit.role == "target"},
+        "page": {unit.serial: unit.verdict for unit in page},
+        "results": {row["serial"]: row["verdict"] for row in results},
+        "errors": {row.serial: row.verdict for row in registry.lot_errors(LOT)},
+    }
+
+
+def check(history: History, tmp_path: Path) -> None:
+    with open_registry(history.url) as registry:
+        words = words_of(registry)
+        truth = words["standings"]
+        for surface, said in words.items():
+            assert {serial: said[serial] for serial in said} == {serial: truth[serial] for serial in said}, surface
+        view, say = lot_view(registry, LOT), partial(text, "en")
+        counted = Counter(truth.values())
+        for counts in (registry.verdict_counts(LOT), view.counts):
+            assert {word: count for word, count in counts.items() if count} == dict(counted)
+        wall = wall_view(registry, view, (), say)
+        assert {word: count for word, _, count in wall.verdicts if count} == dict(counted)
+        assert all(chip.word == say(f"verdict.{truth[chip.serial]}") for chip in wall.chips)
+        assert lot_yields(registry, LOT).last_pass.count == view.yields.last_pass.count
+        # Nothing passes beyond the limit in force, and nothing is judged by another one.
+        limit, standings = lot_limit(registry, LOT), registry.standings(LOT, list(truth))
+        made = {serial: one.made for serial, one in standings.items() if one.made is not None}
+        assert view.limit_rmse == limit.maximum_rmse
+        for serial, one in made.items():
+            if truth[serial] in ("pass", "conditional") and one.is_audited and one.after_rmse is not None:
+                assert one.after_rmse <= limit.maximum_rmse, serial
+        # Audits are the same number everywhere; one that is set aside counts nowhere.
+        audited = {serial for serial, one in made.items() if one.is_audited}
+        assert {row.serial for row in view.audited} >= audited
+        listed = {row.serial: row.doubt for row in audit_rows_of(registry, LOT)}
+        assert audited <= {serial for serial, doubt in listed.items() if doubt is None}
+        decided = decide_release(registry, LOT, datetime.now(UTC))
+        if decided is not None:
+            facts = lot_statement_facts(registry, LOT, decided)
+            assert facts.counts == registry.verdict_counts(LOT)
+            assert {audit.serial for audit in decided.qualification.here} <= audited
+            assert set(decided.doubts) == {serial for serial, doubt in listed.items() if doubt is not None}
+            assert {row.serial for row in facts.audits} == {audit.serial for audit in decided.audits}
+            sampled = {s for s, one in made.items() if truth[s] == "pass" and not one.is_audited}
+            assert sampled == set(decided.released) - {s for s in decided.released if made[s].decision.bars}
+        # Files are written for what passes, and for nothing else.
+        try:
+            exported = set(lot_serials(registry, LOT, ExportOptions()))
+        except InputError:
+            exported = set()
+        assert exported == {serial for serial, word in truth.items() if word == "pass"}
+        read_line(registry, Screen("line"))
+    out = tmp_path / "files"
+    for serial in sorted(truth)[:3]:
+        code = history.run("export", "--serial", serial, "--format", "blob", "--out", out)
+        assert (code == 0) == (truth[serial] == "pass"), serial
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(k, marks=pytest.mark.long) for k in range(3, 33))])
+def test_all_surfaces_agree_after_any_history(make_lot, press_unit, registry_url, tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    folder = make_lot(audits=int(rng.integers(0, 12)), limit_N=float(rng.uniform(0.05, 0.3)))
+    history = History(folder, registry_url, rng, press_unit)
+    for _ in range(STEPS):
+        history.step()
+        try:
+            check(history, tmp_path)
+        except AssertionError as error:
+            raise AssertionError(f"after {', '.join(history.told)}") from error
