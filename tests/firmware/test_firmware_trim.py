@@ -11,7 +11,9 @@ import pytest
 from softcal.core.errors import InputError
 from softcal.core.export.blob import NetworkFile, UnitFile
 from softcal.core.export.device import UnitFacts, build_network_file, build_unit_file
-from softcal.core.export.loader import OUT_OF_RANGE, open_sensor
+from softcal.core.export.integer_network import DeviceMap, IntegerMix
+from softcal.core.export.loader import OUT_OF_RANGE, open_sensor, run_self_test
+from softcal.core.export.quantise import quantise_layer
 from softcal.core.export.stream import Shift, Trim, TrimResult, find_trim
 from softcal.core.maps.affine_map import AffineMap
 from softcal.core.maps.interface import Anchors, FitProblem
@@ -21,6 +23,7 @@ from softcal.core.recording import LabelledRecording, OutputRecording
 from softcal.core.unit.method import LEVELS
 from softcal.core.unit.uncertainty import NORMAL_90, Interval
 from softcal.core.use.trim import Trimmed, trim
+from softcal.core.windows import TAPS
 
 BAND_N, RANGE_N = 0.08, 3.0
 LOAD_ERROR_N = 0.003 * RANGE_N
@@ -144,6 +147,34 @@ def test_the_same_loads_give_the_same_trim(both: Both, load_N: tuple[float, floa
     open_on_device_N = both.count_N * np.array([on_device.reach_at(round(level / both.count_N)) for level in levels_N])
     # The band of a device file holds what its integers are off by.
     assert open_on_device_N == pytest.approx(open_N, rel=0.05, abs=6 * both.count_N)
+
+
+SHAPES = np.random.default_rng(3).integers(-20, 21, (3, TAPS))
+ON_WINDOWS = {
+    "mix": {"mix": IntegerMix(60, SHAPES, np.array([7, 7, 7]), np.array([3, -2, 1]))},
+    "wide mix": {"mix": IntegerMix(62, 40 * SHAPES, np.full(3, 12), np.array([900, -500, 100]), is_wide=True)},
+    "layer": {"layer": quantise_layer(0.9 * np.eye(TAPS) + 0.005, np.full(TAPS, 300.0), np.ones(TAPS), np.ones(TAPS))},
+}
+
+
+@pytest.mark.parametrize("name", ON_WINDOWS)
+def test_what_a_map_does_to_windows_is_seen_through(both: Both, name: str) -> None:
+    """The trim acts in front of a mix or a layer: behind it the unit rests where the source does, as on the PC."""
+    unit, network = both.unit_file, both.network_file.network
+    device_map = DeviceMap(unit.device_map.curve, **ON_WINDOWS[name])
+    tests = tuple(replace(one, expected=run_self_test(network, device_map, one)) for one in unit.self_tests)
+    changed = replace(both, unit_file=replace(unit, device_map=device_map, self_tests=tests))
+    load_N = [0.3, 2.5]
+    output_V = [float(unit_V(load, 1.15, 0.02)) for load in load_N]
+    result, _ = changed.on_device(output_V, load_N)
+    assert result is TrimResult.TRIMMED
+    on_pc = both.on_pc(output_V, load_N)
+    for output, load in zip(output_V, load_N, strict=True):
+        value, lower, upper, _ = changed.read(output)
+        mapped = on_pc.unit_map.apply(np.full((1, TAPS), output))
+        # Shapes bend a window at rest a little; its mean is where the PC's stands.
+        assert value * both.count_N == pytest.approx(both.problem.network.evaluate(mapped)[0], abs=0.05)
+        assert lower * both.count_N <= load <= upper * both.count_N
 
 
 REFUSED = {
