@@ -57,14 +57,12 @@ class Anchoring:
         unit_map: the map with gain and offset behind it.
         gain_error: standard uncertainty of the gain, as a share of it.
         rest_error: the same of the level at rest, in the source's output unit.
-        covariance: (2, 2) of the two.
         misfit: RMS distance of the loads from the source's levels after the fit, in standard uncertainties.
     """
 
     unit_map: AnchoredMap
     gain_error: float
     rest_error: float
-    covariance: Array
     misfit: float
 
 
@@ -137,7 +135,7 @@ def refine(problem: FitProblem, unit_map: UnitMap, anchors: Anchors, firm: Firmn
     now = np.array([[firm.gain / gain, 0.0], [-firm.gain * level * float(theta[1]) / gain, level]])
     covariance = now @ np.linalg.inv(normal) @ now.T * max(misfit, 1.0) ** 2
     error = np.sqrt(np.diag(covariance))
-    return Anchoring(AnchoredMap(unit_map, gain, offset), float(error[0]), float(error[1]), covariance, misfit)
+    return Anchoring(AnchoredMap(unit_map, gain, offset), float(error[0]), float(error[1]), misfit)
 
 
 def _model_error(problem: FitProblem) -> float:
