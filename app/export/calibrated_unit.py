@@ -20,7 +20,7 @@ from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.verdict import Release, Verdict
 from softcal.core.use.trim import as_given_now
-from softcal.core.words.reason import joined
+from softcal.core.words.reason import Reason, joined
 from softcal.db.entries import StoredCalibration, UnitStanding
 from softcal.db.registry import Registry
 
@@ -78,11 +78,16 @@ class ExportOptions:
 
 @dataclass(frozen=True, eq=False)
 class SharedNetwork:
-    """The network of a lot and the source it was trained on; its device file is made once."""
+    """The network of a lot and the source it was trained on; its device file is made once.
+
+    Args:
+        source_since: UTC date the source's recording came into the registry.
+    """
 
     network: Network
     source: LabelledRecording
     source_sha256: str
+    source_since: date | None
 
     @cached_property
     def file(self) -> NetworkFile:
@@ -96,6 +101,7 @@ class CalibratedUnit:
 
     Args:
         stored: the calibration that is exported: the one in use, or an older one that was asked for.
+        in_registry_since: UTC day its recording came into the registry.
         standing: how the unit stands now, whichever calibration that is.
     """
 
@@ -103,7 +109,7 @@ class CalibratedUnit:
     lot: Lot
     shared: SharedNetwork
     recording: OutputRecording
-    recorded_on: date
+    in_registry_since: date
     options: ExportOptions
     standing: UnitStanding
 
@@ -142,6 +148,11 @@ class CalibratedUnit:
     def verdict(self) -> str:
         """The word of what was asked for: of the revision that was named, else of the unit as it stands."""
         return self.stored.record.verdict if self.options.revision is not None else str(self.standing.verdict)
+
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        """Why it has that verdict, most important first."""
+        return self.stored.record.reasons if self.options.revision is not None else self.standing.reasons
 
     def check_stands(self) -> None:
         """Raise `UnitRefused` where the unit's newest result is no calibration: its map is no longer the answer.
@@ -190,9 +201,9 @@ class UnitLoader:
         stored = self.registry.calibration(serial, self.options.revision, lot_id=self.options.lot_id)
         recording = self._recording(stored)
         lot = self.registry.lot(stored.lot_id)
-        shared, recorded_on = self._shared(stored), self._recorded_on(stored)
+        since = self._since(stored.lot_id, stored.record.recording_sha256) or stored.made_at.date()
         standing = standing_of(self.registry, stored)
-        return CalibratedUnit(stored, lot, shared, recording, recorded_on, self.options, standing)
+        return CalibratedUnit(stored, lot, self._shared(stored), recording, since, self.options, standing)
 
     def _recording(self, stored: StoredCalibration) -> OutputRecording:
         """Return the unit's own recording, as it would give it since its trim."""
@@ -203,14 +214,15 @@ class UnitLoader:
         before, after = (Calibration.from_record(one.record).unit_map for one in (base, stored))
         return as_given_now(recording, before, after)
 
-    def _recorded_on(self, stored: StoredCalibration) -> date:
-        sha256 = stored.record.recording_sha256
-        entries = self.registry.recordings(stored.lot_id, stored.serial)
-        return next((entry.added_at for entry in entries if entry.sha256 == sha256), stored.made_at).date()
+    def _since(self, lot_id: str, sha256: str) -> date | None:
+        """Return the UTC day a recording came into the registry."""
+        entries = self.registry.recordings(lot_id)
+        return next((entry.added_at.date() for entry in entries if entry.sha256 == sha256), None)
 
     def _shared(self, stored: StoredCalibration) -> SharedNetwork:
         network_id = stored.record.network_id
         if network_id not in self._networks:
             sha256, source = source_sha256(self.registry, network_id), source_recording(self.registry, network_id)
-            self._networks[network_id] = SharedNetwork(self.registry.network(network_id), source, sha256)
+            since = self._since(self.registry.network_entry(network_id).lot_id, sha256)
+            self._networks[network_id] = SharedNetwork(self.registry.network(network_id), source, sha256, since)
         return self._networks[network_id]

@@ -49,7 +49,9 @@ ENGLISH: Mapping[str, str] = {
         "certificate {number} covers the reference up to {capacity:.4g}, the source was pressed to {highest:.4g}: no "
         "unit passes"
     ),
-    "reference_uncertain": "the reference's own uncertainty U = {expanded:.3g} {unit} (k = 2) leaves no room to pass",
+    "reference_uncertain": (
+        "the reference's own uncertainty U_ref = {expanded:.3g} {unit} (k = 2) leaves no room to pass"
+    ),
     "harmful": "worse than doing nothing: RMSE {after:.3g} {unit} with the map, {before:.3g} {unit} without it",
     "stale_limit": (
         "judged against {judged:.4g} {unit}, and the limit is {limit:.4g} {unit} now: run the batch of this lot again"

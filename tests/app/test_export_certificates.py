@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -16,10 +17,11 @@ import pytest
 import xmlschema
 from PIL import ImageCms
 
-from softcal.app.export.certificates.content import METHODS, Certificate, Uncertainty
+from softcal.app.export.certificates.content import METHODS, WITHHELD, Certificate, Uncertainty
 from softcal.app.export.certificates.dcc import certificate_xml
 from softcal.app.export.certificates.fonts import CANDIDATES
 from softcal.app.export.certificates.laboratory import (
+    NOT_STATED,
     Conditions,
     Laboratory,
     LoadCell,
@@ -33,6 +35,8 @@ from softcal.core.errors import InputError
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.unit.budget import SIMULATED, Reference, measured_budget
 from softcal.core.unit.estimate import Estimate
+from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import Limit, decide_audited, default_limit
 
 CELL = Reference(
     "LC-7", "D-K-1", "DAkkS", date(2026, 1, 1), date(2028, 1, 1), date(2026, 2, 1), uncertainty=0.012, drift=0.01
@@ -48,7 +52,8 @@ def facts() -> Certificate:
     return Certificate(
         identifier="softcal-A1-r2-01234567",
         made_on=date(2026, 3, 4),
-        recorded_on=date(2026, 3, 2),
+        in_registry_since=date(2026, 3, 2),
+        source_since=date(2026, 2, 2),
         issued_on=date(2026, 3, 9),
         laboratory=Laboratory(
             Party("Press shop & Söhne", "lab@example.com", "KR", "Seoul", "Teheran-ro 1", "06234"),
@@ -56,7 +61,9 @@ def facts() -> Certificate:
             Person("K. Jeon", "head"),
             LoadCell("Futek", "LSB200", certificate="D-K-1", certificate_sha256="ab" * 32),
             Conditions(23.0, 41.0),
-            Performance("customer", "Hall 3", "new, no visible damage", date(2026, 3, 1)),
+            Performance(
+                "customer", "Hall 3", "new, no visible damage", date(2026, 3, 1), deviations="no deviations at all"
+            ),
         ),
         serial="A1",
         revision=2,
@@ -70,20 +77,20 @@ def facts() -> Certificate:
         samples=1500,
         low=0.0,
         high=3.0,
-        expected=0.21,
-        expected_interval=(0.15, 0.3),
-        limit=0.4,
-        limit_origin="stated for the lot",
-        acceptance=0.399,
-        conformity="pass",
+        forecast=ErrorForecast(0.21, 0.15, 0.3),
+        limit=Limit("N", 0.4, reference_expanded=0.0283),
         verdict="pass",
         reasons=("predicted error is within the limit",),
         before=0.8,
-        measured=0.22,
+        measured=ErrorForecast(0.22, 0.19, 0.25),
+        is_sampled=False,
+        is_outdated=False,
         reference=CELL,
         bars=(),
         budget=measured_budget(0.22, CELL, 2.0),
         map_family="affine",
+        by_loads="",
+        made_because="calibrated",
         hashes=(("network", "12" * 32), ("map", "34" * 32), ("unit's recording", "56" * 32)),
         bands=(Uncertainty(0.0, 1.5, 0.3), Uncertainty(1.5, 3.0, 0.4)),
         output=np.linspace(0.5, 0.7, 60),
@@ -109,9 +116,7 @@ def _text_of(pdf: Path, *options: str) -> str:
 
 def _variants(facts: Certificate) -> list[Certificate]:
     bare = replace(facts, laboratory=Laboratory(), sensor_model="", measured=None, before=None, **NOBODY)
-    unknown = replace(
-        bare, expected=None, expected_interval=None, limit=None, acceptance=None, verdict="retest", budget=None
-    )
+    unknown = replace(bare, forecast=None, limit=None, verdict="retest", budget=None)
     loose = replace(
         facts, sensor_model=" eGaIn\n3 mm ", laboratory=Laboratory(Party(" Works ", "a@b.c ", "KR", "\tSeoul"))
     )
@@ -120,19 +125,22 @@ def _variants(facts: Certificate) -> list[Certificate]:
         replace(facts, bands=()),
         replace(facts, sensor_model=" "),
         replace(facts, reference=SIMULATED),
+        replace(facts, limit=default_limit("N", 0.1)),
+        replace(facts, by_loads="trimmed", measured=None),
+        replace(facts, measured=ErrorForecast(0.22, 0.0, np.inf)),
         expired(facts),
     ]
     return [facts, bare, unknown, loose, *others]
 
 
-NOBODY = {"reference": None, "conformity": ""}
+NOBODY = {"reference": None}
 
 
 def expired(facts: Certificate) -> Certificate:
     """The same unit, compared with a load cell whose certificate had ended."""
     cell = replace(CELL, used_on=date(2029, 1, 1))
     bars = tuple(map(str, cell.bars(facts.high)))
-    return replace(facts, reference=cell, bars=bars, conformity="", verdict="conditional", reasons=bars)
+    return replace(facts, reference=cell, bars=bars, verdict="conditional", reasons=bars)
 
 
 def test_every_certificate_is_valid_against_the_schema(facts: Certificate, schema: xmlschema.XMLSchema) -> None:
@@ -175,9 +183,119 @@ def test_only_a_certificate_that_held_makes_a_result_traceable_and_conformity_st
     assert "<dcc:traceable>false" in simulated and "SIMULATED" in simulated
 
 
+def test_why_nothing_is_stated_is_said_by_its_code(facts: Certificate) -> None:
+    derived = default_limit("N", 0.1)
+    cases: dict[str, Certificate] = {
+        "simulated": replace(facts, reference=SIMULATED),
+        "no_limit": replace(facts, limit=derived),
+        "no_reference": replace(facts, reference=None),
+        "reference": expired(facts),
+        "known_loads": replace(facts, by_loads="trimmed", measured=None),
+        "no_interval": replace(facts, measured=ErrorForecast(0.22, 0.0, np.inf)),
+        "retest": replace(facts, verdict="retest"),
+    }
+    assert set(cases) == set(WITHHELD) and not facts.withheld
+    for code, case in cases.items():
+        assert case.withheld == (code,) and not case.conformity
+        assert escape(WITHHELD[code]) in certificate_xml(case).decode()
+    assert replace(facts, by_loads="trimmed").conformity == "pass", "an audit since the trim decides"
+    assert replace(facts, by_loads="trimmed", is_outdated=True).withheld == ("known_loads",)
+    assert str(derived.origin) in certificate_xml(cases["no_limit"]).decode()
+
+
+def _drawn(facts: Certificate, rng: np.random.Generator) -> Certificate:
+    """The unit with another measured error, limit and reference, judged as the line judges it."""
+    limit = Limit("N", float(rng.uniform(0.05, 0.3)), reference_expanded=float(rng.choice([0.0, rng.uniform(0, 0.2)])))
+    after = limit.maximum_rmse * float(rng.uniform(0.6, 1.3))
+    judged = decide_audited(float(rng.uniform(1, 2)), after, int(rng.integers(50, 3000)), limit)
+    told = judged.reasons[-1 if judged.verdict != "fail" else 0].values
+    measured = ErrorForecast(*(float(str(told[end])) for end in ("rmse", "lower", "upper")))
+    return replace(facts, limit=limit, measured=measured, verdict=str(judged.verdict))
+
+
+def _by_rule(number: dict[str, float]) -> str:
+    """The statement, from the numbers on the page alone."""
+    acceptance = np.sqrt(max(number["TL"] ** 2 - number["U_ref"] ** 2, 0.0))
+    assert acceptance == pytest.approx(number["AL"], abs=1e-5)
+    if number["E_upper"] <= number["AL"]:
+        return "pass"
+    return "conditional pass" if number["E"] <= number["TL"] else "fail"
+
+
+def _numbers_of(dcc: ET.Element) -> dict[str, float]:
+    """The numbers of the error's result by the symbol they are named with."""
+    found = {}
+    for quantity in dcc.iterfind(".//dcc:result/dcc:data/dcc:quantity", NAMESPACES):
+        symbol, colon, _ = str(quantity.findtext("dcc:name/dcc:content", "", NAMESPACES)).partition(":")
+        value = quantity.findtext("si:real/si:value", None, NAMESPACES)
+        if colon and value is not None:
+            assert symbol not in found or symbol in ("U_est", "Standard uncertainty"), symbol
+            found[symbol] = float(value)
+    return found
+
+
+def test_the_statement_follows_from_the_numbers_on_the_page(
+    facts: Certificate, rng: np.random.Generator, tmp_path: Path
+) -> None:
+    words = set()
+    for k in range(300):
+        drawn = _drawn(facts, rng)
+        number = _numbers_of(ET.fromstring(certificate_xml(drawn)))
+        assert _by_rule(number) == drawn.conformity
+        words.add(drawn.conformity)
+        if k % 30:
+            continue
+        path = tmp_path / "drawn.pdf"
+        path.write_bytes(certificate_pdf(drawn))
+        rows = re.findall(r"^(E|E_lower|E_upper|TL|U_ref|AL):.*? ([\d.e-]+) ?N\b", _text_of(path), re.M)
+        assert len(rows) == 6
+        assert {symbol: float(value) for symbol, value in rows} == pytest.approx(
+            {symbol: number[symbol] for symbol, _ in rows}, rel=1e-6
+        )
+    assert words == {"pass", "conditional pass", "fail"}
+
+
+def test_no_symbol_stands_for_two_things(facts: Certificate, tmp_path: Path) -> None:
+    path = tmp_path / "facts.pdf"
+    path.write_bytes(certificate_pdf(facts))
+    for text in (_text_of(path), certificate_xml(facts).decode()):
+        assert not re.search(r"\bU\b(?! squared)", text)
+        assert {"U_est", "U_ref", "U_cell"} <= set(re.findall(r"U_[a-z]+", text))
+
+
+def test_days_are_those_that_somebody_stated_else_the_registrys(facts: Certificate) -> None:
+    def days(began: date | None, ended: date | None) -> tuple[date, date]:
+        performance = replace(facts.laboratory.performance, began_on=began, ended_on=ended)
+        found = replace(facts, laboratory=replace(facts.laboratory, performance=performance))
+        assert found.performed.count(NOT_STATED) == (began is None) + (ended is None)
+        return found.began_on, found.ended_on
+
+    early, late = date(2026, 1, 5), date(2026, 5, 5)
+    assert days(None, None) == (date(2026, 3, 2), date(2026, 3, 4))
+    assert days(early, None) == (early, date(2026, 3, 4)) and days(late, None) == (late, late)
+    assert days(None, early) == (early, early) and days(None, late) == (date(2026, 3, 2), late)
+    assert days(early, late) == (early, late)
+    with pytest.raises(InputError, match="ended_on"):
+        Performance(began_on=late, ended_on=early)
+    assert CELL.used_on is not None
+    assert replace(facts, source_since=CELL.used_on).traceability != facts.traceability
+
+
+def test_a_place_is_the_one_that_was_stated(facts: Certificate) -> None:
+    def place(at: str) -> str:
+        performance = replace(facts.laboratory.performance, at=at, place=NOT_STATED)
+        return replace(facts, laboratory=replace(facts.laboratory, performance=performance)).place
+
+    assert place(NOT_STATED) == NOT_STATED
+    assert "Teheran-ro 1" in place("laboratory") and "Munich" in place("customer")
+    assert "Teheran-ro 1" not in place("customer") + place("other") + place("laboratoryBranch")
+
+
 def test_a_pass_is_read_on_no_page_where_nothing_vouches_for_the_reference(facts: Certificate, tmp_path: Path) -> None:
     path = tmp_path / "nobody.pdf"
     path.write_bytes(certificate_pdf(replace(facts, **NOBODY)))
+    assert "PASS" not in _text_of(path).split()
+    path.write_bytes(certificate_pdf(replace(facts, reference=SIMULATED)))
     assert "PASS" not in _text_of(path).split()
     path.write_bytes(certificate_pdf(facts))
     assert "PASS" in _text_of(path).split()
@@ -245,17 +363,17 @@ def test_everything_that_iso_17025_asks_for_stands_on_it(facts: Certificate, tmp
         "time-delay network",  # f
         "condition: new, no visible damage",  # g
         "Received 2026-03-01",  # h
-        "unit recorded on 2026-03-02",  # i
+        "2026-03-02",  # i
         "issued on 2026-03-09",  # j
         "relate only to the item",  # l
-        "Deviations from the method: none",  # n
+        "no deviations at all",  # n
         "K. Jeon, head",  # o
-        "U (k = 2), N",  # 7.8.4.1 a
+        "U_est",  # 7.8.4.1 a
         "23 °C, 41 % relative humidity",  # b
         "certificate D-K-1 of DAkkS",  # c
         "Without calibration 0.8 N",  # d
         "ILAC-G8:09/2019",  # e
-        "U = 0.44",
+        "0.44",
         "eGaIn <3 mm>",
         "0.012 N",
         "0.21 N",

@@ -109,7 +109,7 @@ def test_paper_vouches_for_nothing_that_the_lot_does_not(lot_folder: Path, tmp_p
     url = f"sqlite:///{tmp_path / 'other.db'}"
 
     def certificates(reference: str) -> tuple[int, str]:
-        restated(lot_folder, reference)
+        restated(lot_folder, f"{reference}[limit]\nrmse = 0.5\n")
         assert judged(lot_folder, url)[0] == {"pass"}
         out = ["--format", "dcc", "--laboratory", str(laboratory), "--out", str(tmp_path / "out")]
         code = main(["export", "--registry", url, "--serial", "A1", *out])

@@ -5,7 +5,7 @@ import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from functools import partial
 from pathlib import Path
 
@@ -31,7 +31,9 @@ from softcal.app.views.unit import unit_view
 from softcal.core.errors import InputError
 from softcal.core.export.blob import CONDITIONAL, FAILED
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
+from softcal.core.unit.budget import Reference
 from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.judging import limit_evidence
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import (
     Decision,
@@ -51,6 +53,8 @@ from softcal.db.registry import Registry
 
 DRAWS = 200
 DCC = {"dcc": "https://ptb.de/dcc"}
+LIMIT = Limit("N", 0.3)
+CELL = Reference("LC-7", "D-K-1", due_on=date(2099, 1, 1), used_on=date(2026, 2, 1), uncertainty=0.01)
 FOUND = reason("too_little_data", windows=3, presses=1, enough_windows=500, enough_presses=3)
 
 
@@ -61,31 +65,37 @@ def lot(trained_lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     shutil.copytree(trained_lot / "lot", folder / "lot")
     shutil.copy(trained_lot / "registry.db", folder / "registry.db")
     url = f"sqlite:///{folder / 'registry.db'}"
+    with (folder / "lot/lot.toml").open("a") as facts:
+        facts.write(f"[limit]\nrmse = {LIMIT.maximum_rmse}\n")
     assert main(["batch", str(folder / "lot"), "--registry", url, "--hidden", "16,8", "--no-own"]) in (0, 1)
     with open_registry(url) as registry:
         yield registry, registry.lots()[0].id
 
 
 def drawn(rng: np.random.Generator, record: CalibrationRecord, number: int) -> CalibrationRecord:
-    """Return the record with another forecast, finding, audit and limit, and what follows from them."""
-    limit = Limit("N", float(rng.uniform(0.05, 0.5)))
+    """Return the record with another forecast, finding and audit, and what follows from them."""
     rmse = float(rng.uniform(0.02, 0.8))
     forecast = ErrorForecast(rmse, rmse * float(rng.uniform(0.3, 1)), rmse * float(rng.uniform(1, 3)))
     findings = tuple(Finding(FOUND, Verdict(word)) for word in rng.choice(list(Verdict), rng.integers(0, 3)))
     measured, scores = None, {"before_rmse": None, "after_rmse": None}
     if rng.random() < 0.5:
         before, after = (float(error) for error in rng.uniform(0.02, 0.8, 2))
-        measured = decide_audited(before, after, int(rng.integers(50, 3000)), limit)
+        measured = decide_audited(before, after, int(rng.integers(50, 3000)), LIMIT)
         scores = {"before_rmse": before, "after_rmse": after}
-    decision = Decision(decide(forecast, limit, findings), measured)
+    decision = Decision(decide(forecast, LIMIT, findings), measured)
     return replace(
         record,
         **scores,
         verdict=str(decision.verdict),
         reasons=decision.reasons,
         predicted_rmse=forecast.rmse,
-        settings={**record.settings, "decision": decision.to_json(), "forecast": vars(forecast)},
-        evidence={**record.evidence, "limit_rmse": limit.maximum_rmse},
+        settings={
+            **record.settings,
+            "decision": decision.to_json(),
+            "forecast": vars(forecast),
+            "reference": CELL.to_json(),
+        },
+        evidence={**record.evidence, **limit_evidence(LIMIT)},
         input_sha256=f"{number:064x}",
     )
 
@@ -95,6 +105,9 @@ def documents(registry: Registry) -> tuple[str, str, str]:
     unit = UnitLoader(registry, ExportOptions(failed_too=True)).load("A1")
     facts = certificate_of(unit)
     conformity = ET.fromstring(certificate_xml(facts)).findtext(".//dcc:statement/dcc:conformity", None, DCC)
+    assert facts.error is not None and facts.limit is not None
+    assert conformity != "pass" or facts.error.upper <= facts.limit.acceptance_rmse
+    assert (facts.error.rmse > facts.limit.maximum_rmse) <= (conformity in ("fail", None))
     return (
         facts.verdict,
         {"pass": "pass", "conditionalPass": "conditional", "fail": "fail", None: "retest"}[conformity],
@@ -162,7 +175,7 @@ def test_documents_and_files_say_the_same_word(lot, word, tmp_path, require):
     (tmp_path / "c.pdf").write_bytes(certificate_pdf(certificate_of(unit)))
     read = subprocess.run(["pdftotext", str(tmp_path / "c.pdf"), "-"], capture_output=True, text=True, check=True)
     shown = {other for other in Verdict if other.upper() in read.stdout.split()}
-    assert shown == {word}
+    assert shown == {word} - {Verdict.RETEST}, "nothing can be stated of a unit that has to be tested again"
     title = why_figure(unit_view(registry, "A1"), palette("light"), partial(text, "en")).layout.title.text
     assert text("en", f"verdict.{word}") in title
     (done,) = export_units(registry, ["A1"], ("blob",), tmp_path / "out")

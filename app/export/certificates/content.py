@@ -12,12 +12,14 @@ from softcal.app.export.certificates.laboratory import NOT_STATED, Laboratory, r
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
 from softcal.core.unit.budget import COVERAGE, Budget, Reference, Standing, forecast_budget, measured_budget
+from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.estimate import Estimate, estimate
-from softcal.core.unit.uncertainty import NORMAL_90
-from softcal.core.unit.verdict import Verdict
+from softcal.core.unit.uncertainty import NORMAL_90, ErrorForecast
+from softcal.core.unit.verdict import Limit, Verdict
+from softcal.core.words.reason import plain
 
 BANDS = 4
-"""The range of the reference is told in this many equal bands."""
+"""The calibrated range is told in this many equal bands."""
 
 PAPER = "Kim, Kwon, Jeon and Park, 2020, Advanced Intelligent Systems, 1900178"
 
@@ -54,16 +56,34 @@ METHODS: Mapping[str, tuple[str, str]] = {
 """By family of the map: its name, and how it was found."""
 
 DECISION_RULE = (
-    "ILAC-G8:09/2019, non-binary statement with guard band w = U (95 %, k = 2): pass where the upper end of the "
-    "predicted or measured error is within the acceptance limit, conditional pass where the error itself is within the "
-    "limit, conditional fail where only its lower end is, else fail. Acceptance limit: the root of limit squared minus "
-    "U squared of the reference (k = 2)."
+    "E is the error that decides: the measured one where the unit was measured, else the predicted one. E_lower to "
+    "E_upper is its 95 % interval; where audits of other units decide, E_upper is the most that they leave open. TL is "
+    "the limit. U_ref is the expanded uncertainty (k = 2) of the source's reference. AL = sqrt(TL^2 - U_ref^2). Pass: "
+    "E_upper <= AL, and an audit of the unit or of its lot stands behind E. Conditional pass: E <= TL. Fail: E > TL. "
+    "What was found against the unit makes the word worse, never better, and stands beside the verdict. U_est, the "
+    "expanded uncertainty of one estimate, decides nothing. The guard band is E_upper - E (ILAC-G8:09/2019, 4.2.3)."
 )
+
+WITHHELD: Mapping[str, str] = {
+    "simulated": "no real unit was calibrated",
+    "no_limit": "no limit was stated",
+    "no_reference": "nobody stated what the source was compared with",
+    "reference": "the reference cannot be relied on",
+    "known_loads": "the map was set by known loads, nobody stated what these are traced to, and no audit followed",
+    "no_interval": "the interval of the error is not known",
+    "retest": "nothing can be said about the unit yet",
+}
+"""Why no statement of conformity is made, by code."""
 
 NOT_COMPARED = (
     "The error of this unit is predicted from unlabelled data; the unit itself was not compared with a load cell."
 )
-COMPARED = "The unit was also compared with a reference on an audit recording; the measured error is stated."
+SAMPLED = "Audits of other units of the lot stand behind the interval of the predicted error."
+COMPARED = (
+    "The unit was also compared with a reference on an audit recording; the measured error is stated. What the lot "
+    "states of its reference is said of the source's recording."
+)
+COMPARED_BEFORE = "The unit was compared with a reference before its map was trimmed, and not since."
 ONLY_THIS = (
     "The results relate only to the item named above, in the condition it was in. This certificate may be reproduced "
     "in full only."
@@ -76,7 +96,7 @@ SIMULATED = (
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Expanded uncertainty U (k = 2) of an estimate in one band of its range, mean over the unit's recording."""
+    """U_est: expanded uncertainty (k = 2) of an estimate in one band of its range, mean over the unit's recording."""
 
     low: float
     high: float
@@ -89,26 +109,29 @@ class Certificate:
 
     Args:
         identifier: unique over all certificates of a registry.
-        made_on: UTC date of the calibration.
-        recorded_on: UTC date the unit's recording came into the registry.
+        made_on: UTC date the calibration was calculated.
+        in_registry_since, source_since: UTC dates the recordings of unit and source came into the registry.
         issued_on: date of issue.
-        low, high: range of the source's reference, within which the calibration holds.
-        expected, expected_interval: predicted RMSE and its 95 % interval; None where none was made.
-        limit, limit_origin: the agreed limit and where it comes from.
-        acceptance: the largest error, with its guard band, that passes.
-        conformity: pass, conditional pass, fail; empty where no statement may be made.
-        measured: RMSE on an audit recording; None without one.
+        low, high: range that both the source's reference and the unit's own recording cover.
+        forecast, measured: predicted RMSE, and that on an audit recording; None where there is none.
+        limit: largest error a unit may have, and where that comes from.
+        verdict, reasons: of the line.
+        is_sampled: whether audits of other units decided.
+        is_outdated: whether the unit's audit was taken before its map was trimmed.
         reference: what the source was compared with; None where nobody said.
         bars: why the reference lets no unit pass; empty where it does.
         budget: uncertainty of an estimate at the source's RMS load; None for calibrations of older versions.
-        bands: U by range of the estimate.
+        by_loads: what known loads did to the map; empty where there were none.
+        made_because: why this revision was made, in the registry's words.
+        bands: U_est by range of the estimate; none where no estimate of the recording lies in the source's range.
         output, mapped: (k,) output levels of this unit and the source output each stands for.
-        estimated: the unit's own recording as estimated, with U (k = 2) around it.
+        estimated: the unit's own recording as estimated, with U_est around it.
     """
 
     identifier: str
     made_on: date
-    recorded_on: date
+    in_registry_since: date
+    source_since: date | None
     issued_on: date
     laboratory: Laboratory
     serial: str
@@ -123,20 +146,20 @@ class Certificate:
     samples: int
     low: float
     high: float
-    expected: float | None
-    expected_interval: tuple[float, float] | None
-    limit: float | None
-    limit_origin: str
-    acceptance: float | None
-    conformity: str
+    forecast: ErrorForecast | None
+    limit: Limit | None
     verdict: str
     reasons: tuple[str, ...]
     before: float | None
-    measured: float | None
+    measured: ErrorForecast | None
+    is_sampled: bool
+    is_outdated: bool
     reference: Reference | None
     bars: tuple[str, ...]
     budget: Budget | None
     map_family: str
+    by_loads: str
+    made_because: str
     hashes: tuple[tuple[str, str], ...]
     bands: tuple[Uncertainty, ...]
     output: Array
@@ -147,7 +170,64 @@ class Certificate:
     @property
     def basis(self) -> str:
         """Whether the error was predicted or measured."""
-        return COMPARED if self.measured is not None else NOT_COMPARED
+        if self.is_outdated:
+            return COMPARED_BEFORE
+        if self.measured is not None:
+            return COMPARED
+        return f"{NOT_COMPARED} {SAMPLED}" if self.is_sampled else NOT_COMPARED
+
+    @property
+    def error(self) -> ErrorForecast | None:
+        """E with E_lower and E_upper: the error that decides."""
+        return self.measured or self.forecast
+
+    @property
+    def deciding(self) -> list[tuple[str, float, str]]:
+        """The numbers of the decision rule: name with its symbol first, value, and a note where one is needed."""
+        numbers = []
+        if self.error is not None and np.isfinite(self.error.upper):
+            numbers += [
+                ("E: error", self.error.rmse, "the one that decides"),
+                ("E_lower: lower end", self.error.lower, "of its interval"),
+                ("E_upper: upper end", self.error.upper, "of its interval"),
+            ]
+        if self.limit is not None:
+            numbers += [
+                ("TL: limit", self.limit.maximum_rmse, str(self.limit.origin)),
+                ("U_ref: reference", self.limit.reference_expanded, "its expanded uncertainty, k = 2"),
+                ("AL: acceptance limit", self.limit.acceptance_rmse, ""),
+            ]
+        return numbers
+
+    @property
+    def withheld(self) -> tuple[str, ...]:
+        """Codes of `WITHHELD`: why no statement of conformity is made; empty where one is."""
+        found = {
+            "simulated": self.is_simulated,
+            "no_limit": self.limit is None or not self.limit.is_stated,
+            "no_reference": self.reference is None,
+            "reference": bool(self.bars),
+            "known_loads": self.is_by_loads_alone,
+            "no_interval": self.error is None or not np.isfinite(self.error.upper),
+            "retest": not Verdict(self.verdict).conformity,
+        }
+        return tuple(code for code, is_so in found.items() if is_so)
+
+    @property
+    def conformity(self) -> str:
+        """Pass, conditional pass, fail; empty where no statement may be made."""
+        return "" if self.withheld else Verdict(self.verdict).conformity
+
+    @property
+    def no_statement(self) -> str:
+        """Why no statement of conformity is made, in a sentence; empty where one is."""
+        why = "; ".join(WITHHELD[code] for code in self.withheld)
+        return f"No statement of conformity is made: {why}." if why else ""
+
+    @property
+    def is_by_loads_alone(self) -> bool:
+        """Whether the map hangs on known loads, and nobody measured the unit since."""
+        return bool(self.by_loads) and (self.measured is None or self.is_outdated)
 
     @property
     def is_simulated(self) -> bool:
@@ -157,7 +237,8 @@ class Certificate:
     @property
     def is_traceable(self) -> bool:
         """Whether the results are traced to a certificate that held when the reference was used."""
-        return self.reference is not None and self.reference.standing is Standing.VALID and not self.bars
+        is_valid = self.reference is not None and self.reference.standing is Standing.VALID
+        return is_valid and not self.bars and not self.is_by_loads_alone
 
     @property
     def method_name(self) -> str:
@@ -171,17 +252,45 @@ class Certificate:
         return (
             "A time-delay network f (15 output samples to one estimate) was trained on the source unit against its "
             f"reference ({PAPER}). The unit's own output was recorded without a reference. {found}; the unit's "
-            f"estimate is f of the mapped window. Deviations from the method: {self.laboratory.performance.deviations}."
+            f"estimate is f of the mapped window. Deviations from the method: {self.deviations}."
         )
 
     @property
+    def deviations(self) -> str:
+        """What the registry knows and what the laboratory states of deviations from the method."""
+        stated = self.laboratory.performance.deviations
+        return f"{self.by_loads}; others: {stated}" if self.by_loads else stated
+
+    @property
     def place(self) -> str:
-        """Where the calibration was performed."""
-        stated, address = self.laboratory.performance.place, self.laboratory.laboratory
-        if stated != NOT_STATED:
-            return stated
-        parts = [part for part in (address.street, address.post_code, address.city) if part != NOT_STATED]
-        return f"{self.laboratory.performance.at}: {', '.join(parts) or NOT_STATED}"
+        """Where the calibration was performed, as far as somebody stated it."""
+        performance = self.laboratory.performance
+        if performance.place != NOT_STATED or performance.at == NOT_STATED:
+            return performance.place
+        address = {"laboratory": self.laboratory.laboratory, "customer": self.laboratory.customer}.get(performance.at)
+        parts = () if address is None else (address.street, address.post_code, address.city)
+        told = ", ".join(part for part in parts if part != NOT_STATED)
+        return f"{performance.at}: {told or NOT_STATED}"
+
+    @property
+    def began_on(self) -> date:
+        """First day of performance: as stated, else as the registry knows it."""
+        return self.laboratory.performance.began_on or min(self.in_registry_since, self.ended_on)
+
+    @property
+    def ended_on(self) -> date:
+        """Last day of performance: as stated, else as the registry knows it."""
+        stated = self.laboratory.performance
+        return stated.ended_on or max(self.made_on, stated.began_on or self.made_on)
+
+    @property
+    def performed(self) -> str:
+        """When it was performed: what somebody stated, and what the registry knows."""
+        stated = self.laboratory.performance
+        return (
+            f"first day: {stated.began_on or NOT_STATED}; last day: {stated.ended_on or NOT_STATED}; "
+            f"recording in the registry since {self.in_registry_since}; calculated on {self.made_on}"
+        )
 
     @property
     def traceability(self) -> str:
@@ -194,38 +303,40 @@ class Certificate:
             told = "" if named == NOT_STATED else f" (the laboratory names {named}; the verdict was made without it)"
             return (
                 f"{chain} to a reference whose certificate nobody stated with the lot{told}: the results are not "
-                "metrologically traceable, and no statement of conformity is made."
+                "metrologically traceable."
             )
         if not self.is_traceable:
-            return f"Not metrologically traceable, and no statement of conformity: {'; '.join(self.bars)}."
+            why = self.bars or (WITHHELD["known_loads"],)
+            return f"Not metrologically traceable: {'; '.join(why)}."
         by = f" of {cell.laboratory}" if cell.laboratory else ""
-        return (
-            f"{chain} to instrument {cell.cell or NOT_STATED}, certificate {cell.certificate}{by}, which held when the "
-            f"source was recorded on {cell.used_on}."
+        day = (
+            f"on {cell.used_on}, since when the source's recording is in the registry"
+            if cell.used_on == self.source_since
+            else f"when the source was recorded on {cell.used_on}"
         )
+        return f"{chain} to instrument {cell.cell or NOT_STATED}, certificate {cell.certificate}{by}, which held {day}."
 
 
 def certificate_of(unit: CalibratedUnit) -> Certificate:
     """Gather the facts of a calibrated unit.
 
     Raises:
-        InputError: the laboratory file cannot be used, or names another certificate than the lot does.
+        InputError: the laboratory file cannot be used, or names another instrument than the lot does.
     """
     record, lot = unit.stored.record, unit.lot
     found = _at_two_sigma(estimate(unit.network, unit.calibration, unit.recording))
-    forecast = unit.calibration.forecast
-    limit = record.evidence.get("limit_rmse")
     output, mapped = _map_curve(unit)
     source = unit.shared.source.reference
     reference = record.reference
     bars = () if reference is None else reference.bars(float(source.max()))
     laboratory = read_laboratory(unit.options.laboratory)
     _check_cell(laboratory, reference)
-    expanded = float(str(record.evidence.get("reference_expanded") or 0.0))
+    low, high = _covered(found, source)
     return Certificate(
         identifier=f"softcal-{record.serial}-r{unit.stored.revision}-{record.map_sha256[:8]}",
         made_on=unit.stored.made_at.date(),
-        recorded_on=unit.recorded_on,
+        in_registry_since=unit.in_registry_since,
+        source_since=unit.shared.source_since,
         issued_on=unit.options.issued_on or laboratory.performance.issued_on or datetime.now(UTC).date(),
         laboratory=laboratory,
         serial=record.serial,
@@ -238,29 +349,29 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         reference_unit=lot.reference_unit,
         sample_rate_Hz=lot.sample_rate_Hz,
         samples=len(unit.recording),
-        low=float(source.min()),
-        high=float(source.max()),
-        expected=None if forecast is None else forecast.rmse,
-        expected_interval=None if forecast is None else (forecast.lower, forecast.upper),
-        limit=float(limit) if isinstance(limit, int | float) else None,
-        limit_origin=str(record.evidence.get("limit_origin") or ""),
-        acceptance=None if limit is None else float(np.sqrt(max(float(limit) ** 2 - expanded**2, 0.0))),
-        conformity="" if reference is None or bars else Verdict(record.verdict).conformity,
-        verdict=record.verdict,
-        reasons=tuple(map(str, record.reasons)),
+        low=low,
+        high=high,
+        forecast=unit.calibration.forecast,
+        limit=_limit(record, lot.reference_unit),
+        verdict=unit.verdict,
+        reasons=tuple(map(str, unit.reasons)),
         before=record.before_rmse,
-        measured=record.after_rmse,
+        measured=_measured(record),
+        is_sampled=record.decision.measured is None and record.decision.sampled is not None,
+        is_outdated=_is_outdated(record),
         reference=reference,
         bars=tuple(map(str, bars)),
         budget=_budget(unit, float(np.sqrt(np.mean(source**2)))),
         map_family=record.family,
+        by_loads=_by_loads(record, lot.output_unit),
+        made_because=unit.stored.reason,
         hashes=(
             ("network", record.network_id),
             ("map", record.map_sha256),
             ("unit's recording", record.recording_sha256),
             ("source recording", unit.shared.source_sha256),
         ),
-        bands=_bands(found, float(source.min()), float(source.max())),
+        bands=_bands(found, low, high),
         output=output,
         mapped=mapped,
         estimated=found,
@@ -270,18 +381,70 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
 
 def _check_cell(laboratory: Laboratory, reference: Reference | None) -> None:
     """Refuse a certificate about another instrument than the verdict was made with."""
-    named = laboratory.load_cell.certificate
-    if reference is None or reference.is_simulated or named in (NOT_STATED, reference.certificate):
+    if reference is None or reference.is_simulated:
         return
-    raise InputError(
-        f"laboratory file: load cell certificate {named}, but the lot states {reference.certificate or 'none'}; "
-        "correct the one that is wrong; no certificate was written"
+    named = laboratory.load_cell
+    for what, said, stated in (
+        ("certificate", named.certificate, reference.certificate),
+        # A lot may state a certificate and leave the serial to the laboratory.
+        ("serial", named.serial, reference.cell or named.serial),
+    ):
+        if said not in (NOT_STATED, stated):
+            raise InputError(
+                f"laboratory file: load cell {what} {said}, but the lot states {stated or 'none'}; correct the one "
+                "that is wrong; no certificate was written"
+            )
+
+
+def _limit(record: CalibrationRecord, unit: str) -> Limit | None:
+    """Return the limit the unit was judged by, as its calibration keeps it."""
+    if record.limit_rmse is None:
+        return None
+    told = record.evidence
+    expanded = float(str(told.get("reference_expanded") or 0.0))
+    return Limit(unit, record.limit_rmse, plain(str(told.get("limit_origin") or NOT_STATED)), expanded)
+
+
+def _measured(record: CalibrationRecord) -> ErrorForecast | None:
+    """Return the measured error with its interval; that of an older version may be anything."""
+    if record.after_rmse is None:
+        return None
+    judged = record.decision.measured
+    for why in judged.reasons if judged else ():
+        if why.code == "statement":
+            lower, upper = (float(str(why.values[end])) for end in ("lower", "upper"))
+            return ErrorForecast(record.after_rmse, lower, upper)
+    return ErrorForecast(record.after_rmse, 0.0, np.inf)
+
+
+def _is_outdated(record: CalibrationRecord) -> bool:
+    return any(why.code == "audited_before_trim" for why in record.reasons)
+
+
+def _by_loads(record: CalibrationRecord, unit: str) -> str:
+    """Say what known loads did to the map; empty where there were none."""
+    gain, offset = (record.evidence.get(f"map_anchor_{name}") for name in ("gain", "offset"))
+    if gain is None or offset is None:
+        return ""
+    trimmed = any(why.code == "trimmed" for why in record.reasons)
+    how = "trimmed at its place of use" if trimmed else "set"
+    return (
+        f"the map was {how} by known loads: what it gave is multiplied by {float(gain):.4g} and moved by "
+        f"{float(offset):+.4g} {unit}; what these loads are traced to is {NOT_STATED}"
     )
+
+
+def _covered(found: Estimate, source: Array) -> tuple[float, float]:
+    """Return the part of the source's range that the unit's own recording reaches; all of it where it reaches none."""
+    low, high = float(source.min()), float(source.max())
+    inside = found.estimate[(found.estimate >= low) & (found.estimate <= high)]
+    return (float(inside.min()), float(inside.max())) if len(inside) else (low, high)
 
 
 def _budget(unit: CalibratedUnit, load: float) -> Budget | None:
     record = unit.stored.record
-    if record.after_rmse is not None:
+    # What was measured with the map before a trim says nothing of this one.
+    if record.after_rmse is not None and not _is_outdated(record):
         return measured_budget(record.after_rmse, record.reference, load)
     terms = {
         name.removeprefix("u_"): float(value)
@@ -294,14 +457,14 @@ def _budget(unit: CalibratedUnit, load: float) -> Budget | None:
 
 
 def _at_two_sigma(found: Estimate) -> Estimate:
-    """Return estimates with U (k = 2) around them in place of the 90 % interval."""
+    """Return estimates with U_est (k = 2) around them in place of the 90 % interval."""
     share = COVERAGE / NORMAL_90
     lower = found.estimate - share * (found.estimate - found.lower)
     return replace(found, lower=lower, upper=found.estimate + share * (found.upper - found.estimate))
 
 
 def _bands(found: Estimate, low: float, high: float) -> tuple[Uncertainty, ...]:
-    """Mean U in equal bands of the reference's range; empty bands are left out."""
+    """Mean U_est in equal bands of a range; empty bands are left out."""
     edges = np.linspace(low, high, BANDS + 1)
     half = (found.upper - found.lower) / 2
     bands = []

@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
+from math import isfinite
 
 from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, SIMULATED, Certificate
 from softcal.app.export.certificates.laboratory import NOT_STATED, Party
@@ -28,7 +29,6 @@ SI_UNITS = {
 CONFORMITY = {
     "pass": "pass",
     "conditional pass": "conditionalPass",
-    "conditional fail": "conditionalFail",
     "fail": "fail",
 }
 
@@ -69,9 +69,10 @@ def _administrative(parent: ET.Element, facts: Certificate) -> None:
     performance = facts.laboratory.performance
     if performance.received_on is not None:
         _child(core, "receiptDate", performance.received_on.isoformat())
-    _child(core, "beginPerformanceDate", min(facts.recorded_on, facts.made_on).isoformat())
-    _child(core, "endPerformanceDate", facts.made_on.isoformat())
-    _child(core, "performanceLocation", performance.at)
+    _child(core, "beginPerformanceDate", facts.began_on.isoformat())
+    _child(core, "endPerformanceDate", facts.ended_on.isoformat())
+    # The schema wants one of five places; the scope says where nobody stated it.
+    _child(core, "performanceLocation", "other" if performance.at == NOT_STATED else performance.at)
     _item(_child(_child(parent, "items"), "item"), facts)
     _contact(_child(_child(parent, "calibrationLaboratory"), "contact"), facts.laboratory.laboratory)
     _person(_child(_child(parent, "respPersons"), "respPerson"), facts)
@@ -90,12 +91,12 @@ def _item(parent: ET.Element, facts: Certificate) -> None:
     simulated = "SIMULATED: " if facts.is_simulated else ""
     _text(parent, "name", f"{simulated}Soft sensor {facts.serial}")
     _text(parent, "description", f"Condition: {facts.laboratory.performance.condition}")
-    _text(_child(parent, "manufacturer"), "name", facts.laboratory.laboratory.name)
+    _text(_child(parent, "manufacturer"), "name", NOT_STATED)
     if facts.sensor_model.strip():
         _child(parent, "model", facts.sensor_model)
     identifications = _child(parent, "identifications")
-    _identification(identifications, "manufacturer", facts.serial, "Serial number")
-    _identification(identifications, "calibrationLaboratory", facts.lot, "Lot")
+    _identification(identifications, "other", facts.serial, "Serial number")
+    _identification(identifications, "other", facts.lot, "Lot")
     _identification(identifications, "calibrationLaboratory", str(facts.revision), "Revision of the calibration")
 
 
@@ -118,9 +119,12 @@ def _contact(parent: ET.Element, party: Party) -> None:
 
 
 def _person(parent: ET.Element, facts: Certificate) -> None:
-    _text(_child(parent, "person"), "name", facts.laboratory.person.name)
-    _child(parent, "role", facts.laboratory.person.role)
-    _child(parent, "mainSigner", "true")
+    person = facts.laboratory.person
+    _text(_child(parent, "person"), "name", person.name)
+    if person.role != NOT_STATED:
+        _child(parent, "role", person.role)
+    if person.name != NOT_STATED:
+        _child(parent, "mainSigner", "true")
 
 
 def _statements(parent: ET.Element, facts: Certificate) -> None:
@@ -128,9 +132,8 @@ def _statements(parent: ET.Element, facts: Certificate) -> None:
         _text(_child(parent, "statement"), "declaration", SIMULATED)
     decision = _child(parent, "statement", refType="basic_conformity")
     _child(decision, "norm", "ILAC-G8:09/2019")
-    withheld = "" if facts.conformity else "No statement of conformity is made. "
-    told = f"{DECISION_RULE} {withheld}Verdict: {facts.verdict}. {' '.join(facts.reasons)}"
-    _text(decision, "declaration", told)
+    verdict = f"Verdict of the line: {facts.verdict}; {'; '.join(facts.reasons)}."
+    _text(decision, "declaration", " ".join((facts.no_statement, DECISION_RULE, verdict)))
     if facts.conformity:
         _child(decision, "conformity", CONFORMITY[facts.conformity])
     trace = _child(parent, "statement")
@@ -138,7 +141,7 @@ def _statements(parent: ET.Element, facts: Certificate) -> None:
     _text(trace, "declaration", f"{facts.traceability} {facts.basis}")
     scope = _child(parent, "statement")
     _child(scope, "norm", "ISO/IEC 17025:2017")
-    _text(scope, "declaration", f"{ONLY_THIS} Place: {facts.place}. Unit recorded on {facts.recorded_on}.")
+    _text(scope, "declaration", f"{ONLY_THIS} Place: {facts.place}. Performance: {facts.performed}.")
     issue = _child(parent, "statement")
     _text(issue, "declaration", "Date of issue")
     _child(issue, "date", facts.issued_on.isoformat())
@@ -149,7 +152,8 @@ def _result(parent: ET.Element, facts: Certificate) -> None:
     _text(parent, "name", f"{simulated}Calibration of {facts.quantity}, transferred from source unit {facts.source}")
     method = _child(_child(parent, "usedMethods"), "usedMethod")
     _text(method, "name", f"Transfer calibration: {facts.method_name}")
-    _text(method, "description", facts.method)
+    because = f" Revision {facts.revision}: {facts.made_because}." if facts.made_because else ""
+    _text(method, "description", facts.method + because)
     _software(_child(_child(parent, "usedSoftware"), "software"), facts)
     if facts.reference is not None and facts.reference.certificate and not facts.is_simulated:
         equipment = _child(_child(parent, "measuringEquipments"), "measuringEquipment", refType="basic_normalUsed")
@@ -172,14 +176,18 @@ def _load_cell(parent: ET.Element, facts: Certificate, reference: Reference) -> 
         _child(certificate, "referralID", reference.certificate)
         _child(certificate, "procedure", "SHA-256")
         _child(certificate, "value", cell.certificate_sha256)
-    _text(_child(parent, "manufacturer"), "name", cell.manufacturer)
-    _child(parent, "model", cell.model)
+    if cell.manufacturer != NOT_STATED:
+        _text(_child(parent, "manufacturer"), "name", cell.manufacturer)
+    if cell.model != NOT_STATED:
+        _child(parent, "model", cell.model)
     identifications = _child(parent, "identifications")
-    _identification(identifications, "manufacturer", reference.cell or cell.serial, "Serial number")
-    _identification(identifications, "calibrationLaboratory", reference.certificate, f"Certificate of {issuer}")
+    serial = reference.cell or cell.serial
+    if serial != NOT_STATED:
+        _identification(identifications, "other", serial, "Serial number")
+    _identification(identifications, "other", reference.certificate, f"Certificate of {issuer}")
     if reference.uncertainty is not None:
         quantities = _child(parent, "measuringEquipmentQuantities")
-        name = f"Expanded uncertainty, k = {reference.coverage_factor:g}"
+        name = f"U_cell: expanded uncertainty of its certificate, k = {reference.coverage_factor:g}"
         _quantity(
             quantities, facts, name, reference.uncertainty, None, "basic_uncertainty", "measuringEquipmentQuantity"
         )
@@ -207,15 +215,15 @@ def _errors(parent: ET.Element, facts: Certificate) -> None:
     result = _child(parent, "result")
     _text(result, "name", "Error of the unit")
     data = _child(result, "data")
-    if facts.expected is not None:
-        _quantity(data, facts, "Predicted root mean square error", facts.expected, facts.expected_interval)
-    if facts.measured is not None:
-        _quantity(data, facts, "Root mean square error measured on an audit recording", facts.measured)
-    if facts.limit is not None and facts.acceptance is not None:
-        _quantity(data, facts, f"Limit ({facts.limit_origin})", facts.limit)
-        _quantity(data, facts, "Acceptance limit: the limit less the reference's uncertainty", facts.acceptance)
-    _quantity(data, facts, "Lower end of the calibrated range", facts.low, reference="basic_validityRangeMin")
-    _quantity(data, facts, "Upper end of the calibrated range", facts.high, reference="basic_validityRangeMax")
+    for told, found in (("Predicted", facts.forecast), ("Measured", facts.measured)):
+        if found is not None:
+            interval = (found.lower, found.upper) if isfinite(found.upper) else None
+            _quantity(data, facts, f"{told} root mean square error", found.rmse, interval)
+    for name, value, note in facts.deciding:
+        _quantity(data, facts, f"{name} ({note})" if note else name, value)
+    if facts.bands:
+        _quantity(data, facts, "Lower end of the calibrated range", facts.low, reference="basic_validityRangeMin")
+        _quantity(data, facts, "Upper end of the calibrated range", facts.high, reference="basic_validityRangeMax")
 
 
 def _quantity(
@@ -256,15 +264,15 @@ def _budget(parent: ET.Element, facts: Certificate) -> None:
     for each in facts.budget.contributions:
         _quantity(data, facts, f"Standard uncertainty: {each.name} ({each.distribution})", each.standard)
     _quantity(data, facts, "Combined standard uncertainty", facts.budget.standard)
-    _quantity(data, facts, "Expanded uncertainty U (k = 2)", facts.budget.expanded)
+    _quantity(data, facts, "U_est: expanded uncertainty, k = 2", facts.budget.expanded)
 
 
 def _expanded(parent: ET.Element, facts: Certificate) -> None:
     result = _child(parent, "result")
-    _text(result, "name", "Expanded uncertainty U (k = 2) of an estimate, by range of the estimate")
+    _text(result, "name", "U_est: expanded uncertainty of an estimate, k = 2, by range of the estimate")
     data = _child(result, "data")
     if facts.reference_unit not in SI_UNITS or not facts.bands:
-        told = "; ".join(f"{b.low:.4g} to {b.high:.4g}: U = {b.expanded:.3g}" for b in facts.bands)
+        told = "; ".join(f"{b.low:.4g} to {b.high:.4g}: U_est = {b.expanded:.3g}" for b in facts.bands)
         _text(data, "text", f"{told} {facts.reference_unit}" if told else "no estimate lies in the calibrated range")
         return
     factor, unit = SI_UNITS[facts.reference_unit]
@@ -272,7 +280,7 @@ def _expanded(parent: ET.Element, facts: Certificate) -> None:
     columns: list[tuple[str, Sequence[float]]] = [
         ("Lower end of the range", [band.low for band in facts.bands]),
         ("Upper end of the range", [band.high for band in facts.bands]),
-        ("Expanded uncertainty U (k = 2)", [band.expanded for band in facts.bands]),
+        ("U_est: expanded uncertainty, k = 2", [band.expanded for band in facts.bands]),
     ]
     for name, values in columns:
         quantity = _child(rows, "quantity")

@@ -81,23 +81,28 @@ class Performance:
 
     Args:
         at: one of `PLACES`.
-        place: address or room; the laboratory's own address where it is left out.
+        place: address or room; where it is left out, the address of the laboratory or customer that `at` names.
         condition: of the item when it was received.
         received_on: day the item was received.
         issued_on: day of issue; the day of the export where it is left out.
-        deviations: from the method.
+        deviations: from the method; what the registry knows of them is said whatever is stated here.
+        began_on, ended_on: first and last day the units were pressed.
     """
 
-    at: str = "laboratory"
+    at: str = NOT_STATED
     place: str = NOT_STATED
     condition: str = NOT_STATED
     received_on: date | None = None
     issued_on: date | None = None
-    deviations: str = "none"
+    deviations: str = NOT_STATED
+    began_on: date | None = None
+    ended_on: date | None = None
 
     def __post_init__(self) -> None:
-        if self.at not in PLACES:
+        if self.at not in (*PLACES, NOT_STATED):
             raise InputError(f"performance at {self.at!r}; one of {', '.join(PLACES)} was expected")
+        if self.began_on and self.ended_on and self.ended_on < self.began_on:
+            raise InputError(f"performance ended_on {self.ended_on} is before began_on {self.began_on}")
 
 
 @dataclass(frozen=True)

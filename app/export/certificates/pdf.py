@@ -1,5 +1,7 @@
 """The certificate as a PDF for people: vector plots, embedded fonts, the same bytes for the same facts."""
 
+from math import isfinite
+
 from reportlab.graphics.barcode.qr import QrCodeWidget
 from reportlab.graphics.shapes import Drawing
 from reportlab.lib.units import mm
@@ -23,19 +25,21 @@ from softcal.app.export.certificates.parts import (
     style,
 )
 from softcal.app.export.certificates.plots import SHOWN_S, estimate_plot, map_plot
+from softcal.core.unit.uncertainty import ErrorForecast
 
 VERDICT_COLOURS = {"pass": "#1b7f3b", "conditional": "#8a6100", "fail": "#b3261e", "retest": "#5a6472"}
 
 
 def certificate_pdf(facts: Certificate) -> bytes:
     """Return the document: PDF/A-3 with the DCC of the same facts inside."""
+    simulated = "SIMULATED" if facts.is_simulated else ""
     page = Document(
         title=f"Calibration certificate {facts.identifier}",
         author=facts.laboratory.laboratory.name,
         software=facts.software,
-        footer=f"{facts.identifier}   {facts.software}",
+        footer=f"{simulated}   {facts.identifier}   {facts.software}".strip(),
         made_on=facts.issued_on,
-        across="SIMULATED" if facts.is_simulated else "",
+        across=simulated,
     )
     attached = Attachment(f"certificate-{facts.serial}.xml", certificate_xml(facts), "The same facts as a DCC")
     return archival(document_pdf(_story(facts), page), page, attached)
@@ -48,10 +52,11 @@ def _story(facts: Certificate) -> list[Flowable]:
         _verdict(facts),
         *section("Unit and parties", facts_table(_unit_rows(facts))),
         *section("Result", facts_table(_result_rows(facts))),
-        *section("Expanded uncertainty of an estimate, U (k = 2)", _band_table(facts)),
+        *section("Expanded uncertainty of an estimate, U_est (k = 2)", _band_table(facts)),
         *_budget(facts),
         *section(
-            f"Estimates of the unit's own recording with U (k = 2), first {SHOWN_S:g} s", estimate_plot(facts, WIDTH)
+            f"Estimates of the unit's own recording with U_est (k = 2), first {SHOWN_S:g} s",
+            estimate_plot(facts, WIDTH),
         ),
         *section("Map from the unit's output to the source's", map_plot(facts, WIDTH)),
         *section("Traceability", facts_table(_trace_rows(facts))),
@@ -77,13 +82,13 @@ def _head(facts: Certificate) -> Flowable:
 
 
 def _verdict(facts: Certificate) -> Flowable:
-    # Nobody may read a pass where nothing vouches for the reference; the line's word stands in the results.
-    is_withheld = facts.verdict == "pass" and not facts.conformity
-    colour = VERDICT_COLOURS["retest" if is_withheld else facts.verdict]
-    word = "NO STATEMENT OF CONFORMITY" if is_withheld else facts.verdict.upper()
+    # The line's own word stands in the results: nobody may read a statement where none is made.
+    is_made = bool(facts.conformity)
+    colour = VERDICT_COLOURS[facts.verdict if is_made else "retest"]
+    word = facts.verdict.upper() if is_made else "NO STATEMENT OF CONFORMITY"
     lines = [Paragraph(f'<font color="{colour}">{marked_up(word)}</font>', style(13, BOLD))]
-    lines += [paragraph(facts.traceability)] if facts.is_simulated or not facts.conformity else []
-    lines += [paragraph(reason) for reason in facts.reasons]
+    told = [] if is_made else [facts.no_statement, facts.traceability]
+    lines += [paragraph(each) for each in (*told, *(facts.reasons if is_made else ()))]
     return Table([[lines]], colWidths=[WIDTH], style=marked(colour))
 
 
@@ -92,10 +97,12 @@ def _unit_rows(facts: Certificate) -> list[tuple[str, str]]:
     performance = facts.laboratory.performance
     received = performance.received_on
     return [
-        ("Unit", f"{facts.serial}{model}, lot {facts.lot}, revision {facts.revision} of its calibration"),
+        ("Unit", f"{facts.serial}{model}, lot {facts.lot}"),
+        ("Calibration", f"revision {facts.revision}{f': {facts.made_because}' if facts.made_because else ''}"),
         ("Quantity", f"{facts.quantity} in {facts.reference_unit} from output in {facts.output_unit}"),
         ("Recording", f"{facts.samples} samples at {facts.sample_rate_Hz:g} Hz"),
-        ("Performed", f"unit recorded on {facts.recorded_on}, calibrated on {facts.made_on}; {facts.place}"),
+        ("Performed", facts.performed),
+        ("Place", facts.place),
         ("Received", f"{received.isoformat() if received else NOT_STATED}; condition: {performance.condition}"),
         ("Conditions", _conditions(facts)),
         ("Laboratory", _party(facts.laboratory.laboratory)),
@@ -128,24 +135,26 @@ def _conditions(facts: Certificate) -> str:
 
 def _result_rows(facts: Certificate) -> list[tuple[str, str]]:
     unit = facts.reference_unit
-    expected = "none could be made"
-    if facts.expected is not None and facts.expected_interval is not None:
-        low, high = facts.expected_interval
-        expected = f"{facts.expected:.3g} {unit} (95 %: {low:.3g} to {high:.3g} {unit})"
-    measured = (
-        "the unit was not compared with a reference" if facts.measured is None else f"{facts.measured:.3g} {unit}"
+    covered = (
+        f"{facts.low:.4g} to {facts.high:.4g} {unit}" if facts.bands else "the unit's recording reaches none of it"
     )
-    limit = "none" if facts.limit is None else f"{facts.limit:.3g} {unit} ({facts.limit_origin})"
-    if facts.limit is not None and facts.acceptance is not None and facts.acceptance < facts.limit:
-        limit = f"{limit}; with the reference's own uncertainty, {facts.acceptance:.3g} {unit} is accepted"
     return [
-        ("Calibrated range", f"{facts.low:.4g} to {facts.high:.4g} {unit}"),
-        ("Predicted error (RMSE)", expected),
-        ("Measured error (RMSE)", measured),
+        ("Calibrated range", covered),
+        ("Predicted error (RMSE)", _error(facts.forecast, unit, "none could be made")),
+        ("Measured error (RMSE)", _error(facts.measured, unit, "the unit was not compared with a reference")),
         ("Without calibration", "unknown" if facts.before is None else f"{facts.before:.3g} {unit}"),
-        ("Limit", limit),
-        ("Statement", f"{facts.conformity or 'none'} (verdict of the line: {facts.verdict})"),
+        # As many digits as tell apart what the decision rule compares.
+        *((name, f"{value:.7g} {unit}{f' ({note})' if note else ''}") for name, value, note in facts.deciding),
+        ("Statement of conformity", facts.conformity or "none"),
+        ("Verdict of the line", f"{facts.verdict}; {'; '.join(facts.reasons)}"),
     ]
+
+
+def _error(found: ErrorForecast | None, unit: str, otherwise: str) -> str:
+    if found is None:
+        return otherwise
+    interval = f" (95 %: {found.lower:.3g} to {found.upper:.3g} {unit})" if isfinite(found.upper) else ""
+    return f"{found.rmse:.3g} {unit}{interval}"
 
 
 def _trace_rows(facts: Certificate) -> list[tuple[str, str]]:
@@ -157,7 +166,7 @@ def _trace_rows(facts: Certificate) -> list[tuple[str, str]]:
         return [*rows, ("Load cell named", f"{said}; no verdict was made with it")] if is_named else rows
     uncertainty, unit = NOT_STATED, facts.reference_unit
     if cell.uncertainty is not None:
-        uncertainty = f"U = {cell.uncertainty:g} {unit}, k = {cell.coverage_factor:g}"
+        uncertainty = f"U_cell = {cell.uncertainty:g} {unit}, k = {cell.coverage_factor:g}"
     days = [day.isoformat() if day else NOT_STATED for day in (cell.issued_on, cell.due_on)]
     by = cell.laboratory or named.laboratory
     return [
@@ -187,7 +196,7 @@ def _budget(facts: Certificate) -> list[Flowable]:
     ]
     sums = [
         ["combined", "", "", "", "", f"{budget.standard:.3g}"],
-        ["expanded, k = 2", "", "normal", "", "", f"U = {budget.expanded:.3g}"],
+        ["expanded, k = 2", "", "normal", "", "", f"U_est = {budget.expanded:.3g}"],
     ]
     first = 48 * mm
     table = Table([head, *rows, *sums], colWidths=[first, *[(WIDTH - first) / 5] * 5], style=grid(7))
@@ -202,7 +211,7 @@ def _band_table(facts: Certificate) -> Flowable:
     unit = facts.reference_unit
     rows = [
         [f"Estimate, {unit}", *(f"{band.low:.3g} to {band.high:.3g}" for band in facts.bands)],
-        [f"U (k = 2), {unit}", *(f"{band.expanded:.3g}" for band in facts.bands)],
+        [f"U_est (k = 2), {unit}", *(f"{band.expanded:.3g}" for band in facts.bands)],
     ]
     first = 38 * mm
     widths = [first, *[(WIDTH - first) / len(facts.bands)] * len(facts.bands)]

@@ -33,7 +33,7 @@ class Level(NamedTuple):
 
 
 def estimate_plot(facts: Certificate, width: float) -> Drawing:
-    """Draw the estimates of the unit's own recording over time, with their 90 % interval."""
+    """Draw the estimates of the unit's own recording over time, with U_est around them."""
     found = facts.estimated
     rows = np.flatnonzero(np.isfinite(found.estimate))
     rows = rows[found.t_s[rows] <= found.t_s[rows[0]] + SHOWN_S]
