@@ -91,8 +91,8 @@ class Recording:
 
         Args:
             frame: one row a sample.
-            output, reference, time_s, stage_mm: names of the columns; without `time_s` (in seconds) give
-                `sample_rate_Hz`.
+            output, reference, time_s, stage_mm: names of the columns; None takes `reference`, `t_s` and `stage_mm`
+                where there are such. Without a column of time (in seconds) give `sample_rate_Hz`.
             facts: the other arguments of `Recording`.
 
         Raises:
@@ -105,8 +105,10 @@ class Recording:
             ("t_s", time_s),
             ("stage_mm", stage_mm),
         ):
-            if name is None:
+            is_made = argument == "t_s" and facts.get("sample_rate_Hz") is not None
+            if name is None and (is_made or argument not in frame.columns):
                 continue
+            name = argument if name is None else name
             if name not in frame.columns:
                 there = ", ".join(map(str, list(frame.columns)[:12]))
                 raise InputError(f"there is no column {name!r}; the table has {there}")

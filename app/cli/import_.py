@@ -38,11 +38,15 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     parser.add_argument("--lot-id", help="default: the name of the lot folder")
     parser.add_argument("--sensor-model", default="")
-    parser.add_argument("--output-column", default="output", help="column of the output; with * one unit per column")
-    parser.add_argument("--reference-column", help="column of the reference (load cell); needed for the source")
-    parser.add_argument("--time-column", help="column of the time in s; without it --sample-rate makes the time")
-    parser.add_argument("--stage-column", help="column of the stage position in mm")
-    parser.add_argument("--sample-rate", type=float, metavar="HZ", help="default: what the time column shows")
+    group = parser.add_argument_group("columns, where they are not t_s, output, reference and stage_mm")
+    group.add_argument("--output-column", default="output", help="column of the output; with * one unit per column")
+    group.add_argument("--reference-column", default="reference", help="column of the load cell; the source has one")
+    group.add_argument("--time-column", help="column of the time in s")
+    group.add_argument("--stage-column", default="stage_mm", help="column of the stage position in mm")
+    group.add_argument(
+        "--sample-rate", type=float, metavar="HZ",
+        help="default: what the time column shows; without --time-column it makes the time",
+    )  # fmt: skip
     parser.add_argument("--serial", action="append", metavar="S", help="serial of each file in order; else its name")
     parser.add_argument("--audit", action="store_true", help="keep the targets' references in audit/; they only score")
     parser.add_argument("--rows", type=_rows, metavar="A:B", help="data rows that fit, counted from 0")
@@ -73,12 +77,11 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.files.importing import Columns, ImportPlan, import_lot, median_rate_Hz, tables_of
     from softcal.core.lot import Lot
 
-    if options.sample_rate is None and options.time_column is None:
-        raise InputError(
-            "neither --sample-rate nor --time-column is given; one of them must say when samples were taken"
-        )
+    time = options.time_column or (None if options.sample_rate else "t_s")
     files = [file for path in options.files for file in tables_of(path)]
-    rate_Hz = options.sample_rate or median_rate_Hz(files[0], options.time_column, options.sheet, options.most_cells)
+    rate_Hz = options.sample_rate or median_rate_Hz(
+        files[0], options.time_column or "t_s", options.sheet, options.most_cells
+    )
     first, *more = options.source
     if len(set(options.source)) < len(options.source):
         raise InputError(f"--source {' --source '.join(options.source)}: give each source once")
@@ -92,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
         output_unit=options.output_unit,
         limit_rmse=options.limit,
     )
-    columns = Columns(options.output_column, options.reference_column, options.time_column, options.stage_column)
+    columns = Columns(options.output_column, options.reference_column, time, options.stage_column)
     plan = ImportPlan(
         files, columns, lot, options.audit, options.rows, options.audit_rows, options.sheet, options.serial,
         options.most_cells, more_sources=more,

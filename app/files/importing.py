@@ -13,7 +13,7 @@ import numpy as np
 from softcal.app.files.atomic import whole_folder
 from softcal.app.files.bounded_table import MOST_CELLS
 from softcal.app.files.lot_folder import same_recording, write_lot_toml
-from softcal.app.files.recording_file import SUFFIXES, column, naming, read_table, write_columns
+from softcal.app.files.recording_file import STAGE, SUFFIXES, column, naming, read_table, write_columns
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot, check_serial
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
@@ -30,7 +30,7 @@ class Columns:
         output: name of the output column; with `*` or `?` it names many, and each becomes a unit of that name.
         reference: name of the reference column, None where a table has none.
         time: name of the time column in s; None makes time stamps from the sample rate.
-        stage: name of the stage position column in mm, None where there is none.
+        stage: name of the stage position column in mm, None where there is none; `stage_mm` may be missing.
     """
 
     output: str = "output"
@@ -231,7 +231,9 @@ def _without_folder(error: InputError, path: Path) -> str:
 def _outputs(plan: ImportPlan, table: "pd.DataFrame", path: Path) -> list[str]:
     if not plan.columns.is_wide:
         return [plan.columns.output]
-    outputs = [str(c) for c in table.columns if fnmatch.fnmatchcase(str(c), plan.columns.output)]
+    columns = plan.columns
+    others = (columns.reference, columns.time, columns.stage)
+    outputs = [str(c) for c in table.columns if fnmatch.fnmatchcase(str(c), columns.output) and c not in others]
     if not outputs:
         raise InputError(f"{path}: no column matches {plan.columns.output!r}")
     return outputs
@@ -277,9 +279,11 @@ def _read_unit(table: "pd.DataFrame", path: Path, output: str, serial: str, plan
     columns, rate_Hz = plan.columns, plan.lot.sample_rate_Hz
     values = column(table, output, path)
     t_s = np.arange(len(values)) / rate_Hz if columns.time is None else column(table, columns.time, path)
-    stage_mm = None if columns.stage is None else column(table, columns.stage, path)
+    is_still = columns.stage is None or (columns.stage == STAGE and STAGE not in table.columns)
+    stage_mm = None if is_still else column(table, str(columns.stage), path)
     reference = None
-    if columns.reference is not None and (serial in plan.sources or columns.reference in table.columns):
+    is_kept = plan.audit and columns.reference in table.columns
+    if columns.reference is not None and (serial in plan.sources or is_kept):
         reference = column(table, columns.reference, path)
     return ImportedUnit(OutputRecording(serial, t_s, values, rate_Hz, plan.lot.output_unit, stage_mm), reference)
 

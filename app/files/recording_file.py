@@ -99,7 +99,7 @@ def named_column(table: "pd.DataFrame", name: str, path: Path) -> "pd.Series[Any
         there = table.attrs.get(NAMES, names)
         seen = ", ".join(there[:12]) + (", ..." if len(there) > 12 else "")
         problem = "there is no column" if name not in names else "more than one column is named"
-        raise InputError(f"{path}: {problem} {name!r}; the file has: {seen}")
+        raise InputError(f"{path}: {problem} {name!r}; the file has: {seen}; name the one that is meant")
     return table.iloc[:, names.index(name)]
 
 
