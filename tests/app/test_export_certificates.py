@@ -281,6 +281,13 @@ def test_days_are_those_that_somebody_stated_else_the_registrys(facts: Certifica
     assert replace(facts, source_since=CELL.used_on).traceability != facts.traceability
 
 
+def test_what_audits_of_other_units_leave_open_is_no_95_percent_interval(facts: Certificate) -> None:
+    alone = replace(facts, measured=None)
+    for is_sampled, count in ((False, 1), (True, 0)):
+        dcc = certificate_xml(replace(alone, is_sampled=is_sampled)).decode()
+        assert dcc.count("<si:coverageProbability>") == count
+
+
 def test_a_place_is_the_one_that_was_stated(facts: Certificate) -> None:
     def place(at: str) -> str:
         performance = replace(facts.laboratory.performance, at=at, place=NOT_STATED)

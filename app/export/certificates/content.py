@@ -181,6 +181,11 @@ class Certificate:
         """E with E_lower and E_upper: the error that decides."""
         return self.measured or self.forecast
 
+    def interval_of(self, error: ErrorForecast) -> tuple[float, float] | None:
+        """Return the 95 % interval of an error; None where it is not known, or is what other units' audits leave."""
+        is_known = np.isfinite(error.upper) and not (self.is_sampled and error is self.forecast)
+        return (error.lower, error.upper) if is_known else None
+
     @property
     def deciding(self) -> list[tuple[str, float, str]]:
         """The numbers of the decision rule: name with its symbol first, value, and a note where one is needed."""

@@ -2,7 +2,6 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from math import isfinite
 
 from softcal.app.export.certificates.content import DECISION_RULE, ONLY_THIS, SIMULATED, Certificate
 from softcal.app.export.certificates.laboratory import NOT_STATED, Party
@@ -217,8 +216,7 @@ def _errors(parent: ET.Element, facts: Certificate) -> None:
     data = _child(result, "data")
     for told, found in (("Predicted", facts.forecast), ("Measured", facts.measured)):
         if found is not None:
-            interval = (found.lower, found.upper) if isfinite(found.upper) else None
-            _quantity(data, facts, f"{told} root mean square error", found.rmse, interval)
+            _quantity(data, facts, f"{told} root mean square error", found.rmse, facts.interval_of(found))
     for name, value, note in facts.deciding:
         _quantity(data, facts, f"{name} ({note})" if note else name, value)
     if facts.bands:

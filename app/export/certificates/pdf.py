@@ -1,7 +1,5 @@
 """The certificate as a PDF for people: vector plots, embedded fonts, the same bytes for the same facts."""
 
-from math import isfinite
-
 from reportlab.graphics.barcode.qr import QrCodeWidget
 from reportlab.graphics.shapes import Drawing
 from reportlab.lib.units import mm
@@ -140,8 +138,8 @@ def _result_rows(facts: Certificate) -> list[tuple[str, str]]:
     )
     return [
         ("Calibrated range", covered),
-        ("Predicted error (RMSE)", _error(facts.forecast, unit, "none could be made")),
-        ("Measured error (RMSE)", _error(facts.measured, unit, "the unit was not compared with a reference")),
+        ("Predicted error (RMSE)", _error(facts, facts.forecast, "none could be made")),
+        ("Measured error (RMSE)", _error(facts, facts.measured, "the unit was not compared with a reference")),
         ("Without calibration", "unknown" if facts.before is None else f"{facts.before:.3g} {unit}"),
         # As many digits as tell apart what the decision rule compares.
         *((name, f"{value:.7g} {unit}{f' ({note})' if note else ''}") for name, value, note in facts.deciding),
@@ -150,11 +148,11 @@ def _result_rows(facts: Certificate) -> list[tuple[str, str]]:
     ]
 
 
-def _error(found: ErrorForecast | None, unit: str, otherwise: str) -> str:
+def _error(facts: Certificate, found: ErrorForecast | None, otherwise: str) -> str:
     if found is None:
         return otherwise
-    interval = f" (95 %: {found.lower:.3g} to {found.upper:.3g} {unit})" if isfinite(found.upper) else ""
-    return f"{found.rmse:.3g} {unit}{interval}"
+    ends, unit = facts.interval_of(found), facts.reference_unit
+    return f"{found.rmse:.3g} {unit}" + (f" (95 %: {ends[0]:.3g} to {ends[1]:.3g} {unit})" if ends else "")
 
 
 def _trace_rows(facts: Certificate) -> list[tuple[str, str]]:
