@@ -138,6 +138,7 @@ def validity(dcc: ET.Element) -> float:
 def test_what_known_loads_did_to_a_map_stands_on_the_certificate(exported: Exported, tmp_path: Path) -> None:
     stated = '[performance]\ndeviations = "no reference room"\n'
     _, dcc = exported(STATED + LIMIT, stated)
+    assert [name for name in names(dcc) if name.startswith("Combined")]
     before = str(dcc.findtext(".//dcc:usedMethod/dcc:description/dcc:content", "", DCC))
     loads = tmp_path / "loads.csv"
     rise = [0.1 * load_N + 0.02 * load_N**2 for load_N in (0.0, 2.5)]
@@ -147,7 +148,15 @@ def test_what_known_loads_did_to_a_map_stands_on_the_certificate(exported: Expor
     _, dcc = exported.again(stated)
     after = str(dcc.findtext(".//dcc:usedMethod/dcc:description/dcc:content", "", DCC))
     assert after != before and "no reference room" in after
+    assert not [name for name in names(dcc) if name.startswith("Combined")], (
+        "no budget of the map before stands for this"
+    )
     assert conformity(dcc) is None and dcc.findtext(".//dcc:traceable", "", DCC) == "false"
+
+
+def names(dcc: ET.Element) -> list[str]:
+    """Return what the quantities of the DCC are called."""
+    return [str(one.text) for one in dcc.iterfind(".//dcc:quantity/dcc:name/dcc:content", DCC)]
 
 
 def test_another_instrument_than_the_lots_is_refused(exported: Exported) -> None:

@@ -84,7 +84,7 @@ def facts() -> Certificate:
         before=0.8,
         measured=ErrorForecast(0.22, 0.19, 0.25),
         is_sampled=False,
-        is_outdated=False,
+        is_trimmed=False,
         reference=CELL,
         bars=(),
         budget=measured_budget(0.22, CELL, 2.0),
@@ -199,7 +199,7 @@ def test_why_nothing_is_stated_is_said_by_its_code(facts: Certificate) -> None:
         assert case.withheld == (code,) and not case.conformity
         assert escape(WITHHELD[code]) in certificate_xml(case).decode()
     assert replace(facts, by_loads="trimmed").conformity == "pass", "an audit since the trim decides"
-    assert replace(facts, by_loads="trimmed", is_outdated=True).withheld == ("known_loads",)
+    assert replace(facts, by_loads="trimmed", is_trimmed=True).withheld == ("known_loads",)
     assert str(derived.origin) in certificate_xml(cases["no_limit"]).decode()
 
 

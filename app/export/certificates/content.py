@@ -83,7 +83,7 @@ COMPARED = (
     "The unit was also compared with a reference on an audit recording; the measured error is stated. What the lot "
     "states of its reference is said of the source's recording."
 )
-COMPARED_BEFORE = "The unit was compared with a reference before its map was trimmed, and not since."
+TRIMMED = "The errors stated are those of the map before its trim; the unit was not compared with a reference since."
 ONLY_THIS = (
     "The results relate only to the item named above, in the condition it was in. This certificate may be reproduced "
     "in full only."
@@ -117,10 +117,10 @@ class Certificate:
         limit: largest error a unit may have, and where that comes from.
         verdict, reasons: of the line.
         is_sampled: whether audits of other units decided.
-        is_outdated: whether the unit's audit was taken before its map was trimmed.
+        is_trimmed: whether its map was trimmed since it was judged by its recording and its audit.
         reference: what the source was compared with; None where nobody said.
         bars: why the reference lets no unit pass; empty where it does.
-        budget: uncertainty of an estimate at the source's RMS load; None for calibrations of older versions.
+        budget: uncertainty of an estimate at the source's RMS load; None after a trim and in older versions.
         by_loads: what known loads did to the map; empty where there were none.
         made_because: why this revision was made, in the registry's words.
         bands: U_est by range of the estimate; none where no estimate of the recording lies in the source's range.
@@ -153,7 +153,7 @@ class Certificate:
     before: float | None
     measured: ErrorForecast | None
     is_sampled: bool
-    is_outdated: bool
+    is_trimmed: bool
     reference: Reference | None
     bars: tuple[str, ...]
     budget: Budget | None
@@ -170,8 +170,8 @@ class Certificate:
     @property
     def basis(self) -> str:
         """Whether the error was predicted or measured."""
-        if self.is_outdated:
-            return COMPARED_BEFORE
+        if self.is_trimmed:
+            return TRIMMED
         if self.measured is not None:
             return COMPARED
         return f"{NOT_COMPARED} {SAMPLED}" if self.is_sampled else NOT_COMPARED
@@ -232,7 +232,7 @@ class Certificate:
     @property
     def is_by_loads_alone(self) -> bool:
         """Whether the map hangs on known loads, and nobody measured the unit since."""
-        return bool(self.by_loads) and (self.measured is None or self.is_outdated)
+        return bool(self.by_loads) and (self.measured is None or self.is_trimmed)
 
     @property
     def is_simulated(self) -> bool:
@@ -363,7 +363,7 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         before=record.before_rmse,
         measured=_measured(record),
         is_sampled=record.decision.measured is None and record.decision.sampled is not None,
-        is_outdated=_is_outdated(record),
+        is_trimmed=_is_trimmed(record),
         reference=reference,
         bars=tuple(map(str, bars)),
         budget=_budget(unit, float(np.sqrt(np.mean(source**2)))),
@@ -422,8 +422,8 @@ def _measured(record: CalibrationRecord) -> ErrorForecast | None:
     return ErrorForecast(record.after_rmse, 0.0, np.inf)
 
 
-def _is_outdated(record: CalibrationRecord) -> bool:
-    return any(why.code == "audited_before_trim" for why in record.reasons)
+def _is_trimmed(record: CalibrationRecord) -> bool:
+    return any(why.code == "trimmed" for why in record.reasons)
 
 
 def _by_loads(record: CalibrationRecord, unit: str) -> str:
@@ -431,8 +431,7 @@ def _by_loads(record: CalibrationRecord, unit: str) -> str:
     gain, offset = (record.evidence.get(f"map_anchor_{name}") for name in ("gain", "offset"))
     if gain is None or offset is None:
         return ""
-    trimmed = any(why.code == "trimmed" for why in record.reasons)
-    how = "trimmed at its place of use" if trimmed else "set"
+    how = "trimmed" if _is_trimmed(record) else "set"
     return (
         f"the map was {how} by known loads: what it gave is multiplied by {float(gain):.4g} and moved by "
         f"{float(offset):+.4g} {unit}; what these loads are traced to is {NOT_STATED}"
@@ -448,8 +447,9 @@ def _covered(found: Estimate, source: Array) -> tuple[float, float]:
 
 def _budget(unit: CalibratedUnit, load: float) -> Budget | None:
     record = unit.stored.record
-    # What was measured with the map before a trim says nothing of this one.
-    if record.after_rmse is not None and not _is_outdated(record):
+    if _is_trimmed(record):
+        return None  # What is known of the map before says nothing of this one.
+    if record.after_rmse is not None:
         return measured_budget(record.after_rmse, record.reference, load)
     terms = {
         name.removeprefix("u_"): float(value)

@@ -139,7 +139,7 @@ def _result_rows(facts: Certificate) -> list[tuple[str, str]]:
     return [
         ("Calibrated range", covered),
         ("Predicted error (RMSE)", _error(facts, facts.forecast, "none could be made")),
-        ("Measured error (RMSE)", _error(facts, facts.measured, "the unit was not compared with a reference")),
+        ("Measured error (RMSE)", _error(facts, facts.measured, "none with this map")),
         ("Without calibration", "unknown" if facts.before is None else f"{facts.before:.3g} {unit}"),
         # As many digits as tell apart what the decision rule compares.
         *((name, f"{value:.7g} {unit}{f' ({note})' if note else ''}") for name, value, note in facts.deciding),
