@@ -3,9 +3,11 @@
 import math
 from collections.abc import Callable
 
+import numpy as np
 import plotly.graph_objects as go
 
 from softcal.app.charts.palette import FONTS, Palette
+from softcal.core.recording import Array
 
 Words = Callable[..., str]
 
@@ -49,6 +51,11 @@ def nice_step(span: float, count: int = 6) -> float:
 def whole_numbers(figure: go.Figure, most: float) -> None:
     """Give the upright axis of counts ticks at whole numbers alone, from 0 to `most`."""
     figure.update_yaxes(rangemode="tozero", tick0=0, dtick=max(1.0, nice_step(max(most, 1.0))), tickformat="d")
+
+
+def steps(heights: Array) -> Array:
+    """Return the heights of bins for a line of shape `hv` over their edges: the last bin ends at the last edge."""
+    return np.append(heights, heights[-1])
 
 
 def limit_line(figure: go.Figure, at: float, colours: Palette, text: str) -> None:

@@ -5,7 +5,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import Words, coloured, styled
+from softcal.app.charts.style import Words, coloured, steps, styled
 from softcal.app.views.common import thinned
 from softcal.app.views.unit import UnitView
 from softcal.core.lot import Lot
@@ -27,9 +27,7 @@ def output_distributions(view: UnitView, colours: Palette, words: Words) -> go.F
     for name, values, colour in series:
         share, edges = np.histogram(values, bins=BINS, range=(low, high))
         line = {"color": colour, "width": 2, "shape": "hv", "dash": "dot" if name == "raw" else "solid"}
-        # A step from edge to edge: the last bin ends where the last edge is.
-        steps = np.append(share, share[-1]) / len(values)
-        figure.add_scatter(x=edges, y=steps, name=words(f"chart.{name}"), line=line)
+        figure.add_scatter(x=edges, y=steps(share) / len(values), name=words(f"chart.{name}"), line=line)
     return styled(figure, colours, f"{words('chart.output')} [{view.lot.output_unit}]", words("chart.density"))
 
 

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import Words, coloured
+from softcal.app.charts.style import Words, coloured, steps
 from softcal.app.texts.reasons import phrase, said
 from softcal.app.views.common import thinned
 from softcal.app.views.unit import UnitView
@@ -68,6 +68,7 @@ def _parts(figure: go.Figure, view: UnitView, colours: Palette, words: Words) ->
     )
     bars = go.Bar(x=values, y=names, orientation="h", marker_color=colours.source, showlegend=False)
     _at(figure, PARTS, bars)
+    end = max(0.0, *values, *(found.forecast or ()), found.limit or 0.0)
     if found.forecast is not None:
         low, middle, high = found.forecast
         spread = {"type": "data", "symmetric": False, "array": [high - middle], "arrayminus": [middle - low]}
@@ -77,19 +78,19 @@ def _parts(figure: go.Figure, view: UnitView, colours: Palette, words: Words) ->
         figure.add_vline(found.limit, line={"color": colours.limit, "width": 2}, row=PARTS[0], col=PARTS[1])
         _at(figure, PARTS, _key(words("chart.limit"), colours.limit, "solid"))
     _titled(figure, PARTS, f"{words('chart.error')} [{unit}]", "")
-    figure.update_xaxes(rangemode="tozero", row=PARTS[0], col=PARTS[1])
+    # Room behind the last of them, so that the line of the limit stands inside.
+    figure.update_xaxes(range=[0.0, 1.05 * end or 1.0], row=PARTS[0], col=PARTS[1])
 
 
 def _loads(figure: go.Figure, view: UnitView, colours: Palette, words: Words) -> None:
     found = view.explanation
-    middles = (found.density_edges[1:] + found.density_edges[:-1]) / 2
     for name, density, colour, dash in (
         (words("chart.source"), found.source_density, colours.source, "solid"),
         (words("chart.mapped"), found.mapped_density, colours.mapped, "solid"),
         (words("chart.raw"), found.unmapped_density, colours.raw, "dot"),
     ):
-        line = {"color": colour, "width": 2, "shape": "hvh", "dash": dash}
-        _at(figure, LOADS, go.Scatter(x=middles, y=density, name=name, line=line))
+        line = {"color": colour, "width": 2, "shape": "hv", "dash": dash}
+        _at(figure, LOADS, go.Scatter(x=found.density_edges, y=steps(density), name=name, line=line))
     _titled(figure, LOADS, _load(view), words("chart.density"))
 
 

@@ -10,6 +10,7 @@ from softcal.app.ui.account import is_signed_in, person
 from softcal.app.ui.browser_memory import keep
 from softcal.app.ui.components.liveness import liveness
 from softcal.app.ui.desk import errors_in_words, readable, registry, words
+from softcal.app.ui.line_memory import screen
 from softcal.app.ui.pages import pages_for
 
 # A file of our own: a named icon would be fetched from outside.
@@ -45,8 +46,9 @@ def run() -> None:
 
 
 def _first(bar: list[StreamlitPage], is_new: bool) -> StreamlitPage:
-    # A line without a station has nothing to do.
-    wanted = "start" if is_new else "line" if registry().order_queue.stations() else "lot"
+    # A line without a station has nothing to do; a screen that was given one waits for it.
+    has_line = screen().station or registry().order_queue.stations()
+    wanted = "start" if is_new else "line" if has_line else "lot"
     return next((page for page in bar if page.url_path == wanted), bar[0])
 
 

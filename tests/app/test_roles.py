@@ -53,7 +53,7 @@ def test_the_first_person_becomes_quality_by_the_code_that_the_server_printed(ne
 
 
 def test_the_first_person_may_open_every_page_and_has_the_rights_of_the_role_after_the_second(
-    new_registry, show
+    new_registry, show, monkeypatch
 ) -> None:
     first_person(show(new_registry, "sign_in", role=None), identity.first_code())
 
@@ -69,6 +69,10 @@ def test_the_first_person_may_open_every_page_and_has_the_rights_of_the_role_aft
         screen.session_state[browser_memory.STATE] = {identity.SESSION: "alone"}
         return screen.run()
 
+    gone: list[str] = []
+    monkeypatch.setattr("streamlit.switch_page", lambda page, **_: gone.append(page.url_path))
+    as_quinn("sign_in").button(key="sign-in-go-on").click().run()
+    assert gone == ["start"]
     assert {"start-files", "start-station"} <= {button.key for button in as_quinn("start").button}
     people = as_quinn("people")
     assert not people.info

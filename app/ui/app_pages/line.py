@@ -14,8 +14,10 @@ from softcal.app.ui.components.line_setup import line_setup
 from softcal.app.ui.components.scan_field import scan_field
 from softcal.app.ui.desk import colours, in_words, registry, words
 from softcal.app.ui.line_memory import kept_runs, lot_at_line, refusal, remember_refusal, screen
+from softcal.app.ui.panels import go_to
 from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, away_view, line_view, note_said
 from softcal.core.errors import InputError, RegistryError
+from softcal.db.people import may
 
 BUSY_S, IDLE_S = 0.5, 1.0
 """Between two looks: during a run, and else; an idle screen looks too, since another one may have started a run."""
@@ -87,6 +89,9 @@ def _field(view: LineView, note: str) -> None:
 
 def _actions(view: LineView) -> None:
     say = words()
+    if view.state == "no_station" and may(person(), "set_up"):
+        if st.button(say("start.station.do"), key="line-to-station", type="primary"):
+            go_to("station")
     for number, command in enumerate(view.actions):
         asks = command == "OK" and view.state in ("ask", "ask_new")
         reads = command == "START" and view.state == "load"

@@ -18,8 +18,10 @@ from softcal.app.ui.account import (
 )
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.desk import choose_language, in_words, registry, words
+from softcal.app.ui.panels import go_to
 from softcal.app.ui.pins import check_pin
 from softcal.core.errors import InputError
+from softcal.db.people import may
 
 
 def render() -> None:
@@ -32,6 +34,8 @@ def render() -> None:
             _who(person().name)
             st.markdown(say("sign_in.role", role=say(f"role.{person().role}")))
             st.caption(say("role.alone.may" if person().is_alone else f"role.{person().role}.may"))
+            if st.button(say("sign_in.go_on"), key="sign-in-go-on", icon=":material/arrow_forward:", width="stretch"):
+                go_to("start" if may(person(), "set_up") else "lot")
             _leave()
         elif account := account_without_role():
             _who(account)
