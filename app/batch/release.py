@@ -8,10 +8,13 @@ from datetime import UTC, datetime
 import numpy as np
 
 from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
+from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.limit import lot_limit
+from softcal.app.registry.source import unlabelled
 from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.release import least_passing
+from softcal.core.unit.calibrate import measured
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.judging import judged
 from softcal.core.unit.uncertainty import ErrorForecast
@@ -36,6 +39,7 @@ def judge_lot(
         None where the lot has no unit with a forecast yet.
     """
     _judge_anew(registry, lot_id, actor)
+    _measure_anew(registry, lot_id, actor)
     standing = _standing(registry, lot_id, now or datetime.now(UTC))
     if standing is None:
         return None
@@ -56,6 +60,21 @@ def decide_release(registry: Registry, lot_id: str, now: datetime) -> LotRelease
 def is_stale(unit: UnitEntry) -> bool:
     """Return whether the verdict of a unit was given against another limit than the one in force."""
     return bool(unit.reasons) and unit.reasons[0].code in STALE
+
+
+def _measure_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
+    """Score the units in use on their newest audits, where another one, or none, was scored; nothing is fitted."""
+    entries = newest_audits(registry, lot_id)
+    for serial, standing in registry.standings(lot_id, list(entries)).items():
+        made, entry = standing.made, entries[serial]
+        if made is None or (made.audit is not None and made.audit.recording_sha256 in ("", entry.sha256)):
+            continue
+        audit, base = audit_of(registry, entry), _base(registry, lot_id, registry.calibration(serial, lot_id=lot_id))
+        if audit is None or base.grounds is None or base.grounds.rules:
+            continue
+        recording = unlabelled(registry.recording(base.recording_sha256))
+        record = measured(registry.network(base.network_id), base, audit, recording, lot_limit(registry, lot_id))
+        _put(registry, lot_id, record, "scored on a newer audit", actor)
 
 
 def _judge_anew(registry: Registry, lot_id: str, actor: str | None) -> None:

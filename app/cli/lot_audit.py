@@ -15,7 +15,7 @@ EXAMPLES = """examples:
   softcal lot audit lot-1 --confirm EG-07 --reason "pressed again by hand, the same result"
 
 LOT is a lot folder: the recordings go into its audit/, and `softcal batch LOT` scores them. Or it is a lot of the
-registry: they are kept there, and the next calibration of the lot scores them.
+registry: they are kept there, and scored at once.
 """
 
 
@@ -70,25 +70,27 @@ def _confirm(options: argparse.Namespace) -> int:
 
 def _bring(options: argparse.Namespace) -> int:
     from softcal.app.batch.audit_files import look_at_audits, store_audits, target_serials, write_audits
+    from softcal.app.batch.judging import judge_again
     from softcal.app.files.importing import Columns, tables_of
     from softcal.app.files.lot_folder import open_lot_folder
 
     time = options.time_column or (None if options.sample_rate else "t_s")
     columns = Columns(options.output_column, options.reference_column, time)
     files = [file for path in options.files for file in tables_of(path)]
-    folder, replaced = Path(options.lot), list[str]()
+    folder, replaced, then = Path(options.lot), list[str](), "they are scored, and the lot is judged"
     if (folder / "lot.toml").is_file():
         opened = open_lot_folder(folder)
         lot = opened.lot
         _check_rate(options.sample_rate, lot.sample_rate_Hz)
         found = look_at_audits(lot, opened.unit_paths.keys(), files, columns, options.sheet)
-        replaced = write_audits(folder, found)
+        replaced, then = write_audits(folder, found), f"next: softcal batch {options.lot}"
     else:
         with registry_of(options, create=False) as registry:
             lot = registry.lot(options.lot)
             _check_rate(options.sample_rate, lot.sample_rate_Hz)
             found = look_at_audits(lot, target_serials(registry, lot.id), files, columns, options.sheet)
             store_audits(registry, lot.id, found)
+            judge_again(registry, [lot.id])
     taken = [one.serial for one in found if one.recording is not None]
     if options.json:
         refused = {one.file: str(one.refusal) for one in found if one.recording is None}
@@ -99,7 +101,7 @@ def _bring(options: argparse.Namespace) -> int:
         print_table(("file", "serial", "result"), rows)
     if replaced:
         say(f"an older audit of {', '.join(replaced)} was replaced")
-    say(f"{len(taken)} of {len(found)} files taken; next: softcal batch {options.lot}")
+    say(f"{len(taken)} of {len(found)} files taken; {then}")
     return DONE if len(taken) == len(found) else REFUSED
 
 

@@ -16,7 +16,7 @@ from softcal.core.export.device import DeviceOptions, DeviceUnit, UnitFacts, bui
 from softcal.core.lot import Lot
 from softcal.core.network.network import Network
 from softcal.core.recording import LabelledRecording, OutputRecording
-from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.calibration import Calibration, CalibrationRecord
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.verdict import Release, Verdict
 from softcal.core.use.trim import as_given_now
@@ -168,16 +168,19 @@ class CalibratedUnit:
 
     def check_usable(self) -> None:
         """Raise `UnitRefused` where this unit's verdict forbids files that give numbers."""
-        record = self.stored.record
-        if not self.options.releases(record.verdict):
-            why = record.reasons[0] if record.reasons else "no reason is stored"
+        judged: CalibrationRecord | UnitStanding = self.stored.record
+        if self.standing.verdict == Verdict.FAIL:
+            # A unit that failed since gets no file by the name of a revision from before.
+            judged = self.standing
+        if not self.options.releases(judged.verdict):
+            why = judged.reasons[0] if judged.reasons else "no reason is stored"
             asked = (
                 "conditional units are released"
-                if record.verdict == Verdict.CONDITIONAL
+                if judged.verdict == Verdict.CONDITIONAL
                 else "those of failed units are asked for"
             )
             raise UnitRefused(
-                f"unit {self.serial} has the verdict {record.verdict} ({why}); its device files are not written "
+                f"unit {self.serial} has the verdict {judged.verdict} ({why}); its device files are not written "
                 f"unless {asked}"
             )
 

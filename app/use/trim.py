@@ -3,12 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
+from softcal.app.batch.judging import judge_again
 from softcal.app.files.anchors import read_anchors
 from softcal.app.registry.source import source_recording, unlabelled
 from softcal.app.registry.untrimmed import UNTRIMMED, untrimmed
 from softcal.core.identity import content_sha256
 from softcal.core.maps.interface import Anchors, FitProblem, map_sha256
 from softcal.core.unit.calibration import Calibration, CalibrationRecord
+from softcal.core.unit.judging import AUDITED_BEFORE_TRIM, LIMIT_EVIDENCE
 from softcal.core.unit.method import Method
 from softcal.core.unit.uncertainty import Interval
 from softcal.core.unit.verdict import Decision, Verdict
@@ -20,8 +22,6 @@ from softcal.db.registry import Registry
 
 LOADS = "loads"
 """Group of a calibration's settings that keeps the known loads it was trimmed by."""
-
-AUDITED = "audited_before_trim"
 
 
 def trim_unit(
@@ -53,10 +53,11 @@ def trim_unit(
     found = trim(problem, before.unit_map, before.interval, loads, UseMethod().trim)
     # What the trim leaves open, whichever way the load moves.
     wider = before.interval.widened(found.variance(before.interval))
-    trimmed = _record(base, _decided(stored.record.decision, found, loads), found, wider, loads)
+    trimmed = _record(base, stored.record, found, wider, loads)
     why = f"trimmed by {len(loads.output)} loads"
-    revision = registry.add_calibration(stored.lot_id, trimmed, actor=actor, reason=why, decided_by="trim")
-    return found, revision
+    registry.add_calibration(stored.lot_id, trimmed, actor=actor, reason=why, decided_by="trim")
+    judge_again(registry, [stored.lot_id], actor)
+    return found, registry.calibration(serial, lot_id=stored.lot_id).revision
 
 
 def trimmed_by(registry: Registry, serial: str, loads_file: Path, lot_id: str | None = None) -> int:
@@ -84,22 +85,31 @@ def _decided(decision: Decision, found: Trimmed, loads: Anchors) -> Decision:
     """
     is_held = decision.measured is not None and decision.measured.verdict is Verdict.FAIL
     said = [reason("trimmed", loads=len(loads.output), before=found.before_rmse, after=found.after_rmse)]
-    if decision.is_audited or AUDITED in {why.code for why in decision.bars}:
-        said.append(reason(AUDITED))
-    bars = (*said, *(why for why in decision.bars if why.code not in ("trimmed", AUDITED)))
-    return replace(decision, measured=decision.measured if is_held else None, bars=bars)
+    if decision.is_audited or AUDITED_BEFORE_TRIM in {why.code for why in decision.bars}:
+        said.append(reason(AUDITED_BEFORE_TRIM))
+    bars = (*said, *(why for why in decision.bars if why.code not in ("trimmed", AUDITED_BEFORE_TRIM)))
+    # Audits of other units spoke for the map before; the lot is judged again.
+    return replace(decision, measured=decision.measured if is_held else None, sampled=None, bars=bars)
 
 
 def _record(
     base: StoredCalibration,
-    decision: Decision,
+    before: CalibrationRecord,
     found: Trimmed,
     wider: Interval,
     loads: Anchors,
 ) -> CalibrationRecord:
-    """Return the calibration with the trimmed map. What was measured or sampled was so with the map before."""
-    record = base.record
-    told = {
+    """Return the calibration with the trimmed map. What was measured or sampled was so with the map before.
+
+    Args:
+        base: the trim begins from it.
+        before: what was in use, by which the unit was judged last.
+    """
+    record, decision = base.record, _decided(before.decision, found, loads)
+    grounds = before.grounds
+    if grounds is not None:
+        grounds = replace(grounds, measured=grounds.measured if decision.measured else None, bars=decision.bars)
+    told: dict[str, float | str | None] = {
         UNTRIMMED: float(base.revision),
         "map_anchor_gain": found.unit_map.gain,
         "map_anchor_offset": found.unit_map.offset,
@@ -110,9 +120,9 @@ def _record(
     arrays |= {f"map.{name}": array for name, array in found.unit_map.arrays().items()}
     arrays["interval.half_width"] = wider.half_width
     kept = {"base": record.input_sha256, **_values(loads)}
-    settings = {**record.settings, "decision": decision.to_json(), LOADS: _values(loads)}
-    # They know nothing of the trim: judged by them against another limit, it would be forgotten.
-    settings.pop("grounds", None)
+    told |= {name: before.evidence[name] for name in LIMIT_EVIDENCE if name in before.evidence}
+    judged_by = {"decision": decision.to_json(), "grounds": None if grounds is None else grounds.to_json()}
+    settings = {**record.settings, **judged_by, LOADS: _values(loads)}
     trimmed = replace(
         record,
         map_sha256=map_sha256(found.unit_map),

@@ -22,6 +22,7 @@ class AuditReading:
         gain: slope of the estimates over the reference (least squares): 1 where the unit reads its loads in full.
         unit_rest, audit_rest: output at rest in the unit's recording and in the audit, in the output's unit.
         span: of the output in the unit's recording, in the same.
+        recording_sha256: identity of the recording; "" of what older versions kept.
         residual, half: (k,) |residual| and half-width of the 90 % interval at evenly spaced instants, in the
             reference's unit.
     """
@@ -34,6 +35,7 @@ class AuditReading:
     span: float
     residual: tuple[float, ...]
     half: tuple[float, ...]
+    recording_sha256: str = ""
 
     def to_json(self) -> dict[str, object]:
         """Return it as JSON values."""
@@ -57,6 +59,7 @@ class AuditReading:
             span=span,
             residual=residual,
             half=half,
+            recording_sha256=str(kept.get("recording_sha256", "")),
         )
 
 
@@ -86,6 +89,7 @@ def read_audit(
         span=float(high - low),
         residual=_short(np.abs(value - audit.reference)[kept]),
         half=_short(half[kept]),
+        recording_sha256=audit.sha256,
     )
 
 

@@ -28,7 +28,7 @@ from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.audit_reading import gain_of, read_audit
 from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
-from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.calibration import Calibration, CalibrationRecord
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.findings import map_findings, opening_findings, wiring_findings
 from softcal.core.unit.forecast import (
@@ -41,7 +41,7 @@ from softcal.core.unit.forecast import (
     variance_table,
 )
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
-from softcal.core.unit.judging import Grounds, Measured, limit_evidence
+from softcal.core.unit.judging import AUDITED_BEFORE_TRIM, UNREADABLE, Grounds, Measured, limit_evidence
 from softcal.core.unit.line_spread import LineSpread, line_reason
 from softcal.core.unit.method import Method
 from softcal.core.unit.own_forecast import forecast_own, own_terms
@@ -197,6 +197,45 @@ def with_audit(
     return replace(calibration, audit=read_audit(found.estimate, half, audit, recording, rest))
 
 
+def measured(
+    network: Network,
+    record: CalibrationRecord,
+    audit: LabelledRecording,
+    recording: OutputRecording,
+    limit: Limit,
+) -> CalibrationRecord:
+    """Return a calibration scored on another audit than it was made with, and judged by it; its map stays.
+
+    Args:
+        network: the shared network f.
+        record: as it was fitted or trimmed, with its grounds.
+        audit: labelled recording of the unit.
+        recording: the one it was calibrated from.
+        limit: in force.
+    """
+    calibration, grounds = Calibration.from_record(record), record.grounds
+    if grounds is None:
+        raise ValueError("a calibration that kept no grounds cannot be judged again")
+    config = (calibration.method or Method()).decision
+    scores = score_map(network, calibration.unit_map, audit, None, config)
+    grounds = replace(
+        grounds,
+        measured=Measured(scores, len(audit.windows)),
+        bars=tuple(why for why in grounds.bars if why.code not in (AUDITED_BEFORE_TRIM, UNREADABLE)),
+    )
+    decision = grounds.decide(limit, config)
+    scored = with_audit(
+        network, replace(calibration, scores=scores, grounds=grounds, decision=decision), audit, recording
+    )
+    identity = content_sha256({}, {"base": record.input_sha256, "audit": audit.sha256, "limit": limit.to_json()})
+    found = scored.to_record(identity, record.recording_sha256, record.fit_s)
+    return replace(
+        found,
+        settings={**record.settings, **found.settings},
+        evidence={**record.evidence, **limit_evidence(limit)},
+    )
+
+
 def _fit_problem(problem: UnitProblem) -> FitProblem:
     """Return what the map is fitted to: the golden run where the unit shares its loads in time, else the source."""
     model, bridge = problem.source, problem.bridge
@@ -228,7 +267,7 @@ def _bridge_reason(problem: UnitProblem, fit: FitProblem) -> tuple[Reason, ...]:
 def _bars(problem: UnitProblem) -> tuple[Reason, ...]:
     highest = float(problem.source.source.reference.max())
     barred = () if problem.reference is None else problem.reference.bars(highest)
-    unread = (reason("audit.unreadable", error=problem.unread_audit),) if problem.unread_audit else ()
+    unread = (reason(UNREADABLE, error=problem.unread_audit),) if problem.unread_audit else ()
     return (*unread, *barred)
 
 

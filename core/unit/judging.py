@@ -125,7 +125,17 @@ def judged(record: "CalibrationRecord", limit: Limit) -> "CalibrationRecord | No
     )
 
 
+AUDITED_BEFORE_TRIM = "audited_before_trim"
+"""Code of the reason that a unit was audited with another map than it has now."""
+
+UNREADABLE = "audit.unreadable"
+"""Code of the reason that a file that was brought as an audit cannot be read."""
+
+LIMIT_EVIDENCE = ("limit_rmse", "limit_origin", "reference_expanded")
+"""Names under which a calibration keeps, among its numbers, the limit it was judged against."""
+
+
 def limit_evidence(limit: Limit) -> dict[str, float | str]:
     """Return a limit as a calibration keeps it among its numbers."""
-    expanded = limit.reference_expanded
-    return {"limit_rmse": limit.maximum_rmse, "limit_origin": str(limit.origin), "reference_expanded": expanded}
+    values: tuple[float | str, ...] = (limit.maximum_rmse, str(limit.origin), limit.reference_expanded)
+    return dict(zip(LIMIT_EVIDENCE, values, strict=True))

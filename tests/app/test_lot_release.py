@@ -405,3 +405,33 @@ def test_an_audit_that_fails_takes_back_what_other_lots_released_on_it(make_lot,
     standings = registry.standings("fourteenth", sorted(released))
     assert {one.verdict for one in standings.values()} == {"conditional"}
     assert not {unit["serial"] for unit in batch(late)["units"] if unit["released"]}
+
+
+def test_a_measured_fail_is_lifted_by_no_trim_no_rollback_and_no_older_revision(
+    make_lot, batch, registry_url, tmp_path, registry
+):
+    folder = make_lot(audits=0, limit_N=0.2)
+    batch(folder)
+    serial = "large-00"
+    assert registry.standings("large", [serial])[serial].verdict != "fail"
+    measured = tmp_path / f"{serial}.csv"
+    table = pd.read_csv(make_lot("twin", audits=1).joinpath("audit/twin-00.csv"))
+    table.assign(reference=2.0 * table["reference"]).to_csv(measured, index=False)
+    at = ["--registry", registry_url]
+    assert main(["lot", "audit", "large", str(measured), *at]) == 0
+    failed = registry.standings("large", [serial])[serial]
+    assert failed.verdict == "fail" and failed.made is not None and failed.made.is_audited
+    loads = tmp_path / "loads.csv"
+    pd.DataFrame({"output": [0.5, 0.75], "reference": [0.0, 4.0]}).to_csv(loads, index=False)
+    trimmed = main(["trim", "--serial", serial, "--lot", "large", "--loads", str(loads), *at])
+    assert registry.standings("large", [serial])[serial].verdict == "fail"
+    back = ["registry", "rollback", "--serial", serial, "--lot", "large", "--to", "1", "--reason", "drawn", *at]
+    assert main(back) in ((0,) if trimmed == 0 else (0, 2))
+    assert registry.standings("large", [serial])[serial].verdict == "fail"
+    export = ["export", "--serial", serial, "--lot", "large", "--revision", "1", "--release", "conditional", *at]
+    assert main([*export, "--format", "blob", "--out", str(tmp_path / "out")]) == 2
+    assert not list((tmp_path / "out").glob("unit-*"))
+    # A new audit decides: of the map that the unit has now.
+    pd.read_csv(measured).assign(reference=pd.read_csv(measured)["reference"] / 2.0).to_csv(measured, index=False)
+    assert main(["lot", "audit", "large", str(measured), *at]) == 0
+    assert registry.standings("large", [serial])[serial].made.after_rmse != failed.made.after_rmse  # type: ignore[union-attr]
