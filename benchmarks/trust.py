@@ -22,8 +22,11 @@ from trust_lots import GOOD, FittedUnit, covered, day_lots, drawn_lots, fitted, 
 
 from softcal.core.quality.acceptance import Promise
 from softcal.core.quality.conformal import least_risk
+from softcal.core.quality.qualification import wanted_audits
 from softcal.core.quality.release import AuditedUnit, least_passing, release
 from softcal.core.quality.widening import Widening, fit_widening
+from softcal.core.unit.audit_reading import line_of
+from softcal.core.unit.common_misreading import CommonMisreading, Line, common_misreading, without
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.method import LineConfig
 from softcal.core.unit.verdict import Limit
@@ -108,6 +111,7 @@ def released_on(lots: Lots, audits: int, draws: int = DRAWS, risk: float = RISK)
 
 
 def _draw(audited: Sequence[FittedUnit], rest: Sequence[FittedUnit], others: int, promise: Promise) -> Draw:
+    audited, rest = _corrected(audited, rest)
     held = sum(u.truth <= u.limit for u in audited)
     decision = release(
         {u.serial: u.forecast for u in rest},
@@ -127,6 +131,31 @@ def _draw(audited: Sequence[FittedUnit], rest: Sequence[FittedUnit], others: int
         tuple(share.values()),
         tuple(share[u.serial] for u in released),
     )
+
+
+def _corrected(
+    audited: Sequence[FittedUnit], rest: Sequence[FittedUnit]
+) -> tuple[Sequence[FittedUnit], Sequence[FittedUnit]]:
+    """Take off what the audited units misread alike, of each audited one by the others, where they are enough.
+
+    softcal does it behind the map; here it is done to the estimates that were kept, over the whole audit.
+    """
+    if len(audited) < wanted_audits():
+        return audited, rest
+    lines = {u.serial: Line(*line_of(*np.array(u.sample)[:2])) for u in audited if u.sample}
+    common = common_misreading(lines)
+    if common is None:
+        return audited, rest
+    return tuple([_without(unit, without(lines, unit.serial, common)) for unit in part] for part in (audited, rest))
+
+
+def _without(unit: FittedUnit, common: CommonMisreading) -> FittedUnit:
+    if not unit.sample:
+        return unit
+    estimate, reference, half = np.array(unit.sample)
+    estimate = (estimate - common.line.zero) / common.line.gain
+    error = float(np.sqrt(np.mean((estimate - reference) ** 2)))
+    return replace(unit, truth=error, sample=(tuple(estimate), tuple(reference), tuple(half)))
 
 
 def print_without_audits(lots: Lots) -> None:

@@ -96,7 +96,16 @@ class StoredCalibration:
 
 REPORTED = (
     *("serial", "verdict", "reasons", "family", "map_sha256", "predicted_rmse", "before_rmse", "after_rmse"),
-    *("own_rmse", "fit_s", "decision", "method_id", "forecast_rmse", "load_rms", "audit"),
+    *(
+        "own_rmse",
+        "fit_s",
+        "decision",
+        "method_id",
+        "forecast_rmse",
+        "load_rms",
+        "audit",
+    ),
+    *("audit_line", "common_line"),
 )
 """Fields of `MadeCalibration` that `CalibrationRecord` has under the same name."""
 
@@ -117,6 +126,8 @@ class MadeCalibration:
         forecast_rmse: forecast before audits of other units scaled it.
         load_rms: RMS load above rest that its recording shows; None in records of older versions.
         audit: what its audit says beside the error; None without one, and in records of older versions.
+        audit_line: gain and zero with which its fitted map reads the loads of its audit.
+        common_line: gain and zero that were taken off its map, as audited units misread them alike; None where none.
     """
 
     serial: str
@@ -136,6 +147,8 @@ class MadeCalibration:
     forecast_rmse: float | None = None
     load_rms: float | None = None
     audit: "AuditReading | None" = None
+    audit_line: tuple[float, float] | None = None
+    common_line: tuple[float, float] | None = None
 
     @classmethod
     def of(cls, record: "CalibrationRecord", revision: int) -> "MadeCalibration":

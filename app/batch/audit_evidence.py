@@ -12,13 +12,15 @@ from softcal.app.registry.limit import lot_limit
 from softcal.core.lot import Lot
 from softcal.core.quality.acceptance import Promise, tolerance_factor
 from softcal.core.quality.audit_check import doubtful_audits
-from softcal.core.quality.qualification import PastAudit, Qualification, qualify
+from softcal.core.quality.qualification import THIS_LOT, PastAudit, Qualification, qualify
 from softcal.core.quality.release import AuditedUnit, audits_wanted
 from softcal.core.quality.widening import AuditedSamples, Widening, fit_widening
 from softcal.core.recording import LabelledRecording
-from softcal.core.unit.audit_reading import AuditReading, gain_of
+from softcal.core.unit.audit_reading import AuditReading, line_of
 from softcal.core.unit.calibrate import read_gain, with_audit
 from softcal.core.unit.calibration import Calibration
+from softcal.core.unit.common_misreading import CommonMisreading, Line, common_misreading, without
+from softcal.core.unit.knowledge import ANCHORED
 from softcal.core.unit.line_spread import SeenGains, seen_gains
 from softcal.core.unit.method import CONFIDENCE, Method
 from softcal.core.unit.verdict import Limit, Verdict
@@ -42,6 +44,8 @@ class AuditEvidence:
         seen: gains that the audited units of the lot read their loads with; None where there are too few.
         days: gains of golden units of the sensor model on different days; None where there are too few.
         doubts: audits of the lot that are set aside, by serial, and why.
+        lines: how the audited units of the lot read their loads, as their maps were fitted.
+        common: what they misread alike; None where chance explains it.
     """
 
     qualification: Qualification
@@ -50,6 +54,14 @@ class AuditEvidence:
     seen: SeenGains | None = None
     days: SeenGains | None = None
     doubts: Mapping[str, Reason] = field(default_factory=dict)
+    lines: Mapping[str, Line] = field(default_factory=dict)
+    common: CommonMisreading | None = None
+
+    def common_of(self, made: MadeCalibration) -> CommonMisreading | None:
+        """Return what is taken off the map of a unit: of an audited one, what the others misread alike."""
+        if self.common is None or ANCHORED in made.knowledge:
+            return None
+        return without(self.lines, made.serial, self.common)
 
     def day_rmse(self, load_rms: float | None) -> float:
         """Return the error that another day adds to a unit with this RMS load, in the same unit; 0 without golden runs.
@@ -109,7 +121,13 @@ class AuditReader:
         widening = self._widening(qualification, lot_id)
         days = self._days(lot, now)
         limit = lot_limit(registry, lot_id)
-        return AuditEvidence(qualification, limit, widening, seen_gains(gains), days, doubts)
+        lines = {
+            made.serial: Line(*made.audit_line)
+            for _, _, made in audited.values()
+            if made.audit_line is not None and ANCHORED not in made.knowledge
+        }
+        common = common_misreading(lines, RULES) if qualification.source == THIS_LOT else None
+        return AuditEvidence(qualification, limit, widening, seen_gains(gains), days, doubts, lines, common)
 
     def _units(self, lot: Lot) -> int:
         """Return how many units the lot has, or is planned to have where a line was told so."""
@@ -154,7 +172,7 @@ class AuditReader:
                 return None
             f = registry.network(state.network.id)
             # The source has no map: f alone reads its runs.
-            return state.network.id, lambda run: gain_of(f.evaluate(run.windows), run.window_reference)
+            return state.network.id, lambda run: line_of(f.evaluate(run.windows), run.window_reference)[0]
         record = registry.calibration(serial, lot_id=lot_id).record
         network, calibration = registry.network(record.network_id), Calibration.from_record(record)
         return record.input_sha256, lambda run: read_gain(network, calibration, run)

@@ -10,20 +10,24 @@ import numpy as np
 from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
 from softcal.app.registry.audits import audit_of, newest_audits
 from softcal.app.registry.limit import lot_limit
-from softcal.app.registry.source import unlabelled
+from softcal.app.registry.source import source_recording, unlabelled
 from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
 from softcal.core.quality.release import least_passing
 from softcal.core.unit.calibrate import measured
-from softcal.core.unit.calibration import CalibrationRecord
+from softcal.core.unit.calibration import AUDIT_GAIN, AUDIT_ZERO, CalibrationRecord
+from softcal.core.unit.common_misreading import CommonMisreading, corrected
 from softcal.core.unit.judging import judged
 from softcal.core.unit.uncertainty import ErrorForecast
+from softcal.core.unit.verdict import Limit
 from softcal.core.words.reason import Reason
 from softcal.db.entries import MadeCalibration, StoredCalibration, UnitEntry, UnitStanding
 from softcal.db.judged_against import STALE
 from softcal.db.registry import Registry
 
 STATEMENT = "lot_release"
+BASE = "base_revision"
+"""Number among a calibration's evidence: the revision that was fitted, before audits of the lot had their say."""
 WHY = "decided on the audits of the lot"
 
 
@@ -40,7 +44,8 @@ def judge_lot(
     """
     _judge_anew(registry, lot_id, actor)
     _measure_anew(registry, lot_id, actor)
-    standing = _standing(registry, lot_id, now or datetime.now(UTC))
+    at = now or datetime.now(UTC)
+    standing = _correct_audited(registry, lot_id, _standing(registry, lot_id, at), at, actor)
     if standing is None:
         return None
     decided = standing.decided()
@@ -49,6 +54,30 @@ def judge_lot(
             _keep(registry, lot_id, made, decided, standing.evidence, actor)
         _tell(registry, lot_id, decided, actor)
     return decided
+
+
+def _correct_audited(
+    registry: Registry, lot_id: str, standing: "_Standing | None", at: datetime, actor: str | None
+) -> "_Standing | None":
+    """Take off the audited units what the others misread alike; their errors then speak for the corrected lot."""
+    if standing is None:
+        return None
+    moved = [made for made in standing.made if made.decision.measured and _is_to_correct(made, standing.evidence)]
+    if not moved:
+        return standing
+    with registry.transaction():
+        for made in moved:
+            _keep(registry, lot_id, made, None, standing.evidence, actor)
+    return _standing(registry, lot_id, at)
+
+
+def _is_to_correct(made: MadeCalibration, evidence: AuditEvidence) -> bool:
+    """Return whether another misreading is to be taken off the map of a unit than was."""
+    common = evidence.common_of(made)
+    wanted = None if common is None else (common.line.gain, common.line.zero)
+    if wanted is None or made.common_line is None:
+        return wanted != made.common_line
+    return not np.allclose(wanted, made.common_line, rtol=1e-9, atol=1e-12)
 
 
 def decide_release(registry: Registry, lot_id: str, now: datetime) -> LotRelease | None:
@@ -74,6 +103,9 @@ def _measure_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
             continue
         recording = unlabelled(registry.recording(base.recording_sha256))
         record = measured(registry.network(base.network_id), base, audit, recording, lot_limit(registry, lot_id))
+        # It is fitted as it was; what others say is asked again.
+        evidence = {name: value for name, value in record.evidence.items() if name != BASE}
+        record = replace(record, evidence=evidence)
         _put(registry, lot_id, record, "scored on a newer audit", actor)
 
 
@@ -126,11 +158,15 @@ class _Standing:
         return _decided(self.evidence, self.open, self.least)
 
     def moved(self) -> list[MadeCalibration]:
-        """Return the units that the audits of the lot may move: the open ones, and those whose audit is in doubt."""
+        """Return the units that the audits of the lot may move: open ones, audited ones, those in doubt."""
+        doubts = self.evidence.doubts
         return [
             made
             for made in self.made
-            if made.serial in self.open or made.serial in self.evidence.doubts or made.decision.doubt is not None
+            if made.serial in self.open
+            or made.serial in doubts
+            or made.decision.doubt is not None
+            or (made.decision.measured is not None and _is_to_correct(made, self.evidence))
         ]
 
 
@@ -203,6 +239,7 @@ def _decided(evidence: AuditEvidence, units: Mapping[str, MadeCalibration], leas
         seen=evidence.seen,
         days=days,
         doubts=evidence.doubts,
+        common=evidence.common,
     )
 
 
@@ -210,24 +247,50 @@ def _keep(
     registry: Registry,
     lot_id: str,
     made: MadeCalibration,
-    decided: LotRelease,
+    decided: LotRelease | None,
     evidence: AuditEvidence,
     actor: str | None,
 ) -> None:
-    """Store what is decided on a unit as a revision of its own, where it is not what stands."""
+    """Store what is decided on a unit as a revision of its own, where it is not what stands.
+
+    Args:
+        decided: on the lot; None where only what all misread alike is taken off.
+    """
     doubt, known = evidence.doubts.get(made.serial), made.decision
-    is_released = decided.found is not None and made.serial in decided.forecasts
+    is_released = decided is not None and decided.found is not None and made.serial in decided.forecasts
     # Asked first: most lots have no audits, and reading a calibration whole costs more than most of the batch's writes.
-    if not is_released and doubt is None and known.sampled is None and known.doubt is None:
+    is_as_it_was = doubt is None and known.sampled is None and known.doubt is None
+    if not is_released and is_as_it_was and not _is_to_correct(made, evidence):
         return
     base = _base(registry, lot_id, registry.calibration(made.serial, lot_id=lot_id))
-    if base.limit_rmse != evidence.limit.maximum_rmse:
-        base = judged(base, evidence.limit) or base
+    record = _corrected(registry, lot_id, base, evidence.common_of(made), evidence.limit)
     if doubt is not None:
-        base = doubted_record(base, doubt)
-    elif is_released or known.sampled is not None:
-        base = judged_record(base, decided)
-    _put(registry, lot_id, base, WHY, actor)
+        record = doubted_record(record, doubt)
+    elif decided is not None and known.measured is None and (is_released or known.sampled is not None):
+        record = judged_record(record, decided)
+    _put(registry, lot_id, record, WHY, actor)
+
+
+def _corrected(
+    registry: Registry, lot_id: str, base: CalibrationRecord, common: CommonMisreading | None, limit: Limit
+) -> CalibrationRecord:
+    """Return a calibration without what the lot's audited units misread alike, judged against the limit in force."""
+    is_open = base.grounds is not None and not base.grounds.rules
+    record = base
+    if common is not None and is_open:
+        record = corrected(base, source_recording(registry, base.network_id), common)
+    elif base.limit_rmse == limit.maximum_rmse:
+        return base
+    audit = None
+    if record is not base and base.decision.measured is not None:
+        audit = audit_of(registry, newest_audits(registry, lot_id, base.serial).get(base.serial))
+    if audit is None:
+        return judged(record, limit) or base
+    recording = unlabelled(registry.recording(base.recording_sha256))
+    scored = measured(registry.network(base.network_id), record, audit, recording, limit)
+    # What its audit says of the map as it was fitted is what the others are corrected by.
+    lines = {name: base.evidence[name] for name in (AUDIT_GAIN, AUDIT_ZERO) if name in base.evidence}
+    return replace(scored, own_rmse=base.own_rmse, evidence={**scored.evidence, **lines})
 
 
 def _put(registry: Registry, lot_id: str, record: CalibrationRecord, why: str, actor: str | None) -> None:
@@ -242,11 +305,11 @@ def _put(registry: Registry, lot_id: str, record: CalibrationRecord, why: str, a
 def _base(registry: Registry, lot_id: str, stored: StoredCalibration) -> CalibrationRecord:
     """Return the calibration as it was fitted, before audits of other units scaled it."""
     record = stored.record
-    revision = record.evidence.get("base_revision")
+    revision = record.evidence.get(BASE)
     if revision is None:
-        return replace(record, evidence={**record.evidence, "base_revision": float(stored.revision)})
+        return replace(record, evidence={**record.evidence, BASE: float(stored.revision)})
     base = registry.calibration(record.serial, int(revision), lot_id=lot_id).record
-    return replace(base, evidence={**base.evidence, "base_revision": revision})
+    return replace(base, evidence={**base.evidence, BASE: revision})
 
 
 def doubted_record(base: CalibrationRecord, doubt: Reason) -> CalibrationRecord:

@@ -13,6 +13,9 @@ from softcal.core.metrics import rmse
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.windows import resting
 
+KEPT_LEVELS = 21
+"""Levels of the source over its range that a straight line behind a map goes by: part of the device files."""
+
 
 @dataclass(frozen=True, eq=False)
 class AnchoredMap:

@@ -9,6 +9,7 @@ from softcal.core.quality.acceptance import Promise
 from softcal.core.quality.qualification import Qualification
 from softcal.core.quality.release import AuditedUnit, PromisedRelease, release
 from softcal.core.quality.widening import Widening
+from softcal.core.unit.common_misreading import CommonMisreading
 from softcal.core.unit.line_spread import SeenGains
 from softcal.core.unit.method import ReleaseConfig
 from softcal.core.unit.verdict import Judgement, Limit, Verdict
@@ -30,6 +31,7 @@ class LotRelease:
         seen: gains that audited units of this lot read their loads with; None where too few were audited.
         days: by serial, the error that another day adds as golden runs show it; empty without them.
         doubts: audits that are set aside, by serial, and why.
+        common: what the audited units misread alike, and what was taken off all maps of the lot; None where nothing.
     """
 
     qualification: Qualification
@@ -42,6 +44,7 @@ class LotRelease:
     seen: SeenGains | None = None
     days: Mapping[str, float] = field(default_factory=dict)
     doubts: Mapping[str, Reason] = field(default_factory=dict)
+    common: CommonMisreading | None = None
 
     @property
     def audits(self) -> tuple[AuditedUnit, ...]:
@@ -110,6 +113,7 @@ class LotRelease:
             "gains": None if self.seen is None else vars(self.seen),
             "day_rmse": max(self.days.values(), default=None),
             "limit": self.limit.to_json(),
+            "common": None if self.common is None else vars(self.common.line),
             "set_aside": {serial: str(why) for serial, why in self.doubts.items()},
         }
 
@@ -124,6 +128,7 @@ def release_lot(
     seen: SeenGains | None = None,
     days: Mapping[str, float] | None = None,
     doubts: Mapping[str, Reason] | None = None,
+    common: CommonMisreading | None = None,
 ) -> LotRelease:
     """Decide on the units of a lot that nobody measured.
 
@@ -137,23 +142,31 @@ def release_lot(
         seen: gains that audited units of this lot read their loads with.
         days: by serial, the error that another day adds as golden runs show it, in the forecasts' unit.
         doubts: audits that are set aside, by serial, and why.
+        common: what the audited units misread alike, taken off all maps of the lot.
     """
     found = release(forecasts, qualification.audits, limit, promise, least, days) if qualification.is_given else None
     told = [
         _promised(forecasts, found, qualification, limit, promise),
         *_seen(seen),
         *_told_days(days or {}, limit.unit),
+        *_common(common, limit.unit),
         *([reason("release.doubts", serials=", ".join(doubts))] if doubts else []),
     ]
     told_in_one = several(told)
     return LotRelease(
-        qualification, limit, promise, forecasts, found, widening, told_in_one, seen, days or {}, doubts or {}
+        qualification, limit, promise, forecasts, found, widening, told_in_one, seen, days or {}, doubts or {}, common
     )
 
 
 def _seen(seen: SeenGains | None) -> Iterator[Reason]:
     if seen is not None:
         yield reason("release.gains", centre=seen.centre, spread=seen.spread)
+
+
+def _common(common: CommonMisreading | None, unit: str) -> Iterator[Reason]:
+    if common is not None:
+        line = common.line
+        yield reason("release.common", gain=line.gain, zero=line.zero, unit=unit, audits=common.audits)
 
 
 def _told_days(days: Mapping[str, float], unit: str) -> Iterator[Reason]:

@@ -19,7 +19,8 @@ class AuditReading:
     Args:
         output_sha256: content hash of the output alone: one recording that stands for two units is known by it.
         reference_sha256: content hash of the reference.
-        gain: slope of the estimates over the reference (least squares): 1 where the unit reads its loads in full.
+        gain, zero: of the straight line of the estimates over the reference (least squares): 1 where the unit reads its
+            loads in full, and in the reference's unit.
         unit_rest, audit_rest: output at rest in the unit's recording and in the audit, in the output's unit.
         span: of the output in the unit's recording, in the same.
         recording_sha256: identity of the recording; "" of what older versions kept.
@@ -36,6 +37,7 @@ class AuditReading:
     residual: tuple[float, ...]
     half: tuple[float, ...]
     recording_sha256: str = ""
+    zero: float = 0.0
 
     def to_json(self) -> dict[str, object]:
         """Return it as JSON values."""
@@ -44,7 +46,7 @@ class AuditReading:
     @classmethod
     def of(cls, kept: Mapping[str, object]) -> "AuditReading | None":
         """Read what `to_json` wrote; None of what an older version kept, whose recording is to be read again."""
-        if "residual" not in kept:
+        if not {"residual", "zero"} <= kept.keys():
             return None
         residual, half = (tuple(map(float, kept[name])) for name in ("residual", "half"))  # type: ignore[call-overload]
         gain, unit_rest, audit_rest, span = (
@@ -60,6 +62,7 @@ class AuditReading:
             residual=residual,
             half=half,
             recording_sha256=str(kept.get("recording_sha256", "")),
+            zero=float(str(kept["zero"])),
         )
 
 
@@ -80,16 +83,18 @@ def read_audit(
     rising = np.corrcoef(audit.unlabelled.output, audit.reference)[0, 1]
     end = rest if rising >= 0 else 1 - rest
     low, high = np.quantile(recording.output, (rest, 1 - rest))
+    gain, zero = line_of(value, audit.reference)
     return AuditReading(
         output_sha256=content_sha256({"output": audit.unlabelled.output}, {}),
         reference_sha256=content_sha256({"reference": audit.reference}, {}),
-        gain=gain_of(value, audit.reference),
+        gain=gain,
         unit_rest=float(np.quantile(recording.output, end)),
         audit_rest=float(np.quantile(audit.unlabelled.output, end)),
         span=float(high - low),
         residual=_short(np.abs(value - audit.reference)[kept]),
         half=_short(half[kept]),
         recording_sha256=audit.sha256,
+        zero=zero,
     )
 
 
@@ -97,7 +102,8 @@ def _short(values: Array) -> tuple[float, ...]:
     return tuple(float(f"{value:.6g}") for value in values)
 
 
-def gain_of(value: Array, reference: Array) -> float:
-    """Return the slope of estimates over the reference (least squares), rows without an estimate left out."""
+def line_of(value: Array, reference: Array) -> tuple[float, float]:
+    """Return gain and zero of estimates over the reference (least squares), rows without an estimate left out."""
     rows = np.isfinite(value)
-    return float(np.polyfit(reference[rows], value[rows], 1)[0])
+    gain, zero = np.polyfit(reference[rows], value[rows], 1)
+    return float(gain), float(zero)

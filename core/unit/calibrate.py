@@ -25,10 +25,10 @@ from softcal.core.maps.synchrony import paired_rows
 from softcal.core.network.config import NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.unit.audit_reading import gain_of, read_audit
+from softcal.core.unit.audit_reading import line_of, read_audit
 from softcal.core.unit.bridge import Bridge
 from softcal.core.unit.budget import Reference
-from softcal.core.unit.calibration import Calibration, CalibrationRecord
+from softcal.core.unit.calibration import AUDIT_GAIN, AUDIT_ZERO, Calibration, CalibrationRecord
 from softcal.core.unit.estimate import estimate
 from softcal.core.unit.findings import map_findings, opening_findings, wiring_findings
 from softcal.core.unit.forecast import (
@@ -194,7 +194,12 @@ def with_audit(
     """
     found = estimate(network, calibration, audit.unlabelled)
     half, rest = found.upper - found.estimate, (calibration.method or Method()).decision.audit_rest
-    return replace(calibration, audit=read_audit(found.estimate, half, audit, recording, rest))
+    reading = read_audit(found.estimate, half, audit, recording, rest)
+    return replace(
+        calibration,
+        audit=reading,
+        evidence={**calibration.evidence, AUDIT_GAIN: reading.gain, AUDIT_ZERO: reading.zero},
+    )
 
 
 def measured(
@@ -232,7 +237,7 @@ def measured(
     return replace(
         found,
         settings={**record.settings, **found.settings},
-        evidence={**record.evidence, **limit_evidence(limit)},
+        evidence={**record.evidence, **found.evidence, **limit_evidence(limit)},
     )
 
 
@@ -278,7 +283,7 @@ def _reference_variance(problem: UnitProblem) -> Array:
 
 def read_gain(network: Network, calibration: Calibration, recording: LabelledRecording) -> float:
     """Return the slope of a unit's estimates over the reference: 1 where it reads its loads in full."""
-    return gain_of(estimate(network, calibration, recording.unlabelled).estimate, recording.reference)
+    return line_of(estimate(network, calibration, recording.unlabelled).estimate, recording.reference)[0]
 
 
 def _limit(problem: UnitProblem) -> Limit:

@@ -21,6 +21,12 @@ from softcal.core.unit.uncertainty import ErrorForecast, Interval
 from softcal.core.unit.verdict import VERDICTS, Decision, Judgement, Verdict
 from softcal.core.words.reason import Reason
 
+AUDIT_GAIN, AUDIT_ZERO = "audit_gain", "audit_zero"
+"""Names under which a calibration keeps, among its numbers, how its fitted map reads the loads of its audit."""
+
+COMMON_GAIN, COMMON_ZERO = "common_gain", "common_zero"
+"""The same of what was taken off the map, as the lot's audited units misread it alike."""
+
 
 @dataclass(frozen=True, eq=False)
 class CalibrationRecord:
@@ -112,6 +118,20 @@ class CalibrationRecord:
         """Limit it was judged against, in the reference unit; None in records of older versions."""
         kept = self.evidence.get("limit_rmse")
         return None if kept is None else float(kept)
+
+    @property
+    def audit_line(self) -> tuple[float, float] | None:
+        """Gain and zero with which its fitted map reads the loads of its audit; None without one or in old records."""
+        return self._pair(AUDIT_GAIN, AUDIT_ZERO)
+
+    @property
+    def common_line(self) -> tuple[float, float] | None:
+        """Gain and zero that were taken off its map; None where none were."""
+        return self._pair(COMMON_GAIN, COMMON_ZERO)
+
+    def _pair(self, *names: str) -> tuple[float, float] | None:
+        gain, zero = (self.evidence.get(name) for name in names)
+        return None if gain is None or zero is None else (float(gain), float(zero))
 
     @property
     def load_rms(self) -> float | None:

@@ -11,6 +11,10 @@ GOOD_UNITS = "2.5 % and 97.5 % quantiles of log(true / forecast RMSE) over good 
 COVERAGE = "benchmarks/interval_coverage.py --fit (simulated lots; tested on seeds 0-24)"
 
 
+ANCHORED = "anchored"
+"""Said behind the kind of a unit some loads of which are known."""
+
+
 @dataclass(frozen=True)
 class KnowledgeConfig:
     """What one kind of knowledge of the loads is worth.
@@ -157,7 +161,7 @@ class LoadKnowledge:
         return dict(self.config.own)
 
     def __str__(self) -> str:
-        return f"{self.kind}, anchored" if self.is_anchored else self.kind
+        return f"{self.kind}, {ANCHORED}" if self.is_anchored else self.kind
 
 
 def known_by(budget: Mapping[str, float], kinds: KnowledgeTable, is_anchored: bool = False) -> LoadKnowledge:

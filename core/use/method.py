@@ -6,6 +6,7 @@ that an upgrade that changes a number shows in the record of the stream (`change
 
 from dataclasses import dataclass, field
 
+from softcal.core.maps.anchors import KEPT_LEVELS
 from softcal.core.settings import NumberedMethod, setting
 from softcal.core.windows import TAPS
 
@@ -255,7 +256,7 @@ class TrimConfig:
     """
 
     most_change: float = setting(0.5, "docs/format.md")
-    levels: int = setting(21, "docs/format.md")
+    levels: int = setting(KEPT_LEVELS, "docs/format.md")
     most_misfit: float = setting(3.0)
 
 

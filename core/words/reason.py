@@ -26,269 +26,319 @@ ENGLISH: Mapping[str, str] = {
     PLAIN: "{text}",
     # The statement on an error, forecast or measured.
     "statement": (
-        "{source} RMSE {rmse:.3g} {unit} (95 %: {lower:.3g} to {upper:.3g}) is {relation} the limit {limit:.3g} {unit} "
-        "({origin})"
+        "its {source} error is {relation} (RMSE {rmse:.3g} {unit}, 95 %: {lower:.3g} to {upper:.3g}, limit {limit:.3g} "
+        "{unit}, {origin})"
     ),
     "part.predicted": "predicted",
     "part.measured": "measured",
-    "part.within": "within",
-    "part.within_close": "within, but closer than its uncertainty to",
-    "part.above": "above",
-    "part.above_close": "above, but closer than its uncertainty to",
+    "part.within": "within the limit",
+    "part.within_close": "within the limit, but too near to it to be sure",
+    "part.above": "above the limit",
+    "part.above_close": "above the limit, but too near to it to be sure",
     "part.stated": "stated for the lot",
-    "part.automatic": "no limit was stated: {factor:g} x the source's own held-out RMSE of {rmse:.3g} {unit}",
+    "part.automatic": "{factor:g} x the source's own error of {rmse:.3g} {unit}, since no limit was stated",
     "reference_missing": (
-        "reference {cell} has no certificate that states its uncertainty: nothing is traced to it and no unit passes; "
-        "state the certificate and run again"
+        "reference {cell} has no certificate that states its uncertainty, so no unit passes; add its certificate on "
+        "the page Load cells, then calibrate the lot again"
     ),
     "reference_expired": (
-        "certificate {number} of reference {cell} holds from {issued_on} until {due_on}; the source was recorded on "
-        "{used_on}: nothing is traced to it and no unit passes"
+        "the certificate of reference {cell} was not valid when the source was pressed, so no unit passes; press the "
+        "source again with a valid certificate (certificate {number}, valid from {issued_on} to {due_on}, source "
+        "pressed on {used_on})"
     ),
     "reference_range": (
-        "certificate {number} covers the reference up to {capacity:.4g}, the source was pressed to {highest:.4g}: no "
-        "unit passes"
+        "the source was pressed harder than the certificate of its reference covers, so no unit passes; press the "
+        "source again with a lower load or another load cell (pressed up to {highest:.4g}, certificate {number} up to "
+        "{capacity:.4g})"
     ),
     "reference_uncertain": (
-        "the reference's own uncertainty U_ref = {expanded:.3g} {unit} (k = 2) leaves no room to pass"
+        "the reference itself is too uncertain for this limit, so no unit can pass; use a better load cell or agree on "
+        "a larger limit (U_ref = {expanded:.3g} {unit}, k = 2)"
     ),
-    "harmful": "worse than doing nothing: RMSE {after:.3g} {unit} with the map, {before:.3g} {unit} without it",
+    "harmful": (
+        "the calibration makes this unit worse than no calibration; do not use it (RMSE {after:.3g} {unit} with it, "
+        "{before:.3g} {unit} without it)"
+    ),
     "stale_limit": (
-        "judged against {judged:.4g} {unit}, and the limit is {limit:.4g} {unit} now: run the batch of this lot again"
+        "the limit was changed after this verdict; calibrate the lot again (judged against {judged:.4g} {unit}, limit "
+        "now {limit:.4g} {unit})"
     ),
     "stale_limit_open": (
-        "judged against {judged:.4g} {unit}, and the lot states no limit any more: run the batch of this lot again"
+        "the limit of the lot was taken back after this verdict; calibrate the lot again (judged against {judged:.4g} "
+        "{unit})"
     ),
     # Why one audit of a lot is set aside.
     "doubt.one_recording": (
-        "its audit is set aside: it is the same recording as that of {other}; one of the two is of another unit: bring "
-        "the right file, or confirm this one"
+        "its audit does not count for now; its recording is the same as that of {other}, so one of them is of another "
+        "unit; bring the right file, or confirm this one"
     ),
     "doubt.exchanged": (
-        "its audit is set aside: it rests at {rest:.4g}, where {other} does, and not at {unit_rest:.4g}; the audits "
-        "look exchanged: bring the right files, or confirm this one"
+        "its audit does not count for now; it looks exchanged with that of {other}; bring the right files, or confirm "
+        "this one (output at rest in the audit {rest:.4g}, of this unit {unit_rest:.4g})"
     ),
     "doubt.gain": (
-        "its audit is set aside: its estimates are {gain:.3g} x the reference, those of the {others} others "
-        "{usual:.3g} x; is its reference in another unit, or of another sensor? Bring it anew, or confirm it"
+        "its audit does not count for now; its reference may be in another unit, or of another sensor; bring it again, "
+        "or confirm it (estimates are {gain:.3g} x the reference, in other audits {usual:.3g} x, other audits: "
+        "{others})"
     ),
     "doubt.stranger": (
-        "its audit is set aside: it rests at {rest:.4g} where its unit rests at {unit_rest:.4g}, and the {others} "
-        "others rest where their units do; is it of another unit? Bring the right file, or confirm this one"
+        "its audit does not count for now; it may be of another unit; bring the right file, or confirm this one "
+        "(output at rest in the audit {rest:.4g}, of this unit {unit_rest:.4g}, other audits, which agree with their "
+        "units: {others})"
     ),
-    "forecast_only": "its error is a forecast, which promises nothing until audits of enough units speak for it",
-    "not_qualified": "not released by sample: {why}",
-    "part.here": "{audits} audited units of this lot",
-    "part.of_lots": "{audits} audited units of {lots} earlier lots",
+    "forecast_only": "its error is only predicted, not measured; nothing is promised until enough units are audited",
+    "not_qualified": "not released by sample; {why}",
+    "part.here": "audited units of this lot: {audits}",
+    "part.of_lots": "audited units of earlier lots: {audits}, lots: {lots}",
     "part.unqualified": (
-        "{audits} audited units of this lot; {why}; audit {missing} more units of this lot, drawn by its audit plan"
+        "too few units of this lot are audited; {why}; audit {missing} more, drawn by the audit plan (audited so far: "
+        "{audits})"
     ),
-    "part.unqualified_small": "{audits} audited units of this lot; {why}; {small}",
+    "part.unqualified_small": "too few units of this lot are audited; {why}; {small}; audited so far: {audits}",
     "part.small_lot": (
-        "its {units} units are no more than the {wanted} audits a promise takes: measure every one of them, or audit "
-        "{wanted} units in {least} or more earlier lots of this sensor model"
+        "the lot is too small for a release by sample; measure every unit, or audit earlier lots of this sensor model "
+        "(units: {units}, audits needed: {wanted}, earlier lots needed: {least})"
     ),
-    "part.no_model": "the lot names no sensor_model, so no earlier lot counts for it",
+    "part.no_model": "the lot names no sensor model, so audits of earlier lots do not count",
     "part.no_lot": "no earlier lot was audited",
-    "part.other_method": "the audits of earlier lots are of another sensor model or method",
-    "part.old_audits": "the audits of earlier lots are older than {days:g} days",
-    "part.withdrawn": "a failed audit or golden unit withdrew what earlier lots had shown",
-    "part.few_lots": "{audits} audited units of {lots} earlier lots are too few ({least} lots are needed)",
+    "part.other_method": "audits of earlier lots do not count, since sensor model or method was another",
+    "part.old_audits": "audits of earlier lots are too old (they count for this many days: {days:g})",
+    "part.withdrawn": "a later audit or golden unit failed, so audits of earlier lots do not count",
+    "part.few_lots": "earlier lots have too few audits (audited units: {audits}, lots: {lots}, lots needed: {least})",
     # The statement on the units of a lot that nobody measured.
-    "release.unqualified": "no unit is released by sample: {why}",
-    "release.none_left": "no unit is left to release by sample: {seen}",
+    "release.unqualified": "no unit is released by sample; {why}",
+    "release.none_left": "no unit is left to release by sample ({seen})",
     "release.poor": (
-        "no unit is released by sample: {seen}; fewer than {part:.0%} of the lot, or of the other {open} units, would "
-        "pass at {factor:.2g} x their forecast"
+        "no unit is released by sample; too few units of this lot would pass; measure units one by one, or find the "
+        "cause ({seen}, forecasts taken times {factor:.2g}, units not measured: {open}, share that must pass: "
+        "{part:.0%})"
     ),
     "release.promised": (
-        "with {seen}: at most {risk:.0%} of the {released} units released by sample (of {open} unmeasured) are beyond "
-        "{limit:.3g} {unit}, {confidence:.0%} confidence; {any_form}"
+        "units released by sample: {released}; at most {risk:.0%} of them are beyond the limit of {limit:.3g} {unit}, "
+        "with {confidence:.0%} confidence (units not measured: {open}, {seen}); {any_form}"
     ),
-    "release.gains": ("the audited units read {centre:.1%} of their loads, with a spread of {spread:.1%} between them"),
-    "release.days": "up to {day:.3g} {unit} is kept for another day, as golden runs show it",
-    "release.doubts": "audits that may be wrong do not count: {serials}",
-    "part.audits_beyond": "{audits}, {beyond} of them beyond {limit:.3g} {unit}",
+    "release.gains": (
+        "on average the audited units read {centre:.1%} of the true load; from unit to unit this differs by "
+        "{spread:.1%} (standard deviation)"
+    ),
+    "release.days": (
+        "a part of the limit is kept for changes from day to day, as the golden unit shows them (up to {day:.3g} "
+        "{unit})"
+    ),
+    "release.common": (
+        "the audited units misread their loads alike, and that was taken off every map of the lot (gain {gain:.3f}, zero "
+        "{zero:.3g} {unit}, by {audits} audits)"
+    ),
+    "common": (
+        "its map takes off what the audited units of its lot misread alike (gain {gain:.3f}, zero {zero:.3g} {unit}, by "
+        "{audits} audits)"
+    ),
+    "release.doubts": "some audits may be wrong and do not count; look at them on the page Audit (units: {serials})",
+    "part.audits_beyond": "{audits}, of these beyond {limit:.3g} {unit}: {beyond}",
     "part.any_form": (
-        "whatever form the ratios have, at most {share:.1%} at that confidence and {risk:.1%} on average"
+        "if nothing is assumed on how errors spread, it is at most {share:.1%} with that confidence, and {risk:.1%} on "
+        "average"
     ),
-    "part.any_form_mean": "whatever form the ratios have, at most {risk:.1%} on average",
+    "part.any_form_mean": "if nothing is assumed on how errors spread, it is at most {risk:.1%} on average",
     "sampled.released": (
-        "released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
-        "within the limit {limit:.3g} {unit}; risk {risk:.0%} at {confidence:.0%} confidence"
+        "released by sample; by the audited units its error is within the limit, with a risk of {risk:.0%} (forecast "
+        "{rmse:.3g} {unit}, times {factor:.2f} at most, limit {limit:.3g} {unit}, {confidence:.0%} confidence, "
+        "{audits})"
     ),
     "sampled.open": (
-        "not released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
-        "above the limit {limit:.3g} {unit}; measure this unit"
+        "not released by sample; by the audited units its error may be above the limit; measure this unit (forecast "
+        "{rmse:.3g} {unit}, times {factor:.2f} at most, limit {limit:.3g} {unit}, {audits})"
     ),
     "sampled.day": (
-        "not released by sample: forecast {rmse:.3g} {unit} times {factor:.2f}, the most that {audits} leave open, is "
-        "within the limit {limit:.3g} {unit}, but not with the {day:.3g} {unit} that golden runs show from day to day"
+        "not released by sample; its error is within the limit today, but changes from day to day may take it above; "
+        "measure this unit (forecast {rmse:.3g} {unit}, times {factor:.2f} at most, limit {limit:.3g} {unit}, golden "
+        "unit from day to day {day:.3g} {unit}, {audits})"
     ),
     "sampled.part": (
-        "not released by sample: fewer than half of the lot would pass after {audits}; measure this unit, or find out "
-        "why forecasts of this lot are out by {centre:.2f}"
+        "not released by sample; fewer than half of the lot would pass; measure this unit, or find out why the "
+        "forecasts of this lot are wrong (measured error {centre:.2f} x the forecast, {audits})"
     ),
     "sampled.beyond": (
-        "forecast {rmse:.3g} {unit} times {centre:.2f}, the mean of measured over forecast error of {audits}, is above "
-        "the limit {limit:.3g} {unit}"
+        "by the audited units its error is above the limit; measure this unit before it is used (forecast {rmse:.3g} "
+        "{unit}, times {centre:.2f} as measured, limit {limit:.3g} {unit}, {audits})"
     ),
     "bridge.measured": (
-        "fitted to the golden run of its sitting; that day changes what the golden unit reads by {day:.3g} {unit} RMS, "
-        "which the forecast holds"
+        "fitted to the golden unit's run of its own day; that day changes what the golden unit reads, and the forecast "
+        "allows for it (by {day:.3g} {unit} RMS)"
     ),
     "bridge.read": (
-        "fitted to the golden run of its sitting, which no load cell measured: what that day does to the golden unit "
-        "itself is not known"
+        "fitted to the golden unit's run of its own day, which no load cell measured; how that day changes the golden "
+        "unit is not known"
     ),
     "bridge.unused": (
-        "the golden run shares no load with the unit at equal time (rank correlation {correlation:.2f}): fitted to the "
-        "source's recording; press golden unit and units by one programme from one start"
+        "the golden unit was not pressed at the same times as this unit, so its run was not used; press both with one "
+        "programme from one start (rank correlation {correlation:.2f})"
     ),
     "line.stated": (
-        "the forecast holds {rmse:.3g} {unit} for the line: it loads units that give the same output {share:.1%} "
-        "differently, as was stated for it"
+        "the line presses units differently, as was stated for it; the forecast allows for that ({share:.1%} of the "
+        "load, {rmse:.3g} {unit})"
     ),
     "line.open": (
-        "no output shows how hard the line pressed: a spread of {share:.1%} of the load, the default where none is "
-        "stated, is {rmse:.3g} {unit} beside the forecast; state [line] in lot.toml, or audit"
+        "the forecast leaves out how differently the line presses its units, since nobody stated it; audit units, or "
+        "ask the engineer to state it (the usual {share:.1%} of the load is {rmse:.3g} {unit} here)"
     ),
-    "trimmed": "trimmed by {loads} known loads: RMSE there {before:.3g}, now {after:.3g}; not measured since",
-    "audited_before_trim": "its audit was taken before the trim, with the map of then; a new audit decides",
+    "trimmed": (
+        "trimmed by known loads and not measured since; audit it for a firm verdict (loads: {loads}, RMSE there "
+        "{before:.3g} before, {after:.3g} now)"
+    ),
+    "audited_before_trim": "its audit was made before the trim and does not decide; audit it again",
     "predicted_otherwise": "before the audit it was predicted {verdict}: {why}",
     # What is wrong with a table that was to audit a unit.
     "audit.unreadable": (
-        "its audit cannot be read: {error}; bring it with `softcal lot audit`, which takes the column names of import"
+        "its audit cannot be read: {error}; bring it again on the page Audit and choose its columns there"
     ),
-    "audit.stranger": "the lot has no unit {serial}; call the file by the serial of the unit",
-    "audit.no_reference": "it has no reference; choose the column of the load cell",
+    "audit.stranger": "the lot has no unit {serial}; name the file by the serial of its unit",
+    "audit.no_reference": "the file has no reference; choose the column of the load cell",
     # What the raw output shows.
-    "dead.constant": "dead channel: output is constant at {level:.6g} {unit} in all {count} samples; {cure}",
-    "dead.noise": "dead channel: output is noise alone (SD {spread:.3g} {unit}); {cure}",
-    "dead.small": "dead channel: output moves by {span:.3g} {unit}, the source's by {source_span:.3g} {unit}; {cure}",
+    "dead.constant": "dead channel: its output never changes; {cure} (samples: {count}, all at {level:.6g} {unit})",
+    "dead.noise": "dead channel: its output is only noise; {cure} (SD {spread:.3g} {unit})",
+    "dead.small": (
+        "dead channel: its output hardly moves; {cure} (it moves by {span:.3g} {unit}, the source's by "
+        "{source_span:.3g} {unit})"
+    ),
     "part.check_cable": "check cable and contact, press the unit and record it again",
     "saturated": (
-        "clipped range: presses end flat at {level}, {share:.1%} of the samples; check gain and supply of the readout"
+        "its output is cut off at the end of the readout's range; check gain and supply of the readout (flat at "
+        "{level}, {share:.1%} of the samples)"
     ),
     "part.level": "{level:.6g} {unit}",
     "part.levels": "{low:.6g} {unit} and {high:.6g} {unit}",
-    "stuck": "frozen reading: output does not move for {seconds:.1f} s in mid-range; check the cable",
+    "stuck": "its output stood still in the middle of a press; check the cable (for {seconds:.1f} s)",
     "too_little_data": (
-        "too little data: {windows} windows and {presses} presses; at least {enough_windows} windows and "
-        "{enough_presses} presses are needed for a firm verdict"
+        "the recording is too short for a firm verdict; press the unit longer (windows: {windows}, needed "
+        "{enough_windows}, presses: {presses}, needed {enough_presses})"
     ),
     # What the map shows.
-    "unfamiliar": ("unfamiliar: {share:.0%} of the mapped windows lie outside what the source has shown; {cause}"),
-    "part.fast": "its fast movements are unlike the source's: other sensor type, readout or rate",
-    "part.loads": "other loads or speeds than the source has seen: wrong programme, or another sensor type",
+    "unfamiliar": "its signal is unlike anything the source has shown; {cause} ({share:.0%} of its windows)",
+    "part.fast": "its fast movements differ; check sensor type, readout and sampling rate",
+    "part.loads": "its loads or speeds differ; check the programme and the sensor type",
     "not_covered": (
-        "profile not covered: the unit was {what} from {low:.3g} to {high:.3g} {unit}, {share:.0%} of the source's "
-        "{least:.3g} to {most:.3g} {unit}; loads beyond are extrapolated"
+        "the unit was not {what} as far as the source, and loads beyond that are guessed; press it over the whole "
+        "range ({low:.3g} to {high:.3g} {unit}, {share:.0%} of the source's {least:.3g} to {most:.3g} {unit})"
     ),
     "part.pressed": "pressed",
     "part.loaded": "loaded",
     "wrong_programme": (
-        "wrong programme: the mix of loads and speeds overlaps the source's by {share:.0%}, fast movements are "
-        "{speed:.2g} x as fast; press the unit as the source was pressed, or it behaves otherwise"
+        "the unit was not pressed like the source: other loads or other speeds; press it again with the source's "
+        "programme; if this comes back, the unit behaves otherwise ({share:.0%} of its use is like the source's, fast "
+        "movements are {speed:.2g} x as fast)"
     ),
     "stretched": (
-        "the map takes the unit's output times {gain:.2g}: it answers otherwise than the source, or was pressed over "
-        "another part of the source's range, below half of it for example; its output cannot tell which: press it over "
-        "the whole range, or give two known loads"
+        "it answers much more or less than the source, or was pressed over a part of the range only; press it over the "
+        "whole range, or give two known loads (its output is taken times {gain:.2g})"
     ),
     "misread": (
-        "reads other loads than the source at equal stage position and history, by {slow:.3g} {unit} for a second and "
-        "longer: strong creep, lag, clipping or another sensor type"
+        "it reads other loads than the source at the same stage position; look for creep, a slow or cut-off readout, "
+        "or another sensor type (by {slow:.3g} {unit}, for a second or longer)"
     ),
-    "drift": ("drift inside the recording: estimates at rest move by {moved:+.3g} {unit}; warm up, record again"),
+    "drift": "its zero moved during the recording; let it warm up, then record again (by {moved:+.3g} {unit})",
     "creep": (
-        "unsteady at rest: estimates scatter by {spread:.3g} {unit} between presses: strong creep or a loose mount"
+        "it does not come back to the same value between presses; look for a loose mount or a sensor that recovers "
+        "slowly (scatter {spread:.3g} {unit})"
     ),
     "rule.held": "{sentence} (rule {rule})",
     "rule.broken": (
-        "rule {rule} could not judge the unit ({error}): repair the package that brings it, or uninstall it, and run "
-        "the lot again"
+        "rule {rule} could not judge the unit: {error}; ask the engineer to repair or remove its package, then "
+        "calibrate the lot again"
     ),
     "late": (
-        "output follows the source's {lag:.2f} s late in the opening both share: slow readout, or another clock; what "
-        "happens faster than that is lost to the map"
+        "its output comes later than the source's; look for a slow readout or another clock; faster changes of load "
+        "are lost ({lag:.2f} s late)"
     ),
     "lagging": (
-        "slow readout: the output follows the source's under the same load like behind a filter of {lag:.2g} s more; "
-        "check the filter and rate of its readout, and that it is of the source's type"
+        "its readout is slower than the source's; check its filter and rate, and that it is of the source's type (time "
+        "constant {lag:.2g} s longer)"
     ),
-    "reversed": (
-        "wrong wiring: the output moves against the source's direction; exchange the two leads or check the divider"
-    ),
+    "reversed": "its output moves in the wrong direction; exchange the two leads or check the divider",
     "not_better": (
-        "the map changes the estimates by {correction:.3g} {unit} but {why}: it may be worse than doing nothing"
+        "its calibration may be worse than none; {why}; press it again over the whole range, or audit it (estimates "
+        "change by {correction:.3g} {unit})"
     ),
-    "part.uncertain": "is uncertain by {doubt:.3g} {unit}",
-    "part.no_nearer": "brings the unit's use no nearer to the source's (overlap {gained:+.0%})",
+    "part.uncertain": "it is more uncertain than what it corrects (by {doubt:.3g} {unit})",
+    "part.no_nearer": "it hardly makes the unit more like the source (alike by {gained:+.0%} more)",
     # What is wrong with recordings that a diagnosis is given, and what would repair them.
     "data.rate": "the time stamps show {seen:.4g} Hz, sample_rate_Hz says {stated:.4g} Hz",
     "data.repair.rate": "correct the one that is wrong; if the time stamps are right, sample_rate_Hz is {seen:.4g}",
     "data.repair.unit": "multiply {channel} by {factor:.4g}: it looks like {unit}",
-    "data.swapped_columns.steps": "another column than output_V stands on the steps of the ADC, output_V does not",
+    "data.swapped_columns.steps": "another column than output_V has the steps of the ADC; output_V has none",
     "data.swapped_columns.smooth": "force_N is as smooth as a commanded position, stage_mm as noisy as a force",
     "data.repair.swap": "exchange the headings {one} and {other}",
     "data.out_of_range.output": (
-        "output_V reaches {worst:.6g} V, an ADC with {vref:.4g} V cannot read that; {count} samples out of range"
+        "output_V reaches {worst:.6g} V, which an ADC with {vref:.4g} V cannot read (samples out of range: {count})"
     ),
     "data.out_of_range.strays": (
-        "{count} samples of {channel} lie far out, up to {worst:.6g} {unit}; nearly all others from {low:.4g} to "
-        "{high:.4g} {unit}"
+        "some samples of {channel} lie far out ({count} of them, up to {worst:.6g} {unit}, nearly all others from "
+        "{low:.4g} to {high:.4g} {unit})"
     ),
-    "data.repair.samples": "leave out the {count} samples, or record the run again; check cable and transmission",
+    "data.repair.samples": (
+        "leave these samples out, or record the run again; check cable and transmission (samples: {count})"
+    ),
     "data.repair.sign": "reverse the sign of {channel}",
     "data.swapped_runs": (
-        "{channel} does not follow the other columns of its run (correlation {now:.2f}), but those of another run "
-        "({exchanged:.2f})"
+        "{channel} does not follow the other columns of its run; it follows those of another run (correlation "
+        "{now:.2f} here, {exchanged:.2f} there)"
     ),
     "data.repair.exchange": "exchange {channel} of runs {one:g} and {other:g}",
     "data.sign": "{channel} moves against the press: a press makes stage, force and output larger",
     "data.swapped_divider": (
-        "the output falls when the sensor is pressed (correlation {correlation:.2f}): sensor and series resistor are "
-        "exchanged in the divider"
+        "the output falls when the sensor is pressed; sensor and series resistor are exchanged in the divider "
+        "(correlation {correlation:.2f})"
     ),
     "data.repair.divider": "exchange them, or take Vref less the output where that is how it is wired",
     "data.unit.stiffness": (
-        "peak force over depth is {seen:.3g} N/mm; pads have {low:.3g} to {high:.3g} N/mm; state stiffness_N_mm in "
-        "recording.json if this one is right"
+        "the pad is too stiff or too soft for a pad; if this is right, ask the engineer to state its stiffness with "
+        "the case ({seen:.3g} N/mm, pads have {low:.3g} to {high:.3g} N/mm)"
     ),
     "data.unit.size": "{channel} moves by {seen:.3g} {unit}, far from what a pad is pressed by",
     "data.repair.gain": "multiply {channel} by {factor:.4g}, or find out what changed its gain",
     "data.repair.zero": "subtract {offset:.4g} {unit} from {channel}: its zero was not set",
-    "data.run.apart": "{channel} of this run is {ratio:.3g} times what the other runs show",
+    "data.run.apart": "{channel} of this run is {ratio:.3g} x what the other runs show",
     "data.run.gain": (
-        "{channel} of this run is {ratio:.4g} times what all other runs show; that alone explains {share:.0%} of what "
-        "the twin leaves"
+        "{channel} of this run is {ratio:.4g} x what all other runs show (this alone explains {share:.0%} of what the "
+        "twin leaves)"
     ),
     "data.run.zero": (
-        "{channel} of this run is off by {offset:+.4g} {unit} from all other runs; that alone explains {share:.0%} of "
-        "what the twin leaves"
+        "{channel} of this run is off by {offset:+.4g} {unit} from all other runs (this alone explains {share:.0%} of "
+        "what the twin leaves)"
     ),
     "data.run.other_unit": (
-        "this run fits a unit of other stiffness ({stiffness:+.0%}), resistance ({resistance:+.0%}) and sensitivity "
-        "({sensitivity:+.0%}) than all other runs; that alone explains {share:.0%} of what the twin leaves"
+        "this run looks as if another unit was pressed (stiffness {stiffness:+.0%}, resistance {resistance:+.0%}, "
+        "sensitivity {sensitivity:+.0%} against all other runs; this alone explains {share:.0%} of what the twin "
+        "leaves)"
     ),
     "data.repair.other_unit": "leave the run out, or record it again with this unit",
     # Why there is no map at all.
-    "no_swing": "output makes no swing that stands out of its noise; press the unit and record it again",
-    "still": "output stays at {level:.6g} {unit}; press the unit and record again",
-    "still.shared": "output stays at {level:.6g} {unit} under the loads it shares with the source",
-    "not_synchronous": (
-        "outputs of source and unit agree with rank correlation {correlation:.2f} at equal time; they were not pressed "
-        "by one load at once"
+    "no_swing": "its output does not stand out of its noise; press the unit and record it again",
+    "still": "its output stays at one value; press the unit and record it again ({level:.6g} {unit})",
+    "still.shared": (
+        "its output stays at one value under the loads it shares with the source; check its cable, then record it "
+        "again ({level:.6g} {unit})"
     ),
-    "few.times": "{windows} windows at equal times; at least {enough} are needed",
-    "few.positions": "{windows} windows at equal stage positions; at least {enough} are needed",
-    "no_position": "stage position is not in both recordings; windows cannot be paired by it",
+    "not_synchronous": (
+        "unit and source were not pressed by one load at the same time; press them together, or choose another map "
+        "(rank correlation {correlation:.2f})"
+    ),
+    "few.times": (
+        "too little of the recording lies at the same times as the source's; record both for longer (windows: "
+        "{windows}, needed: {enough})"
+    ),
+    "few.positions": (
+        "too little of the recording lies at the same stage positions as the source's; press both over the same range "
+        "(windows: {windows}, needed: {enough})"
+    ),
+    "no_position": (
+        "the stage position is missing in one of the two recordings; record it in both, or choose another map"
+    ),
     "unreadable": "recording not readable: {error}",
     "wrong_loads": "its known loads cannot be used: {error}",
     "wrong_golden": "the golden run it was pressed beside cannot be used: {error}",
-    "worker_died": "the process that fitted it died; calibrate the lot again",
-    "defect": "softcal could not calibrate it ({error}); this is a defect of softcal, the log has the details",
+    "worker_died": "its calibration was stopped before it was done; calibrate the lot again",
+    "defect": "a defect of softcal stopped its calibration: {error}; tell the engineer, the log has the details",
     **GAP_SENTENCES,
     **SENTENCES,
 }

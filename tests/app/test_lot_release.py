@@ -116,10 +116,33 @@ def test_without_audits_nothing_passes_and_the_report_says_how_many_to_audit(mak
     assert conditional and all("forecast_only" in {why.code for why in unit.reasons} for unit in conditional)
 
 
-def test_a_lot_read_on_another_day_is_not_released(make_lot, batch):
-    report = batch(make_lot(day_gain=1.35, limit_N=0.4))
-    assert report["release"]["released"] == []
+def test_what_the_audits_of_a_lot_read_on_another_day_misread_alike_is_taken_off_its_maps(
+    make_lot, batch, registry, tmp_path
+):
+    folder = make_lot(day_gain=1.2, limit_N=0.4, audits=10)
+    report = batch(folder, "--out", str(tmp_path / "out"))
+    release = report["release"]
+    assert release["common"]["gain"] == pytest.approx(1 / 1.2, abs=0.06)
+    units = {unit["serial"]: unit for unit in report["units"]}
+    assert len(release["released"]) == 4 and all(units[serial]["verdict"] == "pass" for serial in release["released"])
+    for serial, unit in units.items():
+        history = [stored.record for stored in registry.history(serial)]
+        assert history[-1].map_sha256 != history[0].map_sha256 and history[-1].common_line is not None
+        if unit["audited"]:
+            # By the others alone.
+            assert history[-1].common_line != (release["common"]["gain"], release["common"]["zero"])
+    assert batch(folder)["release"] == release
+    fitted = [registry.history(serial)[0].record.after_rmse for serial, unit in units.items() if unit["audited"]]
+    assert np.median([unit["after_rmse"] for unit in units.values() if unit["audited"]]) < 0.7 * np.median(fitted)
+    counts = [len(registry.history(serial)) for serial in units]
+    assert batch(folder)["release"] == release and counts == [len(registry.history(serial)) for serial in units]
+
+
+def test_a_lot_without_enough_audits_is_left_as_it_was_fitted(make_lot, batch, registry):
+    report = batch(make_lot(day_gain=1.35, limit_N=0.4, audits=6))
+    assert report["release"]["released"] == [] and report["release"]["common"] is None
     assert all(unit["verdict"] != "pass" for unit in _unmeasured(report))
+    assert all(len(registry.history(unit["serial"])) == 1 for unit in report["units"])
 
 
 def test_more_audits_decide_the_lot_again(make_lot, batch):
