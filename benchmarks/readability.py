@@ -1,6 +1,7 @@
 """How readable are the documents, before and after: words, words a sentence, long sentences, Flesch reading ease.
 
 python benchmarks/readability.py BEFORE AFTER [--pages NAME ...]
+python benchmarks/readability.py BEFORE AFTER --reasons        # the sentences of core/words instead of the pages
 
 BEFORE and AFTER are revisions of git, or folders that hold README.md and docs/. Pages of docs/notebook/ are left out
 unless they are named. Only prose is judged: headings, code, tables and pictures are not, and a word in backticks is
@@ -9,17 +10,51 @@ one word of one syllable. Words in tables are counted beside it, because prose c
 Flesch reading ease (1948) is 206.835 - 1.015 words/sentence - 84.6 syllables/word: 60 to 70 is plain English, 30 to 50
 difficult. Syllables are groups of vowels, without a silent e; a dictionary would need a download. Means over all pages
 are over all of their words and sentences.
+
+Reasons are read as a person meets them: with their longest phrases filled in. Full stop and semicolon end a sentence,
+and what stands in brackets is one of its own: the numbers behind a plain statement. A word is known that stands in
+`basic_words.txt` or in the glossary.
 """
 
 import argparse
+import ast
 import re
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 LONG = 25
 """Words of a sentence above which it counts as long."""
+
+ROOT = Path(__file__).parents[1]
+SPOKEN = tuple(f"core/words/{name}.py" for name in ("reason", "gap_sentences", "rig_sentences"))
+"""Where the sentences of all reasons stand."""
+
+NESTED = {
+    "source": ("part.predicted", "part.measured"),
+    "relation": ("part.within", "part.within_close", "part.above", "part.above_close"),
+    "origin": ("part.stated", "part.automatic"),
+    "audits": ("part.here", "part.of_lots"),
+    "seen": ("part.audits_beyond", "gap.seen.maps"),
+    "any_form": ("part.any_form", "part.any_form_mean"),
+    "cure": ("part.check_cable",),
+    "cause": ("part.fast", "part.loads"),
+    "what": ("part.pressed", "part.loaded"),
+    "level": ("part.level", "part.levels"),
+    "small": ("part.small_lot",),
+    "state": ("left.lifted_roughly", "left.not_lifted", "left.runs_on"),
+    "remedy": ("gap.remedy.usual",),
+    "reaches": ("gate.reaches",),
+}
+"""Values of a reason that are phrases, and which ones; where a place formats a number it is none."""
+
+PRIVATE = (
+    "overlap", "mix of loads", "beside the forecast", "form the ratios", "ratios have", "leave open", "held-out",
+    "whatever form", "mapped windows", "extrapolated", "`where`", "of the menu", "sitting", "brings the unit's use",
+)  # fmt: skip
+"""What strangers could not say the meaning of."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +120,153 @@ def _syllables(word: str) -> int:
     return max(1, len(re.findall(r"[aeiouy]+", lower)))
 
 
+@dataclass(frozen=True)
+class Spoken:
+    """What a reader of one reason, or of several, meets.
+
+    Args:
+        words, sentences: how many.
+        long: the sentences of more than `LONG` words.
+        unknown: words of neither list, once each.
+    """
+
+    words: int = 0
+    sentences: int = 0
+    long: tuple[str, ...] = ()
+    unknown: frozenset[str] = frozenset()
+
+    def __add__(self, other: "Spoken") -> "Spoken":
+        return Spoken(
+            self.words + other.words,
+            self.sentences + other.sentences,
+            self.long + other.long,
+            self.unknown | other.unknown,
+        )
+
+    def row(self) -> str:
+        each = self.words / self.sentences
+        return f"{self.sentences} | {self.words} | {each:.1f} | {len(self.long)} | {len(self.unknown)}"
+
+
+def reasons(place: str) -> dict[str, str]:
+    """Return the sentences of all reasons of a folder or of a revision: code → English."""
+    said: dict[str, str] = {}
+    for name in SPOKEN:
+        text = (
+            (Path(place) / name).read_text(encoding="utf-8")
+            if Path(place).is_dir()
+            else _git("show", f"{place}:{name}")
+        )
+        for table in (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Dict)):
+            for key, value in zip(table.keys, table.values, strict=True):
+                if isinstance(key, ast.Constant) and isinstance(value, ast.Constant) and isinstance(value.value, str):
+                    said[str(key.value)] = value.value
+    return said
+
+
+def spoken(said: Mapping[str, str], code: str) -> str:
+    """Return a reason with its longest phrases; numbers and names stay as a place, {}."""
+
+    def phrase(place: re.Match[str]) -> str:
+        codes = NESTED.get(place[1], ())
+        is_phrase = not place[2] and code not in codes
+        phrases = [spoken(said, one) for one in codes if one in said] if is_phrase else []
+        return max(phrases, key=lambda text: len(text.split()), default="{}")
+
+    return re.sub(r"\{(\w+)(:[^}]*)?\}", phrase, said[code])
+
+
+def sentences_of(text: str) -> list[str]:
+    """Return the sentences of a reason: what stands in brackets is one of its own, and a quoted command one word."""
+    text = re.sub(r"`[^`]*`|(?<!\w)'[^']*'", "code", text)
+    parts = [text]
+    while bracket := re.search(r"\(([^()]*)\)", parts[0]):
+        parts[0] = parts[0].replace(bracket[0], "", 1)
+        parts.append(bracket[1])
+    return [one for part in parts for one in re.split(r"(?<=[.!?])\s+|;\s+", part) if _words(one)]
+
+
+def _words(text: str) -> list[str]:
+    return re.findall(r"[^\W\d_][\w'’.-]*\w|[^\W\d_]", text)
+
+
+def reader(said: Mapping[str, str], known: frozenset[str]) -> Spoken:
+    """Read all reasons.
+
+    Args:
+        said: as `reasons` returns them.
+        known: words that need no explanation.
+    """
+    return sum((_read(spoken(said, code), known) for code in said), Spoken())
+
+
+def _read(text: str, known: frozenset[str]) -> Spoken:
+    found = sentences_of(text)
+    words = [_words(one) for one in found]
+    long = tuple(one.strip() for one, of in zip(found, words, strict=True) if len(of) > LONG)
+    unknown = frozenset(word for of in words for word in map(str.lower, of) if not _is_known(word, known))
+    return Spoken(sum(map(len, words)), len(found), long, unknown)
+
+
+def _is_known(word: str, known: frozenset[str]) -> bool:
+    """Return whether a word is known, with its endings; a name with a dot or an underscore is a name."""
+    if "." in word or "_" in word or word in known:
+        return True
+    if "-" in word:
+        return all(_is_known(part, known) for part in word.split("-") if part)
+    stems = [
+        word.removesuffix(end) for end in ("'s", "s", "es", "d", "ed", "r", "er", "st", "est", "ly", "ing", "n", "en")
+    ]
+    stems += [stem[:-1] for stem in stems if len(stem) > 2 and stem[-1] == stem[-2]]
+    stems += [f"{stem}e" for stem in stems] + [f"{stem[:-1]}y" for stem in stems if stem.endswith("i")]
+    stems += [stem.removeprefix(start) for stem in [word, *stems] for start in ("un", "re")]
+    return any(stem in known for stem in stems)
+
+
+def known_words() -> frozenset[str]:
+    """Return the basic words and those of the glossary."""
+    basic = (ROOT / "benchmarks/basic_words.txt").read_text(encoding="utf-8")
+    basic = " ".join(line for line in basic.splitlines() if not line.startswith("#"))
+    glossary = re.findall(r"^\| ([^|]+) \|", (ROOT / "docs/glossary.md").read_text(encoding="utf-8"), re.MULTILINE)
+    return frozenset(word.lower() for word in [*basic.split(), *(w for term in glossary for w in _words(term))])
+
+
+def private(said: Mapping[str, str]) -> dict[str, str]:
+    """Return the reasons with words that nobody outside knows: code → those words."""
+    return {code: word for code, text in said.items() for word in PRIVATE if word in text.lower()}
+
+
+VERBS = "does|explains|goes|has|is|its|moves|reads|speaks|stands|this|times|was"
+PLURAL = re.compile(rf"(?<![\w.,:=+-])1 (?:(?!and\b|of\b|on\b|within\b)[a-z-]+ )?(?!(?:{VERBS})\b)[a-z]{{2,}}s\b")
+"""One of several: "1 units", "1 audited units". Verbs and joining words are none."""
+
+BROKEN = re.compile(r"\b0 of (?:the )?0\b|[{}]|\bnan\b|\binf\b|\bNone\b")
+"""What no sentence may show, whatever its counts."""
+
+FROM_ONE = {"step"}
+"""Counts that begin at one."""
+
+
+def at_the_borders(said: Mapping[str, str], code: str) -> list[str]:
+    """Return what a reason says wrongly where its counts are 0, 1 or 2.
+
+    Names of two places or fewer take every pair of counts, those of more one count at once. A place that formats a
+    number in another way than a count stays one of a name.
+    """
+    text = said[code]
+    names = list(dict.fromkeys(re.findall(r"\{(\w+)(?::\.?0?[gf%]|:\.0[f%])?\}", text)))
+    counts = list(product((0, 1, 2), repeat=len(names))) if len(names) <= 2 else [(n,) * len(names) for n in (0, 1, 2)]
+    wrong = []
+    for of in counts:
+        filled = text
+        for name, count in zip(names, of, strict=True):
+            least = max(count, 1) if name in FROM_ONE else count
+            filled = re.sub(rf"\{{{name}(:[^}}]*)?\}}", str(least), filled)
+        filled = re.sub(r"\{\w+(:[^}]*)?\}", "1.5", filled)
+        wrong += [found[0] for found in (BROKEN.search(filled), PLURAL.search(filled)) if found]
+    return wrong
+
+
 def pages(place: str) -> dict[str, str]:
     """Return the pages of a folder or of a revision: name → text."""
     if Path(place).is_dir():
@@ -96,9 +278,8 @@ def pages(place: str) -> dict[str, str]:
 
 
 def _git(*words: str) -> str:
-    root = Path(__file__).parents[1]
     return subprocess.run(
-        ["git", *words], cwd=root, check=True, capture_output=True, text=True, encoding="utf-8"
+        ["git", *words], cwd=ROOT, check=True, capture_output=True, text=True, encoding="utf-8"
     ).stdout
 
 
@@ -107,7 +288,11 @@ def main() -> None:
     parser.add_argument("before", help="revision or folder")
     parser.add_argument("after", help="revision or folder")
     parser.add_argument("--pages", nargs="+", metavar="NAME", help="these pages alone, such as docs/gap.md")
+    parser.add_argument("--reasons", action="store_true", help="the sentences of all reasons, in place of the pages")
     arguments = parser.parse_args()
+    if arguments.reasons:
+        _print_reasons(arguments.before, arguments.after)
+        return
     before, after = pages(arguments.before), pages(arguments.after)
     kept = arguments.pages or [n for n in before | after if not n.startswith(("docs/notebook/", "docs/decisions/"))]
     print("| page | when | words | in tables | words a sentence | longer than 25 words | Flesch |")
@@ -118,6 +303,18 @@ def main() -> None:
                 print(f"| {name} | {when} | {prose(texts[name]).row()} |")
     for when, texts in (("before", before), ("after", after)):
         print(f"| all | {when} | {sum((prose(texts[n]) for n in kept if n in texts), Prose()).row()} |")
+
+
+def _print_reasons(*places: str) -> None:
+    known = known_words()
+    print("| reasons | sentences | words | words a sentence | longer than 25 | unknown words | private | at 0, 1, 2 |")
+    print("|---|---|---|---|---|---|---|---|")
+    for when, place in zip(("before", "after"), places, strict=True):
+        said = reasons(place)
+        borders = sum(bool(at_the_borders(said, code)) for code in said)
+        print(f"| {when} | {reader(said, known).row()} | {len(private(said))} | {borders} |")
+    last = reader(said, known)
+    print(*(f"long: {one}" for one in last.long), f"unknown: {', '.join(sorted(last.unknown))}", sep="\n")
 
 
 if __name__ == "__main__":

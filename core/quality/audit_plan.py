@@ -131,13 +131,18 @@ def judge_lot(
     word = "fail" if failed else "pass" if upper <= allowed else "conditional"
     ratios = [measured[serial] / forecasts[serial] for serial in plan.serials]
     ratio = float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
-    unchecked = plan.population - len(plan.random)
-    text = (
-        f"{len(failed)} of {len(plan.serials)} checked units miss {limit.maximum_rmse:.3g} {limit.unit}; "
-        f"with 95 % confidence at most {upper - random_failed} of the {unchecked} unchecked accepted units do"
-    )
+    text = _told(plan, len(failed), upper - random_failed, limit)
     process = process_upper(len(plan.random), random_failed)
     return LotStatement(word, failed, upper - random_failed, process, ratio, text)
+
+
+def _told(plan: AuditPlan, failed: int, most: int, limit: Limit) -> str:
+    """Say what was checked and what that leaves open, in words that are right for every count."""
+    bound, unchecked = f"{limit.maximum_rmse:.3g} {limit.unit}", plan.population - len(plan.random)
+    checked = f"units checked: {len(plan.serials)}, of these beyond {bound}: {failed}"
+    if not unchecked:
+        return f"{checked}; no accepted unit is left unchecked"
+    return f"{checked}; accepted units not checked: {unchecked}, of these beyond it: {most} at most (95 % confidence)"
 
 
 def nonconforming_upper(population: int, checked: int, failed: int) -> int:

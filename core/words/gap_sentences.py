@@ -32,21 +32,25 @@ GAP_SENTENCES: Mapping[str, str] = {
     "gap.effect": "{effect}",
     "gap.map": "{map}",
     "gap.map.none": "none",
-    "gap.seen.maps": "maps refitted separately that do not close: {maps}",
+    "gap.seen.maps": "relations that still do not fit, each fitted by itself: {maps}",
     "gap.seen.effect": "{effect}; {seen}",
     "gap.seen.alias": "or {alias}",
-    "gap.seen.energy": "{share:.0%} of the gap's energy in this regime, {lift:.1f} times its share of time",
-    "gap.seen.energy_of_all": "{share:.0%} of the gap's energy, {lift:.1f} times its share of time",
+    "gap.seen.energy": "{share:.0%} of the gap's energy lies in this part of the run, {lift:.1f} x its share of time",
+    "gap.seen.energy_of_all": "{share:.0%} of the gap's energy lies here, {lift:.1f} x its share of time",
     "gap.seen.like": "like {like}; {seen}",
     "gap.seen.noise": "{noise}; {seen}",
-    "gap.seen.left": ("{seen}; the catalogue explains {share:.0%} of the structured gap, nothing in it the rest"),
-    "gap.seen.better": ("{seen}; the catalogue explains {share:.0%} of the structured gap, but less well than this"),
-    "gap.seen.same_maps": "possible by the same maps",
+    "gap.seen.left": (
+        "{seen}; the known effects explain {share:.0%} of the gap that is not noise; none of them explains the rest"
+    ),
+    "gap.seen.better": (
+        "{seen}; the known effects explain {share:.0%} of the gap that is not noise, but less well than this"
+    ),
+    "gap.seen.same_maps": "as possible, by the same measurements",
     "gap.seen.nearest": "{causes} explains {share:.0%} of it",
     "gap.seen.no_candidate": "no candidate explains any of it",
-    "gap.seen.tone": "a tone of {frequency_Hz:.1f} Hz in the {channel}, {rms:.1f} times its noise",
-    "gap.seen.spikes": "{count} samples of the output far off while little moves: spikes",
-    "gap.seen.jitter": "the noise of the output grows with its slope: the instants jitter",
+    "gap.seen.tone": "a tone in the {channel} ({frequency_Hz:.1f} Hz, {rms:.1f} x its noise)",
+    "gap.seen.spikes": "spikes in the output while little moves (samples: {count})",
+    "gap.seen.jitter": "the output is noisier the faster it changes, so the times of its samples are not even",
     # Departures outside the catalogue.
     "gap.like.stiffness_in_time": "a stiffness that drifts",
     "gap.like.stiffness_when_warm": "a stiffness that follows the temperature",
@@ -61,33 +65,36 @@ GAP_SENTENCES: Mapping[str, str] = {
     "gap.like.cell_late": "a cell that reads late",
     "gap.like.divider_when_warm": "a divider resistor that follows the temperature",
     "gap.alias.divider": (
-        "the divider resistor's temperature coefficient, sign reversed: only R/Rs enters the divider"
+        "the divider resistor's temperature coefficient with its sign reversed, since the divider shows only R/Rs"
     ),
     # What to press next, and why.
-    "gap.next.separates": (
-        "separates {causes} by {distance:.0f} standard deviations of the noise in {minutes:.1f} min"
-    ),
+    "gap.next.separates": "this run tells {causes} apart ({distance:.0f} x the noise, {minutes:.1f} min)",
     "gap.next.separates_most": (
-        "separates {causes} (all but {others}) by {distance:.0f} standard deviations of the noise in {minutes:.1f} min"
+        "this run tells {causes} apart, except {others} of them ({distance:.0f} x the noise, {minutes:.1f} min)"
     ),
-    "gap.next.inseparable": "{causes} cannot be separated by any run of the menu; {remedy}",
-    "gap.next.what_follows": "a rate sweep with holds shows whether what is left follows speed, time or load",
+    "gap.next.inseparable": "no run of the list tells {causes} apart; {remedy}",
+    "gap.next.what_follows": (
+        "press at several speeds with holds between; this shows whether the rest of the gap follows speed, time or load"
+    ),
     "gap.next.what_follows_unseen": (
-        "a rate sweep with holds shows whether what is left follows speed, time or load; log the stage position, "
-        "without which half of the chain is not seen"
+        "press at several speeds with holds between; this shows whether the rest of the gap follows speed, time or "
+        "load; record the stage position too, without which half of the chain is not seen"
     ),
-    "gap.next.slow": "no gap is visible here; slow creep, drift and ageing would show first in a long hold",
+    "gap.next.slow": "no gap is seen here; slow creep, drift and ageing would show first in a long hold",
     "gap.next.alias": "{effect} may as well be {alias}; {advice}",
-    "gap.next.separated": "the causes are separated on these runs; apply them to the twin",
-    "gap.next.add_candidate": ("no candidate explains the gap; add one that acts where `where` says it stands out"),
-    "gap.next.no_gap": "no gap is visible on these runs",
-    "gap.next.separated_here": "the causes are separated on these runs",
-    "gap.next.no_experiments": "{causes} fit alike; give the simulator experiments to choose among",
+    "gap.next.separated": "these runs tell the causes apart; apply them to the twin",
+    "gap.next.add_candidate": (
+        "none of the effects explains the gap; ask the engineer to add one that acts at the place where the gap stands "
+        "out"
+    ),
+    "gap.next.no_gap": "no gap is seen on these runs",
+    "gap.next.separated_here": "these runs tell the causes apart",
+    "gap.next.no_experiments": "{causes} fit equally well; give the simulator runs to choose among",
     "gap.remedy.platen": "measure the position of the platen itself",
     "gap.remedy.climate": "log the temperature of the sensor and the reference voltage",
-    "gap.remedy.usual": "a second load cell or a four-wire measurement of the channel would",
+    "gap.remedy.usual": "use a second load cell, or measure the channel with four wires",
     "gap.advice.warm_dummy": (
-        "read a dummy resistor for a minute while the electronics warm by a few K, with temperature_C logged"
+        "read a dummy resistor for a minute while the electronics warm by a few K, and record temperature_C"
     ),
     # Lists.
     "gap.list": "{first}, {rest}",

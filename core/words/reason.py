@@ -126,20 +126,19 @@ ENGLISH: Mapping[str, str] = {
         "{unit})"
     ),
     "release.common": (
-        "the audited units misread their loads alike, and that was taken off every map of the lot (gain {gain:.3f}, zero "
-        "{zero:.3g} {unit}, by {audits} audits)"
+        "the audited units misread their loads alike, and that was taken off every map of the lot (gain {gain:.3f}, "
+        "zero {zero:.3g} {unit}, audits: {audits})"
     ),
     "common": (
-        "its map takes off what the audited units of its lot misread alike (gain {gain:.3f}, zero {zero:.3g} {unit}, by "
-        "{audits} audits)"
+        "its map takes off what the audited units of its lot misread alike (gain {gain:.3f}, zero {zero:.3g} {unit}, "
+        "audits: {audits})"
     ),
     "release.doubts": "some audits may be wrong and do not count; look at them on the page Audit (units: {serials})",
     "part.audits_beyond": "{audits}, of these beyond {limit:.3g} {unit}: {beyond}",
     "part.any_form": (
-        "if nothing is assumed on how errors spread, it is at most {share:.1%} with that confidence, and {risk:.1%} on "
-        "average"
+        "with no assumption on the errors, at most {share:.1%} at that confidence and {risk:.1%} on average"
     ),
-    "part.any_form_mean": "if nothing is assumed on how errors spread, it is at most {risk:.1%} on average",
+    "part.any_form_mean": "with no assumption on the errors, at most {risk:.1%} on average",
     "sampled.released": (
         "released by sample; by the audited units its error is within the limit, with a risk of {risk:.0%} (forecast "
         "{rmse:.3g} {unit}, times {factor:.2f} at most, limit {limit:.3g} {unit}, {confidence:.0%} confidence, "

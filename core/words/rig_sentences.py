@@ -11,23 +11,29 @@ SENTENCES: Mapping[str, str] = {
     "device.readers": "readers",
     "device.at": "{device} ({port})",
     # A run, a self-test and their stops.
-    "rig.needs_cell": "a source unit needs the load cell, the station file has none; nothing moved",
-    "rig.no_limit": (
-        "nothing limits the force without a load cell; set without_cell in the station file where the stage can hurt "
-        "nothing; nothing moved"
+    "rig.needs_cell": (
+        "a source unit needs the load cell, and this station has none; nothing moved; ask the engineer to add it to "
+        "the station file"
     ),
-    "rig.not_zero": "load cell: reads {zero_N:.3g} N unloaded, at most {allowed_N:g} N is allowed; zero it",
+    "rig.no_limit": (
+        "without a load cell nothing limits the force; nothing moved; ask the engineer, who allows it in the station "
+        "file (without_cell) where the stage can hurt nothing"
+    ),
+    "rig.not_zero": (
+        "load cell: does not read zero without a load; take everything off and zero it (reads {zero_N:.3g} N, at most "
+        "{allowed_N:g} N is allowed)"
+    ),
     "rig.zero_moved": (
-        "load cell: its zero moved by {change_N:.3g} N over the run, {allowed_N:g} N is allowed; let it warm up, "
-        "check its mounting"
+        "load cell: its zero moved during the run; let it warm up, check its mounting (by {change_N:.3g} N, "
+        "{allowed_N:g} N is allowed)"
     ),
     "rig.no_contact": "no contact down to {deepest_mm:g} mm; is a unit in the fixture and connected?",
     "rig.too_fast": (
-        "profile {profile} moves at {speed_mm_s:g} mm/s, on this unit ({force_N:.1f} N, {stiffness_N_mm:.1f} N/mm) a "
-        "stop could end at {worst_N:.1f} N, {ceiling_N:.1f} N is the most for this load cell; press at "
-        "{slower_mm_s:.2g} mm/s or slower"
+        "profile {profile} is too fast for this unit: a stop could end above the load cell's limit; press at "
+        "{slower_mm_s:.2g} mm/s or slower (now {speed_mm_s:g} mm/s, {force_N:.1f} N, {stiffness_N_mm:.1f} N/mm, a stop "
+        "could end at {worst_N:.1f} N, limit {ceiling_N:.1f} N)"
     ),
-    "rig.few_readings": "{device}: {count} readings in {read_s:g} s; check its cable and rate",
+    "rig.few_readings": "{device}: too few readings; check its cable and rate (readings: {count} in {read_s:g} s)",
     "rig.one_weight": "one weight gives no scale; use the unloaded cell and at least one weight",
     "rig.not_following": "load cell: the reading does not follow the weights; check its bridge and mounting",
     "rig.number.reads": "{device}: {quantity} reads {answer}; a number was expected",
@@ -39,7 +45,7 @@ SENTENCES: Mapping[str, str] = {
     ),
     "rig.port": "{device}: {why}",
     "rig.no_answer": "{device}: no answer within {within_s:g} s; check cable, power and baud rate",
-    "rig.no_line_end": "{device}: {count} bytes without a line end; check device and baud rate",
+    "rig.no_line_end": "{device}: it sends no line end; check device and baud rate (bytes read: {count})",
     "rig.gone": (
         "{device}: the device is gone (unplugged, switched off, or another program took the port); check its cable, "
         "then start again"
@@ -52,34 +58,35 @@ SENTENCES: Mapping[str, str] = {
     "rig.too_deep": "the profile would reach {to_mm:.2f} mm, the limit is {deepest_mm:g} mm; check the fixture",
     "rig.late.lifting": "stage: late while it was lifted",
     "rig.behind": (
-        "load cell: its readings are {found_s:.3f} s behind the stage, {declared_s:.3f} s are declared; look for a "
-        "slow line or a filter, or state latency_s = {latency_s:.2f} in the station file"
+        "load cell: its readings come later than the stage moves; look for a slow line or a filter, or ask the "
+        "engineer to state the delay in the station file (found {found_s:.3f} s, stated {declared_s:.3f} s, latency_s "
+        "= {latency_s:.2f})"
     ),
     "rig.gain": (
-        "load cell: at equal depths one press shows {ratio:.2f} times the force of another; check the cell's "
-        "amplifier, its mounting and the unit's seat, then press again"
+        "load cell: one press shows another force than the next at equal depth; check the cell's amplifier, its "
+        "mounting and the unit's seat, then press again ({ratio:.2f} x)"
     ),
     "rig.odd_force": (
-        "load cell: {at_s:.1f} s after the first press began it is {off_N:+.2f} N off what depth and the rest of the "
-        "run say; check the cell's plug and amplifier and whether something touches unit or stage, then press again"
+        "load cell: its force does not fit the depth during a press; check the cell's plug and amplifier, and whether "
+        "something touches unit or stage; then press again ({off_N:+.2f} N, {at_s:.1f} s after the first press began)"
     ),
     "rig.output_gain": (
-        "sensor readout: at equal depths one press changes the output {ratio:.2f} times as much as another; check "
-        "whether the motor lost steps, the unit's seat and its connector, then press again"
+        "sensor readout: one press changes the output more than the next at equal depth; check the motor for lost "
+        "steps, the unit's seat and its connector; then press again ({ratio:.2f} x)"
     ),
     "rig.contact_at_once": (
-        "contact was found before the stage had moved by {way_mm:g} mm; check the load cell's readings, and whether "
-        "approach_mm is above the unit"
+        "contact was found before the stage had moved; check the load cell's readings, and ask the engineer whether "
+        "the approach (approach_mm) ends above the unit (moved {way_mm:g} mm at most)"
     ),
     "rig.follows": (
-        "sensor readout: only {percent:.0f} % of what it shows goes with the depth of the stage; check the unit's "
-        "connector and the motor's supply, then press again"
+        "sensor readout: its output hardly follows the depth of the stage; check the unit's connector and the motor's "
+        "supply, then press again ({percent:.0f} % follows)"
     ),
     "rig.bit": "sensor readout: bit {bit} of its converter never changes; check the converter, then press again",
     "rig.run_ended": "run of {serial}: {end}; press the unit again",
     "rig.run_facts": "run of {serial}: what it says of itself does not fit its samples; press the unit again",
     "rig.clock": "{device}: its clock is off by {percent:+.1f} %; check its firmware",
-    "rig.lost": "{device}: {lost} of {count} samples were lost; check its cable, then record again",
+    "rig.lost": "{device}: some samples were lost; check its cable, then record again (lost: {lost}, samples: {count})",
     "rig.gap": "load cell: a gap of {seconds:.2f} s in its samples; check its cable, then record again",
     "rig.force": (
         "force {force_N:.2f} N, {coming_N:.2f} N by the time the stage can brake: the limit is {limit_N:g} N; check "
@@ -103,18 +110,19 @@ SENTENCES: Mapping[str, str] = {
         "start the run again"
     ),
     "rig.frozen": (
-        "{device}: {level:.4g} {unit} does not change while the stage moves {frozen_mm:g} mm; it is frozen or not "
-        "connected to the unit"
+        "{device}: its reading stands still while the stage moves; it is frozen, or not connected to the unit; check "
+        "its cable ({level:.4g} {unit} over {frozen_mm:g} mm)"
     ),
     "rig.rail": (
         "{device}: at the end of its range for {rail_s:g} s; check the unit's connector (open or short circuit)"
     ),
     "rig.rate": (
-        "{device}: sends {seen_Hz:.3g} samples a second, {rate_Hz:g} were expected; check its firmware and the "
-        "station file"
+        "{device}: sends at another rate than expected; check its firmware, or ask the engineer to correct the station "
+        "file ({seen_Hz:.3g} Hz, expected {rate_Hz:g} Hz)"
     ),
     "rig.missing": (
-        "{device}: {lost} of {count} samples did not come; check its cable and whether it still sends at its rate"
+        "{device}: some samples did not come; check its cable and whether it still sends at its rate (missing: {lost}, "
+        "samples: {count})"
     ),
     "rig.no_position.known": "stage: does not say where it is; check its cable",
     "rig.defect": "a defect of softcal ended the run; its log has more",
@@ -139,20 +147,22 @@ SENTENCES: Mapping[str, str] = {
         "the force rises by {force_N:.1f} N while the stage homes; check that it homes away from the unit"
     ),
     "rig.in_the_way": (
-        "something is in the way at {position_mm:.2f} mm: {force_N:.2f} N; look at unit and fixture, correct "
-        "approach_mm in the station file"
+        "something is in the way of the stage; look at unit and fixture, or ask the engineer to correct the approach "
+        "in the station file (approach_mm; {force_N:.2f} N at {position_mm:.2f} mm)"
     ),
     "rig.deepest": "stage at {at_mm:.2f} mm, the limit is {deepest_mm:g} mm; check the fixture",
     "rig.not_homed": "stage: not homed; nothing was sent, home it first",
     "rig.moving": "stage: the move before is not finished; nothing was sent",
     "rig.outside.travel": "stage: {to_mm:g} mm is outside [0, {travel_mm:g}] mm; nothing was sent",
     "rig.outside.speed": "stage: {speed_mm_s:g} mm/s is outside {bounds} mm/s; nothing was sent",
-    "rig.channels": "{count} channels in a line, {expected} expected",
+    "rig.channels": "a line has the wrong number of channels ({count}, expected {expected}); check the readout",
     "rig.clock.back": (
         "{device}: its clock went from {before_ms} ms to {after_ms} ms; the device started again, check its supply "
         "and its cable"
     ),
-    "rig.unreadable": "{device}: {count} unreadable lines in a row, the last: {why}",
+    "rig.unreadable": (
+        "{device}: its lines cannot be read; check cable and baud rate (lines in a row: {count}, the last: {why})"
+    ),
     "rig.force_unit": "load cell: unit {unit} is not known; set it to N",
     "rig.acknowledge": "acknowledge first",
     # What became of the stage.
@@ -191,11 +201,15 @@ SENTENCES: Mapping[str, str] = {
         "counts from {smallest} to {largest}: beyond 16 bit or below 0, as a bridge amplifier of a load cell sends them"
     ),
     "port.converter": "counts up to {largest}, as the 12-bit converter of a readout sends them",
-    "port.either": "counts up to {largest} at {rate_Hz:.0f} Hz: a load cell or readout; say which in the station file",
+    "port.either": (
+        "counts up to {largest} at {rate_Hz:.0f} Hz: a load cell or a readout; the engineer says which in the station "
+        "file"
+    ),
     "port.at": "{port}: {why}",
     "port.at.none": (
-        "no USB serial port on this machine; looked for a stage (GRBL, Zaber, Mark-10 stand), a load cell (HX711, "
-        "Mark-10, Loadstar, indicator) and a sensor readout; plug them in, or use the simulated rig"
+        "no USB serial port was found on this machine; plug the devices in, or use the simulated rig (looked for: a "
+        "stage such as GRBL, Zaber or Mark-10, a load cell such as HX711, Mark-10, Loadstar or indicator, a sensor "
+        "readout)"
     ),
     "port.missing": "not found: {parts}; looked at {ports}",
     "port.one_of": ("{first} and {second} could each be {part}; name the ports you mean; nothing was written"),
@@ -296,8 +310,8 @@ SENTENCES: Mapping[str, str] = {
         "panel); look at the stand, then start the run again"
     ),
     "esm.no_stand": (
-        "load cell ({port}): kind esm is the gauge on an ESM stand; none is open on the same port, check [stage] in "
-        "the station file"
+        "load cell ({port}): it is the gauge of an ESM stand, and no stand is open on this port; ask the engineer to "
+        "check [stage] in the station file"
     ),
     "esm.status": "stage: answered {line}; a status such as `S M UL` was expected",
     "esm.travel_line": "stage: answered {line}; a travel such as `-7.52 mm` was expected",
@@ -315,10 +329,12 @@ SENTENCES: Mapping[str, str] = {
     "gcl2.noise": "gauge answered {line}, which is noise",
     # Other load cells.
     "hx711.saturated": (
-        "{device}: converter saturated at {count:.0f} counts; the cell is overloaded or its bridge is not connected, "
-        "check cable and load, then zero it"
+        "{device}: its converter is at the end of its range; the cell is overloaded, or its bridge is not connected; "
+        "check cable and load, then zero it (reads {count:.0f})"
     ),
-    "loadstar.model": "load cell: {model} is no DI-100 or DI-1000; check force.kind in the station file",
+    "loadstar.model": (
+        "load cell: {model} is no DI-100 or DI-1000; ask the engineer to check force.kind in the station file"
+    ),
     "loadstar.answer": "load cell: answered {answer}, a Loadstar interface says 'A'; check port and baud rate",
     "loadstar.line": "load cell sent {line}; a number such as -0.000456 was expected",
     "indicator.noise": "indicator sent {line}, which is noise",
@@ -329,7 +345,9 @@ SENTENCES: Mapping[str, str] = {
     "scpi.level": "it cannot keep the level",
     "scpi.no_data": "no data",
     "scpi.other": "{device}: {identity} is none of {models}; check port and kind",
-    "scpi.settings": "{device}: does not take its settings: {error}; check them in the station file",
+    "scpi.settings": (
+        "{device}: does not take its settings: {error}; ask the engineer to check them in the station file"
+    ),
     "labjack.missing": (
         "{device}: LabJack's library cannot be loaded: {error}; install LJM (labjack.com) and `pip install "
         "'softcal[labjack]'`"
@@ -340,7 +358,10 @@ SENTENCES: Mapping[str, str] = {
     "labjack.reading": "{device}: it gave {values}, which is no voltage; check its inputs",
     "scpi.reading": "{device}: a reading reads {line}; a number was expected",
     "scpi.status": "{device}: {why}; check the unit's connector and the range",
-    "scpi.overload": "{device}: overload; check the unit's connector, then choose a larger full_scale",
+    "scpi.overload": (
+        "{device}: overload; check the unit's connector; if it comes back, ask the engineer for a larger range "
+        "(full_scale)"
+    ),
     "scpi.whole": "{device}: {text} was read where a whole number was expected",
     "scpi.overloaded": "overload",
     "scpi.status.other": "status {status}",
@@ -357,8 +378,8 @@ SENTENCES: Mapping[str, str] = {
     "station_file.unknown_top": "unknown key {key}; known are name, {known}",
     "station_file.no_section": "section [{section}] is missing",
     "station_file.no_force": (
-        "section [force] is missing, so nothing limits the force; add the load cell, or state without_cell = true in "
-        "[safety] where the stage can hurt nothing"
+        "section [force] is missing, so nothing limits the force; the engineer adds the load cell to the station file; "
+        "only where the stage can hurt nothing, [safety] has without_cell = true instead"
     ),
     "station_file.no_table": "{name} must be a section: write [{name}] and its keys below",
     "station_file.wrong_wire": "[{section}] port {port} is a {wire} port; kind {kind} speaks over {wires}",
@@ -368,7 +389,7 @@ SENTENCES: Mapping[str, str] = {
     "station_file.outside": "{name} is {value:g}; a value in [{low:g}, {high:g}] was expected",
     "station_file.no_scale": "force.counts_per_N is 0; calibrate the cell with weights first (calibrate-cell)",
     "station_file.dmm_rate": (
-        "readout.rate_Hz is {rate_Hz:g}; with cycles = {cycles:g} at most {most_Hz:g} readings a second are possible"
+        "readout.rate_Hz is {rate_Hz:g}; with cycles = {cycles:g} at most {most_Hz:g} Hz is possible"
     ),
     "station_file.level": "readout.level_V is {level_V:g}; a value in (0, 20] was expected",
     "station_file.known": "{name} is {value}; known are {known}",
@@ -400,7 +421,7 @@ SENTENCES: Mapping[str, str] = {
     "check.safe_speed": "safe speed",
     "check.runs_on": "runs on when the host dies",
     "check.ran_on": "ran on when left alone",
-    "found.samples": "{count} samples",
+    "found.samples": "samples: {count}",
     "found.reading": "{values} {unit}",
     "found.noise": "{noise:.2g} {unit}",
     "found.drift": "{drift_ppm} ppm, give or take {doubt_ppm}",
@@ -409,19 +430,21 @@ SENTENCES: Mapping[str, str] = {
     "found.travel": "{travel_mm:g} mm, {speed_mm_s:g} mm/s",
     "found.return": "{way_mm:.3g} mm in {took_s:.2f} s, off by {error_mm:+.3f} mm",
     "found.safe_speed": (
-        "{free_mm_s:.2g} mm/s where nothing was felt, {unknown_mm_s:.2g} mm/s where the unit was not pressed yet, so "
-        "that a stop ends below {ceiling_N:g} N"
+        "a stop ends below {ceiling_N:g} N (up to {free_mm_s:.2g} mm/s where nothing was felt, {unknown_mm_s:.2g} mm/s "
+        "where the unit was not pressed yet)"
     ),
     "found.runs_on": (
-        "at {speed_mm_s:g} mm/s at most {on_s:.2f} s and {way_mm:.2g} mm, no deeper than the unit was felt; where "
-        "nothing was felt, at {slow_mm_s:.2g} mm/s, at most {slow_mm:.2g} mm and {worst_N:.1f} N"
+        "it runs on for {on_s:.2f} s at most (at {speed_mm_s:g} mm/s {way_mm:.2g} mm, no deeper than felt; where "
+        "nothing was felt, at {slow_mm_s:.2g} mm/s {slow_mm:.2g} mm and {worst_N:.1f} N)"
     ),
     "found.ran_on": "{way_mm:.2g} mm at {speed_mm_s:.2g} mm/s, {most_mm:.2g} mm at most",
     "found.rate": "{rate_Hz:.4g} Hz",
     "found.zero": "{zero_N:+.3f} N",
     "found.failed": "failed",
     "cure.no_stream": "no stream; check cable, supply, firmware",
-    "cure.rate": "{rate_Hz:g} Hz were expected; correct rate_Hz in the station file or the firmware",
+    "cure.rate": (
+        "{rate_Hz:g} Hz were expected; check the firmware, or ask the engineer to correct rate_Hz in the station file"
+    ),
     "cure.clock": "clock far off; check its firmware",
     "cure.zero": "at most {allowed_N:g} N; unload the cell, then zero it",
     "cure.ran_on": "the controller goes further than it was told; do not press with it, check its firmware",
@@ -441,8 +464,8 @@ SENTENCES: Mapping[str, str] = {
     "gate.homes": "the next run homes first",
     "gate.no_golden": "no golden unit was pressed in this shift; press one",
     "gate.golden_bad": (
-        "golden unit {serial} lies outside its control limits; units since the last good check are quarantined; call "
-        "the engineer"
+        "golden unit {serial} is outside its control limits; units since the last good check are held back; call the "
+        "engineer"
     ),
     "gate.golden": "{serial} within its limits at {at}",
     "gate.needs_reason": "an override needs a reason; the gate is as it was",
@@ -460,11 +483,11 @@ SENTENCES: Mapping[str, str] = {
     "golden.error": "error {error:.3g} {unit} is above {what}, {limit:.3g} {unit}",
     "golden.none": "no unit",
     # Control charts.
-    "chart.few": "{count} values; a control chart needs at least 8 to find its limits",
+    "chart.few": "too few values; a control chart needs at least 8 to find its limits (values: {count})",
     "chart.no_limit": "capability needs a minimum or a maximum",
     "chart.limits_crossed": "minimum {minimum:g} is not below maximum {maximum:g}",
     "chart.not_a_number": "value {value} of the control chart is not a number",
-    "chart.capability.few": "{count} values; capability needs at least {least}",
+    "chart.capability.few": "too few values to state capability (values: {count}, needed: {least})",
     "chart.unstable": "the process is not stable ({rule}, value {number}); find the cause first, then state capability",
     "chart.flat": "all values are equal; a process without spread has no capability",
     "chart.rule.1": "a point beyond 3 sigma",
@@ -476,28 +499,33 @@ SENTENCES: Mapping[str, str] = {
     "chart.rule.7": "15 points in a row within 1 sigma",
     "chart.rule.8": "8 points in a row beyond 1 sigma on both sides",
     # Known loads at the line.
-    "load.wanted": "recorded; {of} known loads are read next",
+    "load.wanted": "recorded; the known loads are read next (loads: {of})",
     "load.read": "load {step} of {of} was read: {level:.5g}",
     "load.unsteady": (
-        "the output moved by {drift:.1%} of its range during the reading, and scattered by "
-        "{spread:.1%}; it was not taken"
+        "the output did not stand still while it was read, so it was not taken; read it again (it moved by {drift:.1%} "
+        "of its range and scattered by {spread:.1%})"
     ),
-    "load.unloaded": "the output {level:.5g} is the same as without a load; it was not taken",
-    "load.same": "the output {level:.5g} is the same as under the load before; it was not taken",
-    "load.contradict": "the {of} loads do not go together: {why}",
+    "load.unloaded": (
+        "the output is the same as without a load, so it was not taken; put the load on, then read again ({level:.5g})"
+    ),
+    "load.same": (
+        "the output is the same as under the load before, so it was not taken; change the load, then read again "
+        "({level:.5g})"
+    ),
+    "load.contradict": "the known loads do not fit together: {why} (loads: {of})",
     "load.lost": "unit {serial}: this load is not due; nothing was read; scan the unit and press it again",
     "load.no_step": "an order to read a load names none: {told}; order it at the line's screen",
     "load.several": (
-        "{count} units were pressed at once, and a known load lies on one; nothing was kept; take the loads out of the "
-        "rules of the lot"
+        "several units were pressed at once, and a known load lies on one; nothing was kept; take the loads out of the "
+        "rules of the lot (units: {count})"
     ),
     "load.uncertain": (
-        "load {value:g} {unit} has U = {expanded:.3g} {unit}, a calibration counts on {most:.3g} {unit} at most; "
-        "nothing was pressed; take a better weight"
+        "the load {value:g} {unit} is not known well enough; nothing was pressed; take a better weight (U = "
+        "{expanded:.3g} {unit}, at most {most:.3g} {unit} is allowed)"
     ),
     "load.negative": "a load of {value:g}; a number of 0 or more was expected",
     "load.bad_uncertainty": "the uncertainty of a load is {value:g}; a number of 0 or more was expected",
-    "load.too_many": "{count} loads; at most {most} can be used",
+    "load.too_many": "too many loads: {count}; use {most} or fewer",
     "load.twice": "the load {value:g} stands there twice; state each load once",
     "rig.moves": "the stage moves; nothing was read; read again once it stands",
     # An order, a run and the service.
@@ -510,8 +538,10 @@ SENTENCES: Mapping[str, str] = {
     "run.opened": "the gate is open for this shift; the reason is in the audit trail",
     "run.no_lot": "unit {serial}: which lot does it belong to? the order names none; nothing moved",
     "run.wrong_kind": "the source unit of lot {lot} is {source}; {serial} was ordered as {kind}; nothing moved",
-    "run.no_network": "recorded; lot {lot} has no shared network yet: press its source unit, or train one",
-    "run.trained": "source recorded, shared network trained: {rmse:.3g} {unit} on held-out blocks",
+    "run.no_network": (
+        "recorded; lot {lot} has no shared network yet, so the unit is not judged; press its source unit, or train one"
+    ),
+    "run.trained": "source recorded, shared network trained (error {rmse:.3g} {unit} on parts it was not trained on)",
     "run.epoch": "epoch {epoch} of at most {most}, error {error:.3g}",
     "run.bare_network": "network {network}: its source recording has no reference; train it again",
     "run.acknowledged": "acknowledged",
@@ -543,10 +573,10 @@ SENTENCES: Mapping[str, str] = {
     "account.wait": "too many wrong tries; wait {seconds} s",
     "account.no_name": "a person needs a name",
     "account.role": "role {role} is none of {known}",
-    "account.pin_short": "a PIN has at least {digits} digits and nothing else",
+    "account.pin_short": "a PIN is made of digits only, at least {digits} of them",
     "account.changed": "{name} was changed by somebody else (version {found}, not {version}); look again and decide",
     "account.needs_pin": "{name} is new and needs a PIN",
-    "account.locked": "too many wrong PINs; wait {minutes} minutes",
+    "account.locked": "too many wrong PINs; wait {minutes} min",
     "account.wrong_pin": "name or PIN is wrong",
     "account.inactive": "this person may no longer sign in",
     # Several reasons in the place of one.

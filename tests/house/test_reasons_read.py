@@ -1,0 +1,91 @@
+"""Whoever stands at a line reads every reason: short, without private words or files to edit, right for 0, 1 and 2."""
+
+import re
+import sys
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from softcal.app.texts.catalogue import LANGUAGES, catalogue
+from softcal.app.texts.reasons import PREFIX
+from softcal.core.quality.audit_plan import AuditConfig, judge_lot, plan_audit
+from softcal.core.unit.verdict import Limit
+from softcal.core.words.reason import ENGLISH, PLAIN
+
+ROOT = Path(__file__).parents[2]
+MOST_UNKNOWN = 185
+"""Words of all reasons, each once, that are neither basic nor in the glossary: devices, their parts and faults."""
+
+FILES = re.compile(r"[\w/]*\w\.(toml|json|ini|ya?ml)\b")
+
+
+@cache
+def reading() -> ModuleType:
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    try:
+        import readability
+    finally:
+        sys.path.remove(str(ROOT / "benchmarks"))
+    return readability
+
+
+def test_the_reader_reads_the_reasons_that_are_said() -> None:
+    assert reading().reasons(str(ROOT)) == {code: text for code, text in ENGLISH.items() if code != PLAIN}
+
+
+def test_no_sentence_of_a_reason_is_long() -> None:
+    assert reading().reader(ENGLISH, reading().known_words()).long == ()
+
+
+def test_no_reason_has_a_word_that_nobody_outside_knows() -> None:
+    assert reading().private(ENGLISH) == {}
+
+
+def test_most_words_of_the_reasons_are_basic_or_stand_in_the_glossary() -> None:
+    unknown = reading().reader(ENGLISH, reading().known_words()).unknown
+    assert len(unknown) <= MOST_UNKNOWN, sorted(unknown)
+
+
+def test_every_reason_is_right_where_its_counts_are_none_one_or_two() -> None:
+    wrong = {code: reading().at_the_borders(ENGLISH, code) for code in ENGLISH}
+    assert {code: found for code, found in wrong.items() if found} == {}
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_no_reason_names_a_file_to_edit(language: str) -> None:
+    told = {key: said for key, said in catalogue()[language].items() if key.startswith((PREFIX, "plainly."))}
+    assert {key: said for key, said in told.items() if FILES.search(said)} == {}
+
+
+def test_who_is_to_change_the_station_file_is_the_engineer() -> None:
+    # `station_file.` is said to whoever wrote that file.
+    told = {code: said for code, said in ENGLISH.items() if "station file" in said}
+    assert {
+        code for code, said in told.items() if "engineer" not in said and not code.startswith("station_file.")
+    } == set()
+
+
+@pytest.mark.parametrize("units", [0, 1, 2, 3, 12])
+@pytest.mark.parametrize("measured", [0.1, 9.0])
+def test_what_an_audit_says_of_a_lot_is_right_for_every_number_of_units(units: int, measured: float) -> None:
+    forecasts = {f"U{k}": 0.1 for k in range(units)}
+    for doubtful, drawn in ((1, 0), (0, 1), (1, 1), (2, 10)):
+        plan = plan_audit(forecasts, AuditConfig(doubtful=doubtful, random=drawn))
+        said = judge_lot(plan, forecasts, dict.fromkeys(plan.serials, measured), Limit("N", 0.8)).text
+        assert not reading().BROKEN.search(said) and not reading().PLURAL.search(said), said
+
+
+@pytest.mark.parametrize(
+    "said", ["at most 0 of the 0 units", "1 units", "with 1 audited units", "3 {unit}", "nan N", "times inf"]
+)
+def test_the_reader_sees_what_is_wrong_at_the_borders(said: str) -> None:
+    assert reading().BROKEN.search(said) or reading().PLURAL.search(said)
+
+
+@pytest.mark.parametrize(
+    "said", ["units: 1", "1 of 2 loads was read", "unit 1 moves", "10 of the 30 units", "0.1 units"]
+)
+def test_the_reader_lets_pass_what_is_right(said: str) -> None:
+    assert not reading().BROKEN.search(said) and not reading().PLURAL.search(said)
