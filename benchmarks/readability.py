@@ -236,8 +236,8 @@ def private(said: Mapping[str, str]) -> dict[str, str]:
     return {code: word for code, text in said.items() for word in PRIVATE if word in text.lower()}
 
 
-VERBS = "does|explains|goes|has|is|its|moves|reads|speaks|stands|this|times|was"
-PLURAL = re.compile(rf"(?<![\w.,:=+-])1 (?:(?!and\b|of\b|on\b|within\b)[a-z-]+ )?(?!(?:{VERBS})\b)[a-z]{{2,}}s\b")
+VERBS = "belongs|does|ends|explains|goes|has|is|its|moves|needs|reads|signs|speaks|stands|this|times|was"
+PLURAL = re.compile(rf"(?<![\w.,:=+-])1 (?:(?!and\b|for\b|of\b|on\b|within\b)[a-z-]+ )?(?!(?:{VERBS})\b)[a-z]{{2,}}s\b")
 """One of several: "1 units", "1 audited units". Verbs and joining words are none."""
 
 BROKEN = re.compile(r"\b0 of (?:the )?0\b|[{}]|\bnan\b|\binf\b|\bNone\b")

@@ -53,6 +53,14 @@ def test_every_reason_is_right_where_its_counts_are_none_one_or_two() -> None:
     assert {code: found for code, found in wrong.items() if found} == {}
 
 
+def test_every_text_of_a_page_is_right_where_its_counts_are_none_one_or_two() -> None:
+    # How far something is may begin at 0 of 0, and "None" is a word where no value stands.
+    texts = {key: said for key, said in catalogue()["en"].items() if "{" in said}
+    wrong = {key: reading().at_the_borders(texts, key) for key in texts}
+    wrong = {key: [one for one in found if one != "0 of 0"] for key, found in wrong.items()}
+    assert {key: found for key, found in wrong.items() if found} == {}
+
+
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_no_reason_names_a_file_to_edit(language: str) -> None:
     told = {key: said for key, said in catalogue()[language].items() if key.startswith((PREFIX, "plainly."))}
