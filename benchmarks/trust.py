@@ -26,7 +26,7 @@ from softcal.core.quality.qualification import wanted_audits
 from softcal.core.quality.release import AuditedUnit, least_passing, release
 from softcal.core.quality.widening import Widening, fit_widening
 from softcal.core.unit.audit_reading import line_of
-from softcal.core.unit.common_misreading import CommonMisreading, Line, common_misreading, without
+from softcal.core.unit.common_misreading import CommonMisreading, LoadLine, common_misreading, without
 from softcal.core.unit.line_spread import LineSpread
 from softcal.core.unit.method import LineConfig
 from softcal.core.unit.verdict import Limit
@@ -142,7 +142,7 @@ def _corrected(
     """
     if len(audited) < wanted_audits():
         return audited, rest
-    lines = {u.serial: Line(*line_of(*np.array(u.sample)[:2])) for u in audited if u.sample}
+    lines = {u.serial: LoadLine(*line_of(*np.array(u.sample)[:2])) for u in audited if u.sample}
     common = common_misreading(lines)
     if common is None:
         return audited, rest

@@ -19,7 +19,7 @@ from softcal.core.recording import LabelledRecording
 from softcal.core.unit.audit_reading import AuditReading, line_of
 from softcal.core.unit.calibrate import read_gain, with_audit
 from softcal.core.unit.calibration import Calibration
-from softcal.core.unit.common_misreading import CommonMisreading, Line, common_misreading, without
+from softcal.core.unit.common_misreading import CommonMisreading, LoadLine, common_misreading, without
 from softcal.core.unit.knowledge import ANCHORED
 from softcal.core.unit.line_spread import SeenGains, seen_gains
 from softcal.core.unit.method import CONFIDENCE, Method
@@ -54,7 +54,7 @@ class AuditEvidence:
     seen: SeenGains | None = None
     days: SeenGains | None = None
     doubts: Mapping[str, Reason] = field(default_factory=dict)
-    lines: Mapping[str, Line] = field(default_factory=dict)
+    lines: Mapping[str, LoadLine] = field(default_factory=dict)
     common: CommonMisreading | None = None
 
     def common_of(self, made: MadeCalibration) -> CommonMisreading | None:
@@ -122,7 +122,7 @@ class AuditReader:
         days = self._days(lot, now)
         limit = lot_limit(registry, lot_id)
         lines = {
-            made.serial: Line(*made.audit_line)
+            made.serial: LoadLine(*made.audit_line)
             for _, _, made in audited.values()
             if made.audit_line is not None and ANCHORED not in made.knowledge
         }

@@ -10,7 +10,7 @@ from softcal.db.registry import Registry
 
 
 @dataclass(frozen=True)
-class AuditRow:
+class AuditedRow:
     """One audited unit.
 
     Args:
@@ -29,7 +29,7 @@ class AuditRow:
     doubt: Reason | None
 
 
-def audit_rows_of(registry: Registry, lot_id: str) -> Sequence[AuditRow]:
+def audit_rows_of(registry: Registry, lot_id: str) -> Sequence[AuditedRow]:
     """Return every audited unit of a lot, those in doubt first, then the largest errors."""
     entries = newest_audits(registry, lot_id)
     standings = registry.standings(lot_id, list(entries))
@@ -40,5 +40,5 @@ def audit_rows_of(registry: Registry, lot_id: str) -> Sequence[AuditRow]:
         made = standing.made
         doubt = next((why for why in standing.reasons if why.code.startswith(DOUBT)), None)
         errors = (None, None) if made is None else (made.forecast_rmse, made.after_rmse)
-        rows.append(AuditRow(serial, entry.added_at, *errors, standing.verdict, doubt))
+        rows.append(AuditedRow(serial, entry.added_at, *errors, standing.verdict, doubt))
     return sorted(rows, key=lambda row: (row.doubt is None, -(row.measured_rmse or 0.0), row.serial))

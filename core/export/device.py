@@ -44,7 +44,6 @@ from softcal.core.maps.config import MapConfig
 from softcal.core.maps.interface import UnitMap
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
-from softcal.core.use.method import TrimConfig
 from softcal.core.windows import TAPS
 
 BESIDE_MIX = slice(2, 4)
@@ -152,7 +151,7 @@ def build_network_file(network: Network, source: LabelledRecording) -> NetworkFi
 
 
 def _load_levels(network: IntegerNetwork, source: LabelledRecording) -> LoadLevels:
-    levels = SourceLevels.of(source, TrimConfig().levels, MapConfig().anchors)
+    levels = SourceLevels.of(source, MapConfig().anchors)
     count = 10.0**network.output_exponent
     first, last = (round(float(load) / count) for load in levels.load[[0, -1]])
     step = max(1, (last - first) // (len(levels.load) - 1))

@@ -13,9 +13,6 @@ from softcal.core.metrics import rmse
 from softcal.core.recording import Array, LabelledRecording
 from softcal.core.windows import resting
 
-KEPT_LEVELS = 21
-"""Levels of the source over its range that a straight line behind a map goes by: part of the device files."""
-
 
 @dataclass(frozen=True, eq=False)
 class AnchoredMap:
@@ -186,8 +183,9 @@ class SourceLevels:
         return np.interp(load, self.load, self.output)
 
     @classmethod
-    def of(cls, source: LabelledRecording, count: int, config: AnchorConfig) -> "SourceLevels":
-        """Take `count` of them from a recording, and two more at each end, where its line goes on."""
+    def of(cls, source: LabelledRecording, config: AnchorConfig) -> "SourceLevels":
+        """Take them from a recording, and two more at each end, where its line goes on."""
+        count = config.levels
         low, high = float(source.reference.min()), float(source.reference.max())
         step = (high - low) / (count - 1)
         load = low + step * np.arange(-2.0, count + 2)

@@ -275,6 +275,8 @@ class AnchorConfig:
         straight: beside two known loads a source that is bent by less than this share of its rise leaves its units a
             line: they are of its kind, and a curve would take another dwell for a bend.
         bend_range, bend_levels: quantiles of the source's loads between which the bend is taken, at so many loads.
+        levels: of the source that a straight line behind a map goes by, over its range; with two more at each end they
+            reach a tenth of the range beyond it, as `beyond` allows.
     """
 
     gain_spread: float = setting(0.3)
@@ -295,6 +297,7 @@ class AnchorConfig:
     )
     bend_range: tuple[float, float] = setting((0.02, 0.98))
     bend_levels: int = setting(11)
+    levels: int = setting(21, "docs/format.md")
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from softcal.core.unit.forecast import (
     variance_table,
 )
 from softcal.core.unit.health import OutputLimits, check_alive, health_findings, output_limits
-from softcal.core.unit.judging import AUDITED_BEFORE_TRIM, UNREADABLE, Grounds, Measured, limit_evidence
+from softcal.core.unit.judging import AUDITED_BEFORE_TRIM, UNREADABLE, Grounds, MeasuredError, limit_evidence
 from softcal.core.unit.line_spread import LineSpread, line_reason
 from softcal.core.unit.method import Method
 from softcal.core.unit.own_forecast import forecast_own, own_terms
@@ -159,7 +159,7 @@ def calibrate(problem: UnitProblem, on_map: Callable[[], None] | None = None) ->
         findings,
         _held(problem, evidence, forecast, limit, scores),
         told=(*_bridge_reason(problem, fit), _line_reason(problem, evidence)),
-        measured=None if scores is None or problem.audit is None else Measured(scores, len(problem.audit.windows)),
+        measured=None if scores is None or problem.audit is None else MeasuredError(scores, len(problem.audit.windows)),
         bars=_bars(problem),
         rules=problem.rules,
     )
@@ -225,7 +225,7 @@ def measured(
     scores = score_map(network, calibration.unit_map, audit, None, config)
     grounds = replace(
         grounds,
-        measured=Measured(scores, len(audit.windows)),
+        measured=MeasuredError(scores, len(audit.windows)),
         bars=tuple(why for why in grounds.bars if why.code not in (AUDITED_BEFORE_TRIM, UNREADABLE)),
     )
     decision = grounds.decide(limit, config)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from softcal.core.identity import content_sha256
-from softcal.core.maps.anchors import KEPT_LEVELS, AnchoredMap, SourceLevels
+from softcal.core.maps.anchors import AnchoredMap, SourceLevels
 from softcal.core.maps.interface import map_sha256
 from softcal.core.recording import LabelledRecording
 from softcal.core.unit.calibration import COMMON_GAIN, COMMON_ZERO, Calibration, CalibrationRecord
@@ -21,7 +21,7 @@ from softcal.core.words.reason import reason
 
 
 @dataclass(frozen=True)
-class Line:
+class LoadLine:
     """How a unit reads its loads: estimate = zero + gain x reference (least squares).
 
     Args:
@@ -42,12 +42,12 @@ class CommonMisreading:
         audits: how many they are.
     """
 
-    line: Line
+    line: LoadLine
     audits: int
 
 
 def common_misreading(
-    lines: Mapping[str, Line],
+    lines: Mapping[str, LoadLine],
     rules: ReleaseConfig = ReleaseConfig(),  # noqa: B008 - frozen
 ) -> CommonMisreading | None:
     """Return what audited units misread alike; None where chance explains it, or they are too few to tell.
@@ -63,19 +63,19 @@ def common_misreading(
     gains, zeros = (np.array([getattr(line, name) for line in lines.values()]) for name in ("gain", "zero"))
     logs = np.log(gains)
     count = len(lines)
-    far = float(student.ppf(1 - rules.common_chance / 4, count - 1)) / np.sqrt(count)
+    far = float(student.ppf(1 - rules.common_chance, count - 1)) / np.sqrt(count)
     if all(abs(values.mean()) <= far * values.std(ddof=1) for values in (logs, zeros)):
         return None
-    return CommonMisreading(Line(float(np.exp(logs.mean())), float(zeros.mean())), count)
+    return CommonMisreading(LoadLine(float(np.exp(logs.mean())), float(zeros.mean())), count)
 
 
-def without(lines: Mapping[str, Line], serial: str, found: CommonMisreading) -> CommonMisreading:
+def without(lines: Mapping[str, LoadLine], serial: str, found: CommonMisreading) -> CommonMisreading:
     """Return what the other audited units misread alike, where all together do."""
     if serial not in lines:
         return found
     others = [line for name, line in lines.items() if name != serial]
     gain = float(np.exp(np.mean([np.log(line.gain) for line in others])))
-    return CommonMisreading(Line(gain, float(np.mean([line.zero for line in others]))), len(others))
+    return CommonMisreading(LoadLine(gain, float(np.mean([line.zero for line in others]))), len(others))
 
 
 def corrected(record: CalibrationRecord, source: LabelledRecording, found: CommonMisreading) -> CalibrationRecord:
@@ -88,7 +88,7 @@ def corrected(record: CalibrationRecord, source: LabelledRecording, found: Commo
         source: labelled recording of the source that f was trained on.
     """
     calibration = Calibration.from_record(record)
-    levels = SourceLevels.of(source, KEPT_LEVELS, (calibration.method or Method()).map.anchors)
+    levels = SourceLevels.of(source, (calibration.method or Method()).map.anchors)
     read = np.array([calibration.interval.low, calibration.interval.high])
     was, now = levels.at(read), levels.at((read - found.line.zero) / found.line.gain)
     gain = float((now[1] - now[0]) / (was[1] - was[0]))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredError:
     """What an audit of the unit showed.
 
     Args:
@@ -46,7 +46,7 @@ class Grounds:
     findings: tuple[Finding, ...] = ()
     held: tuple[Finding, ...] = ()
     told: tuple[Reason, ...] = ()
-    measured: Measured | None = None
+    measured: MeasuredError | None = None
     bars: tuple[Reason, ...] = ()
     rules: tuple[str, ...] = ()
 
@@ -87,7 +87,7 @@ class Grounds:
             told=tuple(map(Reason.of, read["told"])),
             measured=None
             if measured is None
-            else Measured(Scores(**measured["scores"]), int(str(measured["windows"]))),  # type: ignore[arg-type]
+            else MeasuredError(Scores(**measured["scores"]), int(str(measured["windows"]))),  # type: ignore[arg-type]
             bars=tuple(map(Reason.of, read["bars"])),
             rules=tuple(map(str, read["rules"])),
         )

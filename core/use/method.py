@@ -6,7 +6,6 @@ that an upgrade that changes a number shows in the record of the stream (`change
 
 from dataclasses import dataclass, field
 
-from softcal.core.maps.anchors import KEPT_LEVELS
 from softcal.core.settings import NumberedMethod, setting
 from softcal.core.windows import TAPS
 
@@ -250,13 +249,10 @@ class TrimConfig:
     Args:
         most_change: a gain that changes by more than this share is another unit, or other units of load. The device
             holds no larger one.
-        levels: of the source that are known to a trim, over its range; with two more at each end they reach a tenth of
-            the range beyond it, as `AnchorConfig.beyond` allows.
         most_misfit: loads that are still misread by more than so many standard uncertainties contradict one another.
     """
 
     most_change: float = setting(0.5, "docs/format.md")
-    levels: int = setting(KEPT_LEVELS, "docs/format.md")
     most_misfit: float = setting(3.0)
 
 

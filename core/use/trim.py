@@ -85,7 +85,7 @@ def trim(
         raise InputError(f"{len(loads.reference)} known load; zero and span take two different ones; {NOTHING}")
     check_loads(source, loads, NOTHING, problem.config.anchors)
     output, load = (np.asarray(values, np.float64) for values in (loads.output, loads.reference))
-    wanted = SourceLevels.of(source, config.levels, problem.config.anchors).at(load)
+    wanted = SourceLevels.of(source, problem.config.anchors).at(load)
     read = unit_map.apply(resting(output)).mean(axis=1)
     error = _errors(problem, interval, load, wanted)
     first, last = int(np.argmin(load)), int(np.argmax(load))

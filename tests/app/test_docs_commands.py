@@ -118,6 +118,10 @@ def workplace(
     def make(serial: str) -> Path:
         for name, table in tables.items():
             table.rename(columns={"output": "output_V", "reference": "force_N"}).to_csv(tmp_path / f"{name}.csv")
+        (tmp_path / "measured").mkdir()
+        for name, table in ((serial, tables["S2"]), ("S3", tables["S3"])):
+            both = table.assign(output_V=table["output"], force_N=table["reference"])
+            both.to_csv(tmp_path / f"measured/{name}.csv", index=False)
         tables["S2"][["t_s", "output"]].to_csv(tmp_path / "plain.csv", index=False)
         tables["S2"].rename(columns={"output": "output_V"}).to_csv(tmp_path / "new.csv")
         for name in ("long", "week", "tuesday"):
@@ -159,7 +163,8 @@ def _import(*files: str) -> None:
 
 
 def test_the_readme_runs_as_written(workplace: Callable[[str], Path]) -> None:
-    assert _run("README.md", workplace("S2")) == 6
+    assert _run("README.md", workplace("S2")) == 7
+    assert list(Path("files").glob("unit-*")), "the main job ends with files"
 
 
 @pytest.mark.parametrize(

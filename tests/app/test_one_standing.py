@@ -186,7 +186,9 @@ def check(history: History, tmp_path: Path) -> None:
 @pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(k, marks=pytest.mark.long) for k in range(3, 33))])
 def test_all_surfaces_agree_after_any_history(make_lot, press_unit, registry_url, tmp_path, seed):
     rng = np.random.default_rng(seed)
-    folder = make_lot(audits=int(rng.integers(0, 12)), limit_N=float(rng.uniform(0.05, 0.3)))
+    folder = make_lot(
+        audits=int(rng.integers(0, 12)), limit_N=float(rng.uniform(0.05, 0.3)), day_gain=float(rng.choice([1.0, 1.2]))
+    )
     history = History(folder, registry_url, rng, press_unit)
     for _ in range(STEPS):
         history.step()

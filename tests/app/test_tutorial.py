@@ -68,7 +68,7 @@ def test_the_tutorial_leads_from_files_to_a_device(tmp_path, monkeypatch, capsys
         codes += _follow(block)
         printed = "".join(capsys.readouterr())
     # Nothing passes before it was measured; then both do.
-    assert codes == [0, 1, 0, 0, 0, 0, 0, 0]
+    assert codes == [0, 1, 0, 0, 0, 0, 0, 0, 0]
     assert set(pd.read_csv("force.csv")) == {"t_s", "estimate", "lower", "upper", "flag"}
     assert Path("why-A3.html").is_file()
     assert Path("device/unit-A2.h").is_file()

@@ -14,7 +14,7 @@ from softcal.app.ui.components.unit_table import unit_table
 from softcal.app.ui.desk import colours, empty, errors_in_words, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import figure_under, headline, lot_heading, numbers
-from softcal.app.views.common import limit_said, number, percent
+from softcal.app.views.common import number, percent
 from softcal.app.views.lot import LotView
 
 
@@ -58,11 +58,18 @@ def _numbers(view: LotView) -> None:
             (say("lot.first_pass"), percent(first.value), _interval("lot.first_pass.help", first.interval)),
             (say("lot.yield"), percent(last.value), _interval("lot.yield.help", last.interval)),
             (say("lot.predicted"), number(view.median_predicted, unit), say("lot.predicted.help")),
-            (say("lot.limit"), limit_said(view.limit, say), say("lot.limit.help")),
+            (*_limit(view), say("lot.limit.help")),
             audited if ratio is None else compared,
         )
     )
     st.progress(view.judged / view.total, text=say("lot.progress", done=view.judged, total=view.total))
+
+
+def _limit(view: LotView) -> tuple[str, str]:
+    """Return the label and the number of the limit; a sentence would be cut off in a tile."""
+    say, limit = words(), view.limit
+    is_derived = limit is not None and not limit.is_stated
+    return say("lot.limit.short" if is_derived else "lot.limit"), number(view.limit_rmse, view.lot.reference_unit)
 
 
 def _interval(key: str, interval: tuple[float, float]) -> str:

@@ -7,7 +7,7 @@ from softcal.app.texts.reasons import said
 from softcal.app.ui.account import actor
 from softcal.app.ui.desk import ask_reason, instant, registry, words
 from softcal.app.ui.panels import table
-from softcal.app.views.audits import AuditRow, audit_rows_of
+from softcal.app.views.audits import AuditedRow, audit_rows_of
 from softcal.app.views.common import number
 
 MOST_ROWS = 200
@@ -26,7 +26,7 @@ def audits_panel(lot_id: str) -> None:
             _doubt(lot_id, row)
 
 
-def _row(row: AuditRow, unit: str) -> dict[str, object]:
+def _row(row: AuditedRow, unit: str) -> dict[str, object]:
     say = words()
     return {
         say("column.serial"): row.serial,
@@ -37,7 +37,7 @@ def _row(row: AuditRow, unit: str) -> dict[str, object]:
     }
 
 
-def _doubt(lot_id: str, row: AuditRow) -> None:
+def _doubt(lot_id: str, row: AuditedRow) -> None:
     say = words()
     with st.container(border=True):
         st.warning(said(row.doubt, say) if row.doubt else "", title=row.serial, icon=":material/rule:")
