@@ -56,9 +56,12 @@ def test_a_limit_is_set_with_its_reason_and_lands_in_the_audit_trail(calibrated:
     screen.button[0].click().run()
     assert "0.25" in screen.success[0].value
     with open_registry(calibrated) as registry:
-        limit, row = registry.limit("small"), registry.audit_rows()[-1]
+        limit, rows = registry.limit("small"), registry.audit_rows()
+        units = [unit for unit in registry.units("small") if unit.revision is not None]
+        judged = [registry.calibration(unit.serial, lot_id="small").record.limit_rmse for unit in units]
     assert limit is not None and limit.rmse == 0.25
-    assert (row.actor, row.action, row.reason) == ("Erin", "set_limit", "drawing D 117 rev. B")
+    assert ("Erin", "set_limit", "drawing D 117 rev. B") in [(row.actor, row.action, row.reason) for row in rows]
+    assert judged and set(judged) == {0.25}
 
 
 def test_a_limit_somebody_else_changed_meanwhile_is_not_overwritten(calibrated: str, show) -> None:
