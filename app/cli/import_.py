@@ -7,7 +7,7 @@ from softcal.app.output import say, write_json
 from softcal.core.errors import InputError
 
 EXAMPLES = """examples:
-  one file per unit; S1 has a load cell, the others' forces only score:
+  one file per unit; S1 has a load cell; the others' forces are their audits:
     softcal import S1.csv S2.csv --source S1 --output-column output_V --reference-column force_N \\
         --sample-rate 50 --audit --out lot-1
   one wide file, a column per unit:
@@ -48,7 +48,11 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         help="default: what the time column shows; without --time-column it makes the time",
     )  # fmt: skip
     parser.add_argument("--serial", action="append", metavar="S", help="serial of each file in order; else its name")
-    parser.add_argument("--audit", action="store_true", help="keep the targets' references in audit/; they only score")
+    parser.add_argument(
+        "--audit",
+        action="store_true",
+        help="keep the targets' references in audit/: they decide about their units, no map is fitted to them",
+    )
     parser.add_argument("--rows", type=_rows, metavar="A:B", help="data rows that fit, counted from 0")
     parser.add_argument("--audit-rows", type=_rows, metavar="A:B", help="data rows that score")
     parser.add_argument(

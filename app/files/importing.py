@@ -58,7 +58,7 @@ class ImportPlan:
         files: the tables.
         columns: which columns hold what.
         lot: facts of the lot; its `sample_rate_Hz` must be known unless there is a time column.
-        audit: whether references of target units are kept in audit/, where they only score.
+        audit: whether references of target units are kept in audit/: what was measured decides about its unit.
         fit_rows, audit_rows: (start, stop) of data rows, counted from 0, for recordings that fit and that score;
             None takes all.
         sheet: sheet of an Excel file; None takes the first.
