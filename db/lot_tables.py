@@ -97,7 +97,7 @@ class LotTables(RegistryBase):
         """Return every result of a lot's units, or of one of them, in time order, with units that got no map.
 
         One press is one result, with the newest verdict on its recording: an audit of other units, or a batch, may
-        decide anew on it. Rollbacks are left out.
+        decide anew on it. The last of a unit is as the unit stands now. Rollbacks are left out.
         """
         c, r = calibrations.c, refusals.c
         columns = (c.serial, c.made_at, c.verdict, c.reasons, c.predicted_rmse, c.recording_sha256)
@@ -107,12 +107,17 @@ class LotTables(RegistryBase):
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
             rows = [dict(row) for query in queries for row in connection.execute(query).mappings()]
+            stands = {unit.serial: unit for unit in unit_entries(connection, lot_id, serial)}
         presses: dict[object, RunEntry] = {}
         for number, row in enumerate(sorted(rows, key=lambda row: (row["made_at"], row["serial"]))):
             press = (row["serial"], row.pop("recording_sha256", number))
             run = RunEntry(**row | {"reasons": tuple(map(Reason.of, row["reasons"]))})
             first = presses.get(press)
             presses[press] = run if first is None else replace(run, made_at=first.made_at)
+        last = {run.serial: key for key, run in presses.items()}
+        for name, key in last.items():
+            if (verdict := stands[name].verdict) is not None:
+                presses[key] = replace(presses[key], verdict=verdict, reasons=stands[name].reasons)
         return list(presses.values())
 
     def limit(self, lot_id: str) -> LimitEntry | None:

@@ -148,7 +148,7 @@ def check(history: History, tmp_path: Path) -> None:
         wall = wall_view(registry, view, (), say)
         assert {word: count for word, _, count in wall.verdicts if count} == dict(counted)
         assert all(chip.word == say(f"verdict.{truth[chip.serial]}") for chip in wall.chips)
-        assert lot_yields(registry, LOT).last_pass.count == view.yields.last_pass.count
+        assert lot_yields(registry, LOT).last_pass.count == view.yields.last_pass.count == counted["pass"]
         # Nothing passes beyond the limit in force, and nothing is judged by another one.
         limit, standings = lot_limit(registry, LOT), registry.standings(LOT, list(truth))
         made = {serial: one.made for serial, one in standings.items() if one.made is not None}
