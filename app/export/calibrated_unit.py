@@ -169,8 +169,9 @@ class CalibratedUnit:
     def check_usable(self) -> None:
         """Raise `UnitRefused` where this unit's verdict forbids files that give numbers."""
         judged: CalibrationRecord | UnitStanding = self.stored.record
-        if self.standing.verdict == Verdict.FAIL:
-            # A unit that failed since gets no file by the name of a revision from before.
+        made = self.standing.made
+        if made is not None and made.decision.measured and made.decision.measured.verdict is Verdict.FAIL:
+            # What was measured since stands, whichever revision is named.
             judged = self.standing
         if not self.options.releases(judged.verdict):
             why = judged.reasons[0] if judged.reasons else "no reason is stored"

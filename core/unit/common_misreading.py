@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from softcal.core.identity import content_sha256
 from softcal.core.maps.anchors import AnchoredMap, SourceLevels
@@ -63,7 +63,7 @@ def common_misreading(
     gains, zeros = (np.array([getattr(line, name) for line in lines.values()]) for name in ("gain", "zero"))
     logs = np.log(gains)
     count = len(lines)
-    far = float(student.ppf(1 - rules.common_chance, count - 1)) / np.sqrt(count)
+    far = float(stdtrit(count - 1, 1 - rules.common_chance)) / np.sqrt(count)
     if all(abs(values.mean()) <= far * values.std(ddof=1) for values in (logs, zeros)):
         return None
     return CommonMisreading(LoadLine(float(np.exp(logs.mean())), float(zeros.mean())), count)

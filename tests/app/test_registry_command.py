@@ -78,8 +78,8 @@ def test_backup_restore_and_sync_go_round(url, capsys, tmp_path):
     assert run(capsys, "registry", "restore", tmp_path / "b.db", "--registry", copy)[0] == 0
     run(capsys, "registry", "rollback", "--registry", copy, "--serial", "A7", "--to", 1, "--reason", "x")
     code, out, _ = run(capsys, "registry", "sync", "--registry", url, "--with", copy, "--json", "-")
-    told = {"schema": "softcal.registry.sync/1", "sent": 0, "received": 3, "conflicts": [], "clocks": []}
-    assert code == 0 and json.loads(out) == told, "the restore, the revision and that it is in use"
+    told = {"schema": "softcal.registry.sync/1", "sent": 0, "received": 4, "conflicts": [], "clocks": []}
+    assert code == 0 and json.loads(out) == told, "the restore, the revision, that it is in use, and what that decides"
     assert run(capsys, "registry", "verify", "--registry", url)[0] == 0
 
 
