@@ -17,6 +17,8 @@ from softcal.app.batch.judging import judge_again
 from softcal.app.batch.line_statement import stated_line
 from softcal.app.batch.release import LineRelease, decide_release, judge_lot
 from softcal.app.cli.main import main
+from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
+from softcal.app.export.certificates.content import certificate_of
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import said
 from softcal.core.quality.widening import Widening
@@ -134,6 +136,8 @@ def test_what_the_audits_of_a_lot_read_on_another_day_misread_alike_is_taken_off
     assert batch(folder)["release"] == release
     fitted = [registry.history(serial)[0].record.after_rmse for serial, unit in units.items() if unit["audited"]]
     assert np.median([unit["after_rmse"] for unit in units.values() if unit["audited"]]) < 0.7 * np.median(fitted)
+    unit = UnitLoader(registry, ExportOptions(lot_id="large")).load(release["released"][0])
+    assert certificate_of(unit).by_audits and certificate_of(unit).by_audits in certificate_of(unit).deviations
     counts = [len(registry.history(serial)) for serial in units]
     assert batch(folder)["release"] == release and counts == [len(registry.history(serial)) for serial in units]
 

@@ -122,6 +122,7 @@ class Certificate:
         bars: why the reference lets no unit pass; empty where it does.
         budget: uncertainty of an estimate at the source's RMS load; None after a trim and in older versions.
         by_loads: what known loads did to the map; empty where there were none.
+        by_audits: what was taken off the map since the lot's audited units misread it alike; empty where nothing was.
         made_because: why this revision was made, in the registry's words.
         bands: U_est by range of the estimate; none where no estimate of the recording lies in the source's range.
         output, mapped: (k,) output levels of this unit and the source output each stands for.
@@ -166,6 +167,7 @@ class Certificate:
     mapped: Array
     estimated: Estimate
     software: str
+    by_audits: str = ""
 
     @property
     def basis(self) -> str:
@@ -264,7 +266,16 @@ class Certificate:
     def deviations(self) -> str:
         """What the registry knows and what the laboratory states of deviations from the method."""
         stated = self.laboratory.performance.deviations
-        return f"{self.by_loads}; others: {stated}" if self.by_loads else stated
+        return (
+            "; ".join([*filter(None, (self.by_loads, self.by_audits)), f"others: {stated}"])
+            if self.is_changed
+            else stated
+        )
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether known loads or audits changed the map after it was found."""
+        return bool(self.by_loads or self.by_audits)
 
     @property
     def place(self) -> str:
@@ -369,6 +380,7 @@ def certificate_of(unit: CalibratedUnit) -> Certificate:
         budget=_budget(unit, float(np.sqrt(np.mean(source**2)))),
         map_family=record.family,
         by_loads=_by_loads(record, lot.output_unit),
+        by_audits=_by_audits(record, lot.reference_unit),
         made_because=unit.stored.reason,
         hashes=(
             ("network", record.network_id),
@@ -435,6 +447,17 @@ def _by_loads(record: CalibrationRecord, unit: str) -> str:
     return (
         f"the map was {how} by known loads: what it gave is multiplied by {float(gain):.4g} and moved by "
         f"{float(offset):+.4g} {unit}; what these loads are traced to is {NOT_STATED}"
+    )
+
+
+def _by_audits(record: CalibrationRecord, unit: str) -> str:
+    """Say what audits of other units of the lot did to the map; empty where they did nothing."""
+    if record.common_line is None:
+        return ""
+    gain, zero = record.common_line
+    return (
+        f"what the audited units of the lot misread alike was taken off the map: its estimates less {zero:+.4g} {unit}, "
+        f"divided by {gain:.4g}"
     )
 
 
