@@ -266,16 +266,8 @@ class Certificate:
     def deviations(self) -> str:
         """What the registry knows and what the laboratory states of deviations from the method."""
         stated = self.laboratory.performance.deviations
-        return (
-            "; ".join([*filter(None, (self.by_loads, self.by_audits)), f"others: {stated}"])
-            if self.is_changed
-            else stated
-        )
-
-    @property
-    def is_changed(self) -> bool:
-        """Whether known loads or audits changed the map after it was found."""
-        return bool(self.by_loads or self.by_audits)
+        known = [text for text in (self.by_loads, self.by_audits) if text]
+        return "; ".join([*known, f"others: {stated}"]) if known else stated
 
     @property
     def place(self) -> str:
@@ -456,7 +448,7 @@ def _by_audits(record: CalibrationRecord, unit: str) -> str:
         return ""
     gain, zero = record.common_line
     return (
-        f"what the audited units of the lot misread alike was taken off the map: its estimates less {zero:+.4g} {unit}, "
+        f"what the audited units of the lot misread alike was taken off the map: estimates less {zero:+.4g} {unit}, "
         f"divided by {gain:.4g}"
     )
 
