@@ -420,6 +420,7 @@ def test_an_audit_that_cannot_be_read_is_no_failed_run_of_its_unit(make_lot, bat
     assert [run.verdict for run in registry.runs("large", "large-00")] == ["pass"]
 
 
+@pytest.mark.long
 def test_an_audit_that_fails_takes_back_what_other_lots_released_on_it(make_lot, batch, registry, press_unit):
     for name in ("one", "three", "seventh"):
         batch(make_lot(name, audits=4))

@@ -183,7 +183,7 @@ def check(history: History, tmp_path: Path) -> None:
         assert (code == 0) == (truth[serial] == "pass"), serial
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(k, marks=pytest.mark.long) for k in range(3, 33))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in range(1, 31))])
 def test_all_surfaces_agree_after_any_history(make_lot, press_unit, registry_url, tmp_path, seed):
     rng = np.random.default_rng(seed)
     folder = make_lot(
