@@ -1,4 +1,7 @@
-"""What changes how units of a lot are judged, and the judgement at once: no verdict outlives what it rests on."""
+"""Judge lots at once where something changed that their verdicts rest on: no verdict outlives it.
+
+Whoever sets a limit, rolls back, trims, confirms an audit or brings registries together calls `judge_again` after it.
+"""
 
 import json
 from collections.abc import Iterable
@@ -6,40 +9,7 @@ from collections.abc import Iterable
 from softcal.app.batch.audit import confirm_audit, update_lot
 from softcal.app.batch.release import STATEMENT, is_stale, judge_lot
 from softcal.core.quality.qualification import EARLIER_LOTS
-from softcal.db.entries import LimitEntry
 from softcal.db.registry import Registry
-
-
-def change_limit(
-    registry: Registry,
-    lot_id: str,
-    rmse: float | None,
-    *,
-    reason: str,
-    actor: str | None = None,
-    expected_version: int | None = None,
-) -> LimitEntry:
-    """Write the next version of a lot's limit and judge its units by it; arguments and errors of `set_limit`."""
-    entry = registry.set_limit(lot_id, rmse, reason=reason, actor=actor, expected_version=expected_version)
-    judge_again(registry, [lot_id], actor)
-    return entry
-
-
-def roll_back(
-    registry: Registry,
-    serial: str,
-    to: int,
-    *,
-    reason: str,
-    actor: str | None = None,
-    lot_id: str | None = None,
-    origin: str | None = None,
-) -> int:
-    """Bring an older revision of a unit back into use and judge it as it stands; arguments and errors of `rollback`."""
-    revision = registry.rollback(serial, to, reason=reason, actor=actor, lot_id=lot_id, origin=origin)
-    lots = [lot_id] if lot_id is not None else registry.lots_of(serial)
-    judge_again(registry, lots, actor)
-    return revision
 
 
 def confirm(registry: Registry, lot_id: str, serial: str, *, reason: str, actor: str | None = None) -> None:

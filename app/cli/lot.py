@@ -221,13 +221,14 @@ def _watch(options: argparse.Namespace) -> int:
 
 
 def _limit(options: argparse.Namespace) -> int:
-    from softcal.app.batch.judging import change_limit
+    from softcal.app.batch.judging import judge_again
 
     if options.rmse is not None and not (options.reason or "").strip():
         raise InputError("--rmse needs --reason: a limit without a reason cannot be defended")
     with registry_of(options, create=False) as registry:
         if options.rmse is not None:
-            change_limit(registry, options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
+            registry.set_limit(options.lot, options.rmse, reason=options.reason, expected_version=options.expect)
+            judge_again(registry, [options.lot])
         unit = registry.lot(options.lot).reference_unit
         versions = registry.limit_versions(options.lot)
     if options.json:

@@ -173,11 +173,12 @@ def _restore(options: argparse.Namespace) -> int:
 
 
 def _rollback(options: argparse.Namespace) -> int:
-    from softcal.app.batch.judging import roll_back
+    from softcal.app.batch.judging import judge_again
 
     with registry_of(options, create=False) as registry:
         which = {"lot_id": options.lot, "origin": options.origin}
-        revision = roll_back(registry, options.serial, options.to, reason=options.reason, **which)
+        revision = registry.rollback(options.serial, options.to, reason=options.reason, **which)
+        judge_again(registry, [options.lot] if options.lot else registry.lots_of(options.serial))
     line = f"{options.serial}: revision {revision} is in use, it repeats revision {options.to}"
     value = {"schema": "softcal.registry.rollback/1", "serial": options.serial, "revision": revision}
     return _answer(options, line, value | {"rolled_back_to": options.to})

@@ -2,7 +2,7 @@
 
 import streamlit as st
 
-from softcal.app.batch.judging import change_limit
+from softcal.app.batch.judging import judge_again
 from softcal.app.charts import lot as charts_lot
 from softcal.app.ui.account import actor
 from softcal.app.ui.components.rules_form import rules_form
@@ -78,7 +78,8 @@ def _change(view: LotView, versions: list[LimitEntry]) -> None:
     rmse = None if is_automatic else wanted
     st.session_state.pop(looked_at)
     try:
-        change_limit(registry(), view.lot.id, rmse, reason=reason, actor=actor(), expected_version=version)
+        registry().set_limit(view.lot.id, rmse, reason=reason, actor=actor(), expected_version=version)
+        judge_again(registry(), [view.lot.id], actor())
     except InputError as error:
         st.error(in_words(error), icon=":material/error:")
         return

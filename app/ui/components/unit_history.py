@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import streamlit as st
 
-from softcal.app.batch.judging import roll_back
+from softcal.app.batch.judging import judge_again
 from softcal.app.charts import unit as charts_unit
 from softcal.app.ui.account import actor
 from softcal.app.ui.desk import ask_reason, colours, in_words, instant, registry, show_figure, words
@@ -48,7 +48,8 @@ def _rollback(serial: str, lot_id: str, older: Sequence[int]) -> None:
         if reason is None:
             return
         try:
-            roll_back(registry(), serial, revision, reason=reason, actor=actor(), lot_id=lot_id)
+            registry().rollback(serial, revision, reason=reason, actor=actor(), lot_id=lot_id)
+            judge_again(registry(), [lot_id], actor())
         except InputError as error:
             st.error(in_words(error), icon=":material/error:")
             return
