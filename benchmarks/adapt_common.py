@@ -14,7 +14,10 @@ from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import Array, LabelledRecording, OutputRecording
 from softcal.core.unit.calibration import Calibration
-from softcal.core.use.adapter import AdaptConfig, Adapter, MapUpdate
+from softcal.core.use.adapter import QUEUES, AdaptConfig, Adapter
+from softcal.core.use.batches import Batches, MapUpdate
+from softcal.core.use.method import OnlineConfig, UseMethod
+from softcal.core.use.queued import QueuedTransport
 
 DATA = Path(os.environ.get("SOFTCAL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
@@ -27,9 +30,13 @@ class Unit:
     network: Network
     calibration: Calibration
 
-    def adapter(self, mode: str) -> Adapter:
-        """Return a fresh adapter."""
-        return Adapter(self.network, self.calibration, self.source.unlabelled, AdaptConfig(mode))
+    def adapter(self, mode: str) -> Batches:
+        """Return what follows the unit in a mode, from its beginning; `ot 1500` has a queue of 1500 windows."""
+        known, (mode, _, queue) = (self.network, self.calibration, self.source.unlabelled), mode.partition(" ")
+        if mode not in QUEUES:
+            return Adapter(*known, AdaptConfig(mode))
+        online = OnlineConfig(int(queue)) if queue else OnlineConfig()
+        return QueuedTransport(*known, self.source, AdaptConfig(mode, UseMethod(online=online)))
 
 
 def calibrate(t_s: Array, output: Array, reference: Array, rate_Hz: float, config: NetworkConfig) -> Unit:

@@ -14,7 +14,7 @@ from simulated_gait import RATE_HZ, Sensor, Walk, walk
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array
-from softcal.core.use.adapter import Adapter
+from softcal.core.use.batches import Batches
 
 BEFORE_S, AFTER_S, FAULT_S = 60.0, 240.0, 20.0
 BACK = 3.0
@@ -113,7 +113,7 @@ def samples_until_back(t_s: Array, error: Array, calm: float) -> str:
     return "never" if bad[-1] == len(levels) - 1 else str((bad[-1] + 1) * piece)
 
 
-def last_words(adapter: Adapter) -> str:
+def last_words(adapter: Batches) -> str:
     current = adapter.current
     return current.alarm or current.reason or "nothing to say"
 

@@ -11,7 +11,7 @@ from adapt_common import DATA, calibrate, follow, print_markdown
 
 from softcal.core.metrics import rmse
 from softcal.core.network.config import NetworkConfig
-from softcal.core.use.adapter import MapUpdate
+from softcal.core.use.batches import MapUpdate
 
 RATE_HZ = 48.9
 

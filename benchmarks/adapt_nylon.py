@@ -17,6 +17,10 @@ from softcal.core.recording import Array
 from softcal.core.windows import TAPS, windows
 
 RATE_HZ = 10.0
+QUEUED = ("ot 512", "ot-improved 512", "ot 1500", "ot-improved 1500")
+"""The paper's online method with queues of so many windows."""
+
+MODES = ("none", "basic", "improved", *QUEUED)
 LEVELS = np.linspace(0.005, 0.995, 100)
 
 
@@ -39,13 +43,13 @@ def rows(seeds: int) -> Iterator[list[object]]:
     for path in sorted((DATA / "nylon_drift").glob("*.parquet")):
         t_s, output, reference = pd.read_parquet(path).to_numpy().T
         quarter = len(t_s) // 4
-        errors: dict[str, list[list[float]]] = {"first": [], "none": [], "basic": [], "improved": [], "quantile": []}
+        errors: dict[str, list[list[float]]] = {name: [] for name in ("first", *MODES, "quantile")}
         for seed in range(seeds):
             first = slice(0, quarter)
             unit = calibrate(t_s[first], output[first], reference[first], RATE_HZ, NetworkConfig(seed=seed))
             later = slice(quarter, None)
             errors["first"].append([own_error(unit.network, output[first], reference[first])])
-            for mode in ("none", "basic", "improved"):
+            for mode in MODES:
                 estimate, _ = follow(unit, mode, t_s[later], output[later])
                 errors[mode].append(part_rmse(estimate, reference[later], 3))
             errors["quantile"].append(part_rmse(quantile_remap(unit, output[later]), reference[later], 3))
@@ -54,7 +58,7 @@ def rows(seeds: int) -> Iterator[list[object]]:
             none, improved, first_error = (
                 float(v) for v in (median["none"][k], median["improved"][k], median["first"][0])
             )
-            others = [float(median[name][k]) for name in ("basic", "quantile")]
+            others = [float(median[name][k]) for name in ("basic", *QUEUED, "quantile")]
             yield [
                 path.stem,
                 k + 2,
@@ -62,7 +66,7 @@ def rows(seeds: int) -> Iterator[list[object]]:
                 none,
                 others[0],
                 improved,
-                others[1],
+                *others[1:],
                 improved / none,
                 improved / first_error,
             ]
@@ -75,5 +79,14 @@ def own_error(network: Network, output: Array, reference: Array) -> float:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="one seed instead of three")
-    header = ["run", "quarter", "first quarter", "no adaptation", "basic", "improved", "quantile re-map"]
+    header = [
+        "run",
+        "quarter",
+        "first quarter",
+        "no adaptation",
+        "basic",
+        "improved",
+        *QUEUED,
+        "quantile re-map",
+    ]
     print_markdown([*header, "improved / none", "improved / first"], rows(1 if parser.parse_args().quick else 3))

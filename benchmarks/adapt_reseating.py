@@ -9,7 +9,7 @@ from simulated_gait import RATE_HZ, Sensor, walk
 
 from softcal.core.network.config import NetworkConfig
 from softcal.core.recording import Array
-from softcal.core.use.adapter import MapUpdate
+from softcal.core.use.batches import MapUpdate
 from softcal.core.use.tracker import JUMPED, TRIED
 
 SEATS, EVERY = 24, 5000

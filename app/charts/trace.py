@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from softcal.core.recording import Array
 from softcal.core.unit.estimate import Estimate
-from softcal.core.use.adapter import MapUpdate
+from softcal.core.use.batches import MapUpdate
 
 KEPT = 6000
 

@@ -18,6 +18,7 @@ from softcal.core.errors import InputError
 
 if TYPE_CHECKING:
     from softcal.app.use.adapt import AdaptOptions, AdaptReport
+    from softcal.core.use.method import UseMethod
     from softcal.db.registry import Registry
 
 EXAMPLES = """examples:
@@ -26,6 +27,8 @@ EXAMPLES = """examples:
   day by day, each file going on where the one before ended:
     softcal adapt --serial A1 monday.csv --out monday-estimates.csv --stream hall-3
     softcal adapt --serial A1 tuesday.csv --out tuesday-estimates.csv --stream hall-3 --resume
+  the online method of Kim et al. (2020), where every queue of windows is used as the source was:
+    softcal adapt --serial A1 week.csv --out estimates.csv --mode ot --queue 512
   live, from a sensor readout, from a pipe, or simulated; to a file, standard output or a socket:
     softcal adapt --serial A1 serial:/dev/ttyACM0 --out live.csv
     logger | softcal adapt --serial A1 - --out -
@@ -51,7 +54,9 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument("--out", required=True, metavar="OUT", help="CSV or Parquet; live also - or tcp://HOST:PORT")
     parser.add_argument("--serial", required=True, metavar="S")
     parser.add_argument("--revision", type=int, metavar="N", help="calibration to start from; default: the current one")
-    parser.add_argument("--mode", choices=("improved", "basic", "none"), default="improved", help=MODE_HELP)
+    modes = ("improved", "basic", "none", "ot", "ot-improved")
+    parser.add_argument("--mode", choices=modes, default="improved", help=MODE_HELP)
+    parser.add_argument("--queue", type=int, metavar="N", help="windows in a queue of ot and ot-improved; default 512")
     parser.add_argument(
         "--stream", metavar="NAME", help="name of the stream in the registry; default: from its content"
     )
@@ -76,7 +81,9 @@ def add_parser(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 MODE_HELP = (
     "improved (default): compare with the calibration and with uses learnt since; basic: with the calibration alone; "
-    "none: leave the map as it is"
+    "none: leave the map as it is; ot: the method of Kim et al. (2020), a queue of windows is mapped onto those of the "
+    "source by optimal transport while the next one fills, and its map holds once that is full; ot-improved: the same, "
+    "and each queue with its best estimates is the source of the next. Both take a change of use for drift"
 )
 
 
@@ -85,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
     from softcal.app.use.adapt import AdaptOptions
     from softcal.core.use.adapter import AdaptConfig
 
-    config = AdaptConfig(options.mode)
+    config = AdaptConfig(options.mode, _method(options))
     with registry_of(options, create=False) as registry:
         revision = options.revision if options.loads is None else _trimmed(registry, options)
         adapt = AdaptOptions(config, revision, options.stream, options.resume, lot_id=options.lot)
@@ -93,6 +100,18 @@ def run(options: argparse.Namespace) -> int:
         say_caution(registry, (report.serial, report.revision, report.lot.id), "adapt")
         _report(registry, options, report)
     return 0
+
+
+def _method(options: argparse.Namespace) -> "UseMethod":
+    """Return the numbers of the method, with the queue that was asked for."""
+    from softcal.core.use.adapter import QUEUES
+    from softcal.core.use.method import OnlineConfig, UseMethod
+
+    if options.queue is None:
+        return UseMethod()
+    if options.mode not in QUEUES:
+        raise InputError(f"--queue is for --mode {' and '.join(QUEUES)}; this is --mode {options.mode}")
+    return UseMethod(online=OnlineConfig(options.queue))
 
 
 def _trimmed(registry: "Registry", options: argparse.Namespace) -> int:

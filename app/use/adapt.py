@@ -27,8 +27,11 @@ from softcal.core.unit.knowledge import known_by
 from softcal.core.unit.source_model import make_source_model
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Decision, Judgement, Verdict
-from softcal.core.use.adapter import AdaptConfig, Adapter, MapUpdate
+from softcal.core.use.adapter import QUEUES, AdaptConfig, Adapter
+from softcal.core.use.batches import Batches, MapUpdate
 from softcal.core.use.method import UseMethod
+from softcal.core.use.queued import QueuedTransport
+from softcal.core.windows import TAPS
 from softcal.core.words.reason import plain
 from softcal.db.registry import Registry
 
@@ -159,6 +162,14 @@ class AdaptReport:
     trace: Trace = field(default_factory=Trace)
 
 
+def _follower_of(registry: Registry, unit: UnitInUse, config: AdaptConfig, pool: Executor | None) -> Batches:
+    """Return what follows the unit in the mode that was chosen."""
+    known = (unit.network, unit.calibration, unit.recording)
+    if config.mode not in QUEUES:
+        return Adapter(*known, config)
+    return QueuedTransport(*known, source_recording(registry, unit.network.id), config, pool)
+
+
 class Follower:
     """Follows one stream of one unit and keeps every map and the state to resume from in the registry.
 
@@ -182,7 +193,7 @@ class Follower:
         serial = unit.calibration.serial
         self._registry, self._keeper = registry, keeper
         self._writing: Future[int] | None = None
-        self._adapter = Adapter(unit.network, unit.calibration, unit.recording, options.config)
+        self._adapter = _follower_of(registry, unit, options.config, keeper)
         newest = registry.last_adaptation(serial, unit.revision, stream)
         # The same rows again give the same steps; those that are kept already stay as they are.
         self._kept_until = -1 if newest is None else int(newest["sample"])
@@ -324,13 +335,13 @@ def adapt_file(
         names: of the columns of `source`, where they are called otherwise.
 
     Raises:
-        InputError: `source` cannot be read, the registry does not know the serial, or a stream is to go on without a
-            column of time.
+        InputError: `source` cannot be read or fills no queue, the registry does not know the serial, or a stream is to
+            go on without a column of time.
     """
     if options.resume and names.time is None:
         raise InputError(f"{source}: --resume goes on in time; name the column of the time with --time-column")
     unit = unit_in_use(registry, serial, options.revision, options.lot_id)
-    stream = options.stream or _stream_of(source, options.config.mode, names)
+    stream = options.stream or _stream_of(source, options.config.name, names)
     follower = Follower(registry, unit, stream, options, is_repeatable=True)
     if options.resume:
         follower.begin_file()
@@ -342,8 +353,19 @@ def adapt_file(
             if follower.report.rows - kept >= FILE_MAPS_ROWS:
                 follower.keep_maps()
                 kept = follower.report.rows
+        if options.config.mode in QUEUES and not options.resume:
+            _check_queue(source, options.config.method.online.queue, follower.report.rows)
     follower.checkpoint()
     return follower.report
+
+
+def _check_queue(source: Path, queue: int, rows: int) -> None:
+    """Refuse a queue that a whole recording cannot fill: its map would never be found."""
+    if rows < (needed := queue + TAPS - 1):
+        raise InputError(
+            f"{source}: a queue of {queue} windows needs {needed} rows, the recording has {rows}; "
+            "give a shorter --queue, or another --mode"
+        )
 
 
 def _stream_of(source: Path, mode: str, names: ColumnNames) -> str:

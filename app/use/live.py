@@ -46,7 +46,7 @@ def adapt_live(registry: Registry, serial: str, live: LiveOptions, options: Adap
         DeviceError: the sensor is gone; estimates up to then are written, the state is kept.
     """
     unit = unit_in_use(registry, serial, options.revision, options.lot_id)
-    stream = options.stream or f"live {live.source} {options.config.mode}"
+    stream = options.stream or f"live {live.source} {options.config.name}"
     with ExitStack() as stack:
         samples = stack.enter_context(open_source(live.source, live.station_file, unit.lot.output_unit))
         held = written(live.target) if options.resume else Written()

@@ -5,7 +5,6 @@ correction of its batch; what a batch shows changes the correction of the next o
 row (the estimate is causal), single samples and whole arrays give the same rows, and memory does not grow.
 """
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -17,20 +16,22 @@ from softcal.core.maps.affine_map import AffineMap
 from softcal.core.network.network import Network
 from softcal.core.recording import Array, OutputRecording
 from softcal.core.unit.calibration import Calibration
-from softcal.core.unit.estimate import FLAG_TYPE, SATURATED, STUCK, Estimate, EstimateRow, Flags, check_fits, judge
+from softcal.core.unit.estimate import Flags, check_fits, judge
 from softcal.core.unit.uncertainty import NORMAL_90
 from softcal.core.use.activity import CalibratedUse
+from softcal.core.use.batches import NOT_EVIDENCE, START, Batches, MapUpdate
 from softcal.core.use.cycles import CycleCutter
 from softcal.core.use.doubt import CALIBRATE, Doubt, due
-from softcal.core.use.intake import WRONG_RATE, Intake, RowMask
+from softcal.core.use.intake import Intake, RowMask
 from softcal.core.use.kept import restored
 from softcal.core.use.method import UseMethod
 from softcal.core.use.observation import NOT_WATCHED, UNWATCHED, Observation
 from softcal.core.use.sensitivity import calibrated_rmse, learn_sensitivity
 from softcal.core.use.tracker import DriftTracker
 
-START = "start"
-MODES = ("none", "basic", "improved")
+FILTERS = ("none", "basic", "improved")
+QUEUES = ("ot", "ot-improved")
+MODES = (*FILTERS, *QUEUES)
 RECALIBRATE = "recalibrate"
 """Flag of rows that would be trusted, were the unit not due for a calibration with a reference."""
 
@@ -40,12 +41,6 @@ UNSETTLED = "unsettled"
 STATE_FORMAT = 5
 """Of what `Adapter.state` returns; raised whenever a state kept before could not be gone on from."""
 
-NOT_EVIDENCE = (STUCK, SATURATED, WRONG_RATE)
-"""Rows with these flags say nothing about drift or use."""
-
-MOST_UPDATES = 4096
-"""Changes kept for a caller that does not take them."""
-
 
 @dataclass(frozen=True)
 class AdaptConfig:
@@ -53,7 +48,8 @@ class AdaptConfig:
 
     Args:
         mode: `none` leaves the map as it is; `basic` compares the use with the calibration recording alone; `improved`
-            also learns other uses from the best estimates so far (Kim et al. 2020, Fig. 5).
+            also learns other uses from the best estimates so far (Kim et al. 2020, Fig. 5). `ot` and `ot-improved` are
+            those of `queued.QueuedTransport`.
         method: every number that decides.
     """
 
@@ -64,38 +60,13 @@ class AdaptConfig:
         if self.mode not in MODES:
             raise ValueError(f"mode {self.mode!r} is none of {', '.join(MODES)}")
 
-
-@dataclass(frozen=True)
-class MapUpdate:
-    """The correction A_t from one row on, and what it rests on. All numbers are JSON values.
-
-    Args:
-        row: first row it holds for, counted from 0.
-        t_s: time of the evidence.
-        gain, offset: calibrated output = offset + gain * output now.
-        shift, log_gain: drift of the output in scales of the calibrated use.
-        shift_sd, log_gain_sd: their standard deviations.
-        predicted_rmse: predicted error of the estimates, in the reference unit.
-        verdict: `start`, `followed`, `held`, `tried`, `jumped`, or `unwatched` while the first use is being learnt.
-        reason: why it was held, or what was tried or jumped.
-        alarm: why a calibration with a reference is due; empty while it is not.
-    """
-
-    row: int
-    t_s: float | None
-    gain: float
-    offset: float
-    shift: float
-    log_gain: float
-    shift_sd: float
-    log_gain_sd: float
-    predicted_rmse: float
-    verdict: str
-    reason: str
-    alarm: str
+    @property
+    def name(self) -> str:
+        """The mode, and the length of its queue where it has one; in the default name of a stream."""
+        return f"{self.mode} {self.method.online.queue}" if self.mode in QUEUES else self.mode
 
 
-class Adapter:
+class Adapter(Batches):
     """Estimates a stream and keeps the unit's map on its drift.
 
     Args:
@@ -106,6 +77,7 @@ class Adapter:
 
     Raises:
         InputError: the calibration belongs to another network, or the recording has another physical unit.
+        ValueError: the mode is one of `queued.QueuedTransport`.
     """
 
     def __init__(
@@ -116,16 +88,17 @@ class Adapter:
         config: AdaptConfig = AdaptConfig(),  # noqa: B008 - frozen
     ) -> None:
         check_fits(network, calibration, recording.output_unit)
-        self._network, self._calibration, self._config = network, calibration, config
-        method = self._method = config.method
+        if config.mode not in FILTERS:
+            raise ValueError(f"mode {config.mode!r} is none of {', '.join(FILTERS)}")
+        super().__init__(network, config.method)
+        self._calibration, self._config, method = calibration, config, config.method
         self._use, self._error_per_scale = learn_sensitivity(network, calibration, recording, method)
         self._calibrated_rmse = calibrated_rmse(calibration)
         self._sample_rate_Hz = recording.sample_rate_Hz
         self._intake, self._cutter, self._tracker = self._parts()
         self._evidence: list[tuple[float, float] | None] = []
-        self._row, self._silent_batches, self._due_batches, self._doubt = 0, 0, 0, 0.0
-        self._current = self._start()
-        self._updates = deque([self._current], maxlen=MOST_UPDATES)
+        self._silent_batches, self._due_batches, self._doubt = 0, 0, 0.0
+        self._begin(self._start())
 
     def _parts(self) -> tuple[Intake, CycleCutter, DriftTracker]:
         use, method = self._use, self._method
@@ -136,52 +109,9 @@ class Adapter:
         )
 
     @property
-    def current(self) -> MapUpdate:
-        """The correction in force."""
-        return self._current
-
-    @property
-    def row(self) -> int:
-        """How many rows were taken."""
-        return self._row
-
-    @property
     def calibrated_use(self) -> CalibratedUse:
         """What the calibration recording taught about the unit's use."""
         return self._use
-
-    def take_updates(self) -> list[MapUpdate]:
-        """Return every change of map, verdict or alarm since the last call, oldest first, `MOST_UPDATES` at most."""
-        taken = list(self._updates)
-        self._updates.clear()
-        return taken
-
-    def step(self, t_s: float, output: float) -> EstimateRow:
-        """Take one sample and return its row."""
-        rows = self.advance(np.array([t_s]), np.array([output]))
-        value, lower, upper = float(rows.estimate[0]), float(rows.lower[0]), float(rows.upper[0])
-        return EstimateRow(t_s, value, lower, upper, str(rows.flag[0]))
-
-    def advance(self, t_s: Array, output: Array) -> Estimate:
-        """Take (n,) further samples, one row each; the same rows as `step` one by one.
-
-        Args:
-            t_s: time stamps in s; a time that is not finite, repeats or goes backward makes the row `invalid`.
-            output: in the unit of the calibration; NaN makes the row `invalid`.
-        """
-        n = len(output)
-        value, lower, upper = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
-        flag = np.empty(n, dtype=FLAG_TYPE)
-        start, batch = 0, self._method.intake.batch
-        while start < n:
-            stop = min(n, start + batch - self._row % batch)
-            piece = slice(start, stop)
-            value[piece], lower[piece], upper[piece], flag[piece] = self._estimate(t_s[piece], output[piece])
-            self._row += stop - start
-            if self._row % batch == 0:
-                self._close_batch()
-            start = stop
-        return Estimate(t_s, value, lower, upper, flag, self._network.reference_unit)
 
     def _estimate(self, t_s: Array, output: Array) -> tuple[Array, Array, Array, Flags]:
         first = self._row % self._method.intake.batch

@@ -257,12 +257,23 @@ class TrimConfig:
 
 
 @dataclass(frozen=True)
+class OnlineConfig:
+    """The paper's online method (`queued.py`); the numbers of its plan are those of `Method.map.plan`.
+
+    Args:
+        queue: windows in a queue; a new map is fitted on every full one.
+    """
+
+    queue: int = setting(512)
+
+
+@dataclass(frozen=True)
 class UseMethod(NumberedMethod):
     """How a unit in use is followed and trimmed; one configuration for every sensor.
 
     Args:
         version: raised when the code computes otherwise from the same numbers.
-        intake, cycle, activity, drift, jump, learning, trust, doubt, trim: a section a module or concern.
+        intake, cycle, activity, drift, jump, learning, trust, doubt, trim, online: a section a module or concern.
     """
 
     version: int = setting(1, "raised by hand")
@@ -275,6 +286,7 @@ class UseMethod(NumberedMethod):
     trust: TrustConfig = field(default_factory=TrustConfig)
     doubt: DoubtConfig = field(default_factory=DoubtConfig)
     trim: TrimConfig = field(default_factory=TrimConfig)
+    online: OnlineConfig = field(default_factory=OnlineConfig)
 
     def changes(self, earlier: "UseMethod") -> list[str]:
         """Return `name: earlier value, now value` for every number that differs."""

@@ -23,7 +23,8 @@ NO_DECISION = {
     "core/unit/budget.py": {"COVERAGE", "DIVISORS"},  # what a certificate states, and the GUM's distributions
     "core/maps/crossing.py": {"KEPT"},  # entries of a cache
     "core/maps/synchrony.py": {"NONE"},  # zeros
-    "core/use/adapter.py": {"STATE_FORMAT", "MOST_UPDATES"},  # of the stored state; length of a queue for the caller
+    "core/use/adapter.py": {"STATE_FORMAT"},  # of the stored state
+    "core/use/batches.py": {"MOST_UPDATES"},  # length of a queue for the caller
 }
 """Numbers outside the method that cannot change a map, an interval, a forecast or a verdict."""
 
