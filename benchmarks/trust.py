@@ -146,7 +146,8 @@ def _corrected(
     common = common_misreading(lines)
     if common is None:
         return audited, rest
-    return tuple([_without(unit, without(lines, unit.serial, common)) for unit in part] for part in (audited, rest))
+    audited, rest = ([_without(unit, without(lines, unit.serial, common)) for unit in part] for part in (audited, rest))
+    return audited, rest
 
 
 def _without(unit: FittedUnit, common: CommonMisreading) -> FittedUnit:
