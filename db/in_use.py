@@ -163,6 +163,13 @@ class InUseTable(RegistryBase):
                         found[serial] = UnitStanding(serial, row["verdict"], tuple(map(Reason.of, row["reasons"])), at)
         return found
 
+    def passed_once(self, lot_id: str) -> frozenset[str]:
+        """Return the serials of a lot for which a calibration that passed was in use, now or before."""
+        query = select(in_use.c.serial).distinct().join(calibrations, OF_STATEMENT)
+        query = query.where(in_use.c.lot_id == lot_id, calibrations.c.verdict == "pass")
+        with self.database.reading() as connection:
+            return frozenset(connection.execute(query).scalars())
+
     def lots_of(self, serial: str) -> list[str]:
         """Return the lots a serial stands in."""
         with self.database.reading() as connection:

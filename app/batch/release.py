@@ -9,10 +9,11 @@ import numpy as np
 
 from softcal.app.batch.audit_evidence import PROMISE, RELEASABLE, AuditEvidence, AuditReader
 from softcal.app.registry.audits import audit_of, newest_audits
-from softcal.app.registry.limit import lot_limit
+from softcal.app.registry.limit import limit_or_none, lot_limit
 from softcal.app.registry.source import source_recording, unlabelled
 from softcal.core.identity import content_sha256
 from softcal.core.quality.lot_release import LotRelease, release_lot
+from softcal.core.quality.lot_standing import LotStanding, UnitInLot
 from softcal.core.quality.release import least_passing
 from softcal.core.unit.calibrate import measured
 from softcal.core.unit.calibration import AUDIT_GAIN, AUDIT_ZERO, CalibrationRecord
@@ -21,7 +22,7 @@ from softcal.core.unit.judging import judged
 from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit
 from softcal.core.words.reason import Reason
-from softcal.db.entries import MadeCalibration, StoredCalibration, UnitEntry, UnitStanding
+from softcal.db.entries import MadeCalibration, RecordingEntry, StoredCalibration, UnitEntry, UnitStanding
 from softcal.db.judged_against import STALE
 from softcal.db.registry import Registry
 
@@ -80,10 +81,32 @@ def _is_to_correct(made: MadeCalibration, evidence: AuditEvidence) -> bool:
     return not np.allclose(wanted, made.common_line, rtol=1e-9, atol=1e-12)
 
 
-def decide_release(registry: Registry, lot_id: str, now: datetime) -> LotRelease | None:
-    """Decide on the unmeasured units of a lot; nothing is written. None where it has no unit with a forecast yet."""
-    standing = _standing(registry, lot_id, now)
-    return None if standing is None else standing.decided()
+def lot_standing(registry: Registry, lot_id: str, now: datetime | None = None) -> LotStanding:
+    """Return where a lot stands; nothing is written.
+
+    Args:
+        now: the time of the decision.
+
+    Raises:
+        InputError: the lot is not in the registry.
+    """
+    registry.lot(lot_id)
+    units, limit = _whole_lot(registry, lot_id), limit_or_none(registry, lot_id)
+    standing = _standing(registry, lot_id, now or datetime.now(UTC), units)
+    audits, passed = newest_audits(registry, lot_id), registry.passed_once(lot_id)
+    targets = [unit.serial for unit in registry.units(lot_id) if unit.role == "target"]
+    rows = [_in_lot(serial, units.get(serial), audits.get(serial), serial in passed) for serial in targets]
+    return LotStanding(lot_id, rows, limit, None if standing is None else standing.decided())
+
+
+def _in_lot(serial: str, unit: UnitStanding | None, audit: RecordingEntry | None, had_passed: bool) -> UnitInLot:
+    at = None if audit is None else audit.added_at
+    if unit is None:
+        return UnitInLot(serial, had_passed=had_passed, audited_at=at)
+    made = unit.made
+    errors = (None, None) if made is None else (made.forecast_rmse, made.after_rmse)
+    is_measured = made is not None and made.is_audited
+    return UnitInLot(serial, unit.verdict, unit.reasons, is_measured, had_passed, at, *errors)
 
 
 def is_stale(unit: UnitEntry) -> bool:
@@ -122,8 +145,10 @@ def _judge_anew(registry: Registry, lot_id: str, actor: str | None) -> None:
                 _put(registry, lot_id, record, "judged against another limit", actor)
 
 
-def _standing(registry: Registry, lot_id: str, now: datetime) -> "_Standing | None":
-    units = _whole_lot(registry, lot_id)
+def _standing(
+    registry: Registry, lot_id: str, now: datetime, units: Mapping[str, UnitStanding] | None = None
+) -> "_Standing | None":
+    units = _whole_lot(registry, lot_id) if units is None else units
     made = _made(units)
     if not made:
         return None

@@ -10,8 +10,12 @@ from softcal.app.cli.options import add_csv, add_json, add_network, add_registry
 from softcal.app.output import print_table, say, write_json
 from softcal.core.errors import InputError
 from softcal.core.quality.line_rules import LETTERS, RETESTS
+from softcal.core.quality.lot_standing import Way
 
 DONE, SOME_UNIT_NOT_PASSED = 0, 1
+MOST_TOLD = 20
+"""So many units are named one by one in a terminal."""
+
 EXAMPLES = """examples:
   softcal lot watch lot-1                        calibrate units as their recordings land, until Ctrl-C
   softcal lot watch lot-1 --idle 60 --jobs 2     stop when nothing came for a minute
@@ -127,7 +131,7 @@ def _add_release(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 
 def _release(options: argparse.Namespace) -> int:
-    from softcal.app.batch.release import judge_lot
+    from softcal.app.batch.release import judge_lot, lot_standing
     from softcal.app.export.certificates.lot_facts import lot_statement_facts
     from softcal.app.export.certificates.lot_statement import lot_statement_pdf
     from softcal.app.files.atomic import write_bytes
@@ -139,25 +143,31 @@ def _release(options: argparse.Namespace) -> int:
         decided = judge_lot(registry, lot_id)
         if decided is None:
             raise InputError(f"lot {lot_id!r} has no calibrated unit yet; run `softcal batch` first")
-        facts = lot_statement_facts(registry, lot_id, decided)
+        standing = lot_standing(registry, lot_id)
+        facts = lot_statement_facts(registry, standing, decided)
     if options.pdf is not None:
         write_bytes(options.pdf, lot_statement_pdf(facts, partial(text, options.language)))
         say(f"{options.pdf}: statement on lot {lot_id}")
     if options.json:
-        write_json(options.json, {"schema": "softcal.lot.release/1", "lot": lot_id, **decided.to_json()})
+        write_json(options.json, {"schema": "softcal.lot.release/1", "lot": lot_id, **standing.to_json()})
     if options.json != "-" or options.csv:
+        limit = decided.limit.maximum_rmse
         rows = [
-            [a.serial, a.lot, a.forecast_rmse, a.measured_rmse, a.measured_rmse / a.forecast_rmse, _word(a.is_within)]
-            for a in facts.audits
+            [
+                *(a.serial, a.lot_id or lot_id, a.forecast_rmse, a.measured_rmse, a.ratio),
+                "within" if a.measured_rmse <= limit else "beyond",
+            ]
+            for a in sorted(decided.audits, key=lambda audit: -audit.ratio)
         ]
         print_table(("audited", "lot", "forecast", "measured", "measured/forecast", "verdict"), rows)
         print(decided.statement)
         print(f"released by sample: {', '.join(decided.released) or 'none'}")
+        for name, units in (("waiting", standing.on(Way.WAITING)), ("withdrawn", standing.withdrawn)):
+            for unit in units[:MOST_TOLD]:
+                print(f"{name}: {unit.serial}: {'; '.join(map(str, unit.reasons))}")
+            if len(units) > MOST_TOLD:
+                print(f"{name}: and {len(units) - MOST_TOLD} more; --json has all")
     return DONE if decided.released or not decided.forecasts else SOME_UNIT_NOT_PASSED
-
-
-def _word(is_within: bool) -> str:
-    return "within" if is_within else "beyond"
 
 
 def _folder(options: argparse.Namespace) -> int:

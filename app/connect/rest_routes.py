@@ -110,12 +110,11 @@ def lot_of(registry: Known, _: Looking, lot: LotId) -> dict[str, Any]:
 
 @routes.get("/lots/{lot}/release", response_model=answers.ReleaseAnswer, responses=_may_fail(404), tags=["lots"])
 def release(registry: Known, _: Looking, lot: LotId) -> dict[str, Any]:
-    """Say what is promised about the units of a lot that nobody measured. Nothing is decided anew here."""
-    from softcal.app.batch.release import decide_release
+    """Say where a lot stands: what is released and by what, what waits, what was withdrawn. Nothing is decided anew."""
+    from softcal.app.batch.release import lot_standing
 
-    registry.lot(lot)
-    decided = decide_release(registry, lot, datetime.now(UTC))
-    return {"lot": lot, "release": None if decided is None else decided.to_json()}
+    standing = lot_standing(registry, lot)
+    return {"lot": lot, "release": None if standing.decided is None else standing.to_json()}
 
 
 @routes.get("/lots/{lot}/units", response_model=answers.UnitPageAnswer, responses=_may_fail(404), tags=["units"])

@@ -15,7 +15,7 @@ import pytest
 from softcal.app.batch.audit_evidence import AuditReader
 from softcal.app.batch.judging import judge_again
 from softcal.app.batch.line_statement import stated_line
-from softcal.app.batch.release import LineRelease, decide_release, judge_lot
+from softcal.app.batch.release import LineRelease, judge_lot, lot_standing
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions, UnitLoader
 from softcal.app.export.certificates.content import certificate_of
@@ -306,7 +306,7 @@ def test_a_lot_of_three_is_told_to_measure_all_or_to_bring_earlier_lots(make_lot
         path.unlink()
     release = batch(folder)["release"]
     assert release["wanted"] == 3 and release["released"] == []
-    decided = decide_release(registry, "large", datetime.now(UTC))
+    decided = lot_standing(registry, "large").decided
     assert decided is not None
     why = decided.statement.values["why"]
     assert isinstance(why, Reason) and why.values["small"] == reason("part.small_lot", units=3, wanted=9, least=3)
@@ -325,7 +325,7 @@ def test_the_statement_is_said_in_the_language_of_the_reader(make_lot, batch, re
         assert main([*command, "--language", language]) == 0
         assert len(re.findall(rb"/Type /Page\b", pdf.read_bytes())) == 1
     assert pages["en"].read_bytes() != pages["ko"].read_bytes()
-    decided = decide_release(registry, "large", datetime.now(UTC))
+    decided = lot_standing(registry, "large").decided
     (kept,) = registry.events("lot_release", ("large",))
     assert decided is not None
     stated = said(decided.statement, korean)

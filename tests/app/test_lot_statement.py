@@ -9,34 +9,39 @@ from pathlib import Path
 
 import pytest
 
-from softcal.app.export.certificates.lot_statement import LotStatementFacts, StatementRow, lot_statement_pdf
+from softcal.app.export.certificates.lot_statement import LotStatementFacts, lot_statement_pdf
 from softcal.app.texts.catalogue import text as text_of
 from softcal.app.texts.reasons import said
+from softcal.core.lot import Lot
+from softcal.core.quality.acceptance import Promise
+from softcal.core.quality.lot_release import release_lot
+from softcal.core.quality.lot_standing import LotStanding, UnitInLot
+from softcal.core.quality.qualification import Qualification
+from softcal.core.quality.release import AuditedUnit
+from softcal.core.unit.verdict import Limit
 from softcal.core.words.reason import plain, reason
 
-FACTS = LotStatementFacts(
-    lot="lot-1",
-    sensor_model="EG <3 mm>",
-    source="S0",
-    quantity="force",
-    reference_unit="N",
-    limit_rmse=0.5,
-    limit_origin=reason("part.stated"),
-    network_id="ab" * 32,
-    method_id="cd" * 32,
-    made_on=date(2026, 5, 1),
-    software="softcal 1.0",
-    statement=plain("with 10 audits: at most 1 in 10 of the 30 released units beyond 0.5 N, 90 % confidence"),
-    risk=0.1,
-    confidence=0.9,
-    factor=1.73,
-    any_form=reason("part.any_form", share=0.206, risk=0.091),
-    audits=tuple(StatementRow(f"A{k}", "lot-1", 0.2, 0.2 + 0.01 * k, True) for k in range(10)),
-    drawn=(10, 40),
-    released=tuple(f"U{k:03d}" for k in range(30)),
-    counts={"pass": 40, "conditional": 2, "fail": 0},
-    identifier="lot-1-20260501",
-)
+LOT, LIMIT = Lot("lot-1", "S0", 50.0, sensor_model="EG <3 mm>", limit_rmse=0.5), Limit("N", 0.5)
+
+
+def facts_of(audits: list[AuditedUnit], units: int, waiting: int = 0, withdrawn: int = 0) -> LotStatementFacts:
+    """Return the facts of a lot with `units` released on its audits, without audits none."""
+    source, why = ("this lot", plain("ten of this lot")) if audits else ("none", reason("part.no_lot"))
+    qualification = Qualification(source, tuple(audits), 0 if audits else 6, why, tuple(audits))
+    decided = release_lot({f"LONG-SERIAL-{k:05d}": 0.2 for k in range(units)}, qualification, LIMIT, Promise(0.1, 0.9))
+    word = "pass" if audits else "conditional"
+    open_, failed = (plain("another load was expected"),), (plain("its audit failed"),)
+    in_lot = [
+        *(UnitInLot(serial, word, ()) for serial in decided.forecasts),
+        *(UnitInLot(f"WAITS-{k:05d}", "retest", open_) for k in range(waiting)),
+        *(UnitInLot(f"GONE-{k:05d}", "fail", failed, had_passed=True) for k in range(withdrawn)),
+    ]
+    standing = LotStanding("lot-1", in_lot, LIMIT, decided)
+    days = {"made_on": date(2026, 5, 1), "software": "softcal 1.0", "identifier": "lot-1-20260501"}
+    return LotStatementFacts(LOT, standing, decided, "ab" * 32, "cd" * 32, drawn=(10, 40), **days)
+
+
+FACTS = facts_of([AuditedUnit(f"A{k}", 0.2, 0.2 + 0.005 * k, "lot-1") for k in range(10)], 30)
 
 say = partial(text_of, "en")
 
@@ -54,26 +59,29 @@ def test_one_page_says_what_is_promised_on_what_evidence_at_what_risk(tmp_path: 
     text, pages = _text(lot_statement_pdf(FACTS), tmp_path)
     assert pages == 1
     drawn, promise = say("paper.drawn.is", drawn=10, population=40), say("paper.promise.is", risk=0.1, confidence=0.9)
-    for one in (str(FACTS.statement), say("paper.given"), "EG <3 mm>", "0.5 N", drawn, promise, "1.73", "U029"):
+    for one in (str(FACTS.decided.statement), say("paper.given"), "EG <3 mm>", "0.5 N", drawn, promise, "SERIAL-00019"):
         assert one in text, one
+    # Nothing waits and nothing was withdrawn: no title says otherwise.
+    assert say("paper.withdrawn") not in text
 
 
 @pytest.mark.parametrize("language", ["en", "ko"])
 def test_a_large_lot_still_fits_one_page_and_says_what_is_left_out(tmp_path: Path, language: str) -> None:
-    audits = tuple(StatementRow(f"LONG-SERIAL-{k:04d}", f"lot-{k % 7}", 0.2, 0.3, True) for k in range(80))
-    facts = replace(FACTS, audits=audits, released=tuple(f"LONG-SERIAL-{k:05d}" for k in range(2000)))
+    audits = [AuditedUnit(f"LONG-AUDIT-{k:04d}", 0.2, 0.2 + 0.001 * k, f"lot-{k % 7}") for k in range(80)]
+    facts = facts_of(audits, 2000, waiting=300, withdrawn=50)
     text, pages = _text(lot_statement_pdf(facts, partial(text_of, language)), tmp_path)
-    assert pages == 1 and text_of(language, "paper.more", count=66) in text and "1970" in text
+    assert pages == 1 and text_of(language, "paper.more", count=70) in text and "1980" in text
+    assert "WAITS-00000" in text and "GONE-00000" in text and "300" in text
 
 
 @pytest.mark.parametrize("language", ["en", "ko"])
 def test_without_a_promise_the_page_says_so_in_the_language_of_the_reader(tmp_path: Path, language: str) -> None:
-    say, unqualified = partial(text_of, language), reason("release.unqualified", why=reason("part.no_lot"))
-    facts = replace(FACTS, released=(), factor=None, any_form=None, audits=(), statement=unqualified)
+    say, facts = partial(text_of, language), facts_of([], 5)
     text, pages = _text(lot_statement_pdf(facts, say), tmp_path)
     assert pages == 1
-    facts_said = (say("paper.title", lot="lot-1"), say("paper.not_given"), say("paper.none"), say("reason.part.stated"))
-    for one in (*facts_said, said(unqualified, say).partition(":")[0]):
+    title, origin = say("paper.title", lot="lot-1"), said(LIMIT.origin, say)
+    statement = said(facts.decided.statement, say).partition(":")[0]
+    for one in (title, say("paper.not_given"), say("paper.none"), origin, statement):
         assert one in text, one
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from softcal.app.batch.audit import confirmed_audits
-from softcal.app.batch.release import decide_release
+from softcal.app.batch.release import lot_standing
 from softcal.app.batch.results import lot_results
 from softcal.app.cli.main import main
 from softcal.app.export.calibrated_unit import ExportOptions
@@ -21,10 +21,10 @@ from softcal.app.line.facts import Screen, read_line
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.quality import lot_yields
 from softcal.app.texts.catalogue import text
-from softcal.app.views.audits import audit_rows_of
 from softcal.app.views.lot import lot_view
 from softcal.app.views.wall import wall_view
 from softcal.core.errors import InputError
+from softcal.core.quality.lot_standing import Way
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
 from softcal.db.lot_pages import UnitFilter
@@ -40,6 +40,7 @@ class History:
     def __init__(self, folder: Path, url: str, rng: np.random.Generator, press: Callable[..., pd.DataFrame]) -> None:
         self.folder, self.url, self.rng, self.press = folder, url, rng, press
         self.told: list[str] = []
+        self.passed: set[str] = set()
         self.batch()
 
     def run(self, *words: object) -> int:
@@ -96,7 +97,7 @@ class History:
 
     def confirm(self) -> None:
         with open_registry(self.url) as registry:
-            doubted = [row.serial for row in audit_rows_of(registry, LOT) if row.doubt is not None]
+            doubted = [row.serial for row in lot_standing(registry, LOT).audited if row.doubt is not None]
         for serial in doubted[:1]:
             self.run("lot", "audit", LOT, "--confirm", serial, "--reason", "drawn")
             with open_registry(self.url) as registry:
@@ -159,15 +160,22 @@ def check(history: History, tmp_path: Path) -> None:
         # Audits are the same number everywhere; one that is set aside counts nowhere.
         audited = {serial for serial, one in made.items() if one.is_audited}
         assert {row.serial for row in view.audited} >= audited
-        listed = {row.serial: row.doubt for row in audit_rows_of(registry, LOT)}
+        listed = {row.serial: row.doubt for row in lot_standing(registry, LOT).audited}
         assert audited <= {serial for serial, doubt in listed.items() if doubt is None}
-        decided = decide_release(registry, LOT, datetime.now(UTC))
+        standing = lot_standing(registry, LOT)
+        assert standing.counts == registry.verdict_counts(LOT) and standing.limit == limit
+        ways = {way: {unit.serial for unit in standing.on(way)} for way in Way}
+        assert ways[Way.MEASURED] | ways[Way.SAMPLED] == {serial for serial, word in truth.items() if word == "pass"}
+        assert ways[Way.MEASURED] <= audited and sum(map(len, ways.values())) == len(words["units"])
+        # What was released once and is no more is named, whatever took it back.
+        history.passed |= ways[Way.MEASURED] | ways[Way.SAMPLED]
+        assert {unit.serial for unit in standing.withdrawn} >= {s for s in history.passed if truth[s] != "pass"}
+        assert all(unit.reasons for unit in (*standing.on(Way.WAITING), *standing.withdrawn))
+        decided = standing.decided
         if decided is not None:
-            facts = lot_statement_facts(registry, LOT, decided)
-            assert facts.counts == registry.verdict_counts(LOT)
+            lot_statement_facts(registry, standing, decided)
             assert {audit.serial for audit in decided.qualification.here} <= audited
             assert set(decided.doubts) == {serial for serial, doubt in listed.items() if doubt is not None}
-            assert {row.serial for row in facts.audits} == {audit.serial for audit in decided.audits}
             sampled = {s for s, one in made.items() if truth[s] == "pass" and not one.is_audited}
             assert sampled == set(decided.released) - {s for s in decided.released if made[s].decision.bars}
         # Files are written for what passes, and for nothing else.

@@ -1,10 +1,11 @@
 """The statement on a lot as one page for people: what is promised, on what evidence, at what risk, and what is not."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
 from functools import partial
 
+import numpy as np
 from reportlab.lib.units import mm
 from reportlab.platypus import Flowable, Paragraph, Spacer, Table
 
@@ -23,24 +24,15 @@ from softcal.app.export.certificates.parts import (
 )
 from softcal.app.texts.catalogue import text
 from softcal.app.texts.reasons import Words, said
-from softcal.core.words.reason import Reason
+from softcal.core.lot import Lot
+from softcal.core.quality.lot_release import LotRelease, any_form
+from softcal.core.quality.lot_standing import LotStanding, Way
 
 GIVEN, NOT_GIVEN = "#1b7f3b", "#b3261e"
-MOST_AUDITS, MOST_SERIALS = 14, 30
+MOST_AUDITS, MOST_SERIALS, MOST_KEPT_BACK = 10, 20, 6
 """Rows and serials that fit one page; the rest stand in the registry, and the page says how many."""
 
 ENGLISH: Words = partial(text, "en")
-
-
-@dataclass(frozen=True)
-class StatementRow:
-    """One audited unit: forecast and measured RMSE in the reference unit, and whether it is within the limit."""
-
-    serial: str
-    lot: str
-    forecast_rmse: float
-    measured_rmse: float
-    is_within: bool
 
 
 @dataclass(frozen=True)
@@ -48,55 +40,32 @@ class LotStatementFacts:
     """What the page says.
 
     Args:
-        lot, sensor_model, source, quantity, reference_unit: of the lot.
-        limit_rmse, limit_origin: largest acceptable RMSE, and where it comes from.
+        lot: its facts.
+        standing: of its units.
+        decided: on those that nobody measured.
         network_id, method_id: content hashes of the shared network and of the method.
         made_on, software: when and by what the statement was made.
-        statement: the promise, or why there is none.
-        risk, confidence: of the promise.
-        factor: measured / forecast error reckoned with; None where nothing is promised.
-        any_form: the same promise without assuming a form of the ratios; None where there is none.
-        audits: audited units, worst ratio first.
         drawn: how many units were drawn at random of how many; None where no draw was written down.
-        released: serials released on the audits of others.
-        counts: units of the lot by verdict.
         identifier: of the statement.
         is_simulated: whether the lot's recordings come from a simulation.
     """
 
-    lot: str
-    sensor_model: str
-    source: str
-    quantity: str
-    reference_unit: str
-    limit_rmse: float
-    limit_origin: Reason
+    lot: Lot
+    standing: LotStanding
+    decided: LotRelease
     network_id: str
     method_id: str
     made_on: date
     software: str
-    statement: Reason
-    risk: float
-    confidence: float
-    factor: float | None
-    any_form: Reason | None
-    audits: tuple[StatementRow, ...]
     drawn: tuple[int, int] | None
-    released: tuple[str, ...]
-    counts: Mapping[str, int]
     identifier: str
     is_simulated: bool = False
-
-    @property
-    def is_given(self) -> bool:
-        """Whether units are released on the audits of others."""
-        return bool(self.released)
 
 
 def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes:
     """Return the page in the language of `words`: the same bytes for the same facts."""
     page = Document(
-        title=words("paper.title", lot=facts.lot),
+        title=words("paper.title", lot=facts.lot.id),
         author="",
         software=facts.software,
         footer=f"{facts.identifier}   {facts.software}",
@@ -108,56 +77,65 @@ def lot_statement_pdf(facts: LotStatementFacts, words: Words = ENGLISH) -> bytes
 
 def _story(facts: LotStatementFacts, words: Words) -> list[Flowable]:
     return [
-        Paragraph(marked_up(words("paper.title", lot=facts.lot)), style(18, BOLD)),
+        Paragraph(marked_up(words("paper.title", lot=facts.lot.id)), style(18, BOLD)),
         Spacer(1, 4 * mm),
-        _promise(facts, words),
+        _promise(facts.decided, words),
         *section(words("paper.lot"), facts_table(_lot_rows(facts, words))),
         *section(words("paper.evidence"), facts_table(_evidence_rows(facts, words))),
         *section(words("paper.audited"), _audit_table(facts, words)),
-        *section(words("paper.released"), paragraph(_serials(facts.released, words), 7)),
+        *section(words("paper.released"), paragraph(_serials(facts.decided.released, words), 7)),
         *section(words("paper.means"), paragraph(words("paper.means.is"), 7)),
         *section(words("paper.assumes"), paragraph(words("paper.assumes.is"), 7)),
     ]
 
 
-def _promise(facts: LotStatementFacts, words: Words) -> Flowable:
-    colour, word = (GIVEN, "paper.given") if facts.is_given else (NOT_GIVEN, "paper.not_given")
+def _promise(decided: LotRelease, words: Words) -> Flowable:
+    colour, word = (GIVEN, "paper.given") if decided.released else (NOT_GIVEN, "paper.not_given")
     lines = [
         Paragraph(f'<font color="{colour}">{marked_up(words(word))}</font>', style(13, BOLD)),
-        paragraph(said(facts.statement, words), 10),
+        paragraph(said(decided.statement, words), 10),
     ]
     return Table([[lines]], colWidths=[WIDTH], style=marked(colour))
 
 
 def _lot_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
-    counts = [f"{words(f'verdict.{word}')} {count}" for word, count in facts.counts.items() if count]
-    model = facts.sensor_model or words("paper.no_model")
-    origin, unit = said(facts.limit_origin, words), facts.reference_unit
+    lot, limit, standing = facts.lot, facts.decided.limit, facts.standing
+    counts = [f"{words(f'verdict.{word}')} {count}" for word, count in standing.counts.items() if count]
+    model = lot.sensor_model or words("paper.no_model")
+    origin, unit = said(limit.origin, words), lot.reference_unit
     made = {"network": facts.network_id[:12], "method": facts.method_id[:12], "day": facts.made_on.isoformat()}
     return [
-        (words("paper.lot"), words("paper.lot.is", lot=facts.lot, model=model, source=facts.source)),
-        (words("paper.quantity"), words("paper.quantity.is", quantity=facts.quantity, unit=unit)),
-        (words("paper.limit"), words("paper.limit.is", limit=facts.limit_rmse, unit=unit, origin=origin)),
+        (words("paper.lot"), words("paper.lot.is", lot=lot.id, model=model, source=lot.source)),
+        (words("paper.quantity"), words("paper.quantity.is", quantity=lot.reference_quantity, unit=unit)),
+        (words("paper.limit"), words("paper.limit.is", limit=limit.maximum_rmse, unit=unit, origin=origin)),
         (words("paper.counts"), ", ".join(counts) or words("paper.none")),
         (words("paper.made"), words("paper.made.is", **made)),
+        *(
+            (words(f"paper.{name}"), _serials([unit.serial for unit in units], words, MOST_KEPT_BACK))
+            for name, units in (("waiting", standing.on(Way.WAITING)), ("withdrawn", standing.withdrawn))
+            if units
+        ),
     ]
 
 
 def _evidence_rows(facts: LotStatementFacts, words: Words) -> list[tuple[str, str]]:
+    promise, found = facts.decided.promise, facts.decided.found
     rows = [
         (words("paper.audits"), _audited(facts, words)),
         (words("paper.drawn"), _drawn(facts.drawn, words)),
-        (words("paper.promise"), words("paper.promise.is", risk=facts.risk, confidence=facts.confidence)),
+        (words("paper.promise"), words("paper.promise.is", risk=promise.risk, confidence=promise.confidence)),
     ]
-    if facts.factor is not None:
-        rows.append((words("paper.factor"), words("paper.factor.is", factor=facts.factor)))
-    return rows if facts.any_form is None else [*rows, (words("paper.any_form"), said(facts.any_form, words))]
+    if found is not None and np.isfinite(found.factor):
+        rows.append((words("paper.factor"), words("paper.factor.is", factor=found.factor)))
+    form = any_form(found) if found is not None and facts.decided.released else None
+    return rows if form is None else [*rows, (words("paper.any_form"), said(form, words))]
 
 
 def _audited(facts: LotStatementFacts, words: Words) -> str:
-    lots = sorted({audit.lot for audit in facts.audits})
-    counts = {"audits": len(facts.audits), "beyond": sum(not audit.is_within for audit in facts.audits)}
-    if lots in ([], [facts.lot]):
+    audits, limit = facts.decided.audits, facts.decided.limit.maximum_rmse
+    lots = sorted({audit.lot_id or facts.lot.id for audit in audits})
+    counts = {"audits": len(audits), "beyond": sum(audit.measured_rmse > limit for audit in audits)}
+    if lots in ([], [facts.lot.id]):
         return words("paper.audits.here", **counts)
     return words("paper.audits.lots", lots=", ".join(lots), **counts)
 
@@ -169,16 +147,17 @@ def _drawn(drawn: tuple[int, int] | None, words: Words) -> str:
 
 
 def _audit_table(facts: LotStatementFacts, words: Words) -> Flowable:
-    if not facts.audits:
+    audits, limit = sorted(facts.decided.audits, key=lambda audit: -audit.ratio), facts.decided.limit
+    if not audits:
         return paragraph(words("paper.none"))
-    unit, shown = facts.reference_unit, facts.audits[:MOST_AUDITS]
     names = ("unit", "lot", "forecast", "measured", "ratio", "verdict")
-    rows = [[words(f"paper.column.{name}", unit=unit) for name in names]]
-    for a in shown:
-        numbers = f"{a.forecast_rmse:.3g}", f"{a.measured_rmse:.3g}", f"{a.measured_rmse / a.forecast_rmse:.2f}"
-        rows.append([a.serial, a.lot, *numbers, words("paper.within" if a.is_within else "paper.beyond")])
-    if len(facts.audits) > len(shown):
-        rows.append([words("paper.more", count=len(facts.audits) - len(shown)), *[""] * 5])
+    rows = [[words(f"paper.column.{name}", unit=limit.unit) for name in names]]
+    for a in audits[:MOST_AUDITS]:
+        word = words("paper.within" if a.measured_rmse <= limit.maximum_rmse else "paper.beyond")
+        numbers = f"{a.forecast_rmse:.3g}", f"{a.measured_rmse:.3g}", f"{a.ratio:.2f}"
+        rows.append([a.serial, a.lot_id or facts.lot.id, *numbers, word])
+    if len(audits) > MOST_AUDITS:
+        rows.append([words("paper.more", count=len(audits) - MOST_AUDITS), *[""] * 5])
     return Table([[_cell(text) for text in row] for row in rows], colWidths=[WIDTH / 6] * 6, style=grid(7))
 
 
@@ -187,10 +166,10 @@ def _cell(text: str) -> str | Flowable:
     return text if has_all(PLAIN, text) else paragraph(text, 7)
 
 
-def _serials(serials: tuple[str, ...], words: Words) -> str:
+def _serials(serials: Sequence[str], words: Words, most: int = MOST_SERIALS) -> str:
     if not serials:
         return words("paper.none")
-    values = {"count": len(serials), "serials": ", ".join(serials[:MOST_SERIALS])}
-    if len(serials) > MOST_SERIALS:
-        return words("paper.released.more", more=len(serials) - MOST_SERIALS, **values)
+    values = {"count": len(serials), "serials": ", ".join(serials[:most])}
+    if len(serials) > most:
+        return words("paper.released.more", more=len(serials) - most, **values)
     return words("paper.released.are", **values)

@@ -1,15 +1,16 @@
 """What leaves the house for a lot: the statement on its units, their files and certificates as one archive."""
 
-from datetime import UTC, datetime
+from collections.abc import Sequence
 
 import streamlit as st
 
-from softcal.app.batch.release import decide_release, judge_lot
+from softcal.app.batch.release import judge_lot, lot_standing
 from softcal.app.export.certificates.lot_facts import lot_statement_facts
 from softcal.app.export.certificates.lot_statement import lot_statement_pdf
 from softcal.app.export.names import FORMATS
 from softcal.app.jobs.lot_jobs import archive_path
 from softcal.app.jobs.process import start_job
+from softcal.app.texts.reasons import said
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.callbacks import in_one_piece
 from softcal.app.ui.components.job_panel import job_panel, newest_job
@@ -18,9 +19,11 @@ from softcal.app.ui.desk import errors_in_words, in_words, registry, words
 from softcal.app.ui.panels import lot_heading, numbers, table, units_of
 from softcal.app.views.common import number
 from softcal.core.quality.lot_release import LotRelease
+from softcal.core.quality.lot_standing import LotStanding, UnitInLot, Way
 from softcal.db.people import may
 
 USUAL_FORMATS = ("json", "pdf")
+MOST_ROWS = 200
 
 
 def render() -> None:
@@ -32,22 +35,41 @@ def render() -> None:
             return
         if done := st.session_state.pop("release-done", ""):
             st.success(done, icon=":material/check:")
-        counts = units_of(lot_id)
-        if not counts:
+        if not units_of(lot_id):
             return
-        numbers([(say(f"verdict.{word}"), str(count), None) for word, count in counts.items()])
+        standing = lot_standing(registry(), lot_id)
+        numbers([(say(f"verdict.{word}"), str(count), None) for word, count in standing.counts.items()])
         left, right = st.columns(2)
         with left, st.container(border=True):
-            _statement(lot_id)
+            _statement(standing)
         with right, st.container(border=True):
             _archive(lot_id)
+        for name, units in (("withdrawn", standing.withdrawn), ("waiting", standing.on(Way.WAITING))):
+            _kept_back(name, units)
         laboratory_form()
 
 
-def _statement(lot_id: str) -> None:
+def _kept_back(name: str, units: Sequence[UnitInLot]) -> None:
+    """Draw the units that are not released, with the first reason of each; nothing where there are none."""
     say = words()
+    if not units:
+        return
+    st.markdown(f"## {say(f'release.{name}')}: {len(units)}")
+    st.caption(say(f"release.{name}.means"))
+    rows = [
+        {
+            say("column.serial"): unit.serial,
+            say("column.verdict"): say(f"verdict.{unit.verdict or 'none'}"),
+            say("column.reasons"): "; ".join(said(why, say) for why in unit.reasons[:1]),
+        }
+        for unit in units[:MOST_ROWS]
+    ]
+    table(rows)
+
+
+def _statement(standing: LotStanding) -> None:
+    say, decided, lot_id = words(), standing.decided, standing.lot_id
     st.markdown(f"## {say('release.statement')}")
-    decided = decide_release(registry(), lot_id, datetime.now(UTC))
     if decided is None:
         st.caption(say("release.none"))
         return
@@ -61,7 +83,7 @@ def _statement(lot_id: str) -> None:
         released = len(made.released) if made is not None else 0
         st.session_state["release-done"] = say("release.done", count=released, lot=lot_id)
         st.rerun()
-    facts = lot_statement_facts(registry(), lot_id, decided)
+    facts = lot_statement_facts(registry(), standing, decided)
     st.download_button(
         say("release.pdf"),
         data=lambda: lot_statement_pdf(facts, say),

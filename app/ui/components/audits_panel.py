@@ -3,12 +3,13 @@
 import streamlit as st
 
 from softcal.app.batch.judging import confirm
+from softcal.app.batch.release import lot_standing
 from softcal.app.texts.reasons import said
 from softcal.app.ui.account import actor
 from softcal.app.ui.desk import ask_reason, instant, registry, words
 from softcal.app.ui.panels import table
-from softcal.app.views.audits import AuditedRow, audit_rows_of
 from softcal.app.views.common import number
+from softcal.core.quality.lot_standing import UnitInLot
 
 MOST_ROWS = 200
 
@@ -16,7 +17,7 @@ MOST_ROWS = 200
 def audits_panel(lot_id: str) -> None:
     """Draw the audited units; nothing where none was."""
     say, unit = words(), registry().lot(lot_id).reference_unit
-    rows = audit_rows_of(registry(), lot_id)
+    rows = lot_standing(registry(), lot_id).audited
     if not rows:
         return
     st.markdown(f"## {say('audit.units')}")
@@ -26,18 +27,18 @@ def audits_panel(lot_id: str) -> None:
             _doubt(lot_id, row)
 
 
-def _row(row: AuditedRow, unit: str) -> dict[str, object]:
+def _row(row: UnitInLot, unit: str) -> dict[str, object]:
     say = words()
     return {
         say("column.serial"): row.serial,
         say("release.forecast"): number(row.forecast_rmse, unit),
         say("release.measured"): number(row.measured_rmse, unit),
         say("column.verdict"): say(f"verdict.{row.verdict}"),
-        say("audit.brought"): instant(row.brought_at),
+        say("audit.brought"): instant(row.audited_at),
     }
 
 
-def _doubt(lot_id: str, row: AuditedRow) -> None:
+def _doubt(lot_id: str, row: UnitInLot) -> None:
     say = words()
     with st.container(border=True):
         st.warning(said(row.doubt, say) if row.doubt else "", title=row.serial, icon=":material/rule:")

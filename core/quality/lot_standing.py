@@ -1,0 +1,120 @@
+"""Where a lot stands: which units are released and by what, which wait, which were withdrawn, and why.
+
+Every surface that speaks of a whole lot renders this and decides nothing.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+
+from softcal.core.quality.lot_release import LotRelease
+from softcal.core.unit.verdict import VERDICTS, Limit
+from softcal.core.words.reason import DOUBT, Reason
+
+
+class Way(StrEnum):
+    """Why a unit may leave the house, or what keeps it."""
+
+    MEASURED = "measured"
+    SAMPLED = "sampled"
+    WAITING = "waiting"
+    FAILED = "failed"
+    OPEN = "open"
+
+
+@dataclass(frozen=True)
+class UnitInLot:
+    """One unit of a lot.
+
+    Args:
+        serial: of the unit.
+        verdict: as it stands; None before the first result.
+        reasons: why.
+        is_measured: whether its error was measured, by an audit that counts.
+        had_passed: whether an earlier verdict released it.
+        audited_at: when its newest audit came into the registry, UTC; None without one, whether it counts or not.
+        forecast_rmse, measured_rmse: in the reference unit; None where there is none.
+    """
+
+    serial: str
+    verdict: str | None = None
+    reasons: tuple[Reason, ...] = ()
+    is_measured: bool = False
+    had_passed: bool = False
+    audited_at: datetime | None = None
+    forecast_rmse: float | None = None
+    measured_rmse: float | None = None
+
+    @property
+    def way(self) -> Way:
+        """Whether it is released and by what, or what keeps it."""
+        if self.verdict == "pass":
+            return Way.MEASURED if self.is_measured else Way.SAMPLED
+        if self.verdict is None:
+            return Way.OPEN
+        return Way.FAILED if self.verdict == "fail" else Way.WAITING
+
+    @property
+    def is_withdrawn(self) -> bool:
+        """Whether it was released once and is no more: its files may be with somebody."""
+        return self.had_passed and self.verdict != "pass"
+
+    @property
+    def doubt(self) -> Reason | None:
+        """Why its audit is set aside; None where it is not."""
+        return next((why for why in self.reasons if why.code.startswith(DOUBT)), None)
+
+
+@dataclass(frozen=True)
+class LotStanding:
+    """A lot as every page, paper and program tells it.
+
+    Args:
+        lot_id: of the lot.
+        units: its target units, by serial.
+        limit: in force; None where none is stated and no unit is calibrated yet.
+        decided: on the units nobody measured; None while no unit has a forecast.
+    """
+
+    lot_id: str
+    units: Sequence[UnitInLot]
+    limit: Limit | None
+    decided: LotRelease | None
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Units by verdict, the worst last; `none` has no result yet."""
+        found = Counter(unit.verdict or "none" for unit in self.units)
+        return {word: found[word] for word in (*reversed(VERDICTS), "none")}
+
+    @property
+    def withdrawn(self) -> tuple[UnitInLot, ...]:
+        """Units that were released once and are no more."""
+        return tuple(unit for unit in self.units if unit.is_withdrawn)
+
+    @property
+    def audited(self) -> tuple[UnitInLot, ...]:
+        """Units with an audit: those whose audit is set aside first, then by their error, the largest first."""
+        audited = [unit for unit in self.units if unit.audited_at is not None]
+        return tuple(sorted(audited, key=lambda u: (u.doubt is None, -(u.measured_rmse or 0.0), u.serial)))
+
+    def on(self, way: Way) -> tuple[UnitInLot, ...]:
+        """Return the units that are released by this, or kept by it."""
+        return tuple(unit for unit in self.units if unit.way == way)
+
+    def to_json(self) -> dict[str, object]:
+        """Return it as JSON values: what is decided on unmeasured units, with the standing of all beside it."""
+        return {
+            **({} if self.decided is None else self.decided.to_json()),
+            "limit": None if self.limit is None else self.limit.to_json(),
+            "counts": self.counts,
+            "units": {str(way): [unit.serial for unit in self.on(way)] for way in Way},
+            "waiting": {unit.serial: _why(unit) for unit in self.on(Way.WAITING)},
+            "withdrawn": {unit.serial: _why(unit) for unit in self.withdrawn},
+        }
+
+
+def _why(unit: UnitInLot) -> list[Mapping[str, object]]:
+    return [{"code": why.code, "text": str(why)} for why in unit.reasons]
