@@ -1,9 +1,9 @@
 """Open the registry behind a URL."""
 
 from softcal.core.errors import RegistryError
-from softcal.db.database import Database, check_schema, open_database, schema_of
 from softcal.db.registry import Registry
-from softcal.db.registry_base import RegistrySettings
+from softcal.db.schema.database import Database, check_schema, open_database, schema_of
+from softcal.db.truth.registry_base import RegistrySettings
 
 
 def open_registry(url: str, settings: RegistrySettings | None = None, *, create: bool = True) -> Registry:
@@ -30,6 +30,6 @@ def _schema(database: Database, create: bool) -> str:
         return schema
     if not create:
         raise RegistryError(f"registry {database.name}: there is no registry yet; `softcal batch` or `demo` makes one")
-    from softcal.db.maintenance import migrate
+    from softcal.db.care.maintenance import migrate
 
     return migrate(database)

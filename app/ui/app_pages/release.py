@@ -18,7 +18,7 @@ from softcal.app.ui.desk import errors_in_words, in_words, registry, words
 from softcal.app.ui.panels import lot_heading, numbers, table, units_of
 from softcal.app.views.common import number
 from softcal.core.quality.lot_release import LotRelease
-from softcal.db.people import may
+from softcal.db.access.people import may
 
 USUAL_FORMATS = ("json", "pdf")
 

@@ -1,0 +1,219 @@
+"""Is the database itself whole: pages, indices, references, tables and triggers as the migrations make them."""
+
+import hashlib
+from collections.abc import Iterator
+
+from sqlalchemy import Boolean, Connection, Date, and_, func, inspect, select, text, type_coerce
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.types import NullType
+
+from softcal.db.access.people import people_as_told
+from softcal.db.access.tokens import token_as_told
+from softcal.db.schema import append_only
+from softcal.db.schema.tables import (
+    APPEND_ONLY,
+    AUDITED,
+    CanonicalJson,
+    UtcTime,
+    audit,
+    canonical_json,
+    metadata,
+    registry_info,
+    tokens,
+    users,
+)
+from softcal.db.truth import history
+
+ROWS_OF_QUICK = 200
+IN_WORDS = (UtcTime, CanonicalJson, Boolean, Date)
+"""Types that a database may keep in more than one form."""
+
+TOLD_OF_PEOPLE = ("set_user", "state")
+
+
+def page_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every damaged page, and for every index that does not agree with its table."""
+    if connection.dialect.name == "sqlite":
+        for (line,) in connection.exec_driver_sql("PRAGMA integrity_check(100)").all():
+            if line != "ok":
+                yield f"database: {line}"
+        return
+    known = connection.execute(text("SELECT 1 FROM pg_extension WHERE extname = 'amcheck'")).first()
+    if known is None:
+        return
+    indices = text(
+        "SELECT c.oid, c.relname FROM pg_index i JOIN pg_class c ON c.oid = i.indexrelid JOIN pg_am a ON a.oid = "
+        "c.relam JOIN pg_namespace n ON n.oid = c.relnamespace WHERE a.amname = 'btree' AND n.nspname = 'public'"
+    )
+    for oid, name in connection.execute(indices).all():
+        try:
+            with connection.begin_nested():
+                connection.execute(text("SELECT bt_index_check(CAST(:oid AS regclass), true)"), {"oid": oid})
+        except DBAPIError as error:
+            yield f"index {name}: {str(error.orig).splitlines()[0]}"
+
+
+def reference_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every table with rows that refer to rows which are not there."""
+    for table in metadata.sorted_tables:
+        for constraint in table.foreign_key_constraints:
+            parent = constraint.referred_table.alias()
+            pairs = [(element.parent, parent.c[element.column.name]) for element in constraint.elements]
+            is_there = select(pairs[0][1]).where(*(child == column for child, column in pairs)).correlate(table)
+            is_set = and_(*(child.is_not(None) for child, _ in pairs))
+            lost = select(func.count()).select_from(table).where(is_set, ~is_there.exists())
+            count = connection.execute(lost).scalar_one()
+            if count:
+                yield f"{table.name}: {count} rows refer to {constraint.referred_table.name} that are not there"
+
+
+def form_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every value in other words than softcal's: it reads as the same and is sorted as another.
+
+    Times, JSON and truth values are kept as text and numbers that Python reads in more than one form.
+    """
+    dialect = connection.dialect
+    for table in (*(metadata.tables[name] for name in AUDITED), audit, users):
+        read = [column for column in table.columns if isinstance(column.type, IN_WORDS)]
+        key = list(table.primary_key.columns)
+        writers = [column.type.dialect_impl(dialect).bind_processor(dialect) or _as_it_is for column in read]
+        in_order = {"yield_per": 1000}
+        stored = select(*key, *(type_coerce(column, NullType()) for column in read)).order_by(*key)
+        values = connection.execute(select(*read).order_by(*key), execution_options=in_order)
+        for row, found in zip(connection.execute(stored, execution_options=in_order), values, strict=True):
+            for column, kept, write, value in zip(read, row[len(key) :], writers, found, strict=True):
+                if kept != write(value):
+                    named = history.row_key(table, {part.name: row[k] for k, part in enumerate(key)})
+                    shown = f"{column.name} is not as softcal writes it: {str(kept)[:60]!r}"
+                    yield f"{table.name} {canonical_json(named)}: {shown}"
+
+
+def _as_it_is(value: object) -> object:
+    return value
+
+
+def schema_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for everything in the schema that is not as the migrations make it."""
+    # Alembic takes half a second to import: only the whole check pays.
+    from alembic.autogenerate import compare_metadata
+    from alembic.runtime.migration import MigrationContext
+
+    for difference in compare_metadata(MigrationContext.configure(connection), metadata):
+        what = difference if isinstance(difference, tuple) else difference[0]
+        yield f"schema: {' '.join(str(part) for part in what[:3])[:160]} is not as this version makes it"
+
+
+def trigger_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every table whose rows can be changed because its triggers are gone, off, or others."""
+    found = _sqlite_triggers(connection) if connection.dialect.name == "sqlite" else _postgresql_triggers(connection)
+    for table in APPEND_ONLY:
+        wanted = append_only.triggers_of(table, connection.dialect.name)
+        for name, definition in wanted.items():
+            if name not in found:
+                yield f"trigger {name}: is gone; rows of {table} can be changed"
+            elif found.pop(name) != definition:
+                yield f"trigger {name}: is not the one that was made; rows of {table} can be changed"
+    for name in found:
+        yield f"trigger {name}: was put in; softcal made no such trigger"
+
+
+def _sqlite_triggers(connection: Connection) -> dict[str, str]:
+    rows = connection.exec_driver_sql("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'").all()
+    return {name: " ".join(str(sql).split()) for name, sql in rows}
+
+
+def _postgresql_triggers(connection: Connection) -> dict[str, str]:
+    query = text(
+        "SELECT t.tgname, c.relname || ' ' || p.proname || ' ' || t.tgtype || ' ' || "
+        "CAST(t.tgenabled AS text) || ' ' || "
+        "md5(regexp_replace(p.prosrc, '\\s+', ' ', 'g')) FROM pg_trigger t JOIN pg_class c ON c.oid = t.tgrelid "
+        "JOIN pg_proc p ON p.oid = t.tgfoid JOIN pg_namespace n ON n.oid = c.relnamespace "
+        "WHERE NOT t.tgisinternal AND n.nspname = 'public'"
+    )
+    return {name: definition for name, definition in connection.execute(query)}
+
+
+def origin_faults(connection: Connection) -> Iterator[str]:
+    """Give a line where the name under which this registry writes its chain was changed."""
+    info = {key: value for key, value in connection.execute(select(registry_info.c.key, registry_info.c.value))}
+    if info.get("origin_sha256") != origin_sha256(str(info.get("origin"))):
+        yield f"registry_info: origin {info.get('origin')!r} is not the one this registry was made with"
+    for key in sorted(info.keys() - {"origin", "origin_sha256"}):
+        yield f"registry_info: {key!r} was put in; softcal keeps no such fact"
+
+
+def origin_sha256(origin: str) -> str:
+    """Return what stands beside the origin, so that a change of it alone is seen."""
+    return hashlib.sha256(f"origin {origin}".encode()).hexdigest()
+
+
+def people_faults(connection: Connection, origin: str) -> Iterator[str]:
+    """Give a line for every person whose row is not what the audit trail of this registry told of last."""
+    told: dict[str, str | None] = {}
+    query = select(audit.c.key, audit.c.after).where(audit.c.entity == "users", audit.c.origin == origin)
+    for key, after in connection.execute(query.where(audit.c.action.in_(TOLD_OF_PEOPLE)).order_by(audit.c.seq)):
+        told[key] = after
+    for row in connection.execute(select(users)).mappings():
+        key = canonical_json((row["name"],))
+        expected = told.pop(key, None)
+        if expected is None:
+            yield f"users {key}: was put in without an entry in the audit trail"
+        elif expected != canonical_json(people_as_told(row)):
+            yield f"users {key}: role, PIN or rights were changed behind the audit trail"
+    for key in told:
+        yield f"users {key}: is in the audit trail but was removed"
+
+
+def token_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every token whose row is not what the audit trail told of last."""
+    query = select(audit.c.key, audit.c.after).where(audit.c.entity == "tokens").order_by(audit.c.at, audit.c.seq)
+    told = {key: after for key, after in connection.execute(query)}
+    for row in connection.execute(select(tokens)).mappings():
+        key = canonical_json((row["token_id"],))
+        if key not in told:
+            yield f"tokens {key}: was put in without an entry in the audit trail"
+        elif told[key] != canonical_json(history.plain(token_as_told(row))):
+            yield f"tokens {key}: account, purpose, end or secret were changed behind the audit trail"
+
+
+def count_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every table with more rows than the audit trail tells of, or fewer where one chain is all."""
+    is_alone = len(history.origins(connection)) == 1
+    query = select(audit.c.entity, func.count()).where(audit.c.entity.in_(AUDITED)).group_by(audit.c.entity)
+    told = {entity: count for entity, count in connection.execute(query)}
+    for name in AUDITED:
+        rows = connection.execute(select(func.count()).select_from(metadata.tables[name])).scalar_one()
+        if rows > told.get(name, 0) or (is_alone and rows < told.get(name, 0)):
+            yield f"{name}: {rows} rows, and the audit trail tells of {told.get(name, 0)}"
+
+
+def newest_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every fault of a chain among its newest rows."""
+    for origin in history.origins(connection):
+        seq, _ = history.head(connection, origin)
+        first = max(0, seq - ROWS_OF_QUICK)
+        rows = list(history.rows(connection, origin, first))
+        yield from history.chain_faults(iter(rows), first, rows[0].prev_hash if first and rows else history.FIRST_HASH)
+
+
+def anchor_faults(connection: Connection, heads: dict[str, tuple[int, str]], where: str) -> Iterator[str]:
+    """Give a line for every chain that does not hold the row which was its last when it was written down elsewhere.
+
+    Args:
+        heads: number and hash of the last row of each chain.
+        where: when and where they were written down.
+    """
+    for origin, (seq, sha256) in heads.items():
+        query = select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq)
+        found = connection.execute(query).scalar_one_or_none()
+        if found != sha256:
+            what = "is gone" if found is None else "is another one"
+            yield f"audit {origin} row {seq}: {what} than was written down {where}; the trail was cut or rewritten"
+
+
+def alien_tables(connection: Connection) -> Iterator[str]:
+    """Give a line for every table that softcal did not make: a view or table beside its own may shadow one."""
+    known = {table.name for table in metadata.sorted_tables} | {"alembic_version"}
+    for name in (*inspect(connection).get_table_names(), *inspect(connection).get_view_names()):
+        if name not in known:
+            yield f"table {name}: was put in; softcal made no such table"

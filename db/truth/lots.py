@@ -1,0 +1,243 @@
+"""Lots, their limits and their units."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from sqlalchemy import Connection, RowMapping, Select, func, select
+
+from softcal.core.errors import InputError
+from softcal.core.lot import Lot
+from softcal.core.words.reason import Reason
+from softcal.db.entries import UNDECIDED, LimitEntry, RunEntry, UnitEntry
+from softcal.db.schema.tables import calibrations, in_use, limits, lots, refusals, units
+from softcal.db.truth.in_use import (
+    NEWEST_STATEMENT,
+    OF_STATEMENT,
+    check_named,
+    conflict_line,
+    conflicts_of,
+    limit_in_force,
+    of_this_method,
+)
+from softcal.db.truth.judged_against import LimitInForce
+from softcal.db.truth.registry_base import RegistryBase, damaged
+
+RESULT_FIELDS = (
+    "revision",
+    "family",
+    "map_sha256",
+    "predicted_rmse",
+    "before_rmse",
+    "after_rmse",
+    "own_rmse",
+    "verdict",
+    "reasons",
+)
+STATED = "stated with the lot"
+
+
+class LotTables(RegistryBase):
+    """The part of the registry that knows lots, limits and units."""
+
+    def add_lot(self, lot: Lot, *, actor: str | None = None) -> None:
+        """Register a lot and its source unit; the same lot again changes nothing, another limit adds a version.
+
+        A limit that somebody set in the registry stays until the lot states another one than it did before.
+
+        Raises:
+            InputError: a lot of this id with other facts is registered.
+        """
+        facts = {name: value for name, value in lot.settings().items() if name != "limit_rmse"}
+        with self.database.writing() as connection:
+            known = connection.execute(select(lots).where(lots.c.id == lot.id)).mappings().first()
+            if known is None:
+                values = {"id": lot.id, **facts, "added_at": self.settings.clock()}
+                self._store(connection, lots, values, "add", actor)
+            else:
+                _check_same(lot.id, known, facts)
+            self._add_unit(connection, lot.id, lot.source, "source", actor)
+            versions = self.limit_versions(lot.id)
+            stated = [entry.rmse for entry in versions if entry.reason == STATED]
+            # A lot that was read from the registry states the limit in force; that is no new one.
+            known_limits = (stated[-1] if stated else None, versions[-1].rmse if versions else None)
+            if lot.limit_rmse not in known_limits:
+                self.set_limit(lot.id, lot.limit_rmse, reason=STATED, actor=actor)
+
+    def lots(self) -> list[Lot]:
+        """Return every lot by id, each with its newest limit."""
+        with self.database.reading() as connection:
+            rows = connection.execute(select(lots).order_by(lots.c.id)).mappings().all()
+            return [self._lot(row) for row in rows]
+
+    def lot_ids(self) -> list[str]:
+        """Return the id of every lot."""
+        with self.database.reading() as connection:
+            return list(connection.execute(select(lots.c.id).order_by(lots.c.id)).scalars())
+
+    def lot(self, lot_id: str) -> Lot:
+        """Return one lot, or raise `InputError` naming the known ones."""
+        with self.database.reading() as connection:
+            return self._lot(self._lot_row(connection, lot_id))
+
+    def units(self, lot_id: str | None = None, serial: str | None = None) -> list[UnitEntry]:
+        """Return units with their newest result, by lot and serial: of one lot, of one serial, or all of them.
+
+        Raises:
+            InputError: the lot or the serial is not in the registry.
+        """
+        with self.database.reading() as connection:
+            if lot_id is not None:
+                self._lot_row(connection, lot_id)
+            if serial is not None:
+                self._known_serial(connection, serial)
+            return unit_entries(connection, lot_id, serial)
+
+    def runs(self, lot_id: str, serial: str | None = None) -> list[RunEntry]:
+        """Return every result of a lot's units, or of one of them, in time order, with units that got no map.
+
+        One press is one result, with the newest verdict on its recording: an audit of other units, or a batch, may
+        decide anew on it. The last of a unit is as the unit stands now. Rollbacks are left out.
+        """
+        c, r = calibrations.c, refusals.c
+        columns = (c.serial, c.made_at, c.verdict, c.reasons, c.predicted_rmse, c.recording_sha256)
+        made = _of(select(*columns), calibrations, lot_id, serial)
+        refused = _of(select(r.serial, r.made_at, r.verdict, r.reasons), refusals, lot_id, serial)
+        queries = (made.where(c.rolled_back_to.is_(None)), refused)
+        with self.database.reading() as connection:
+            self._lot_row(connection, lot_id)
+            rows = [dict(row) for query in queries for row in connection.execute(query).mappings()]
+            stands = {unit.serial: unit for unit in unit_entries(connection, lot_id, serial)}
+        presses: dict[object, RunEntry] = {}
+        for number, row in enumerate(sorted(rows, key=lambda row: (row["made_at"], row["serial"]))):
+            press = (row["serial"], row.pop("recording_sha256", number))
+            run = RunEntry(**row | {"reasons": tuple(map(Reason.of, row["reasons"]))})
+            first = presses.get(press)
+            presses[press] = run if first is None else replace(run, made_at=first.made_at)
+        last = {run.serial: key for key, run in presses.items()}
+        for name, key in last.items():
+            if (verdict := stands[name].verdict) is not None:
+                presses[key] = replace(presses[key], verdict=verdict, reasons=stands[name].reasons)
+        return list(presses.values())
+
+    def limit(self, lot_id: str) -> LimitEntry | None:
+        """Return the newest version of a lot's limit, or None where none was ever stated."""
+        versions = self.limit_versions(lot_id)
+        return versions[-1] if versions else None
+
+    def limit_versions(self, lot_id: str) -> list[LimitEntry]:
+        """Return every version of a lot's limit, oldest first."""
+        query = select(limits).where(limits.c.lot_id == lot_id).order_by(limits.c.made_at, limits.c.origin)
+        with self.database.reading() as connection:
+            rows = connection.execute(query).mappings()
+            return [LimitEntry(**{f: row[f] for f in LimitEntry.__dataclass_fields__}) for row in rows]
+
+    def set_limit(
+        self,
+        lot_id: str,
+        rmse: float | None,
+        *,
+        reason: str,
+        actor: str | None = None,
+        expected_version: int | None = None,
+    ) -> LimitEntry:
+        """Write the next version of a lot's limit.
+
+        Args:
+            rmse: largest acceptable error in the lot's reference unit; None leaves it to the source's own error.
+            expected_version: the version the change was decided on (0: none yet); None takes whatever is there.
+
+        Raises:
+            InputError: the limit is no positive number, or somebody else changed it since `expected_version`.
+        """
+        if rmse is not None and not 0 < rmse < float("inf"):
+            raise InputError(f"limit {rmse}; a positive number was expected")
+        with self.database.writing() as connection:
+            self._lot_row(connection, lot_id)
+            newest = self.limit(lot_id)
+            version = newest.version if newest else 0
+            if newest is not None and expected_version not in (None, version):
+                raise InputError(
+                    f"the limit of lot {lot_id!r} was changed to {newest.rmse} by {newest.actor} at "
+                    f"{newest.made_at:%Y-%m-%d %H:%M} UTC; look at version {version} and decide again"
+                )
+            made_at = self._after(newest.made_at if newest else None)
+            entry = LimitEntry(lot_id, version + 1, rmse, made_at, self._actor(actor), reason)
+            values = {**vars(entry), "origin": self.origin}
+            before = vars(newest) if newest else None
+            self._store(connection, limits, values, "set_limit", actor, reason, before)
+            return entry
+
+    def _lot(self, row: RowMapping) -> Lot:
+        newest = self.limit(row["id"])
+        facts = {name: value for name, value in row.items() if name not in ("id", "added_at")}
+        return Lot.from_settings(row["id"], facts | {"limit_rmse": newest.rmse if newest else None})
+
+
+def unit_entries(connection: Connection, lot_id: str | None, serial: str | None) -> list[UnitEntry]:
+    """Return units with their newest result."""
+    entries, in_force = {}, dict[str, LimitInForce]()
+    for row in connection.execute(_of(select(units), units, lot_id, serial)).mappings():
+        entries[row["lot_id"], row["serial"]] = {f: row[f] for f in ("lot_id", "serial", "role")}
+    for row in connection.execute(_in_use(lot_id, serial)).mappings():
+        check_named(row)
+        _check_known(entries, row["of_lot"], row["of_unit"])
+        facts = {field: row[field] for field in (*RESULT_FIELDS, "made_at")}
+        if row["of_lot"] not in in_force:
+            in_force[row["of_lot"]] = limit_in_force(connection, row["of_lot"])
+        if (limit := in_force[row["of_lot"]]).is_other_than(row["evidence"]):
+            facts |= {"verdict": UNDECIDED, "reasons": [limit.why(row["evidence"]).to_json()]}
+        entries[row["of_lot"], row["of_unit"]] |= facts | {"is_stale": not row["is_this_method"]}
+    for unit in conflicts_of(connection, lot_id, None if serial is None else [serial]):
+        undecided = {"verdict": UNDECIDED, "reasons": [conflict_line(connection, *unit)], "is_conflict": True}
+        entries[unit] |= dict.fromkeys(RESULT_FIELDS) | undecided | {"is_stale": False}
+    refused = _of(select(refusals), refusals, lot_id, serial).order_by(refusals.c.made_at)
+    if serial is not None:
+        # Refusals are found by lot and serial; by serial alone all of them would be read.
+        refused = refused.where(refusals.c.lot_id.in_({lot for lot, _ in entries}))
+    for row in connection.execute(refused).mappings():
+        _check_known(entries, row["lot_id"], row["serial"])
+        entry = entries[row["lot_id"], row["serial"]]
+        if "made_at" not in entry or row["made_at"] > entry["made_at"]:
+            entry |= {field: row[field] for field in ("verdict", "reasons", "made_at")}
+    made = (
+        UnitEntry(**entry | {"reasons": tuple(map(Reason.of, entry.get("reasons", ())))}) for entry in entries.values()
+    )
+    return sorted(made, key=lambda unit: (unit.lot_id, unit.serial))
+
+
+def _check_known(entries: Mapping[tuple[str, str], object], lot_id: str, serial: str) -> None:
+    if (lot_id, serial) not in entries:
+        raise damaged(f"unit {serial} of lot {lot_id} has a result and was not found itself")
+
+
+def _in_use(lot_id: str | None, serial: str | None) -> Select[Any]:
+    u, c = in_use.c, calibrations.c
+    rank = func.row_number().over(partition_by=(u.lot_id, u.serial), order_by=NEWEST_STATEMENT).label("rank")
+    same = of_this_method().label("is_this_method")
+    columns = [
+        u.lot_id.label("of_lot"),
+        u.serial.label("of_unit"),
+        *(c[field] for field in RESULT_FIELDS),
+        c.evidence,
+        u.made_at,
+        rank,
+        same,
+    ]
+    joined = select(*columns).select_from(in_use).outerjoin(calibrations, OF_STATEMENT)
+    ranked = _of(joined, in_use, lot_id, serial).subquery()
+    return select(ranked).where(ranked.c.rank == 1)
+
+
+def _of(query: Select[Any], table: Any, lot_id: str | None, serial: str | None) -> Select[Any]:
+    query = query if lot_id is None else query.where(table.c.lot_id == lot_id)
+    return query if serial is None else query.where(table.c.serial == serial)
+
+
+def _check_same(lot_id: str, known: RowMapping, facts: Mapping[str, object]) -> None:
+    for name, value in facts.items():
+        if known[name] != value:
+            raise InputError(
+                f"lot {lot_id!r} is registered with {name} = {known[name]!r}, now it is {value!r}; "
+                "correct lot.toml, or give the new lot an id of its own"
+            )
