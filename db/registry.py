@@ -19,7 +19,6 @@ from softcal.db.entries import Anchor, AuditRow, Heads
 from softcal.db.truth import history
 from softcal.db.truth.adaptations import AdaptationTables
 from softcal.db.truth.calibrations import CalibrationTables
-from softcal.db.truth.line_rules import LineRulesTable
 from softcal.db.truth.lot_pages import LotPages
 from softcal.db.truth.lots import LotTables
 from softcal.db.truth.network_release import NetworkReleases
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
 class Registry(
     LotTables,
     LotPages,
-    LineRulesTable,
     NetworkReleases,
     CalibrationTables,
     AdaptationTables,
@@ -99,7 +97,7 @@ class Registry(
         """What stands at each line: the unit that waits for its run, the last sentence, the badge."""
         from softcal.db.queues.line_place import LinePlaces
 
-        return LinePlaces(self.database)
+        return LinePlaces(self.database, self.settings.clock)
 
     @property
     def job_board(self) -> JobBoard:
@@ -127,8 +125,7 @@ class Registry(
     ) -> None:
         """Put what changes no table (an export, an override of the station's gate) into the audit trail."""
         with self.database.writing() as connection:
-            at, who = self.settings.clock(), self._actor(actor)
-            history.append(connection, self.origin, at, who, action, entity, key, after=values, reason=reason)
+            self._tell(connection, action, entity, key, actor, after=values, reason=reason)
 
     def events(self, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
         """Return what the audit trail tells of one entity, in time order, whichever registry wrote it."""

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 from sqlalchemy import Connection, RowMapping, func, insert, select, update
 
 from softcal.core.errors import InputError
-from softcal.core.words.reason import Reason, reason
+from softcal.core.words.reason import Reason
 from softcal.db.entries import User
 from softcal.db.schema.tables import users
-from softcal.db.truth import history
 from softcal.db.truth.registry_base import RegistryBase
 
 if TYPE_CHECKING:
@@ -87,14 +86,14 @@ class People(RegistryBase):
             connection.execute(statement.values(**values))
             before = people_as_told(known) if known else None
             kept = connection.execute(select(users).where(users.c.name == name)).mappings().one()
-            self._tell(connection, "set_user", name, people_as_told(kept), before, actor, reason)
+            told = {"before": before, "after": people_as_told(kept)}
+            self._tell(connection, "set_user", "users", (name,), actor, reason=reason, **told)
             return user_of(connection, kept)
 
     def users(self) -> list[User]:
         """Return everybody by name."""
         with self.database.reading() as connection:
-            rows = connection.execute(select(users).order_by(users.c.name)).mappings().all()
-            return [user_of(connection, row) for row in rows]
+            return [user_of(connection, row) for row in self.database.rows(select(users).order_by(users.c.name))]
 
     def sign_in(self, name: str, pin: str) -> User:
         """Return the person when the PIN is right.
@@ -114,27 +113,15 @@ class People(RegistryBase):
                 values = {"failures": 0 if pause else failures, "locked_until": pause}
                 connection.execute(update(users).where(users.c.name == name).values(**values))
                 if pause:
-                    self._tell(connection, "lock", name, {"until": pause}, None, name)
-            refused = _refusal(row, is_locked, is_right)
+                    self._tell(connection, "lock", "users", (name,), name, after={"until": pause})
             user = None if row is None else user_of(connection, row)
-        if refused is not None or user is None:
-            raise InputError(refused or Reason("account.wrong_pin"))
+        if is_locked:
+            raise InputError(Reason("account.locked", {"minutes": LOCKED_FOR.seconds // 60}))
+        if user is None or not is_right:
+            raise InputError(Reason("account.wrong_pin"))
+        if not user.is_active:
+            raise InputError(Reason("account.inactive"))
         return user
-
-    def _tell(
-        self,
-        connection: Connection,
-        action: str,
-        name: str,
-        after: dict[str, object],
-        before: dict[str, object] | None,
-        actor: str,
-        reason: str = "",
-    ) -> None:
-        at, key = self.settings.clock(), (name,)
-        history.append(
-            connection, self.origin, at, actor, action, "users", key, after=after, before=before, reason=reason
-        )
 
 
 def permissions(user: User) -> frozenset[str]:
@@ -162,14 +149,6 @@ def people_as_told(row: RowMapping) -> dict[str, object]:
     """Return a person as the audit trail tells of one: the hash of the PIN only as a hash of its own."""
     told = {name: row[name] for name in ("name", "role", "is_active", "version")}
     return told | {"pin_sha256": hashlib.sha256(row["pin_hash"].encode()).hexdigest()}
-
-
-def _refusal(row: RowMapping | None, is_locked: bool, is_right: bool) -> Reason | None:
-    if is_locked:
-        return reason("account.locked", minutes=LOCKED_FOR.seconds // 60)
-    if row is None or not is_right:
-        return Reason("account.wrong_pin")
-    return None if row["is_active"] else Reason("account.inactive")
 
 
 def _is_pin(stored: str, pin: str) -> bool:

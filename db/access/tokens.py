@@ -16,7 +16,7 @@ from softcal.db.access.people import user_of
 from softcal.db.entries import Token, User
 from softcal.db.schema.tables import audit, canonical_json, tokens, users
 from softcal.db.truth import history
-from softcal.db.truth.registry_base import RegistryBase, damaged
+from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
 
 PREFIX = "softcal_"
 """How a token begins, so that one that was published by mistake is found."""
@@ -53,8 +53,8 @@ class TokenTable(RegistryBase):
             values |= {"purpose": purpose, "created": now, "ends_at": now + timedelta(days=days), "is_withdrawn": False}
             connection.execute(insert(tokens).values(**values))
             row = self._row(connection, values["token_id"])
-            self._tell_token(connection, "add", row, actor)
-        return _token(row), secret
+            self._tell(connection, "add", "tokens", (row["token_id"],), actor, after=token_as_told(row))
+        return of_row(Token, row), secret
 
     def withdraw_token(self, token_id: str, *, reason: str, actor: str | None = None) -> None:
         """Make a token useless from now on.
@@ -67,13 +67,13 @@ class TokenTable(RegistryBase):
             if before["is_withdrawn"]:
                 raise InputError(f"token {token_id} was withdrawn already")
             connection.execute(update(tokens).where(tokens.c.token_id == token_id).values(is_withdrawn=True))
-            self._tell_token(connection, "withdraw", self._row(connection, token_id), actor, before, reason)
+            told = {"before": token_as_told(before), "after": token_as_told(self._row(connection, token_id))}
+            self._tell(connection, "withdraw", "tokens", (token_id,), actor, reason=reason, **told)
 
     def tokens(self) -> list[Token]:
         """Return all tokens, the oldest first, without their secrets."""
-        with self.database.reading() as connection:
-            rows = connection.execute(select(tokens).order_by(tokens.c.created, tokens.c.token_id)).mappings()
-            return [_token(row) for row in rows]
+        query = select(tokens).order_by(tokens.c.created, tokens.c.token_id)
+        return [of_row(Token, row) for row in self.database.rows(query)]
 
     def user_of_token(self, secret: str) -> User:
         """Return the account a token belongs to, with the role it has now.
@@ -87,7 +87,11 @@ class TokenTable(RegistryBase):
             row = connection.execute(query.where(tokens.c.sha256 == _sha256(secret))).mappings().first()
             if row is None or row["is_withdrawn"] or not row["is_active"] or row["ends_at"] <= self.settings.clock():
                 raise InputError("this token is unknown, has ended or was withdrawn, or its account is not active")
-            if _last_told(connection, row["token_id"]) != canonical_json(history.plain(token_as_told(row))):
+            of_token = select(audit.c.after).where(
+                audit.c.entity == "tokens", audit.c.key == canonical_json((row["token_id"],))
+            )
+            told = connection.execute(of_token.order_by(audit.c.at.desc(), audit.c.seq.desc()).limit(1)).scalar()
+            if told != canonical_json(history.plain(token_as_told(row))):
                 raise damaged(f"token {row['token_id']} is not what the audit trail tells of it")
             return user_of(connection, row)
 
@@ -97,39 +101,11 @@ class TokenTable(RegistryBase):
             raise InputError(f"there is no token {token_id!r}; `softcal api token list` shows them")
         return row
 
-    def _tell_token(
-        self,
-        connection: Connection,
-        action: str,
-        row: RowMapping,
-        actor: str | None,
-        before: RowMapping | None = None,
-        reason: str = "",
-    ) -> None:
-        at, who, key = self.settings.clock(), self._actor(actor), (row["token_id"],)
-        told: dict[str, Any] = {
-            "after": token_as_told(row),
-            "before": None if before is None else token_as_told(before),
-        }
-        history.append(connection, self.origin, at, who, action, "tokens", key, reason=reason, **told)
-
 
 def token_as_told(row: RowMapping) -> dict[str, object]:
     """Return a token as the audit trail tells of one: its hash only as a hash of its own."""
     return {name: row[name] for name in TOLD} | {"token_sha256": _sha256(row["sha256"])}
 
 
-def _last_told(connection: Connection, token_id: str) -> str | None:
-    query = select(audit.c.after).where(audit.c.entity == "tokens", audit.c.key == canonical_json((token_id,)))
-    told: str | None = connection.execute(query.order_by(audit.c.at.desc(), audit.c.seq.desc()).limit(1)).scalar()
-    return told
-
-
 def _sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _token(row: RowMapping) -> Token:
-    return Token(
-        **{name: row[name] for name in ("token_id", "account", "purpose", "created", "ends_at", "is_withdrawn")}
-    )

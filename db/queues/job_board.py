@@ -6,7 +6,7 @@ The page writes the request and reads how far it is; the process that computes n
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from sqlalchemy import RowMapping, Select, insert, select, update
 from softcal.core.errors import InputError
 from softcal.core.orders import RunState
 from softcal.db.schema.arrays import get_arrays, put_arrays
-from softcal.db.schema.database import Database, OncePerCut
+from softcal.db.schema.database import OncePerCut
 from softcal.db.schema.tables import jobs
 
 if TYPE_CHECKING:
@@ -76,9 +76,6 @@ class Job:
 class JobBoard(OncePerCut):
     """The jobs of a registry. Every call is one short transaction."""
 
-    def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
-        self.database, self._clock = database, clock
-
     def place(self, kind: str, request: Mapping[str, Any], actor: str, job_id: str | None = None) -> str:
         """Ask for a computation and return its id.
 
@@ -114,8 +111,7 @@ class JobBoard(OncePerCut):
     def beat(self, job_id: str) -> bool:
         """Give a sign of life; return whether somebody wants the job stopped."""
         self._change(job_id, {})
-        with self.database.reading() as connection:
-            return bool(connection.execute(select(jobs.c.is_cancel_wanted).where(jobs.c.job_id == job_id)).scalar())
+        return any(self.database.values(select(jobs.c.is_cancel_wanted).where(jobs.c.job_id == job_id)))
 
     def end(
         self,
@@ -153,16 +149,14 @@ class JobBoard(OncePerCut):
 
     def find(self, job_id: str) -> Job | None:
         """Return one job with its trace and result, None where there is none of this id."""
-        with self.database.reading() as connection:
-            row = connection.execute(select(jobs).where(jobs.c.job_id == job_id)).mappings().first()
+        row = self.database.row(select(jobs).where(jobs.c.job_id == job_id))
         return None if row is None else _job(row)
 
     def jobs(self, kind: str | None = None, count: int = 20) -> list[Job]:
         """Return the newest jobs, newest first, without traces and results."""
         query: Select[Any] = select(*BRIEF).order_by(jobs.c.created.desc(), jobs.c.job_id).limit(count)
         query = query if kind is None else query.where(jobs.c.kind == kind)
-        with self.database.reading() as connection:
-            return [_job(row) for row in connection.execute(query).mappings()]
+        return [_job(row) for row in self.database.rows(query)]
 
     def arrays(self, job: Job) -> Arrays:
         """Return the arrays a job left; none where it made none."""

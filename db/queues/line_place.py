@@ -9,22 +9,18 @@ from typing import Any
 from sqlalchemy import insert, select, update
 from sqlalchemy.exc import IntegrityError
 
-from softcal.db.schema.database import Database, OncePerCut
+from softcal.db.schema.database import OncePerCut
 from softcal.db.schema.tables import line_places
 
 
 class LinePlaces(OncePerCut):
     """The place of each station's line. Every call is one short transaction."""
 
-    def __init__(self, database: Database) -> None:
-        self.database = database
-
     def read(self, station: str) -> tuple[int, Mapping[str, Any]]:
         """Return version and values of a station's place; version 0 and nothing where nobody was there yet."""
         query = select(line_places.c.version, line_places.c.place).where(line_places.c.station == station)
-        with self.database.reading() as connection:
-            row = connection.execute(query).first()
-            return (0, {}) if row is None else (row.version, row.place)
+        row = self.database.row(query)
+        return (0, {}) if row is None else (row["version"], row["place"])
 
     def write(self, station: str, seen_version: int, place: Mapping[str, Any]) -> bool:
         """Put other values in their place; return False, with nothing changed, where another one was first.

@@ -5,18 +5,17 @@ there. One run at a time per station is a unique index of the database, not a ru
 """
 
 import time
-from collections.abc import Callable, Mapping
 from dataclasses import fields
 from datetime import datetime, timedelta
 from typing import Any, NamedTuple
 
-from sqlalchemy import Connection, RowMapping, Select, delete, insert, select, update
+from sqlalchemy import RowMapping, Select, delete, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
 from softcal.core.words.reason import Reason, packed, reason, to_kept
-from softcal.db.schema.database import Database, OncePerCut
+from softcal.db.schema.database import OncePerCut
 from softcal.db.schema.tables import heartbeats, orders, run_signals
 
 SILENT_AFTER = timedelta(seconds=3)
@@ -45,9 +44,6 @@ class Pressed(NamedTuple):
 class OrderQueue(OncePerCut):
     """Orders, runs and heartbeats of the stations of a registry. Every call is one short transaction."""
 
-    def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
-        self.database, self._clock = database, clock
-
     def place(self, order: Order, until_s: float | None = None) -> bool:
         """Ask a station for something; the same order id again changes nothing.
 
@@ -73,7 +69,10 @@ class OrderQueue(OncePerCut):
                 with connection.begin_nested():
                     connection.execute(insert(orders).values(**values | progress, changed_at=self._clock()))
             except IntegrityError as error:
-                raise InputError(self._busy(connection, order.station)) from error
+                row = connection.execute(_open_runs(order.station)).mappings().one()
+                what = f"{row['kind']} {row['serial']}".strip()
+                busy = reason("station.busy", station=repr(order.station), what=what, state=row["state"])
+                raise InputError(busy) from error
             return True
 
     def take(self, station: str, only: OrderKind | None = None) -> Order | None:
@@ -96,8 +95,7 @@ class OrderQueue(OncePerCut):
     def has_stop(self, station: str) -> bool:
         """Return whether somebody said stop and was not answered yet. It only reads."""
         waiting = (orders.c.station == station, orders.c.state == RunState.QUEUED, orders.c.kind == OrderKind.STOP)
-        with self.database.reading() as connection:
-            return connection.execute(select(orders.c.order_id).where(*waiting).limit(1)).first() is not None
+        return self.database.row(select(orders.c.order_id).where(*waiting).limit(1)) is not None
 
     def report(self, progress: Progress) -> None:
         """Write how far an order is. An order that is over stays as it ended."""
@@ -117,33 +115,30 @@ class OrderQueue(OncePerCut):
         Raises:
             InputError: there is no such order.
         """
-        with self.database.reading() as connection:
-            row = connection.execute(select(orders).where(orders.c.order_id == order_id)).mappings().first()
+        with self.database.reading():
+            row = self.database.row(select(orders).where(orders.c.order_id == order_id))
             if row is None:
                 raise InputError(reason("name.no_order", order=repr(order_id)))
-            return _progress(row, _signal(connection, order_id))
+            return _progress(row, self._signal(order_id))
 
     def runs(self, station: str | None = None, count: int = 50) -> list[tuple[Order, Progress]]:
         """Return the newest orders with their progress, newest first, without the live signal."""
         query = select(orders).order_by(orders.c.created.desc(), orders.c.order_id).limit(count)
         query = query if station is None else query.where(orders.c.station == station)
-        with self.database.reading() as connection:
-            rows = connection.execute(query).mappings()
-            return [(_order(row), _progress(row, Signal())) for row in rows]
+        return [(_order(row), _progress(row, Signal())) for row in self.database.rows(query)]
 
     def pressed(self, lot_id: str) -> list[Pressed]:
         """Return which units of a lot were pressed where and by whom, in time order; broken runs are left out."""
         o = orders.c
         query = select(o.serial, o.station, o.actor, o.created, o.changed_at)
         ended = query.where(o.lot_id == lot_id, o.kind == OrderKind.UNIT, o.state == RunState.DONE)
-        with self.database.reading() as connection:
-            return [Pressed(*row) for row in connection.execute(ended.order_by(o.created, o.order_id))]
+        return [Pressed(*row.values()) for row in self.database.rows(ended.order_by(o.created, o.order_id))]
 
     def active(self, station: str) -> tuple[Order, Progress] | None:
         """Return the run that occupies a station, or None."""
-        with self.database.reading() as connection:
-            row = connection.execute(_open_runs(station)).mappings().first()
-            return None if row is None else (_order(row), _progress(row, _signal(connection, row["order_id"])))
+        with self.database.reading():
+            row = self.database.row(_open_runs(station))
+            return None if row is None else (_order(row), _progress(row, self._signal(row["order_id"])))
 
     def interrupt(self, station: str, message: Reason | str) -> list[str]:
         """Mark what a station left running when it died as an error; return the order ids.
@@ -187,7 +182,10 @@ class OrderQueue(OncePerCut):
         with self.database.writing(in_turn=False) as connection:
             known = connection.execute(select(heartbeats).where(where).with_for_update()).mappings().first()
             if known is None:
-                self._first_beat(connection, values)
+                try:
+                    connection.execute(insert(heartbeats).values(**values))
+                except IntegrityError as error:
+                    raise InputError(reason("station.taken", station=repr(heartbeat.station))) from error
                 return
             is_alive = heartbeat.at - known["at"] <= after
             if is_alive and known["process"] != heartbeat.process and known["state"] != StationState.OFF:
@@ -196,32 +194,24 @@ class OrderQueue(OncePerCut):
 
     def heartbeat(self, station: str) -> Heartbeat | None:
         """Return the last sign of life of a station, or None where there never was one."""
-        with self.database.reading() as connection:
-            row = connection.execute(select(heartbeats).where(heartbeats.c.station == station)).mappings().first()
-            return None if row is None else _heartbeat(row)
+        row = self.database.row(select(heartbeats).where(heartbeats.c.station == station))
+        return None if row is None else _heartbeat(row)
 
     def stations(self) -> list[Heartbeat]:
         """Return the last sign of life of every station, by name."""
-        with self.database.reading() as connection:
-            rows = connection.execute(select(heartbeats).order_by(heartbeats.c.station)).mappings()
-            return [_heartbeat(row) for row in rows]
+        return [_heartbeat(row) for row in self.database.rows(select(heartbeats).order_by(heartbeats.c.station))]
 
     def is_answering(self, station: str) -> bool:
         """Whether a station gave a sign of life in the last seconds."""
         last = self.heartbeat(station)
         return last is not None and self._clock() - last.at <= SILENT_AFTER
 
-    def _first_beat(self, connection: Connection, values: dict[str, Any]) -> None:
-        try:
-            connection.execute(insert(heartbeats).values(**values))
-        except IntegrityError as error:
-            message = reason("station.taken", station=repr(values["station"]))
-            raise InputError(message) from error
-
-    def _busy(self, connection: Connection, station: str) -> Reason:
-        row = connection.execute(_open_runs(station)).mappings().one()
-        what = f"{row['kind']} {row['serial']}".strip()
-        return reason("station.busy", station=repr(station), what=what, state=row["state"])
+    def _signal(self, order_id: str) -> Signal:
+        row = self.database.row(select(run_signals.c.signal).where(run_signals.c.order_id == order_id))
+        if row is None:
+            return Signal()
+        kept = row["signal"]
+        return Signal(**{name: tuple(kept[name]) for name in SIGNAL_FIELDS}, output_unit=kept["output_unit"])
 
 
 def _open_runs(station: str) -> Select[Any]:
@@ -240,14 +230,6 @@ def _order(row: RowMapping) -> Order:
 def _progress(row: RowMapping, signal: Signal) -> Progress:
     facts = {name: row[name] for name in PROGRESS_FIELDS}
     return Progress(**facts | {"state": RunState(row["state"])}, signal=signal)
-
-
-def _signal(connection: Connection, order_id: str) -> Signal:
-    query = select(run_signals.c.signal).where(run_signals.c.order_id == order_id)
-    stored: Mapping[str, Any] | None = connection.execute(query).scalar_one_or_none()
-    if stored is None:
-        return Signal()
-    return Signal(**{name: tuple(stored[name]) for name in SIGNAL_FIELDS}, output_unit=stored["output_unit"])
 
 
 def _heartbeat(row: RowMapping) -> Heartbeat:

@@ -3,15 +3,15 @@
 The audit trail itself is the outbox: an event cannot be lost that is written in the transaction of its change.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import RowMapping, insert, or_, select, update
+from sqlalchemy import insert, or_, select, update
 
 from softcal.core.errors import InputError
 from softcal.db.entries import AuditRow
-from softcal.db.schema.database import Database, OncePerCut
+from softcal.db.schema.database import OncePerCut
 from softcal.db.schema.tables import deliveries
 from softcal.db.truth import history
 
@@ -49,9 +49,6 @@ class Delivery:
 class Outbox(OncePerCut):
     """The destinations of a registry's events. Every call is one short transaction."""
 
-    def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
-        self.database, self._clock = database, clock
-
     def end(self) -> dict[str, int]:
         """Return the cursor behind everything there is."""
         with self.database.reading() as connection:
@@ -69,7 +66,7 @@ class Outbox(OncePerCut):
             known = select(deliveries).where(deliveries.c.destination == destination)
             if connection.execute(known).first() is None:
                 connection.execute(insert(deliveries).values(destination=destination, cursor=dict(cursor), **fresh))
-            return _delivery(connection.execute(known).mappings().one())
+            return Delivery(**connection.execute(known).mappings().one())
 
     def hold(self, destination: str, holder: str, now: datetime, until: datetime) -> Delivery | None:
         """Take a destination for one process, or keep it; None where another one holds it.
@@ -86,7 +83,7 @@ class Outbox(OncePerCut):
             taken = connection.execute(update(deliveries).where(mine, is_free).values(holder=holder, held_until=until))
             if not taken.rowcount:
                 return None
-            return _delivery(connection.execute(select(deliveries).where(mine)).mappings().one())
+            return Delivery(**connection.execute(select(deliveries).where(mine)).mappings().one())
 
     def release(self, holder: str) -> None:
         """Give back every destination that a process holds."""
@@ -111,9 +108,7 @@ class Outbox(OncePerCut):
 
     def deliveries(self) -> list[Delivery]:
         """Return all destinations by name."""
-        with self.database.reading() as connection:
-            rows = connection.execute(select(deliveries).order_by(deliveries.c.destination)).mappings()
-            return [_delivery(row) for row in rows]
+        return [Delivery(**row) for row in self.database.rows(select(deliveries).order_by(deliveries.c.destination))]
 
     def _change(self, destination: str, values: Mapping[str, object], holder: str | None) -> None:
         mine = update(deliveries).where(deliveries.c.destination == destination)
@@ -138,7 +133,3 @@ def cursor_of(text: str) -> dict[str, int]:
     if not all(origin.isalnum() and seq.isascii() and seq.isdigit() and len(seq) < 10 for origin, _, seq in pairs):
         raise InputError(f"cursor {text[:60]!r}: give what the last answer named `next`, or nothing for the beginning")
     return {origin: int(seq) for origin, _, seq in pairs}
-
-
-def _delivery(row: RowMapping) -> Delivery:
-    return Delivery(**row)

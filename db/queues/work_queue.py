@@ -6,14 +6,14 @@ serial and input hash, so that asking twice for the same work makes one item. It
 the same settings, are one set; a claimant takes items of its own set only.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import timedelta
 from typing import Any
 
 from sqlalchemy import Connection, Select, and_, delete, func, or_, select, text, update
 
-from softcal.db.schema.database import Database, OncePerCut
+from softcal.db.schema.database import OncePerCut
 from softcal.db.schema.tables import work_items
 
 MOST_ATTEMPTS = 3
@@ -58,9 +58,6 @@ class WorkItem:
 class WorkQueue(OncePerCut):
     """The work items of a registry. Every call is one short transaction, or part of the one it is called in."""
 
-    def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
-        self.database, self._clock = database, clock
-
     def enqueue(self, work: WorkSet, inputs: Mapping[str, str]) -> int:
         """Queue what is not queued or claimed yet and return how many items are new.
 
@@ -75,8 +72,10 @@ class WorkQueue(OncePerCut):
         named = {"lot_id": work.lot_id, "kind": work.kind, "work_set": work.name}
         fresh = {**named, **FREE, "attempts": 0, "changed_at": now}
         rows = [{**fresh, "serial": serial, "input_sha256": sha256} for serial, sha256 in inputs.items()]
+        others = (c.lot_id == work.lot_id, c.kind == work.kind, c.work_set != work.name)
+        alive = select(c.work_set).where(*others, c.state == "claimed", c.lease_until >= now)
         with self.database.writing() as connection:
-            self._forget_abandoned(connection, work)
+            connection.execute(delete(work_items).where(*others, c.work_set.not_in(alive)))
         new = 0
         for part in _parts(rows):
             with self.database.writing() as connection:
@@ -151,25 +150,22 @@ class WorkQueue(OncePerCut):
     def owners(self, work: WorkSet) -> list[str]:
         """Return who holds items of a work."""
         owner = work_items.c.owner
-        with self.database.reading() as connection:
-            query = select(owner).where(*_of(work), work_items.c.state == "claimed").distinct().order_by(owner)
-            return list(connection.execute(query).scalars())
+        query = select(owner).where(*_of(work), work_items.c.state == "claimed").distinct().order_by(owner)
+        return self.database.values(query)
 
     def given_up(self, work: WorkSet) -> list[WorkItem]:
         """Return the items of a set whose workers died too often."""
         c = work_items.c
         query = select(c.id, c.serial, c.input_sha256, c.attempts).where(*_of(work), c.state == "failed")
-        with self.database.reading() as connection:
-            return [WorkItem(*row) for row in connection.execute(query.order_by(c.id))]
+        return [WorkItem(*row.values()) for row in self.database.rows(query.order_by(c.id))]
 
     def counts(self, lot_id: str | None = None, work: WorkSet | None = None) -> dict[str, int]:
         """Return how many items are queued, claimed and failed: of a work, of a lot, or of all."""
-        query: Select[Any] = select(work_items.c.state, func.count()).group_by(work_items.c.state)
-        query = query if lot_id is None else query.where(work_items.c.lot_id == lot_id)
+        c = work_items.c
+        query: Select[Any] = select(c.state, func.count().label("items")).group_by(c.state)
+        query = query if lot_id is None else query.where(c.lot_id == lot_id)
         query = query if work is None else query.where(*_of(work))
-        with self.database.reading() as connection:
-            found = {str(state): int(count) for state, count in connection.execute(query)}
-        return {state: found.get(state, 0) for state in STATES}
+        return dict.fromkeys(STATES, 0) | {row["state"]: row["items"] for row in self.database.rows(query)}
 
     def _insert_new(self) -> Any:
         # A dialect takes a tenth of a second to load: who only reads needs neither.
@@ -180,12 +176,6 @@ class WorkQueue(OncePerCut):
         from sqlalchemy.dialects.postgresql import insert
 
         return insert(work_items).on_conflict_do_nothing()
-
-    def _forget_abandoned(self, connection: Connection, work: WorkSet) -> None:
-        c, now = work_items.c, self._clock()
-        others = (c.lot_id == work.lot_id, c.kind == work.kind, c.work_set != work.name)
-        alive = select(c.work_set).where(*others, c.state == "claimed", c.lease_until >= now)
-        connection.execute(delete(work_items).where(*others, c.work_set.not_in(alive)))
 
     def _free(self, connection: Connection, work: WorkSet, count: int, condition: Any) -> list[WorkItem]:
         c = work_items.c

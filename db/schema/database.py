@@ -8,14 +8,15 @@ import random
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import datetime
 from functools import wraps
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, make_url, text
+from sqlalchemy import URL, Connection, Engine, Executable, RowMapping, create_engine, event, inspect, make_url, text
 from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError
 from sqlalchemy.pool import StaticPool
 
@@ -54,6 +55,13 @@ class ConnectionCut(RegistryError):
         self.was_repeated = False
 
 
+class _Joined(threading.local):
+    """The transactions of a thread that what it does next belongs to."""
+
+    reader: Connection | None = None
+    writer: Connection | None = None
+
+
 class Database:
     """An open database: short read transactions, and write transactions that come one after another.
 
@@ -65,7 +73,11 @@ class Database:
         self.engine = engine
         self.on_first_write: Callable[[], None] | None = None
         """Called once, after the first write transaction was kept."""
-        self._thread = threading.local()
+        self._thread = _Joined()
+
+    @property
+    def _joined(self) -> Connection | None:
+        return self._thread.writer or self._thread.reader
 
     @property
     def is_sqlite(self) -> bool:
@@ -90,15 +102,29 @@ class Database:
     @contextmanager
     def reading(self) -> Iterator[Connection]:
         """Give a connection that sees one consistent state."""
-        joined = self._joined("writer") or self._joined("reader")
-        if joined is not None:
-            yield joined
+        if self._joined is not None:
+            yield self._joined
             return
         with self._errors_in_words(), self.engine.connect() as connection:
             if not self.is_sqlite:
                 connection.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
             with connection.begin(), self._joinable("reader", connection):
                 yield connection
+
+    def rows(self, query: Executable) -> Sequence[RowMapping]:
+        """Return what a query gives."""
+        with self.reading() as connection:
+            return connection.execute(query).mappings().all()
+
+    def row(self, query: Executable) -> RowMapping | None:
+        """Return the first row a query gives."""
+        with self.reading() as connection:
+            return connection.execute(query).mappings().first()
+
+    def values(self, query: Executable) -> list[Any]:
+        """Return the first column of what a query gives."""
+        with self.reading() as connection:
+            return list(connection.execute(query).scalars())
 
     @contextmanager
     def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
@@ -108,9 +134,8 @@ class Database:
             in_turn: one writer at a time, as the audit chain needs it. SQLite allows nothing else; PostgreSQL lets
                 writers with `in_turn=False` (work queue, heartbeats) go side by side.
         """
-        joined = self._joined("writer")
-        if joined is not None:
-            yield joined
+        if self._thread.writer is not None:
+            yield self._thread.writer
             return
         with self._errors_in_words() as phase, self.engine.connect() as connection:
             connection.execution_options(softcal_writes=True)
@@ -132,7 +157,7 @@ class Database:
         Args:
             is_repeatable: doing it twice changes nothing; otherwise it is repeated only where nothing was kept.
         """
-        if self._joined("writer") or self._joined("reader"):
+        if self._joined is not None:
             return action()
         try:
             return action()
@@ -160,9 +185,6 @@ class Database:
         """Close every connection. A transaction that is open is rolled back."""
         self.engine.dispose()
 
-    def _joined(self, role: str) -> Connection | None:
-        return getattr(self._thread, role, None)
-
     @contextmanager
     def _joinable(self, role: str, connection: Connection) -> Iterator[None]:
         setattr(self._thread, role, connection)
@@ -177,7 +199,9 @@ class Database:
         try:
             yield phase
         except (SQLAlchemyError, sqlite3.Error) as error:
-            what = without_password(_first_line(error), self.engine.url)
+            cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
+            lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
+            what = without_password(lines[0] if lines else type(cause).__name__, self.engine.url)
             if phase["is_committing"] and not self.is_sqlite and isinstance(error, OperationalError):
                 raise ConnectionCut(
                     f"registry {self.name}: {what}; this happened while the change was being kept: look whether it "
@@ -198,7 +222,8 @@ class OncePerCut:
     A method that makes several transactions repeats those that were kept: they must change nothing the second time.
     """
 
-    database: Database
+    def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
+        self.database, self._clock = database, clock
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -225,10 +250,19 @@ def open_database(url: str, *, create: bool = True) -> Database:
         RegistryError: the URL is wrong, the folder is missing or on a network share, the file is no database, or the
             server does not answer.
     """
-    parsed = _parse(url)
-    database = Database(
-        _sqlite_engine(parsed, create) if parsed.get_backend_name() == "sqlite" else _postgresql_engine(parsed)
-    )
+    try:
+        parsed = make_url(url)
+    # A port that is no number is a plain ValueError.
+    except (ArgumentError, ValueError) as error:
+        raise RegistryError(
+            "the registry URL cannot be read; expected sqlite:///FILE or postgresql://USER@HOST/DATABASE"
+        ) from error
+    if parsed.drivername in ("sqlite", "sqlite+pysqlite"):
+        database = Database(_sqlite_engine(parsed, create))
+    elif parsed.drivername in ("postgresql", "postgresql+psycopg"):
+        database = Database(_postgresql_engine(parsed.set(drivername="postgresql+psycopg")))
+    else:
+        raise RegistryError(f"registry URL of kind {parsed.drivername!r}; sqlite and postgresql are supported")
     try:
         with database.reading() as connection:
             connection.execute(text("SELECT 1"))
@@ -266,27 +300,19 @@ def check_schema(database: Database, schema: str) -> None:
         )
 
 
-def _parse(url: str) -> URL:
-    try:
-        parsed = make_url(url)
-    # A port that is no number is a plain ValueError.
-    except (ArgumentError, ValueError) as error:
-        raise RegistryError(
-            "the registry URL cannot be read; expected sqlite:///FILE or postgresql://USER@HOST/DATABASE"
-        ) from error
-    if parsed.drivername == "postgresql":
-        parsed = parsed.set(drivername="postgresql+psycopg")
-    if parsed.drivername not in ("sqlite", "sqlite+pysqlite", "postgresql+psycopg"):
-        raise RegistryError(f"registry URL of kind {parsed.drivername!r}; sqlite and postgresql are supported")
-    return parsed
-
-
 def _sqlite_engine(url: URL, create: bool) -> Engine:
     if url.database in IN_MEMORY:
         engine = create_engine(url, poolclass=StaticPool, connect_args={"check_same_thread": False})
     else:
-        _check_sqlite_path(Path(str(url.database)), create)
-        _make_private(Path(str(url.database)))
+        _check_sqlite_path(path := Path(str(url.database)), create)
+        if not path.exists():
+            # There are hashes of PINs in it: nobody else may read it. SQLite gives its log the same mode.
+            try:
+                os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
+            except FileExistsError:
+                pass
+            except OSError as error:
+                raise RegistryError(f"registry {path}: cannot be written: {error.strerror}") from error
         engine = create_engine(url, connect_args={"timeout": SQLITE_WAIT_S, "check_same_thread": False})
     event.listen(engine, "connect", _set_up_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
@@ -307,17 +333,6 @@ def _check_sqlite_path(path: Path, create: bool) -> None:
     refuse_network_share(folder)
 
 
-def _make_private(path: Path) -> None:
-    """Make a new file that nobody else may read: there are hashes of PINs in it. SQLite gives its log the same mode."""
-    if not path.exists():
-        try:
-            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
-        except FileExistsError:
-            return
-        except OSError as error:
-            raise RegistryError(f"registry {path}: cannot be written: {error.strerror}") from error
-
-
 def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:
     # Without this Python starts transactions by itself, deferred, and "database is locked" comes at once.
     connection.isolation_level = None
@@ -326,31 +341,25 @@ def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    if connection.get_execution_options().get("softcal_writes", False):
-        _wait_for_turn(cast(sqlite3.Connection, connection.connection.driver_connection))
-    else:
+    if not connection.get_execution_options().get("softcal_writes", False):
         connection.exec_driver_sql("BEGIN")
-
-
-def _wait_for_turn(connection: sqlite3.Connection) -> None:
-    """Begin a write transaction as soon as no other is open.
-
-    SQLite's own waiting slows down to a look every 100 ms, so that of many writers one may starve; looking at short
-    random intervals gives each the same chance.
-    """
+        return
+    # SQLite's own waiting slows down to a look every 100 ms, so that of many writers one may starve; looking at short
+    # random intervals gives each the same chance.
+    bare = cast(sqlite3.Connection, connection.connection.driver_connection)
     deadline_s = time.monotonic() + SQLITE_WAIT_S
-    connection.execute("PRAGMA busy_timeout = 0")
+    bare.execute("PRAGMA busy_timeout = 0")
     try:
         while True:
             try:
-                connection.execute("BEGIN IMMEDIATE")
+                bare.execute("BEGIN IMMEDIATE")
                 return
             except sqlite3.OperationalError as error:
                 if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or time.monotonic() > deadline_s:
                     raise
             time.sleep(random.uniform(*LOOK_EVERY_S))
     finally:
-        connection.execute(f"PRAGMA busy_timeout = {SQLITE_WAIT_S * 1000}")
+        bare.execute(f"PRAGMA busy_timeout = {SQLITE_WAIT_S * 1000}")
 
 
 def _postgresql_engine(url: URL) -> Engine:
@@ -389,9 +398,3 @@ def without_password(text: str, url: URL) -> str:
         if isinstance(secret, str) and secret:
             text = text.replace(secret, "***")
     return text
-
-
-def _first_line(error: BaseException) -> str:
-    cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
-    lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
-    return lines[0] if lines else type(cause).__name__

@@ -9,7 +9,7 @@ from sqlalchemy import Select, Text, func, select, type_coerce
 
 from softcal.core.errors import InputError
 from softcal.db.schema.tables import adaptations, calibrations
-from softcal.db.truth.registry_base import RegistryBase
+from softcal.db.truth.registry_base import RegistryBase, of_row
 
 Entry = Mapping[str, Any]
 NEEDED = ("stream", "sample")
@@ -69,29 +69,19 @@ class AdaptationTables(RegistryBase):
 
     def last_adaptation(self, serial: str, revision: int, stream: str) -> Entry | None:
         """Return the newest step of a stream, to go on after a stop; None where it has not begun."""
-        c = adaptations.c
-        query = select(c.entry).where(c.serial == serial, c.revision == revision, c.stream == stream)
-        newest = query.order_by(c.sample.desc(), c.made_at.desc(), c.number.desc()).limit(1)
-        with self.database.reading() as connection:
-            entry: Entry | None = connection.execute(newest).scalar_one_or_none()
-            return entry
+        return next(iter(self.database.values(_newest_first(serial, revision, stream).limit(1))), None)
 
     def last_checkpoint(self, serial: str, revision: int, stream: str) -> Entry | None:
         """Return the newest step of a stream that holds a `state` to go on from; None where there is none."""
-        c = adaptations.c
-        query = select(c.entry).where(c.serial == serial, c.revision == revision, c.stream == stream)
-        newest = query.order_by(c.sample.desc(), c.made_at.desc(), c.number.desc())
         with self.database.reading() as connection:
-            found = (entry for entry in connection.execute(newest).scalars() if "state" in entry)
-            return next(found, None)
+            newest = connection.execute(_newest_first(serial, revision, stream)).scalars()
+            return next((entry for entry in newest if "state" in entry), None)
 
     def adaptations(self, serial: str, stream: str | None = None) -> list[Entry]:
         """Return the steps of a serial, of one stream or of all, in the order they were made."""
         c = adaptations.c
         query: Select[Any] = select(c.entry).where(c.serial == serial).order_by(c.made_at, c.origin, c.number)
-        query = query if stream is None else query.where(c.stream == stream)
-        with self.database.reading() as connection:
-            return list(connection.execute(query).scalars())
+        return self.database.values(query if stream is None else query.where(c.stream == stream))
 
     def adapted_units(self) -> list[AdaptedUnit]:
         """Return the units in use with their newest step, the one adapted last first; a checkpoint is no step."""
@@ -102,14 +92,17 @@ class AdaptationTables(RegistryBase):
         steps = func.count().over(partition_by=a.serial).label("steps")
         ranked = select(a.serial, a.stream, a.made_at, a.entry, rank, steps).where(is_step).subquery()
         newest = select(ranked).where(ranked.c.rank == 1).order_by(ranked.c.made_at.desc(), ranked.c.serial)
-        with self.database.reading() as connection:
-            rows = connection.execute(newest)
-            return [AdaptedUnit(row.serial, row.stream, row.made_at, row.steps, row.entry) for row in rows]
+        return [of_row(AdaptedUnit, row) for row in self.database.rows(newest)]
 
     def streams(self, serial: str) -> list[str]:
         """Return the streams a unit was followed on, the newest first."""
         a = adaptations.c
         newest = func.max(a.made_at)
         query = select(a.stream).where(a.serial == serial).group_by(a.stream).order_by(newest.desc(), a.stream)
-        with self.database.reading() as connection:
-            return list(connection.execute(query).scalars())
+        return self.database.values(query)
+
+
+def _newest_first(serial: str, revision: int, stream: str) -> Select[Any]:
+    c = adaptations.c
+    query = select(c.entry).where(c.serial == serial, c.revision == revision, c.stream == stream)
+    return query.order_by(c.sample.desc(), c.made_at.desc(), c.number.desc())

@@ -17,7 +17,7 @@ from softcal.db.truth import history
 from softcal.db.truth.in_use import InUseTable, heads_of, lots_of, names_several, newest_of_unit
 from softcal.db.truth.lots import unit_entries
 from softcal.db.truth.records import PLAIN_FIELDS, record_of
-from softcal.db.truth.registry_base import damaged
+from softcal.db.truth.registry_base import damaged, of_row
 
 if TYPE_CHECKING:
     from softcal.core.unit.calibration import CalibrationRecord
@@ -60,7 +60,11 @@ class CalibrationTables(InUseTable):
         """
         with self.database.writing() as connection:
             self._lot_row(connection, lot_id)
-            self._check_network(connection, record.network_id)
+            stored, network = found_in(connection).networks, record.network_id
+            if network not in stored:
+                if connection.execute(KNOWN_NETWORK, {"network": network}).first() is None:
+                    raise InputError(f"network {network[:12]} is not in the registry; add it before its maps")
+                stored.add(network)
             self._add_unit(connection, lot_id, record.serial, "target", actor)
             values = {field: getattr(record, field) for field in PLAIN_FIELDS} | {
                 "lot_id": lot_id,
@@ -157,7 +161,10 @@ class CalibrationTables(InUseTable):
                 statement = self._in_use(connection, lot, serial)
                 if statement is None:
                     raise InputError(f"serial {serial!r} has no calibration in lot {lot!r}")
-                row = self._found_row(connection, lot, serial, statement["revision"], statement["made_by"])
+                try:
+                    row = self._revision_row(connection, lot, serial, statement["revision"], statement["made_by"])
+                except InputError as error:
+                    raise damaged(f"unit {serial} of lot {lot}: the calibration in use was not found") from error
             else:
                 row = self._revision_row(connection, lot, serial, revision, origin)
             return self._stored(connection, row)
@@ -172,7 +179,15 @@ class CalibrationTables(InUseTable):
         with self.database.reading() as connection:
             self._known_serial(connection, serial)
             rows = connection.execute(query).mappings().all()
-            self._check_revisions(connection, serial, rows)
+            revisions = {row["revision"] for row in rows}
+            newest = max(revisions, default=0)
+            # A damaged index hides rows without a word.
+            if len(revisions) != newest:
+                raise damaged(f"serial {serial}: a revision before {newest} was not found")
+            names = {*history.origins(connection), *(row["origin"] for row in rows)}
+            self._check_hidden(connection, calibrations, [(serial, newest + 1, name) for name in sorted(names)])
+            for row in rows:
+                self._check_row(connection, calibrations, row)
             return [self._stored(connection, row) for row in reversed(rows) if lot_id in (None, row["lot_id"])]
 
     def add_refusal(
@@ -211,14 +226,6 @@ class CalibrationTables(InUseTable):
             }
             self._store(connection, refusals, values, "refuse", actor)
 
-    def _check_network(self, connection: Connection, network_id: str) -> None:
-        stored = found_in(connection).networks
-        if network_id in stored:
-            return
-        if connection.execute(KNOWN_NETWORK, {"network": network_id}).first() is None:
-            raise InputError(f"network {network_id[:12]} is not in the registry; add it before its maps")
-        stored.add(network_id)
-
     def _add_revision(
         self,
         connection: Connection,
@@ -256,13 +263,6 @@ class CalibrationTables(InUseTable):
             raise InputError(f"serial {serial!r} is not in lot {lot_id!r}; it is in {', '.join(map(repr, lots))}")
         return lots[0] if lot_id is None else lot_id
 
-    def _found_row(self, connection: Connection, lot_id: str, serial: str, revision: int, origin: str) -> RowMapping:
-        """Return the calibration that a statement names; one that is not there was lost."""
-        try:
-            return self._revision_row(connection, lot_id, serial, revision, origin)
-        except InputError as error:
-            raise damaged(f"unit {serial} of lot {lot_id}: the calibration in use was not found") from error
-
     def _revision_row(
         self, connection: Connection, lot_id: str, serial: str, revision: int, origin: str | None
     ) -> RowMapping:
@@ -281,26 +281,15 @@ class CalibrationTables(InUseTable):
         self._check_row(connection, calibrations, rows[0])
         return rows[0]
 
-    def _check_revisions(self, connection: Connection, serial: str, rows: Sequence[RowMapping]) -> None:
-        """Raise `RegistryError` where one of a serial's revisions is not what was written, or is not found at all."""
-        revisions = {row["revision"] for row in rows}
-        newest = max(revisions, default=0)
-        if len(revisions) != newest:
-            raise damaged(f"serial {serial}: a revision before {newest} was not found")
-        names = {*history.origins(connection), *(row["origin"] for row in rows)}
-        self._check_hidden(connection, calibrations, [(serial, newest + 1, name) for name in sorted(names)])
-        for row in rows:
-            self._check_row(connection, calibrations, row)
-
     def _stored(self, connection: Connection, row: RowMapping) -> StoredCalibration:
         heads = heads_of(connection, row["lot_id"], row["serial"])
         is_conflict = names_several(connection, heads)
         named = {(head["revision"], head["made_by"]) for head in (heads if is_conflict else heads[:1])}
         is_named = (row["revision"], row["origin"]) in named
-        fields = ("lot_id", "revision", "made_at", "actor", "reason", "rolled_back_to", "origin")
-        return StoredCalibration(
+        return of_row(
+            StoredCalibration,
+            row,
             record=record_of(row, get_arrays(connection, row["blob_sha256"]), row["settings"]),
-            **{field: row[field] for field in fields},
             is_current=is_named and not is_conflict,
             is_conflict=is_named and is_conflict,
         )

@@ -1,16 +1,18 @@
-"""Lots, their limits and their units."""
+"""Lots, their units, and in versions their limits and their rules at the line: who set them, when and why."""
 
 from collections.abc import Mapping
 from dataclasses import replace
+from datetime import datetime
 from typing import Any
 
 from sqlalchemy import Connection, RowMapping, Select, func, select
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
+from softcal.core.quality.line_rules import LineRules, rules_for
 from softcal.core.words.reason import Reason
-from softcal.db.entries import UNDECIDED, LimitEntry, RunEntry, UnitEntry
-from softcal.db.schema.tables import calibrations, in_use, limits, lots, refusals, units
+from softcal.db.entries import UNDECIDED, LimitEntry, LineRulesEntry, RunEntry, UnitEntry
+from softcal.db.schema.tables import calibrations, in_use, limits, line_rules, lots, refusals, units
 from softcal.db.truth.in_use import (
     NEWEST_STATEMENT,
     OF_STATEMENT,
@@ -21,7 +23,7 @@ from softcal.db.truth.in_use import (
     of_this_method,
 )
 from softcal.db.truth.judged_against import LimitInForce
-from softcal.db.truth.registry_base import RegistryBase, damaged
+from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
 
 RESULT_FIELDS = (
     "revision",
@@ -54,8 +56,12 @@ class LotTables(RegistryBase):
             if known is None:
                 values = {"id": lot.id, **facts, "added_at": self.settings.clock()}
                 self._store(connection, lots, values, "add", actor)
-            else:
-                _check_same(lot.id, known, facts)
+            elif others := [name for name, value in facts.items() if known[name] != value]:
+                name = others[0]
+                raise InputError(
+                    f"lot {lot.id!r} is registered with {name} = {known[name]!r}, now it is {facts[name]!r}; "
+                    "correct lot.toml, or give the new lot an id of its own"
+                )
             self._add_unit(connection, lot.id, lot.source, "source", actor)
             versions = self.limit_versions(lot.id)
             stated = [entry.rmse for entry in versions if entry.reason == STATED]
@@ -66,14 +72,12 @@ class LotTables(RegistryBase):
 
     def lots(self) -> list[Lot]:
         """Return every lot by id, each with its newest limit."""
-        with self.database.reading() as connection:
-            rows = connection.execute(select(lots).order_by(lots.c.id)).mappings().all()
-            return [self._lot(row) for row in rows]
+        with self.database.reading():
+            return [self._lot(row) for row in self.database.rows(select(lots).order_by(lots.c.id))]
 
     def lot_ids(self) -> list[str]:
         """Return the id of every lot."""
-        with self.database.reading() as connection:
-            return list(connection.execute(select(lots.c.id).order_by(lots.c.id)).scalars())
+        return self.database.values(select(lots.c.id).order_by(lots.c.id))
 
     def lot(self, lot_id: str) -> Lot:
         """Return one lot, or raise `InputError` naming the known ones."""
@@ -122,15 +126,12 @@ class LotTables(RegistryBase):
 
     def limit(self, lot_id: str) -> LimitEntry | None:
         """Return the newest version of a lot's limit, or None where none was ever stated."""
-        versions = self.limit_versions(lot_id)
-        return versions[-1] if versions else None
+        return next(iter(reversed(self.limit_versions(lot_id))), None)
 
     def limit_versions(self, lot_id: str) -> list[LimitEntry]:
         """Return every version of a lot's limit, oldest first."""
         query = select(limits).where(limits.c.lot_id == lot_id).order_by(limits.c.made_at, limits.c.origin)
-        with self.database.reading() as connection:
-            rows = connection.execute(query).mappings()
-            return [LimitEntry(**{f: row[f] for f in LimitEntry.__dataclass_fields__}) for row in rows]
+        return [of_row(LimitEntry, row) for row in self.database.rows(query)]
 
     def set_limit(
         self,
@@ -155,18 +156,67 @@ class LotTables(RegistryBase):
         with self.database.writing() as connection:
             self._lot_row(connection, lot_id)
             newest = self.limit(lot_id)
-            version = newest.version if newest else 0
-            if newest is not None and expected_version not in (None, version):
-                raise InputError(
-                    f"the limit of lot {lot_id!r} was changed to {newest.rmse} by {newest.actor} at "
-                    f"{newest.made_at:%Y-%m-%d %H:%M} UTC; look at version {version} and decide again"
-                )
-            made_at = self._after(newest.made_at if newest else None)
-            entry = LimitEntry(lot_id, version + 1, rmse, made_at, self._actor(actor), reason)
+            changed = f"the limit of lot {lot_id!r} was changed to {newest and newest.rmse}"
+            version, made_at = self._next_version(newest, expected_version, changed)
+            entry = LimitEntry(lot_id, version, rmse, made_at, self._actor(actor), reason)
             values = {**vars(entry), "origin": self.origin}
             before = vars(newest) if newest else None
             self._store(connection, limits, values, "set_limit", actor, reason, before)
             return entry
+
+    def line_rules(self, lot: Lot) -> LineRules:
+        """Return the rules of a lot that hold now; where nobody set any, those that follow from the lot."""
+        versions = self.line_rules_versions(lot.id)
+        return versions[-1].rules if versions else rules_for(lot)
+
+    def line_rules_versions(self, lot_id: str) -> list[LineRulesEntry]:
+        """Return every version of a lot's rules, oldest first."""
+        c = line_rules.c
+        query = select(line_rules).where(c.lot_id == lot_id).order_by(c.made_at, c.origin)
+        return [of_row(LineRulesEntry, row, rules=LineRules(**row["rules"])) for row in self.database.rows(query)]
+
+    def set_line_rules(
+        self,
+        lot_id: str,
+        rules: LineRules,
+        *,
+        reason: str,
+        actor: str | None = None,
+        expected_version: int | None = None,
+    ) -> LineRulesEntry:
+        """Write the next version of a lot's rules.
+
+        Args:
+            expected_version: the version the change was decided on (0: none yet); None takes whatever is there.
+
+        Raises:
+            InputError: no reason, no such lot, or somebody else changed the rules since `expected_version`.
+        """
+        if not reason.strip():
+            raise InputError("a change of the line's rules needs a reason; nothing was changed")
+        with self.database.writing() as connection:
+            self._lot_row(connection, lot_id)
+            newest = next(iter(reversed(self.line_rules_versions(lot_id))), None)
+            changed = f"the rules of lot {lot_id!r} were changed"
+            version, made_at = self._next_version(newest, expected_version, changed)
+            entry = LineRulesEntry(lot_id, version, rules, made_at, self._actor(actor), reason)
+            values = {**vars(entry), "rules": rules.settings(), "origin": self.origin}
+            before = {"version": newest.version, "rules": newest.rules.settings()} if newest else None
+            self._store(connection, line_rules, values, "set_rules", actor, reason, before)
+            return entry
+
+    def _next_version(
+        self, newest: LimitEntry | LineRulesEntry | None, expected: int | None, changed: str
+    ) -> tuple[int, datetime]:
+        """Return number and time of the version after the newest, which must be the one that was expected, if any."""
+        if newest is None:
+            return 1, self._after(None)
+        if expected not in (None, newest.version):
+            raise InputError(
+                f"{changed} by {newest.actor} at {newest.made_at:%Y-%m-%d %H:%M} UTC; look at version "
+                f"{newest.version} and decide again"
+            )
+        return newest.version + 1, self._after(newest.made_at)
 
     def _lot(self, row: RowMapping) -> Lot:
         newest = self.limit(row["id"])
@@ -232,12 +282,3 @@ def _in_use(lot_id: str | None, serial: str | None) -> Select[Any]:
 def _of(query: Select[Any], table: Any, lot_id: str | None, serial: str | None) -> Select[Any]:
     query = query if lot_id is None else query.where(table.c.lot_id == lot_id)
     return query if serial is None else query.where(table.c.serial == serial)
-
-
-def _check_same(lot_id: str, known: RowMapping, facts: Mapping[str, object]) -> None:
-    for name, value in facts.items():
-        if known[name] != value:
-            raise InputError(
-                f"lot {lot_id!r} is registered with {name} = {known[name]!r}, now it is {value!r}; "
-                "correct lot.toml, or give the new lot an id of its own"
-            )

@@ -100,11 +100,8 @@ class NetworkReleases(RecordingTables):
         c = network_releases.c
         query = select(network_releases).where(c.lot_id == lot_id).order_by(c.made_at, c.origin)
         known = {entry.id: entry for entry in self.networks()}
-        with self.database.reading() as connection:
-            rows = connection.execute(query).mappings().all()
+        facts = (c.state, c.made_at, c.actor, c.reason)
         return {
-            row["network_id"]: NetworkState(
-                known[row["network_id"]], row["state"], row["made_at"], row["actor"], row["reason"]
-            )
-            for row in rows
+            row[c.network_id]: NetworkState(known[row[c.network_id]], *(row[column] for column in facts))
+            for row in self.database.rows(query)
         }

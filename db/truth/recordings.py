@@ -12,7 +12,7 @@ from softcal.db.entries import NetworkEntry, RecordingEntry
 from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.found import found_in
 from softcal.db.schema.tables import networks, recordings
-from softcal.db.truth.registry_base import RegistryBase
+from softcal.db.truth.registry_base import RegistryBase, of_row
 
 if TYPE_CHECKING:
     from softcal.core.identity import Settings
@@ -75,9 +75,8 @@ class RecordingTables(RegistryBase):
         query = select(recordings).where(recordings.c.lot_id == lot_id)
         query = query if serial is None else query.where(recordings.c.serial == serial)
         query = query if kind is None else query.where(recordings.c.kind == kind)
-        with self.database.reading() as connection:
-            rows = connection.execute(query.order_by(recordings.c.added_at, recordings.c.sha256)).mappings()
-            return [RecordingEntry(**{f: row[f] for f in RecordingEntry.__dataclass_fields__}) for row in rows]
+        query = query.order_by(recordings.c.added_at, recordings.c.sha256)
+        return [of_row(RecordingEntry, row) for row in self.database.rows(query)]
 
     def add_network(
         self,
@@ -97,7 +96,8 @@ class RecordingTables(RegistryBase):
         with self.database.writing() as connection:
             self._lot_row(connection, lot_id)
             known = self.find_network(input_sha256)
-            if known is not None or self._has_network(connection, network.id):
+            same = select(networks.c.id).where(networks.c.id == network.id)
+            if known is not None or connection.execute(same).first() is not None:
                 return known or network.id
             values = {
                 "id": network.id,
@@ -115,57 +115,42 @@ class RecordingTables(RegistryBase):
     def find_network(self, input_sha256: str) -> str | None:
         """Return the id of the first network trained from this input, or None."""
         query = select(networks.c.id).where(networks.c.input_sha256 == input_sha256)
-        with self.database.reading() as connection:
-            return connection.execute(query.order_by(networks.c.added_at, networks.c.id).limit(1)).scalar_one_or_none()
+        return next(iter(self.database.values(query.order_by(networks.c.added_at, networks.c.id).limit(1))), None)
 
     def network(self, network_id: str) -> Network:
         """Return a network by its id, or raise `InputError`."""
         from softcal.core.network.network import Network
 
         with self.database.reading() as connection:
-            row = _network_row(connection, network_id)
-            self._check_row(connection, networks, row)
-            return Network.from_arrays(
-                cast("dict[str, Array]", get_arrays(connection, row["blob_sha256"])), row["settings"]
-            )
+            row = self._network_row(connection, network_id)
+            arrays = cast("dict[str, Array]", get_arrays(connection, row["blob_sha256"]))
+            return Network.from_arrays(arrays, row["settings"])
 
     def network_entry(self, network_id: str) -> NetworkEntry:
         """Return what is known of a network beside its weights, or raise `InputError`."""
         with self.database.reading() as connection:
-            row = _network_row(connection, network_id)
-            self._check_row(connection, networks, row)
-            return NetworkEntry(**{f: row[f] for f in NetworkEntry.__dataclass_fields__})
+            row = self._network_row(connection, network_id)
+            return of_row(NetworkEntry, row)
 
     def networks(self) -> list[NetworkEntry]:
         """Return what is known of every network beside its weights, oldest first."""
         query = select(networks).order_by(networks.c.added_at, networks.c.id)
-        with self.database.reading() as connection:
-            rows = connection.execute(query).mappings()
-            return [NetworkEntry(**{f: row[f] for f in NetworkEntry.__dataclass_fields__}) for row in rows]
+        return [of_row(NetworkEntry, row) for row in self.database.rows(query)]
 
-    def _has_network(self, connection: Connection, network_id: str) -> bool:
-        return connection.execute(select(networks.c.id).where(networks.c.id == network_id)).first() is not None
-
-
-def _network_row(connection: Connection, network_id: str) -> RowMapping:
-    row = connection.execute(select(networks).where(networks.c.id == network_id)).mappings().first()
-    if row is None:
-        raise InputError(f"network {network_id[:12]} is not in the registry")
-    return row
+    def _network_row(self, connection: Connection, network_id: str) -> RowMapping:
+        row = connection.execute(select(networks).where(networks.c.id == network_id)).mappings().first()
+        if row is None:
+            raise InputError(f"network {network_id[:12]} is not in the registry")
+        self._check_row(connection, networks, row)
+        return row
 
 
 def _recording(row: RowMapping, arrays: Mapping[str, Array]) -> Recording:
     # Whoever lists units reads none.
     from softcal.core.recording import LabelledRecording, OutputRecording
 
-    unlabelled = OutputRecording(
-        row["serial"],
-        arrays["t_s"],
-        arrays["output"],
-        row["sample_rate_Hz"],
-        row["output_unit"],
-        arrays.get("stage_mm"),
-    )
+    facts = (row["sample_rate_Hz"], row["output_unit"], arrays.get("stage_mm"))
+    unlabelled = OutputRecording(row["serial"], arrays["t_s"], arrays["output"], *facts)
     if "reference" not in arrays:
         return unlabelled
     return LabelledRecording(unlabelled, arrays["reference"], row["reference_unit"])

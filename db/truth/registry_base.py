@@ -1,10 +1,10 @@
 """What every part of the registry stands on: the database, who writes by which clock, and rows that leave a trace."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from functools import cache
-from typing import Any, Protocol
+from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Insert, RowMapping, Table, bindparam, insert, select
 
@@ -15,17 +15,12 @@ from softcal.db.schema.found import found_in
 from softcal.db.schema.tables import audit, canonical_json, in_use, lots, recordings, refusals, registry_info, units
 from softcal.db.truth import history
 
+Entry = TypeVar("Entry")
 TICK = timedelta(microseconds=1)
 KNOWN_LOT = select(lots).where(lots.c.id == bindparam("lot"))
 KNOWN_UNIT = select(units.c.role).where(units.c.lot_id == bindparam("lot"), units.c.serial == bindparam("unit"))
 OF_UNITS = frozenset(table.name for table in (recordings, in_use, refusals))
 """Tables whose rows belong to a unit of a lot: of one that was not registered there can be none."""
-
-
-class UtcClock(Protocol):
-    """Gives the time in UTC."""
-
-    def __call__(self) -> datetime: ...
 
 
 def utc_now() -> datetime:
@@ -43,7 +38,7 @@ class RegistrySettings:
     """
 
     actor: str = "softcal"
-    clock: UtcClock = field(default=utc_now)
+    clock: Callable[[], datetime] = utc_now
 
 
 def damaged(what: str) -> RegistryError:
@@ -75,11 +70,21 @@ class RegistryBase(OncePerCut):
         connection.execute(_insert_into(table), dict(values))
         if table.name in OF_UNITS:
             found_in(connection).without.discard((table.name, values["lot_id"], values["serial"]))
-        key = history.row_key(table, values)
-        at, who, after = self.settings.clock(), self._actor(actor), history.told(table, values)
-        history.append(
-            connection, self.origin, at, who, action, table.name, key, after=after, before=before, reason=reason
-        )
+        key, after = history.row_key(table, values), history.told(table, values)
+        self._tell(connection, action, table.name, key, actor, after=after, before=before, reason=reason)
+
+    def _tell(
+        self,
+        connection: Connection,
+        action: str,
+        entity: str,
+        key: tuple[str | int, ...],
+        actor: str | None = None,
+        **told: Any,
+    ) -> None:
+        """Write a row of the audit trail, by this registry's clock; `told` is what `history.append` takes by name."""
+        at, who = self.settings.clock(), self._actor(actor)
+        history.append(connection, self.origin, at, who, action, entity, key, **told)
 
     def _check_row(self, connection: Connection, table: Table, row: RowMapping) -> None:
         """Raise `RegistryError` where a row is not what the audit trail tells of it: nobody may go on with it."""
@@ -113,16 +118,13 @@ class RegistryBase(OncePerCut):
         # A chunk of a batch asks for each of its units, and nobody can change a lot while a transaction goes on.
         checked = found_in(connection).lots
         if lot_id not in checked:
-            checked[lot_id] = self._read_lot_row(connection, lot_id)
+            row = connection.execute(KNOWN_LOT, {"lot": lot_id}).mappings().first()
+            if row is None:
+                known = connection.execute(select(lots.c.id).order_by(lots.c.id).limit(6)).scalars().all()
+                raise InputError(reason("name.no_such_lot", lot=repr(lot_id), known=_some(known)))
+            self._check_row(connection, lots, row)
+            checked[lot_id] = row
         return checked[lot_id]
-
-    def _read_lot_row(self, connection: Connection, lot_id: str) -> RowMapping:
-        row = connection.execute(KNOWN_LOT, {"lot": lot_id}).mappings().first()
-        if row is None:
-            known = connection.execute(select(lots.c.id).order_by(lots.c.id).limit(6)).scalars().all()
-            raise InputError(reason("name.no_such_lot", lot=repr(lot_id), known=_some(known)))
-        self._check_row(connection, lots, row)
-        return row
 
     def _add_unit(self, connection: Connection, lot_id: str, serial: str, role: str, actor: str | None) -> None:
         found = found_in(connection)
@@ -138,6 +140,12 @@ class RegistryBase(OncePerCut):
         if connection.execute(select(units.c.serial).where(units.c.serial == serial).limit(1)).first() is None:
             known = connection.execute(select(units.c.serial).distinct().order_by(units.c.serial).limit(6)).scalars()
             raise InputError(reason("name.no_such_serial", serial=repr(serial), known=_some(known.all())))
+
+
+def of_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:
+    """Return a value with the columns of a row that it has fields for, and with others."""
+    names = (one.name for one in fields(kind) if one.name in row)  # type: ignore[arg-type]
+    return kind(**{name: row[name] for name in names} | others)
 
 
 @cache

@@ -11,7 +11,7 @@ from softcal.core.words.reason import to_kept
 from softcal.db.entries import CellCertificate, GoldenRun
 from softcal.db.schema.arrays import get_bytes, put_bytes
 from softcal.db.schema.tables import certificates, golden_runs
-from softcal.db.truth.registry_base import RegistryBase
+from softcal.db.truth.registry_base import RegistryBase, of_row
 
 
 class StationTables(RegistryBase):
@@ -71,16 +71,9 @@ class StationTables(RegistryBase):
         query = query if station is None else query.where(c.station == station)
         query = query if serial is None else query.where(c.serial == serial)
         query = query if since is None else query.where(c.made_at >= since)
-        with self.database.reading() as connection:
-            rows = connection.execute(query).mappings().all()
-        return [GoldenRun(**{**_fields(GoldenRun, row), "reasons": tuple(row["reasons"])}) for row in rows]
+        return [of_row(GoldenRun, row, reasons=tuple(row["reasons"])) for row in self.database.rows(query)]
 
 
 def _certificate(connection: Connection, row: RowMapping) -> CellCertificate:
-    facts = {name: value for name, value in row.items() if name in CellCertificate.__dataclass_fields__}
     blob = row["blob_sha256"]
-    return CellCertificate(**facts, document=None if blob is None else get_bytes(connection, blob))
-
-
-def _fields(kind: type, row: RowMapping) -> dict[str, Any]:
-    return {f.name: row[f.name] for f in fields(kind)}
+    return of_row(CellCertificate, row, document=None if blob is None else get_bytes(connection, blob))
