@@ -15,7 +15,7 @@ from softcal.db.schema.found import found_in
 from softcal.db.schema.tables import calibrations, networks, refusals
 from softcal.db.truth import history
 from softcal.db.truth.in_use import InUseTable, heads_of, lots_of, names_several, newest_of_unit
-from softcal.db.truth.lots import unit_entries
+from softcal.db.truth.lot_pages import standing_units
 from softcal.db.truth.records import PLAIN_FIELDS, record_of
 from softcal.db.truth.registry_base import damaged, of_row
 
@@ -210,7 +210,7 @@ class CalibrationTables(InUseTable):
         with self.database.writing() as connection:
             self._lot_row(connection, lot_id)
             self._add_unit(connection, lot_id, serial, "target", actor)
-            (unit,) = unit_entries(connection, lot_id, serial)
+            ((unit, _),) = standing_units(connection, lot_id, [serial])
             answered = self.decided_works(lot_id, [serial]).get(serial)
             if (unit.verdict, unit.reasons, answered) == (verdict, reasons, work_sha256):
                 return

@@ -24,13 +24,10 @@ from sqlalchemy import (
 )
 
 from softcal.core.errors import InputError
-from softcal.core.words.reason import Reason, plain
-from softcal.db.entries import UNDECIDED, MadeCalibration, UnitStanding
 from softcal.db.schema.found import found_in
 from softcal.db.schema.tables import calibrations, in_use, limits, lots, refusals, units
 from softcal.db.truth import history
 from softcal.db.truth.judged_against import LimitInForce
-from softcal.db.truth.records import PLAIN_FIELDS, record_of
 from softcal.db.truth.registry_base import RegistryBase, damaged
 
 NEWEST_STATEMENT = (in_use.c.made_at.desc(), in_use.c.number.desc(), in_use.c.origin.desc())
@@ -105,7 +102,7 @@ class InUseTable(RegistryBase):
         A refusal that may pass (a worker that died, a disk that was away) answers no work.
         """
         newest: dict[str, tuple[datetime, str | None]] = {}
-        for part in _parts(serials):
+        for part in parts(serials):
             u, r = in_use.c, refusals.c
             asked = select(u.serial, u.made_at, u.work_sha256).where(u.lot_id == lot_id, u.serial.in_(part))
             refused = select(r.serial, r.made_at, r.work_sha256).where(r.lot_id == lot_id, r.serial.in_(part))
@@ -124,43 +121,12 @@ class InUseTable(RegistryBase):
         """
         u = in_use.c
         found = {}
-        for part in _parts(list(works)):
+        for part in parts(list(works)):
             query = select(u.serial, u.work_sha256, u.input_sha256).where(u.lot_id == lot_id, u.serial.in_(part))
             with self.database.reading() as connection:
                 for serial, work, input_sha256 in connection.execute(query.where(u.work_sha256.is_not(None))):
                     if works[serial] == work:
                         found[serial] = input_sha256
-        return found
-
-    def standings(self, lot_id: str, serials: Sequence[str]) -> dict[str, UnitStanding]:
-        """Return where units of a lot stand, as a report needs it: the calibration in use, or a newer refusal.
-
-        A unit with a conflict is to be decided by a person: its verdict is retest. So is that of one judged against
-        another limit than the one in force.
-        """
-        found: dict[str, UnitStanding] = {}
-        limit = None
-        for part in _parts(serials):
-            with self.database.reading() as connection:
-                undecided = {serial for _, serial in conflicts_of(connection, lot_id, part)}
-                for row in connection.execute(_newest_statements(lot_id, part)).mappings():
-                    check_named(row)
-                    limit = limit or limit_in_force(connection, lot_id)
-                    if limit.is_other_than(row["evidence"]):
-                        why = (limit.why(row["evidence"]),)
-                        found[row["serial"]] = UnitStanding(row["serial"], UNDECIDED, why, row["stated_at"])
-                        continue
-                    made = MadeCalibration.of(record_of(row, {}, row["settings"]), row["revision"])
-                    found[made.serial] = UnitStanding(made.serial, made.verdict, made.reasons, row["stated_at"], made)
-                for serial in undecided:
-                    reason = plain(conflict_line(connection, lot_id, serial))
-                    found[serial] = UnitStanding(serial, UNDECIDED, (reason,), found[serial].made_at)
-                r = refusals.c
-                query = select(refusals).where(r.lot_id == lot_id, r.serial.in_(part)).order_by(r.made_at)
-                for row in connection.execute(query).mappings():
-                    serial, at = row["serial"], row["made_at"]
-                    if serial not in found or found[serial].made_at < at:
-                        found[serial] = UnitStanding(serial, row["verdict"], tuple(map(Reason.of, row["reasons"])), at)
         return found
 
     def lots_of(self, serial: str) -> list[str]:
@@ -309,12 +275,6 @@ def conflict_line(connection: Connection, lot_id: str, serial: str) -> str:
     )
 
 
-def check_named(row: RowMapping) -> None:
-    """Raise `RegistryError` where a statement (`of_lot`, `of_unit`) names a calibration that was not found."""
-    if row["revision"] is None:
-        raise damaged(f"unit {row['of_unit']} of lot {row['of_lot']}: the calibration in use was not found")
-
-
 def lots_of(connection: Connection, serial: str) -> list[str]:
     """Return the lots a serial stands in."""
     query = select(units.c.lot_id).where(units.c.serial == serial).order_by(units.c.lot_id)
@@ -344,34 +304,8 @@ def _newest_asked(connection: Connection, lot_id: str, serial: str) -> RowMappin
     return connection.execute(query.order_by(*NEWEST_STATEMENT).limit(1)).mappings().first()
 
 
-def _newest_statements(lot_id: str, serials: Sequence[str]) -> Select[Any]:
-    """Return the calibration in use of each unit, with the time it was stated."""
-    c, newer = calibrations.c, in_use.alias()
-    is_newer = select(newer.c.number).where(
-        newer.c.lot_id == in_use.c.lot_id, newer.c.serial == in_use.c.serial, is_newer_statement(newer)
-    )
-    columns = [*(c[name] for name in PLAIN_FIELDS), c.revision, c.settings, c.reasons, c.evidence]
-    names = (in_use.c.lot_id.label("of_lot"), in_use.c.serial.label("of_unit"), in_use.c.made_at.label("stated_at"))
-    query = select(*columns, *names).select_from(in_use)
-    query = query.outerjoin(calibrations, OF_STATEMENT).where(in_use.c.lot_id == lot_id, in_use.c.serial.in_(serials))
-    return query.where(~is_newer.correlate(in_use).exists())
-
-
-def is_newer_statement(newer: Any) -> Any:
-    """Whether another statement of the same unit is newer: by time, then number, then registry."""
-    return or_(
-        newer.c.made_at > in_use.c.made_at,
-        and_(
-            newer.c.made_at == in_use.c.made_at,
-            or_(
-                newer.c.number > in_use.c.number,
-                and_(newer.c.number == in_use.c.number, newer.c.origin > in_use.c.origin),
-            ),
-        ),
-    )
-
-
-def _parts(serials: Sequence[str]) -> Iterable[Sequence[str]]:
+def parts(serials: Sequence[str]) -> Iterable[Sequence[str]]:
+    """Cut serials into questions of a size that both databases take."""
     return (serials[start : start + SERIALS_AT_ONCE] for start in range(0, len(serials), SERIALS_AT_ONCE))
 
 

@@ -1,7 +1,12 @@
-"""A lot of any size a page at a time: counts, columns of numbers and sorted, filtered pages of units, all in SQL."""
+"""Where the units of a lot stand: the calibration in use, a newer refusal, or what a person has to decide.
+
+One question in SQL says it for a unit, for a sorted and filtered page of a lot of any size, for counts and for reports.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -23,15 +28,17 @@ from sqlalchemy import (
 
 from softcal.core.errors import InputError
 from softcal.core.words.reason import DOUBT, Reason, plain
-from softcal.db.entries import UNDECIDED, UnitEntry
+from softcal.db.entries import UNDECIDED, MadeCalibration, UnitEntry, UnitStanding
 from softcal.db.schema.tables import calibrations, in_use, refusals, units
 from softcal.db.truth import history
-from softcal.db.truth.in_use import OF_STATEMENT, conflict_line, conflicts_of, limit_in_force, of_this_method
+from softcal.db.truth.in_use import OF_STATEMENT, conflict_line, conflicts_of, limit_in_force, of_this_method, parts
 from softcal.db.truth.judged_against import LimitInForce
-from softcal.db.truth.registry_base import RegistryBase, damaged
+from softcal.db.truth.records import PLAIN_FIELDS, record_of
+from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
 
 ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
 SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
+LATER_STATEMENT = ("made_at", "number", "origin")
 MADE_FIELDS = ("revision", "family", "map_sha256", *ERRORS)
 
 MOST_SERIALS = 30_000
@@ -105,15 +112,37 @@ class LotPages(RegistryBase):
         """
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
-            undecided, limit = _undecided(connection, lot_id), limit_in_force(connection, lot_id)
-            table = _standing(lot_id, undecided, limit)
-            condition = _condition(table, wanted)
-            order = _order(table, wanted)
+            standing = Standing.of(connection, lot_id)
+            table = standing.table(role="target")
+            condition, order = _condition(table, wanted), _order(table, wanted)
             query = select(table).where(condition).order_by(*order).limit(size).offset((page - 1) * size)
             total = connection.execute(select(func.count()).select_from(table).where(condition)).scalar_one()
-            entries = [_entry(lot_id, row, limit) for row in connection.execute(query).mappings()]
-            told = [_conflict(connection, entry) if entry.serial in undecided else entry for entry in entries]
-        return UnitPage(tuple(told), int(total))
+            entries = [standing.entry(connection, row) for row in connection.execute(query).mappings().all()]
+        return UnitPage(tuple(entries), int(total))
+
+    def standings(self, lot_id: str, serials: Sequence[str]) -> dict[str, UnitStanding]:
+        """Return where units of a lot stand, as a report needs it: the calibration in use, or a newer refusal.
+
+        A unit with a conflict is to be decided by a person: its verdict is retest. So is that of one judged against
+        another limit than the one in force.
+        """
+        found: dict[str, UnitStanding] = {}
+        c = calibrations.c
+        columns = [*(c[name] for name in PLAIN_FIELDS), c.revision, c.settings, c.reasons, c.evidence]
+        for part in parts(serials):
+            in_lot = and_(in_use.c.lot_id == lot_id, in_use.c.serial.in_(part))
+            query = select(*columns).select_from(in_use).join(calibrations, OF_STATEMENT)
+            query = query.where(in_lot, _is_newest(in_use, LATER_STATEMENT))
+            with self.database.reading() as connection:
+                rows = {row["serial"]: row for row in connection.execute(query).mappings()}
+                for unit, is_made in standing_units(connection, lot_id, part):
+                    if unit.verdict is not None and unit.made_at is not None:
+                        made, row = None, rows.get(unit.serial)
+                        if is_made and row is not None:
+                            made = MadeCalibration.of(record_of(row, {}, row["settings"]), row["revision"])
+                        stated = (unit.verdict, unit.reasons, unit.made_at)
+                        found[unit.serial] = UnitStanding(unit.serial, *stated, made)
+        return found
 
     def find_serials(self, text: str, count: int = 50) -> list[str]:
         """Return serials of target units with a result that hold a text in any case; those that begin with it first."""
@@ -140,7 +169,7 @@ class LotPages(RegistryBase):
         """Return a lot's target units by the verdict of their newest result; `none` counts those without."""
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
-            table = _standing(lot_id, _undecided(connection, lot_id), limit_in_force(connection, lot_id))
+            table = Standing.of(connection, lot_id).table(role="target")
             verdict = func.coalesce(table.c.verdict, "none")
             found = {str(v): int(n) for v, n in connection.execute(select(verdict, func.count()).group_by(verdict))}
         return {name: found.get(name, 0) for name in (*_severities(), "none")}
@@ -149,7 +178,7 @@ class LotPages(RegistryBase):
         """Return the errors of every target unit with a map, by serial."""
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
-            table = _standing(lot_id, _undecided(connection, lot_id), limit_in_force(connection, lot_id))
+            table = Standing.of(connection, lot_id).table(role="target")
             measured = {name: case((table.c.is_doubted, None), else_=table.c[name]) for name in ERRORS[1:]}
             query = select(table.c.revision, table.c.serial, table.c.verdict, table.c[ERRORS[0]], *measured.values())
             # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
@@ -166,52 +195,102 @@ class LotPages(RegistryBase):
         return "|".join([lot_id, *(sha256 for _, sha256 in heads)])
 
 
-def _undecided(connection: Connection, lot_id: str) -> list[str]:
-    return [serial for _, serial in conflicts_of(connection, lot_id)]
-
-
-def _standing(lot_id: str, undecided: Sequence[str], limit: LimitInForce) -> Subquery:
-    """Every target unit of a lot beside its map in use and its newest verdict, which may be a later refusal's.
-
-    "Nothing newer exists" is found through the index of the table; a window function over all rows is not, and its
-    join with the units would take the square of their number.
+@dataclass(frozen=True)
+class Standing:
+    """How the units of a lot are asked for.
 
     Args:
         undecided: units for which two registries put different maps into use.
         limit: of the lot; a verdict against another one does not stand.
     """
-    c, u, r = calibrations, in_use, refusals
-    is_refused = and_(r.c.made_at.is_not(None), or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
-    is_open = units.c.serial.in_(undecided)
-    newest: dict[str, ColumnElement[Any]] = {
-        name: case((is_refused, r.c[name]), else_=c.c[name]) for name in ("verdict", "reasons")
-    }
-    is_unjudged = and_(u.c.made_at.is_not(None), ~is_refused, limit.is_other_in_sql())
-    newest["verdict"] = case((is_unjudged, UNDECIDED), else_=newest["verdict"])
-    newest["evidence"] = case((is_unjudged, c.c.evidence), else_=None)
-    newest["is_doubted"] = type_coerce(c.c.reasons, Text).contains(f'"code":"{DOUBT}')
-    newest["made_at"] = case((is_refused, r.c.made_at), else_=u.c.made_at)
-    maps: dict[str, ColumnElement[Any]] = {name: c.c[name] for name in MADE_FIELDS}
-    if undecided:
-        newest["verdict"] = case((is_open, UNDECIDED), else_=newest["verdict"])
-        maps = {name: case((is_open, None), else_=column) for name, column in maps.items()}
-    joined = (
-        units.outerjoin(u, _is_newest(u, ("made_at", "number", "origin")))
-        .outerjoin(c, OF_STATEMENT)
-        .outerjoin(r, _is_newest(r, ("made_at", "origin")))
-    )
-    maps["is_stale"] = and_(u.c.made_at.is_not(None), ~is_open, ~of_this_method())
-    columns = [column.label(name) for name, column in (maps | newest).items()]
-    query = select(units.c.serial, *columns).select_from(joined)
-    return query.where(units.c.lot_id == lot_id, units.c.role == "target").subquery("standing")
+
+    lot_id: str
+    undecided: Sequence[str]
+    limit: LimitInForce
+
+    @classmethod
+    def of(cls, connection: Connection, lot_id: str, serials: Sequence[str] | None = None) -> Standing:
+        """Return how a lot, or some of its units, are asked for now."""
+        undecided = [serial for _, serial in conflicts_of(connection, lot_id, serials)]
+        return cls(lot_id, undecided, limit_in_force(connection, lot_id))
+
+    def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> Subquery:
+        """Return every unit beside its map in use and its newest verdict, which may be a later refusal's.
+
+        "Nothing newer exists" is found through the index of the table; a window function over all rows is not, and its
+        join with the units would take the square of their number.
+
+        Args:
+            serials, role: of these units only.
+        """
+        c, u, r = calibrations, in_use, refusals
+        is_refused = and_(r.c.made_at.is_not(None), or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
+        is_open = units.c.serial.in_(self.undecided)
+        is_stated = and_(u.c.made_at.is_not(None), ~is_refused)
+        is_unjudged = and_(is_stated, ~is_open, self.limit.is_other_in_sql())
+        is_undecided = and_(is_stated, or_(is_open, is_unjudged))
+        columns: dict[str, ColumnElement[Any]] = {
+            "verdict": case((is_refused, r.c.verdict), (is_undecided, UNDECIDED), else_=c.c.verdict),
+            "reasons": case((is_refused, r.c.reasons), else_=c.c.reasons),
+            "made_at": case((is_refused, r.c.made_at), else_=u.c.made_at),
+            **{name: case((is_open, None), else_=c.c[name]) for name in MADE_FIELDS},
+            "is_stale": and_(u.c.made_at.is_not(None), ~is_open, ~of_this_method()),
+            "is_conflict": is_open,
+            # What is left out of an entry.
+            "is_made": and_(is_stated, ~is_undecided),
+            "is_refused": is_refused,
+            "is_doubted": type_coerce(c.c.reasons, Text).contains(f'"code":"{DOUBT}'),
+            "evidence": case((is_unjudged, c.c.evidence), else_=None),
+        }
+        joined = (
+            units.outerjoin(u, and_(_is_of_unit(u), _is_newest(u, LATER_STATEMENT)))
+            .outerjoin(c, OF_STATEMENT)
+            .outerjoin(r, and_(_is_of_unit(r), _is_newest(r, ("made_at", "origin"))))
+        )
+        query = select(units.c.lot_id, units.c.serial, units.c.role, *(c.label(name) for name, c in columns.items()))
+        query = query.select_from(joined).where(units.c.lot_id == self.lot_id)
+        query = query if role is None else query.where(units.c.role == role)
+        return (query if serials is None else query.where(units.c.serial.in_(serials))).subquery("standing")
+
+    def entry(self, connection: Connection, row: RowMapping) -> UnitEntry:
+        """Return the unit of a row of the table."""
+        serial = row["serial"]
+        if row["is_stale"] is None:
+            raise damaged(f"unit {serial} of lot {self.lot_id}: the calibration in use was not found")
+        if row["is_conflict"] and not row["is_refused"]:
+            reasons: tuple[Reason, ...] = (plain(conflict_line(connection, self.lot_id, serial)),)
+        elif row["evidence"] is not None:
+            reasons = (self.limit.why(row["evidence"]),)
+        else:
+            reasons = tuple(map(Reason.of, row["reasons"] or ()))
+        return of_row(UnitEntry, row, reasons=reasons)
 
 
-def _is_newest(table: Table, order: tuple[str, ...]) -> ColumnElement[bool]:
+def standing_units(
+    connection: Connection, lot_id: str, serials: Sequence[str] | None = None
+) -> list[tuple[UnitEntry, bool]]:
+    """Return units of a lot by serial, each with whether its verdict is that of its calibration in use."""
+    standing = Standing.of(connection, lot_id, serials)
+    rows = connection.execute(select(table := standing.table(serials)).order_by(table.c.serial)).mappings().all()
+    known = {row["serial"] for row in rows}
+    # A damaged index hides rows without a word.
+    for results in (in_use, refusals):
+        query = select(results.c.serial).where(results.c.lot_id == lot_id).distinct()
+        found = query if serials is None else query.where(results.c.serial.in_(serials))
+        if lost := sorted({*connection.execute(found).scalars()} - known):
+            raise damaged(f"unit {lost[0]} of lot {lot_id} has a result and was not found itself")
+    return [(standing.entry(connection, row), bool(row["is_made"])) for row in rows]
+
+
+def _is_of_unit(table: Table) -> ColumnElement[bool]:
+    return and_(table.c.lot_id == units.c.lot_id, table.c.serial == units.c.serial)
+
+
+def _is_newest(table: Table, names: Sequence[str]) -> ColumnElement[bool]:
     other = table.alias()
     is_same = and_(other.c.lot_id == table.c.lot_id, other.c.serial == table.c.serial)
-    is_newer = tuple_(*(other.c[name] for name in order)) > tuple_(*(table.c[name] for name in order))
-    newer = select(other.c.serial).where(is_same, is_newer).correlate(table).exists()
-    return and_(table.c.lot_id == units.c.lot_id, table.c.serial == units.c.serial, ~newer)
+    is_newer = tuple_(*(other.c[name] for name in names)) > tuple_(*(table.c[name] for name in names))
+    return ~select(other.c.serial).where(is_same, is_newer).correlate(table).exists()
 
 
 def _condition(table: Subquery, wanted: UnitFilter) -> ColumnElement[bool]:
@@ -232,16 +311,3 @@ def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
     column = table.c[wanted.sort]
     first = (column.desc() if wanted.is_descending else column.asc()).nulls_last()
     return [first, table.c.serial]
-
-
-def _entry(lot_id: str, row: RowMapping, limit: LimitInForce) -> UnitEntry:
-    if row["is_stale"] is None:
-        raise damaged(f"unit {row['serial']} of lot {lot_id}: the calibration in use was not found")
-    facts = {name: value for name, value in row.items() if name not in ("reasons", "evidence", "is_doubted")}
-    unjudged = row["evidence"]
-    reasons = tuple(map(Reason.of, row["reasons"] or ())) if unjudged is None else (limit.why(unjudged),)
-    return UnitEntry(lot_id=lot_id, role="target", reasons=reasons, **facts)
-
-
-def _conflict(connection: Connection, entry: UnitEntry) -> UnitEntry:
-    return replace(entry, reasons=(plain(conflict_line(connection, entry.lot_id, entry.serial)),), is_conflict=True)

@@ -1,41 +1,21 @@
 """Lots, their units, and in versions their limits and their rules at the line: who set them, when and why."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, RowMapping, Select, func, select
+from sqlalchemy import RowMapping, Select, select
 
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.line_rules import LineRules, rules_for
 from softcal.core.words.reason import Reason
-from softcal.db.entries import UNDECIDED, LimitEntry, LineRulesEntry, RunEntry, UnitEntry
-from softcal.db.schema.tables import calibrations, in_use, limits, line_rules, lots, refusals, units
-from softcal.db.truth.in_use import (
-    NEWEST_STATEMENT,
-    OF_STATEMENT,
-    check_named,
-    conflict_line,
-    conflicts_of,
-    limit_in_force,
-    of_this_method,
-)
-from softcal.db.truth.judged_against import LimitInForce
-from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
+from softcal.db.entries import LimitEntry, LineRulesEntry, RunEntry, UnitEntry
+from softcal.db.schema.tables import calibrations, limits, line_rules, lots, refusals
+from softcal.db.truth.in_use import lots_of
+from softcal.db.truth.lot_pages import standing_units
+from softcal.db.truth.registry_base import RegistryBase, of_row
 
-RESULT_FIELDS = (
-    "revision",
-    "family",
-    "map_sha256",
-    "predicted_rmse",
-    "before_rmse",
-    "after_rmse",
-    "own_rmse",
-    "verdict",
-    "reasons",
-)
 STATED = "stated with the lot"
 
 
@@ -95,7 +75,10 @@ class LotTables(RegistryBase):
                 self._lot_row(connection, lot_id)
             if serial is not None:
                 self._known_serial(connection, serial)
-            return unit_entries(connection, lot_id, serial)
+            known = self.lot_ids() if serial is None else lots_of(connection, serial)
+            in_lots = known if lot_id is None else [lot_id]
+            serials = None if serial is None else [serial]
+            return [unit for name in in_lots for unit, _ in standing_units(connection, name, serials)]
 
     def runs(self, lot_id: str, serial: str | None = None) -> list[RunEntry]:
         """Return every result of a lot's units, or of one of them, in time order, with units that got no map.
@@ -111,7 +94,10 @@ class LotTables(RegistryBase):
         with self.database.reading() as connection:
             self._lot_row(connection, lot_id)
             rows = [dict(row) for query in queries for row in connection.execute(query).mappings()]
-            stands = {unit.serial: unit for unit in unit_entries(connection, lot_id, serial)}
+            stands = {
+                unit.serial: unit
+                for unit, _ in standing_units(connection, lot_id, None if serial is None else [serial])
+            }
         presses: dict[object, RunEntry] = {}
         for number, row in enumerate(sorted(rows, key=lambda row: (row["made_at"], row["serial"]))):
             press = (row["serial"], row.pop("recording_sha256", number))
@@ -222,61 +208,6 @@ class LotTables(RegistryBase):
         newest = self.limit(row["id"])
         facts = {name: value for name, value in row.items() if name not in ("id", "added_at")}
         return Lot.from_settings(row["id"], facts | {"limit_rmse": newest.rmse if newest else None})
-
-
-def unit_entries(connection: Connection, lot_id: str | None, serial: str | None) -> list[UnitEntry]:
-    """Return units with their newest result."""
-    entries, in_force = {}, dict[str, LimitInForce]()
-    for row in connection.execute(_of(select(units), units, lot_id, serial)).mappings():
-        entries[row["lot_id"], row["serial"]] = {f: row[f] for f in ("lot_id", "serial", "role")}
-    for row in connection.execute(_in_use(lot_id, serial)).mappings():
-        check_named(row)
-        _check_known(entries, row["of_lot"], row["of_unit"])
-        facts = {field: row[field] for field in (*RESULT_FIELDS, "made_at")}
-        if row["of_lot"] not in in_force:
-            in_force[row["of_lot"]] = limit_in_force(connection, row["of_lot"])
-        if (limit := in_force[row["of_lot"]]).is_other_than(row["evidence"]):
-            facts |= {"verdict": UNDECIDED, "reasons": [limit.why(row["evidence"]).to_json()]}
-        entries[row["of_lot"], row["of_unit"]] |= facts | {"is_stale": not row["is_this_method"]}
-    for unit in conflicts_of(connection, lot_id, None if serial is None else [serial]):
-        undecided = {"verdict": UNDECIDED, "reasons": [conflict_line(connection, *unit)], "is_conflict": True}
-        entries[unit] |= dict.fromkeys(RESULT_FIELDS) | undecided | {"is_stale": False}
-    refused = _of(select(refusals), refusals, lot_id, serial).order_by(refusals.c.made_at)
-    if serial is not None:
-        # Refusals are found by lot and serial; by serial alone all of them would be read.
-        refused = refused.where(refusals.c.lot_id.in_({lot for lot, _ in entries}))
-    for row in connection.execute(refused).mappings():
-        _check_known(entries, row["lot_id"], row["serial"])
-        entry = entries[row["lot_id"], row["serial"]]
-        if "made_at" not in entry or row["made_at"] > entry["made_at"]:
-            entry |= {field: row[field] for field in ("verdict", "reasons", "made_at")}
-    made = (
-        UnitEntry(**entry | {"reasons": tuple(map(Reason.of, entry.get("reasons", ())))}) for entry in entries.values()
-    )
-    return sorted(made, key=lambda unit: (unit.lot_id, unit.serial))
-
-
-def _check_known(entries: Mapping[tuple[str, str], object], lot_id: str, serial: str) -> None:
-    if (lot_id, serial) not in entries:
-        raise damaged(f"unit {serial} of lot {lot_id} has a result and was not found itself")
-
-
-def _in_use(lot_id: str | None, serial: str | None) -> Select[Any]:
-    u, c = in_use.c, calibrations.c
-    rank = func.row_number().over(partition_by=(u.lot_id, u.serial), order_by=NEWEST_STATEMENT).label("rank")
-    same = of_this_method().label("is_this_method")
-    columns = [
-        u.lot_id.label("of_lot"),
-        u.serial.label("of_unit"),
-        *(c[field] for field in RESULT_FIELDS),
-        c.evidence,
-        u.made_at,
-        rank,
-        same,
-    ]
-    joined = select(*columns).select_from(in_use).outerjoin(calibrations, OF_STATEMENT)
-    ranked = _of(joined, in_use, lot_id, serial).subquery()
-    return select(ranked).where(ranked.c.rank == 1)
 
 
 def _of(query: Select[Any], table: Any, lot_id: str | None, serial: str | None) -> Select[Any]:
