@@ -103,19 +103,10 @@ def _fill(source: Database, target: Database) -> None:
             migrate(target)
             connection.execute(delete(registry_info).where(registry_info.c.key.not_in(["origin", "origin_sha256"])))
             _copy_tables(rows, connection, keep_origin=False)
-            _tell_of_restore(rows, target)
+            heads = {origin: list(history.head(rows, origin)) for origin in history.origins(rows)}
+            Adoption(target, RegistrySettings()).state_restored(heads)
     finally:
         target.close()
-
-
-def _tell_of_restore(source: Connection, target: Database) -> None:
-    """Begin the chain of the restored registry with where it comes from: each chain's last row at that moment."""
-    heads = {origin: list(history.head(source, origin)) for origin in history.origins(source)}
-    adoption = Adoption(target, RegistrySettings())
-    with target.writing() as connection:
-        at, key = adoption.settings.clock(), (adoption.origin,)
-        history.append(connection, adoption.origin, at, "softcal", "restore", "registry", key, after={"heads": heads})
-    adoption.state_people("restored from a backup")
 
 
 def _copy_tables(source: Connection, target: Connection, *, keep_origin: bool) -> None:

@@ -1,7 +1,7 @@
 """Is the database itself whole: pages, indices, references, tables and triggers as the migrations make them."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from sqlalchemy import Boolean, Connection, Date, and_, func, inspect, select, text, type_coerce
 from sqlalchemy.exc import DBAPIError
@@ -76,20 +76,18 @@ def form_faults(connection: Connection) -> Iterator[str]:
     for table in (*(metadata.tables[name] for name in AUDITED), audit, users):
         read = [column for column in table.columns if isinstance(column.type, IN_WORDS)]
         key = list(table.primary_key.columns)
-        writers = [column.type.dialect_impl(dialect).bind_processor(dialect) or _as_it_is for column in read]
+        writers = [
+            column.type.dialect_impl(dialect).bind_processor(dialect) or (lambda value: value) for column in read
+        ]
         in_order = {"yield_per": 1000}
         stored = select(*key, *(type_coerce(column, NullType()) for column in read)).order_by(*key)
         values = connection.execute(select(*read).order_by(*key), execution_options=in_order)
         for row, found in zip(connection.execute(stored, execution_options=in_order), values, strict=True):
             for column, kept, write, value in zip(read, row[len(key) :], writers, found, strict=True):
-                if kept != write(value):
+                if kept != (value if write is None else write(value)):
                     named = history.row_key(table, {part.name: row[k] for k, part in enumerate(key)})
                     shown = f"{column.name} is not as softcal writes it: {str(kept)[:60]!r}"
                     yield f"{table.name} {canonical_json(named)}: {shown}"
-
-
-def _as_it_is(value: object) -> object:
-    return value
 
 
 def schema_faults(connection: Connection) -> Iterator[str]:
@@ -149,18 +147,13 @@ def origin_sha256(origin: str) -> str:
 
 def people_faults(connection: Connection, origin: str) -> Iterator[str]:
     """Give a line for every person whose row is not what the audit trail of this registry told of last."""
-    told: dict[str, str | None] = {}
     query = select(audit.c.key, audit.c.after).where(audit.c.entity == "users", audit.c.origin == origin)
-    for key, after in connection.execute(query.where(audit.c.action.in_(TOLD_OF_PEOPLE)).order_by(audit.c.seq)):
-        told[key] = after
-    for row in connection.execute(select(users)).mappings():
-        key = canonical_json((row["name"],))
-        expected = told.pop(key, None)
-        if expected is None:
-            yield f"users {key}: was put in without an entry in the audit trail"
-        elif expected != canonical_json(people_as_told(row)):
-            yield f"users {key}: role, PIN or rights were changed behind the audit trail"
-    for key in told:
+    query = query.where(audit.c.action.in_(TOLD_OF_PEOPLE)).order_by(audit.c.seq)
+    told = {key: after for key, after in connection.execute(query)}
+    rows = connection.execute(select(users)).mappings()
+    here = {canonical_json((row["name"],)): canonical_json(people_as_told(row)) for row in rows}
+    yield from _untold("users", here, told, "role, PIN or rights")
+    for key in told.keys() - here.keys():
         yield f"users {key}: is in the audit trail but was removed"
 
 
@@ -168,12 +161,17 @@ def token_faults(connection: Connection) -> Iterator[str]:
     """Give a line for every token whose row is not what the audit trail told of last."""
     query = select(audit.c.key, audit.c.after).where(audit.c.entity == "tokens").order_by(audit.c.at, audit.c.seq)
     told = {key: after for key, after in connection.execute(query)}
-    for row in connection.execute(select(tokens)).mappings():
-        key = canonical_json((row["token_id"],))
-        if key not in told:
-            yield f"tokens {key}: was put in without an entry in the audit trail"
-        elif told[key] != canonical_json(history.plain(token_as_told(row))):
-            yield f"tokens {key}: account, purpose, end or secret were changed behind the audit trail"
+    rows = connection.execute(select(tokens)).mappings()
+    here = {canonical_json((row["token_id"],)): canonical_json(history.plain(token_as_told(row))) for row in rows}
+    yield from _untold("tokens", here, told, "account, purpose, end or secret")
+
+
+def _untold(table: str, here: Mapping[str, str], told: Mapping[str, str | None], facts: str) -> Iterator[str]:
+    for key, row in here.items():
+        if told.get(key) is None:
+            yield f"{table} {key}: was put in without an entry in the audit trail"
+        elif told[key] != row:
+            yield f"{table} {key}: {facts} were changed behind the audit trail"
 
 
 def count_faults(connection: Connection) -> Iterator[str]:

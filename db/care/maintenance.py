@@ -5,7 +5,7 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from sqlalchemy import Connection, Table, insert, inspect, select, text
+from sqlalchemy import Connection, insert, inspect, select, text
 from sqlalchemy.exc import DBAPIError
 
 from softcal.core.errors import RegistryError
@@ -41,7 +41,9 @@ def migrate(database: Database, to: str = "head") -> str:
 
     scripts = ScriptDirectory(str(MIGRATIONS), version_locations=[str(MIGRATIONS)])
     with database.writing() as connection:
-        before = _known_schema(connection)
+        is_new = "alembic_version" not in inspect(connection).get_table_names()
+        version = text("SELECT version_num FROM alembic_version")
+        before = None if is_new else connection.execute(version).scalar_one_or_none()
         context = MigrationContext.configure(
             connection,
             opts={"fn": lambda revision, _: scripts._upgrade_revs(to, revision), "transactional_ddl": True},
@@ -57,13 +59,6 @@ def migrate(database: Database, to: str = "head") -> str:
         if to == "head" and before is not None and before < IN_USE_IS_STATED:
             adopt(database, f"upgraded from schema {before}")
     return str(schema_of(database))
-
-
-def _known_schema(connection: Connection) -> str | None:
-    if "alembic_version" not in inspect(connection).get_table_names():
-        return None
-    found: str | None = connection.execute(text("SELECT version_num FROM alembic_version")).scalar_one_or_none()
-    return found
 
 
 def faults(
@@ -89,11 +84,13 @@ def faults(
             yield from found
         except (ValueError, TypeError, KeyError, RegistryError, DBAPIError) as error:
             # A damaged value may not even be read: that is what was to be found out.
-            yield f"{name}: cannot be read: {_line(error)}"
+            cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
+            yield f"{name}: cannot be read: {(str(cause).splitlines() or [type(cause).__name__])[0][:160]}"
 
 
 def _checks(connection: Connection, is_quick: bool, anchors: Sequence[Anchor]) -> Iterator[tuple[str, Iterator[str]]]:
-    origin = str(connection.execute(select(tables.registry_info.c.value).where(_IS_ORIGIN)).scalar_one_or_none())
+    info = tables.registry_info.c
+    origin = str(connection.execute(select(info.value).where(info.key == "origin")).scalar_one_or_none())
     if not is_quick:
         yield "pages and indices", checks.page_faults(connection)
         yield "tables", checks.schema_faults(connection)
@@ -115,14 +112,6 @@ def _checks(connection: Connection, is_quick: bool, anchors: Sequence[Anchor]) -
     yield "recordings, networks and maps", _blob_faults(connection)
 
 
-_IS_ORIGIN = tables.registry_info.c.key == "origin"
-
-
-def _line(error: BaseException) -> str:
-    cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
-    return (str(cause).splitlines() or [type(cause).__name__])[0][:160]
-
-
 def _row_faults(connection: Connection) -> Iterator[str]:
     # Two registries may have registered the same thing: the row is the one or the other.
     told: dict[tuple[str, str], set[str]] = {}
@@ -136,14 +125,12 @@ def _row_faults(connection: Connection) -> Iterator[str]:
             expected = told.pop((name, key), None)
             if expected is None:
                 yield f"{name} {key}: was put in without an entry in the audit trail"
-            elif not _forms(table, dict(row)) & expected:
+            elif expected.isdisjoint(
+                hashlib.sha256(form.encode()).hexdigest() for form in history.forms(table, dict(row))
+            ):
                 yield f"{name} {key}: was changed after it was written"
     for name, key in told:
         yield f"{name} {key}: is in the audit trail but was removed"
-
-
-def _forms(table: Table, row: dict[str, object]) -> set[str]:
-    return {hashlib.sha256(form.encode()).hexdigest() for form in history.forms(table, row)}
 
 
 def _blob_faults(connection: Connection) -> Iterator[str]:
@@ -164,13 +151,9 @@ def _blob_faults(connection: Connection) -> Iterator[str]:
             yield f"blob {part[:12]} of blob {sha256[:12]}: is missing"
         elif stored[part] != ARRAY:
             yield f"blob {part[:12]}: its size or kind was changed"
-    for table in _tables_with_blobs():
+    for table in (table for table in metadata.sorted_tables if "blob_sha256" in table.columns):
         for sha256 in connection.execute(select(table.c.blob_sha256)).scalars():
             if sha256 is not None and sha256 not in stored:
                 yield f"blob {sha256[:12]} of {table.name}: is missing"
             elif sha256 is not None and stored[sha256] not in KINDS_OF.get(table.name, (ARRAYS,)):
                 yield f"blob {sha256[:12]}: its size or kind was changed"
-
-
-def _tables_with_blobs() -> list[Table]:
-    return [table for table in metadata.sorted_tables if "blob_sha256" in table.columns]

@@ -15,12 +15,12 @@ from sqlalchemy import Connection, Date, Table, and_, func, insert, select
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.db.entries import AuditRow
-from softcal.db.registry import Registry
 from softcal.db.schema.arrays import copy_blob
 from softcal.db.schema.found import forget
 from softcal.db.schema.tables import AUDITED, UtcTime, audit, blobs, limits, metadata
 from softcal.db.truth import history
 from softcal.db.truth.in_use import conflict_line, conflicts_of
+from softcal.db.truth.registry_base import RegistryBase
 
 ROWS_AT_ONCE = 200
 CLOCKS_AGREE = timedelta(minutes=2)
@@ -46,7 +46,7 @@ class SyncReport:
     clocks: tuple[str, ...] = ()
 
 
-def synchronise(here: Registry, there: Registry) -> SyncReport:
+def synchronise(here: RegistryBase, there: RegistryBase) -> SyncReport:
     """Send what `there` does not have, take what `here` does not have.
 
     Raises:
@@ -62,13 +62,20 @@ def synchronise(here: Registry, there: Registry) -> SyncReport:
     return SyncReport(sent, received, tuple(conflicts(here)), tuple(_clocks(here, there)))
 
 
-def conflicts(registry: Registry) -> list[str]:
+def conflicts(registry: RegistryBase) -> list[str]:
     """Return one line for everything that two registries did differently: calibrations, limits, facts of a lot."""
     with registry.database.reading() as connection:
-        return [*_used_differently(connection), *_twice_limited(connection), *_differing_lots(connection)]
+        used = [conflict_line(connection, lot_id, serial) for lot_id, serial in conflicts_of(connection)]
+        version = (limits.c.lot_id, limits.c.version)
+        doubles = select(*version).group_by(*version).having(func.count() > 1).order_by(*version)
+        twice = [
+            f"lot {lot_id!r} limit version {number} was set by two registries; the newer one holds"
+            for lot_id, number in connection.execute(doubles)
+        ]
+        return [*used, *twice, *_differing_lots(connection)]
 
 
-def _clocks(here: Registry, there: Registry) -> Iterator[str]:
+def _clocks(here: RegistryBase, there: RegistryBase) -> Iterator[str]:
     """Give a line for every clock that does not agree: of a server now, of a registry by the newest row it wrote."""
     now = here.settings.clock()
     for side in (here, there):
@@ -88,7 +95,7 @@ def _clocks(here: Registry, there: Registry) -> Iterator[str]:
                 )
 
 
-def _send(source: Registry, target: Registry) -> int:
+def _send(source: RegistryBase, target: RegistryBase) -> int:
     sent = 0
     known: set[Named] = set()
     with source.database.reading() as connection:
@@ -99,14 +106,16 @@ def _send(source: Registry, target: Registry) -> int:
                 for entry in chunk:
                     if entry.entity in AUDITED:
                         table = metadata.tables[entry.entity]
-                        _copy(rows, connection, table, _key_values(table, entry.key), known)
+                        key = zip(table.primary_key.columns, json.loads(entry.key), strict=True)
+                        values = {column.name: _typed(column.type, value) for column, value in key}
+                        _copy(rows, connection, table, values, known)
                 connection.execute(insert(audit), [vars(entry) for entry in chunk])
                 forget(connection)
             sent += len(chunk)
     return sent
 
 
-def _missing(source: Registry, target: Registry, origin: str) -> list[AuditRow]:
+def _missing(source: RegistryBase, target: RegistryBase, origin: str) -> list[AuditRow]:
     """Return the next rows of a chain that the target lacks, after checking that they continue what it has."""
     with target.database.reading() as connection:
         seq, sha256 = history.head(connection, origin)
@@ -147,42 +156,19 @@ def _copy(source: Connection, target: Connection, table: Table, key: dict[str, A
         raise RegistryError(f"{table.name} {list(key.values())} is missing; run `softcal registry verify` there")
     for constraint in table.foreign_key_constraints:
         parent = {element.column.name: row[element.parent.name] for element in constraint.elements}
-        if None not in parent.values():
-            _copy_parent(source, target, constraint.referred_table, parent, known)
+        if None in parent.values():
+            continue
+        if constraint.referred_table is blobs:
+            copy_blob(source, target, parent["sha256"])
+        else:
+            _copy(source, target, constraint.referred_table, parent, known)
     target.execute(insert(table), dict(row))
-
-
-def _copy_parent(source: Connection, target: Connection, table: Table, key: dict[str, Any], known: set[Named]) -> None:
-    if table is blobs:
-        copy_blob(source, target, key["sha256"])
-    else:
-        _copy(source, target, table, key, known)
-
-
-def _key_values(table: Table, key: str) -> dict[str, Any]:
-    columns = list(table.primary_key.columns)
-    return {column.name: _typed(column.type, value) for column, value in zip(columns, json.loads(key), strict=True)}
 
 
 def _typed(kind: object, value: Any) -> Any:
     if isinstance(kind, UtcTime):
         return datetime.fromisoformat(value)
     return date.fromisoformat(value) if isinstance(kind, Date) else value
-
-
-def _used_differently(connection: Connection) -> Iterator[str]:
-    for lot_id, serial in conflicts_of(connection):
-        yield conflict_line(connection, lot_id, serial)
-
-
-def _twice_limited(connection: Connection) -> Iterator[str]:
-    for lot_id, version in _doubles(connection, limits.c.lot_id, limits.c.version):
-        yield f"lot {lot_id!r} limit version {version} was set by two registries; the newer one holds"
-
-
-def _doubles(connection: Connection, *columns: Any) -> list[tuple[Any, ...]]:
-    query = select(*columns).group_by(*columns).having(func.count() > 1).order_by(*columns)
-    return [tuple(row) for row in connection.execute(query)]
 
 
 def _differing_lots(connection: Connection) -> Iterator[str]:

@@ -13,14 +13,13 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, and_, delete, func, or_, select, text, update
 
-from softcal.db.schema.database import OncePerCut
+from softcal.db.schema.database import OncePerCut, parts
 from softcal.db.schema.tables import work_items
 
 MOST_ATTEMPTS = 3
 """An item whose workers died this often is failed: it would take down the next worker, too."""
 
 LONGEST_LEASE = timedelta(hours=1)
-ROWS_AT_ONCE = 500
 STATES = ("queued", "claimed", "failed")
 COUNTED = {"preserve_rowcount": True}
 FREE = {"state": "queued", "owner": None, "lease_until": None}
@@ -77,7 +76,7 @@ class WorkQueue(OncePerCut):
         with self.database.writing() as connection:
             connection.execute(delete(work_items).where(*others, c.work_set.not_in(alive)))
         new = 0
-        for part in _parts(rows):
+        for part in parts(rows):
             with self.database.writing() as connection:
                 new += connection.execute(self._insert_new(), part, execution_options=COUNTED).rowcount
                 serials = c.serial.in_([row["serial"] for row in part])
@@ -120,7 +119,7 @@ class WorkQueue(OncePerCut):
         mine = select(c.id).where(c.owner == owner, c.state == "claimed").with_for_update(skip_locked=True)
         with self.database.writing(in_turn=False) as connection:
             ids = connection.execute(mine).scalars().all()
-            for part in _parts(ids):
+            for part in parts(ids):
                 rows = update(work_items).where(c.id.in_(part))
                 connection.execute(rows.values(lease_until=now + timedelta(seconds=lease_s), changed_at=now))
         return len(ids)
@@ -193,8 +192,3 @@ class WorkQueue(OncePerCut):
 def _of(work: WorkSet) -> tuple[Any, ...]:
     c = work_items.c
     return c.lot_id == work.lot_id, c.kind == work.kind, c.work_set == work.name
-
-
-def _parts(rows: Any) -> Iterable[Any]:
-    """Cut rows into statements of a size that both databases take."""
-    return (rows[start : start + ROWS_AT_ONCE] for start in range(0, len(rows), ROWS_AT_ONCE))

@@ -3,7 +3,6 @@
 Nothing is opened at import. No message of this module contains a password.
 """
 
-import os
 import random
 import sqlite3
 import threading
@@ -21,7 +20,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlche
 from sqlalchemy.pool import StaticPool
 
 from softcal.core.errors import RegistryError
-from softcal.db.schema.file_system import refuse_network_share
+from softcal.db.schema.file_system import prepare_file
 from softcal.db.schema.found import forget
 from softcal.db.schema.tables import SCHEMA
 
@@ -29,7 +28,6 @@ SQLITE_WAIT_S = 60
 """How long a writer waits for its turn before the registry counts as locked."""
 
 LOOK_EVERY_S = (0.001, 0.005)
-
 IN_MEMORY = (None, "", ":memory:")
 STATEMENT_TIMEOUT = "120s"
 AGAIN_AFTER_S = 0.5
@@ -38,8 +36,10 @@ AGAIN_AFTER_S = 0.5
 WRITER_LOCK = 1_900_178
 """Key of the PostgreSQL advisory lock that puts writers of the audit chain in a row."""
 
+VALUES_AT_ONCE = 500
 
 Answer = TypeVar("Answer")
+Part = TypeVar("Part")
 
 
 class ConnectionCut(RegistryError):
@@ -216,6 +216,11 @@ class Database:
             raise RegistryError(f"registry {self.name}: {what}; nothing was changed") from error
 
 
+def parts(values: Sequence[Part]) -> Iterator[Sequence[Part]]:
+    """Cut values into as many as both databases take in one statement."""
+    yield from (values[start : start + VALUES_AT_ONCE] for start in range(0, len(values), VALUES_AT_ONCE))
+
+
 class OncePerCut:
     """Gives every public method a second try where its connection was cut; each is whole transactions.
 
@@ -304,33 +309,12 @@ def _sqlite_engine(url: URL, create: bool) -> Engine:
     if url.database in IN_MEMORY:
         engine = create_engine(url, poolclass=StaticPool, connect_args={"check_same_thread": False})
     else:
-        _check_sqlite_path(path := Path(str(url.database)), create)
-        if not path.exists():
-            # There are hashes of PINs in it: nobody else may read it. SQLite gives its log the same mode.
-            try:
-                os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
-            except FileExistsError:
-                pass
-            except OSError as error:
-                raise RegistryError(f"registry {path}: cannot be written: {error.strerror}") from error
+        prepare_file(Path(str(url.database)), create)
         engine = create_engine(url, connect_args={"timeout": SQLITE_WAIT_S, "check_same_thread": False})
     event.listen(engine, "connect", _set_up_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     event.listen(engine, "rollback_savepoint", forget)
     return engine
-
-
-def _check_sqlite_path(path: Path, create: bool) -> None:
-    folder = path.absolute().parent
-    if not folder.is_dir():
-        raise RegistryError(f"registry {path}: the folder {folder} does not exist; make it or give another URL")
-    if path.is_dir():
-        raise RegistryError(f"registry {path} is a folder; a file was expected")
-    if not create and not path.exists():
-        raise RegistryError(f"registry {path}: there is no such file; `softcal batch` or `softcal demo` makes one")
-    if not os.access(path if path.exists() else folder, os.W_OK) or not os.access(folder, os.W_OK):
-        raise RegistryError(f"registry {path}: {folder} cannot be written; SQLite needs the folder, too")
-    refuse_network_share(folder)
 
 
 def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:

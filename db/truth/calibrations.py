@@ -14,16 +14,13 @@ from softcal.db.schema.arrays import get_arrays, put_arrays
 from softcal.db.schema.found import found_in
 from softcal.db.schema.tables import calibrations, networks, refusals
 from softcal.db.truth import history
-from softcal.db.truth.in_use import InUseTable, heads_of, lots_of, names_several, newest_of_unit
+from softcal.db.truth.in_use import NEWEST_FIRST, InUseTable, heads_of, lots_of, names_several, newest_of_unit
 from softcal.db.truth.lot_pages import standing_units
 from softcal.db.truth.records import PLAIN_FIELDS, record_of
 from softcal.db.truth.registry_base import damaged, of_row
 
 if TYPE_CHECKING:
     from softcal.core.unit.calibration import CalibrationRecord
-
-NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), calibrations.c.origin.desc())
-"""No registry writes a revision older than the one it follows. Which one is in use is not told by this order."""
 
 KNOWN_NETWORK = select(networks.c.id).where(networks.c.id == bindparam("network"))
 LAST_REVISION = select(

@@ -14,11 +14,11 @@ from sqlalchemy import Connection, Table, bindparam, insert, select
 
 from softcal.core.errors import RegistryError
 from softcal.db.entries import AuditRow
+from softcal.db.schema.database import parts
 from softcal.db.schema.found import found_in
 from softcal.db.schema.tables import LATER_COLUMNS, TOLD_BY_HASH, audit, canonical_json
 
 FIRST_HASH = "0" * 64
-KEYS_AT_ONCE = 500
 Values = Mapping[str, object]
 NEWEST = (
     select(audit.c.seq, audit.c.hash).where(audit.c.origin == bindparam("chain")).order_by(audit.c.seq.desc()).limit(1)
@@ -85,9 +85,8 @@ def origins(connection: Connection) -> list[str]:
 def of_entities(connection: Connection, entity: str, keys: Sequence[tuple[str | int, ...]]) -> list[AuditRow]:
     """Return the rows of entities of one kind from every chain, in time order; nothing else is read."""
     found: list[AuditRow] = []
-    for start in range(0, len(keys), KEYS_AT_ONCE):
-        part = [canonical_json(key) for key in keys[start : start + KEYS_AT_ONCE]]
-        query = select(audit).where(audit.c.entity == entity, audit.c.key.in_(part))
+    for part in parts(keys):
+        query = select(audit).where(audit.c.entity == entity, audit.c.key.in_([canonical_json(key) for key in part]))
         found += [AuditRow(**row._mapping) for row in connection.execute(query)]
     return sorted(found, key=lambda row: (row.at, row.origin, row.seq))
 

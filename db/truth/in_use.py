@@ -4,7 +4,7 @@ A unit is a serial of a lot. The newest statement holds. Two registries that wer
 they name different maps nobody can say which is right, and a person has to.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -24,6 +24,7 @@ from sqlalchemy import (
 )
 
 from softcal.core.errors import InputError
+from softcal.db.schema.database import parts
 from softcal.db.schema.found import found_in
 from softcal.db.schema.tables import calibrations, in_use, limits, lots, refusals, units
 from softcal.db.truth import history
@@ -36,7 +37,8 @@ OF_STATEMENT = and_(
     calibrations.c.revision == in_use.c.revision,
     calibrations.c.origin == in_use.c.made_by,
 )
-SERIALS_AT_ONCE = 500
+NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), calibrations.c.origin.desc())
+"""No registry writes a revision older than the one it follows. Which one is in use is not told by this order."""
 
 
 def _of_unit(table: Table, *columns: Any) -> Select[Any]:
@@ -74,15 +76,15 @@ class InUseTable(RegistryBase):
         c = calibrations.c
         with self.database.writing() as connection:
             query = select(calibrations).where(c.lot_id == lot_id, c.serial == serial, c.input_sha256 == input_sha256)
-            order = (c.made_at.desc(), c.revision.desc(), c.origin.desc())
-            made = connection.execute(query.order_by(*order).limit(1)).mappings().first()
+            made = connection.execute(query.order_by(*NEWEST_FIRST).limit(1)).mappings().first()
             if made is None:
                 return False
             heads = heads_of(connection, lot_id, serial)
             if names_several(connection, heads):
                 return True
             refused = newest_refusal(connection, lot_id, serial)
-            asked = _newest_asked(connection, lot_id, serial)
+            last = STATEMENTS.where(in_use.c.input_sha256.is_not(None)).limit(1)
+            asked = connection.execute(last, {"lot": lot_id, "unit": serial}).mappings().first()
             is_asked_again = (
                 asked is not None
                 and asked["input_sha256"] == input_sha256
@@ -139,28 +141,23 @@ class InUseTable(RegistryBase):
 
         Raises:
             InputError: two registries put different maps into use.
+            RegistryError: the audit trail tells of a statement that was not found: an older one would hold.
         """
         heads = heads_of(connection, lot_id, serial)
-        self._check_statements(connection, lot_id, serial)
+        # A damaged index hides rows without a word; the audit trail is found by another one.
+        u = in_use.c
+        query = select(u.origin, func.max(u.number), func.count()).where(u.lot_id == lot_id, u.serial == serial)
+        last = {origin: (number, count) for origin, number, count in connection.execute(query.group_by(u.origin))}
+        if any(number != count for number, count in last.values()):
+            raise damaged(f"unit {serial} of lot {lot_id}: a statement of what is in use was not found")
+        names = sorted({*history.origins(connection), *last})
+        following = [(lot_id, serial, name, last.get(name, (0, 0))[0] + 1) for name in names]
+        self._check_hidden(connection, in_use, following)
         for head in heads:
             self._check_row(connection, in_use, head)
         if names_several(connection, heads):
             raise InputError(conflict_line(connection, lot_id, serial))
         return heads[0] if heads else None
-
-    def _check_statements(self, connection: Connection, lot_id: str, serial: str) -> None:
-        """Raise `RegistryError` where the audit trail tells of a statement that was not found: an older one would hold.
-
-        A damaged index hides rows without a word; the audit trail is found by another one.
-        """
-        u = in_use.c
-        query = select(u.origin, func.max(u.number), func.count()).where(u.lot_id == lot_id, u.serial == serial)
-        last = {origin: (number, count) for origin, number, count in connection.execute(query.group_by(u.origin))}
-        names = {*history.origins(connection), *last}
-        if any(number != count for number, count in last.values()):
-            raise damaged(f"unit {serial} of lot {lot_id}: a statement of what is in use was not found")
-        following = [(lot_id, serial, name, last.get(name, (0, 0))[0] + 1) for name in sorted(names)]
-        self._check_hidden(connection, in_use, following)
 
     def _state(
         self,
@@ -296,17 +293,6 @@ def newest_of_unit(connection: Connection, lot_id: str, serial: str) -> datetime
         stated = connection.execute(LAST_STATEMENT, {"lot": lot_id, "unit": serial}).scalar_one()
     times = [at for at in (stated, newest_refusal(connection, lot_id, serial)) if at is not None]
     return max(times, default=None)
-
-
-def _newest_asked(connection: Connection, lot_id: str, serial: str) -> RowMapping | None:
-    u = in_use.c
-    query = select(in_use).where(u.lot_id == lot_id, u.serial == serial, u.input_sha256.is_not(None))
-    return connection.execute(query.order_by(*NEWEST_STATEMENT).limit(1)).mappings().first()
-
-
-def parts(serials: Sequence[str]) -> Iterable[Sequence[str]]:
-    """Cut serials into questions of a size that both databases take."""
-    return (serials[start : start + SERIALS_AT_ONCE] for start in range(0, len(serials), SERIALS_AT_ONCE))
 
 
 def of_this_method() -> ColumnElement[bool]:

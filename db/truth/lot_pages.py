@@ -29,9 +29,10 @@ from sqlalchemy import (
 from softcal.core.errors import InputError
 from softcal.core.words.reason import DOUBT, Reason, plain
 from softcal.db.entries import UNDECIDED, MadeCalibration, UnitEntry, UnitStanding
+from softcal.db.schema.database import parts
 from softcal.db.schema.tables import calibrations, in_use, refusals, units
 from softcal.db.truth import history
-from softcal.db.truth.in_use import OF_STATEMENT, conflict_line, conflicts_of, limit_in_force, of_this_method, parts
+from softcal.db.truth.in_use import OF_STATEMENT, conflict_line, conflicts_of, limit_in_force, of_this_method
 from softcal.db.truth.judged_against import LimitInForce
 from softcal.db.truth.records import PLAIN_FIELDS, record_of
 from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
