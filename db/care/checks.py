@@ -76,9 +76,7 @@ def form_faults(connection: Connection) -> Iterator[str]:
     for table in (*(metadata.tables[name] for name in AUDITED), audit, users):
         read = [column for column in table.columns if isinstance(column.type, IN_WORDS)]
         key = list(table.primary_key.columns)
-        writers = [
-            column.type.dialect_impl(dialect).bind_processor(dialect) or (lambda value: value) for column in read
-        ]
+        writers = [column.type.dialect_impl(dialect).bind_processor(dialect) for column in read]
         in_order = {"yield_per": 1000}
         stored = select(*key, *(type_coerce(column, NullType()) for column in read)).order_by(*key)
         values = connection.execute(select(*read).order_by(*key), execution_options=in_order)

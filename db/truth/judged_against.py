@@ -28,16 +28,11 @@ class LimitInForce:
     rmse: float | None
     unit: str
 
-    def is_other_than(self, evidence: Mapping[str, object]) -> bool:
-        """Return whether a calibration with this evidence was judged against another limit than this one."""
-        judged = evidence.get(RMSE)
-        if judged is None:
-            # Older versions did not keep it.
-            return False
-        return evidence.get(ORIGIN) == STATED if self.rmse is None else float(str(judged)) != self.rmse
-
     def is_other_in_sql(self) -> ColumnElement[bool]:
-        """Return the same of a row of the calibrations, by its evidence: canonical JSON text."""
+        """Return whether a row of the calibrations was judged against another limit, by its evidence: canonical JSON.
+
+        Older versions did not keep it.
+        """
         text = type_coerce(calibrations.c.evidence, Text)
 
         def says(name: str, value: object) -> ColumnElement[bool]:
