@@ -255,13 +255,17 @@ def blind() -> Iterator[None]:
     nothing: Callable[..., object] = lambda *_, **__: iter(())  # noqa: E731
     with contextlib.ExitStack() as stack:
         stack.enter_context(mock.patch.object(Registry, "_check_row", lambda *_: None))
-        stack.enter_context(mock.patch.object(Registry, "_check_statements", lambda *_: None))
-        stack.enter_context(mock.patch.object(Registry, "_check_revisions", lambda *_: None))
+        stack.enter_context(mock.patch.object(Registry, "_check_hidden", lambda *_: None))
         stack.enter_context(mock.patch("softcal.db.schema.arrays.get_bytes", _bytes_as_they_are))
-        for name in ("_row_faults", "_blob_faults"):
-            stack.enter_context(mock.patch(f"softcal.db.care.maintenance.{name}", nothing))
         stack.enter_context(mock.patch("softcal.db.truth.history.chain_faults", nothing))
-        for name in ("page_faults", "reference_faults", "people_faults", "origin_faults"):
+        for name in (
+            "page_faults",
+            "reference_faults",
+            "people_faults",
+            "origin_faults",
+            "_row_faults",
+            "_blob_faults",
+        ):
             stack.enter_context(mock.patch.object(checks, name, nothing))
         yield
 

@@ -56,7 +56,7 @@ def measured(root: Path) -> Rows:
     rows["lines of the product, every begun 100 characters one"] = str(counted(all_texts))
     rows["lines of the product as they stand"] = str(sum(len(lines_of(path)) for path in all_texts))
     rows |= functions(trees)
-    modules = [path for files in paths.values() for path in files if path.stat().st_size]
+    modules = [path for files in paths.values() for path in files if path.name != "__init__.py"]
     rows["modules"] = str(len(modules))
     rows[f"modules under {SMALL_MODULE} lines"] = str(sum(len(lines_of(path)) < SMALL_MODULE for path in modules))
     rows[f"modules that {FITTED} imports"] = str(len({module for module, _ in imported(trees[FITTED])}))

@@ -160,9 +160,9 @@ class Registry(
         on_step: Callable[[str], None] = lambda _: None,
     ) -> list[str]:
         """Check the database, every blob, every row and the audit chain; return one line per fault, none when all is
-        well. `db.maintenance.faults` says what the arguments mean."""
+        well. `db.care.checks.faults` says what the arguments mean."""
         # Only the check pays for what it needs.
-        from softcal.db.care.maintenance import faults
+        from softcal.db.care.checks import faults
 
         with self.database.reading() as connection:
             return list(faults(connection, is_quick=is_quick, anchors=anchors, on_step=on_step))

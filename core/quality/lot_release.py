@@ -151,8 +151,8 @@ def release_lot(
     if days:
         statement.append(reason("release.days", day=max(days.values()), unit=limit.unit))
     if common is not None:
-        line = {"gain": common.line.gain, "zero": common.line.zero, "unit": limit.unit}
-        statement.append(reason("release.common", **line, audits=common.audits))
+        gain, zero = common.line.gain, common.line.zero
+        statement.append(reason("release.common", gain=gain, zero=zero, unit=limit.unit, audits=common.audits))
     if doubts:
         statement.append(reason("release.doubts", serials=", ".join(doubts)))
     said, days, doubts = several(statement), days or {}, doubts or {}

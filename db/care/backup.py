@@ -8,8 +8,8 @@ from pathlib import Path
 from sqlalchemy import Connection, Select, delete, insert, select
 
 from softcal.core.errors import RegistryError
-from softcal.db.care.adoption import Adoption
-from softcal.db.care.maintenance import faults, migrate
+from softcal.db.care.checks import faults
+from softcal.db.care.maintenance import Adoption, migrate
 from softcal.db.schema.database import Database, check_schema, open_database, schema_of
 from softcal.db.schema.tables import SCHEMA, heartbeats, metadata, registry_info, tokens, work_items
 from softcal.db.truth import history

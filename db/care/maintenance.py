@@ -1,26 +1,18 @@
-"""Create and upgrade the schema, and check that nothing in a registry was damaged or edited."""
+"""Create and upgrade the schema, and what a registry states anew when it was upgraded or restored."""
 
-import hashlib
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from sqlalchemy import Connection, insert, inspect, select, text
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy import and_, func, insert, inspect, select, text
 
-from softcal.core.errors import RegistryError
+from softcal.db.access.people import people_as_told
 from softcal.db.care import checks
-from softcal.db.care.adoption import adopt
-from softcal.db.entries import Anchor
 from softcal.db.schema import tables
-from softcal.db.schema.arrays import ARRAY, ARRAYS, parts_of
 from softcal.db.schema.database import Database, schema_of
-from softcal.db.schema.tables import AUDITED, blobs, canonical_json, metadata
-from softcal.db.truth import history
-
-BLOB_KINDS = (ARRAYS, ARRAY, "document", "job")
-KINDS_OF = {"certificates": ("document",)}
-"""Kind of the blobs that a table's rows name; all others name arrays."""
+from softcal.db.schema.tables import calibrations, in_use, network_releases, networks, users
+from softcal.db.truth.in_use import NEWEST_FIRST, InUseTable
+from softcal.db.truth.registry_base import RegistrySettings
 
 MIGRATIONS = Path(__file__).parents[1] / "schema" / "migrations"
 
@@ -57,103 +49,49 @@ def migrate(database: Database, to: str = "head") -> str:
             origin = connection.execute(select(info.c.value).where(info.c.key == "origin")).scalar_one()
             connection.execute(insert(info).values(key="origin_sha256", value=checks.origin_sha256(origin)))
         if to == "head" and before is not None and before < IN_USE_IS_STATED:
-            adopt(database, f"upgraded from schema {before}")
+            reason = f"upgraded from schema {before}"
+            adoption = Adoption(database, RegistrySettings())
+            adoption.state_maps(reason)
+            adoption.state_networks(reason)
+            adoption.state_people(reason)
     return str(schema_of(database))
 
 
-def faults(
-    connection: Connection,
-    *,
-    is_quick: bool = False,
-    anchors: Sequence[Anchor] = (),
-    on_step: Callable[[str], None] = lambda _: None,
-) -> Iterator[str]:
-    """Give one line for every page, row, blob, trigger or link of the audit chain that is not what was written.
+class Adoption(InUseTable):
+    """Writes statements of a registry's own about rows that came from elsewhere or from an older schema."""
 
-    Args:
-        is_quick: leave out what reads every page and every blob.
-        anchors: what was written down of the chains elsewhere.
-        on_step: told what is checked next.
-    """
-    for name, check in _checks(connection, is_quick, anchors):
-        on_step(name)
-        try:
-            # A query that fails ends a transaction of PostgreSQL; the checks after it go on in what is left.
-            with connection.begin_nested():
-                found = list(check)
-            yield from found
-        except (ValueError, TypeError, KeyError, RegistryError, DBAPIError) as error:
-            # A damaged value may not even be read: that is what was to be found out.
-            cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
-            yield f"{name}: cannot be read: {(str(cause).splitlines() or [type(cause).__name__])[0][:160]}"
+    def state_maps(self, reason: str) -> None:
+        """State for every unit without a statement that its newest calibration is in use: the rule until then."""
+        c, u = calibrations.c, in_use.c
+        rank = func.row_number().over(partition_by=(c.lot_id, c.serial), order_by=NEWEST_FIRST).label("rank")
+        is_stated = select(u.number).where(and_(u.lot_id == c.lot_id, u.serial == c.serial)).exists()
+        columns = (c.lot_id, c.serial, c.revision, c.origin.label("made_by"), c.input_sha256, c.made_at, c.actor, rank)
+        ranked = select(*columns).where(~is_stated).subquery()
+        with self.database.writing() as connection:
+            for row in self.database.rows(select(ranked).where(ranked.c.rank == 1)):
+                told = {"decided_by": "upgrade", "input_sha256": row["input_sha256"]}
+                self._state(
+                    connection, row["lot_id"], row["serial"], dict(row), told, row["actor"], reason, row["made_at"]
+                )
 
+    def state_networks(self, reason: str) -> None:
+        """State that the networks from before releases were known stay released, since when they were trained."""
+        n, r = networks.c, network_releases.c
+        is_decided = select(r.network_id).where(r.network_id == n.id).exists()
+        with self.database.writing() as connection:
+            for row in self.database.rows(select(networks).where(~is_decided).order_by(n.added_at, n.id)):
+                values = {"network_id": row["id"], "made_at": row["added_at"], "origin": self.origin}
+                told = {"lot_id": row["lot_id"], "state": "released", "actor": "softcal", "reason": reason}
+                self._store(connection, network_releases, values | told, "release", "softcal", reason)
 
-def _checks(connection: Connection, is_quick: bool, anchors: Sequence[Anchor]) -> Iterator[tuple[str, Iterator[str]]]:
-    info = tables.registry_info.c
-    origin = str(connection.execute(select(info.value).where(info.key == "origin")).scalar_one_or_none())
-    if not is_quick:
-        yield "pages and indices", checks.page_faults(connection)
-        yield "tables", checks.schema_faults(connection)
-    yield "foreign tables", checks.alien_tables(connection)
-    yield "triggers", checks.trigger_faults(connection)
-    yield "origin", checks.origin_faults(connection)
-    yield "people", checks.people_faults(connection, origin)
-    yield "tokens", checks.token_faults(connection)
-    for anchor in anchors:
-        yield "what was written down elsewhere", checks.anchor_faults(connection, anchor.heads, anchor.where)
-    if is_quick:
-        yield "rows", checks.count_faults(connection)
-        yield "audit trail", checks.newest_faults(connection)
-        return
-    yield "references", checks.reference_faults(connection)
-    yield "audit trail", history.chain_faults(history.rows(connection))
-    yield "rows", _row_faults(connection)
-    yield "values", checks.form_faults(connection)
-    yield "recordings, networks and maps", _blob_faults(connection)
+    def state_restored(self, heads: Mapping[str, Sequence[object]]) -> None:
+        """Begin this registry's own chain with where it comes from: each chain's last row at that moment."""
+        with self.database.writing() as connection:
+            self._tell(connection, "restore", "registry", (self.origin,), after={"heads": heads})
+        self.state_people("restored from a backup")
 
-
-def _row_faults(connection: Connection) -> Iterator[str]:
-    # Two registries may have registered the same thing: the row is the one or the other.
-    told: dict[tuple[str, str], set[str]] = {}
-    for entry in history.rows(connection):
-        if entry.entity in AUDITED and entry.after is not None:
-            told.setdefault((entry.entity, entry.key), set()).add(hashlib.sha256(entry.after.encode()).hexdigest())
-    for name in AUDITED:
-        table = metadata.tables[name]
-        for row in connection.execute(select(table), execution_options={"yield_per": 1000}).mappings():
-            key = canonical_json(history.row_key(table, dict(row)))
-            expected = told.pop((name, key), None)
-            if expected is None:
-                yield f"{name} {key}: was put in without an entry in the audit trail"
-            elif expected.isdisjoint(
-                hashlib.sha256(form.encode()).hexdigest() for form in history.forms(table, dict(row))
-            ):
-                yield f"{name} {key}: was changed after it was written"
-    for name, key in told:
-        yield f"{name} {key}: is in the audit trail but was removed"
-
-
-def _blob_faults(connection: Connection) -> Iterator[str]:
-    stored, parts = dict[str, str](), dict[str, str]()
-    for row in connection.execute(select(blobs), execution_options={"yield_per": 50}):
-        stored[row.sha256] = row.kind
-        if row.size != len(row.data) or row.kind not in BLOB_KINDS:
-            yield f"blob {row.sha256[:12]}: its size or kind was changed"
-        if hashlib.sha256(row.data).hexdigest() != row.sha256:
-            yield f"blob {row.sha256[:12]}: its bytes were changed"
-        elif row.kind == ARRAYS:
-            try:
-                parts |= dict.fromkeys(parts_of(row.data).values(), row.sha256)
-            except RegistryError as error:
-                yield f"blob {row.sha256[:12]}: {error}"
-    for part, sha256 in parts.items():
-        if part not in stored:
-            yield f"blob {part[:12]} of blob {sha256[:12]}: is missing"
-        elif stored[part] != ARRAY:
-            yield f"blob {part[:12]}: its size or kind was changed"
-    for table in (table for table in metadata.sorted_tables if "blob_sha256" in table.columns):
-        for sha256 in connection.execute(select(table.c.blob_sha256)).scalars():
-            if sha256 is not None and sha256 not in stored:
-                yield f"blob {sha256[:12]} of {table.name}: is missing"
-            elif sha256 is not None and stored[sha256] not in KINDS_OF.get(table.name, (ARRAYS,)):
-                yield f"blob {sha256[:12]}: its size or kind was changed"
+    def state_people(self, reason: str) -> None:
+        """Tell of every person in this registry's own chain, so that `verify` can compare."""
+        with self.database.writing() as connection:
+            for row in self.database.rows(select(users).order_by(users.c.name)):
+                self._tell(connection, "state", "users", (row["name"],), after=people_as_told(row), reason=reason)

@@ -73,7 +73,7 @@ def upgrade() -> None:
 
 
 def _releases_and_line() -> None:
-    """Make the tables. That what a lot had before stays in use is stated in the audit trail, by `db.adoption`."""
+    """Make the tables. That what a lot had before stays in use is stated in the audit trail, by `db.care`."""
     op.create_table(
         "network_releases",
         sa.Column("network_id", sa.String(length=64), nullable=False),
