@@ -35,6 +35,7 @@ check: $(STAMP)
 	mkdir -p .links && ln -sfn .. .links/softcal
 	MYPYPATH=.links $(BIN)/mypy --explicit-package-bases -p softcal.core -p softcal.db -p softcal.station -p softcal.app
 	PYTHONPATH=.links $(BIN)/lint-imports
+	$(BIN)/vulture
 
 # Benchmarks run for hours and seldom: their calls are checked against what they call, not their own style.
 check-benchmarks: $(STAMP)

@@ -48,6 +48,6 @@ def current_user() -> str:
 def open_chosen_registry(option: str | None, *, create: bool = True) -> "Registry":
     """Open the registry that option, environment or default name, with the current user as its actor."""
     from softcal.db.connection import open_registry
-    from softcal.db.registry_base import RegistrySettings
+    from softcal.db.truth.registry_base import RegistrySettings
 
     return open_registry(registry_url(option), RegistrySettings(actor=current_user()), create=create)

@@ -41,7 +41,7 @@ ROOMS = {
     "core/gap": "core/gap/*.py",
     "core/quality": "core/quality/*.py",
     "station": "station/{safety,interlock,bounds,motion,watched,acquisition,contact,feeding,proof,steps}.py",
-    "db": "db/*.py",
+    "db": "db/*/*.py",
     "app/batch": "app/batch/*.py",
 }
 COMPARE = {

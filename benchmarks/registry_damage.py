@@ -29,13 +29,13 @@ from softcal.core.orders import Order, OrderKind
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.recording import OutputRecording
 from softcal.core.words.reason import plain
-from softcal.db import checks
-from softcal.db.arrays import READ_BLOB
+from softcal.db.care import checks
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate, GoldenRun
+from softcal.db.queues.work_queue import WorkSet
 from softcal.db.registry import Registry
-from softcal.db.tables import metadata
-from softcal.db.work_queue import WorkSet
+from softcal.db.schema.arrays import READ_BLOB
+from softcal.db.schema.tables import metadata
 
 UNITS = 24
 KINDS = {2: "index, inner", 5: "table, inner", 10: "index, leaf", 13: "table, leaf"}
@@ -255,13 +255,17 @@ def blind() -> Iterator[None]:
     nothing: Callable[..., object] = lambda *_, **__: iter(())  # noqa: E731
     with contextlib.ExitStack() as stack:
         stack.enter_context(mock.patch.object(Registry, "_check_row", lambda *_: None))
-        stack.enter_context(mock.patch.object(Registry, "_check_statements", lambda *_: None))
-        stack.enter_context(mock.patch.object(Registry, "_check_revisions", lambda *_: None))
-        stack.enter_context(mock.patch("softcal.db.arrays.get_bytes", _bytes_as_they_are))
-        for name in ("_row_faults", "_blob_faults"):
-            stack.enter_context(mock.patch(f"softcal.db.maintenance.{name}", nothing))
-        stack.enter_context(mock.patch("softcal.db.history.chain_faults", nothing))
-        for name in ("page_faults", "reference_faults", "people_faults", "origin_faults"):
+        stack.enter_context(mock.patch.object(Registry, "_check_hidden", lambda *_: None))
+        stack.enter_context(mock.patch("softcal.db.schema.arrays.get_bytes", _bytes_as_they_are))
+        stack.enter_context(mock.patch("softcal.db.truth.history.chain_faults", nothing))
+        for name in (
+            "page_faults",
+            "reference_faults",
+            "people_faults",
+            "origin_faults",
+            "_row_faults",
+            "_blob_faults",
+        ):
             stack.enter_context(mock.patch.object(checks, name, nothing))
         yield
 

@@ -30,7 +30,7 @@ from registry_common import begin_lot, print_markdown, record
 from softcal.app.files.lot_folder import open_lot_folder, write_lot_toml
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
-from softcal.db.backup import back_up, restore
+from softcal.db.care.backup import back_up, restore
 from softcal.db.connection import open_registry
 
 SHARES = {"csv": 0.35, "bytes": 0.25, "xlsx": 0.1, "sheet": 0.08, "parquet": 0.12, "toml": 0.09, "archive": 0.01}

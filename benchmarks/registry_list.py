@@ -12,10 +12,10 @@ from pathlib import Path
 
 from registry_common import DATABASES, begin_lot, fresh_url, print_markdown, record
 
-from softcal.db.backup import back_up
+from softcal.db.care.backup import back_up
+from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
-from softcal.db.sync import synchronise
 
 CHUNK = 100
 

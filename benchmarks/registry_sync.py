@@ -23,7 +23,7 @@ from sqlalchemy.exc import DBAPIError
 
 from softcal.core.errors import RegistryError
 from softcal.db.connection import open_registry
-from softcal.db.tables import audit
+from softcal.db.schema.tables import audit
 
 HEADER = (
     "units",

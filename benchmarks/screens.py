@@ -37,8 +37,8 @@ from softcal.core.unit.calibrate import UnitProblem, calibrate
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.source_model import make_source_model
 from softcal.db.connection import open_registry
-from softcal.db.lot_pages import UnitFilter
 from softcal.db.registry import Registry
+from softcal.db.truth.lot_pages import UnitFilter
 
 CHUNK = 200
 SETTLE_MS = 500

@@ -1,9 +1,9 @@
 """Open the registry behind a URL."""
 
 from softcal.core.errors import RegistryError
-from softcal.db.database import Database, check_schema, open_database, schema_of
 from softcal.db.registry import Registry
-from softcal.db.registry_base import RegistrySettings
+from softcal.db.schema.database import check_schema, open_database, schema_of
+from softcal.db.truth.registry_base import RegistrySettings
 
 
 def open_registry(url: str, settings: RegistrySettings | None = None, *, create: bool = True) -> Registry:
@@ -17,19 +17,18 @@ def open_registry(url: str, settings: RegistrySettings | None = None, *, create:
     """
     database = open_database(url, create=create)
     try:
-        check_schema(database, _schema(database, create))
+        schema = schema_of(database)
+        if schema is None and not create:
+            raise RegistryError(
+                f"registry {database.name}: there is no registry yet; `softcal batch` or `demo` makes one"
+            )
+        if schema is None:
+            # Whoever opens what is there needs no migrations.
+            from softcal.db.care.maintenance import migrate
+
+            schema = migrate(database)
+        check_schema(database, schema)
         return Registry(database, settings or RegistrySettings())
     except BaseException:
         database.close()
         raise
-
-
-def _schema(database: Database, create: bool) -> str:
-    schema = schema_of(database)
-    if schema is not None:
-        return schema
-    if not create:
-        raise RegistryError(f"registry {database.name}: there is no registry yet; `softcal batch` or `demo` makes one")
-    from softcal.db.maintenance import migrate
-
-    return migrate(database)

@@ -1,7 +1,7 @@
 """What the registry gives back: frozen values, never rows of a table."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from datetime import date, datetime
 from typing import TYPE_CHECKING
 
@@ -94,22 +94,6 @@ class StoredCalibration:
         return self.record.serial
 
 
-REPORTED = (
-    *("serial", "verdict", "reasons", "family", "map_sha256", "predicted_rmse", "before_rmse", "after_rmse"),
-    *(
-        "own_rmse",
-        "fit_s",
-        "decision",
-        "method_id",
-        "forecast_rmse",
-        "load_rms",
-        "audit",
-    ),
-    *("audit_line", "common_line"),
-)
-"""Fields of `MadeCalibration` that `CalibrationRecord` has under the same name."""
-
-
 @dataclass(frozen=True)
 class MadeCalibration:
     """One revision as a report needs it: light, so that a lot of ten thousand fits into memory.
@@ -153,7 +137,8 @@ class MadeCalibration:
     @classmethod
     def of(cls, record: "CalibrationRecord", revision: int) -> "MadeCalibration":
         """Return what a report needs of a calibration."""
-        plain = {name: getattr(record, name) for name in REPORTED}
+        same = (one.name for one in fields(cls) if one.name not in ("revision", "knowledge"))
+        plain = {name: getattr(record, name) for name in same}
         return cls(**plain, revision=revision, knowledge=str(record.knowledge))
 
     @property

@@ -13,30 +13,28 @@ from typing import TYPE_CHECKING
 from sqlalchemy.exc import DataError, DBAPIError, StatementError
 
 from softcal.core.errors import InputError
-from softcal.db import history
-from softcal.db.adaptation_tables import AdaptationTables
-from softcal.db.calibration_tables import CalibrationTables
+from softcal.db.access.people import People
+from softcal.db.access.tokens import TokenTable
 from softcal.db.entries import Anchor, AuditRow, Heads
-from softcal.db.line_rules import LineRulesTable
-from softcal.db.lot_pages import LotPages
-from softcal.db.lot_tables import LotTables
-from softcal.db.network_release import NetworkReleases
-from softcal.db.people import People
-from softcal.db.station_tables import StationTables
-from softcal.db.tokens import TokenTable
+from softcal.db.truth import history
+from softcal.db.truth.adaptations import AdaptationTables
+from softcal.db.truth.calibrations import CalibrationTables
+from softcal.db.truth.lot_pages import LotPages
+from softcal.db.truth.lots import LotTables
+from softcal.db.truth.network_release import NetworkReleases
+from softcal.db.truth.stations import StationTables
 
 if TYPE_CHECKING:
-    from softcal.db.job_board import JobBoard
-    from softcal.db.line_place import LinePlaces
-    from softcal.db.order_queue import OrderQueue
-    from softcal.db.outbox import Outbox
-    from softcal.db.work_queue import WorkQueue
+    from softcal.db.queues.job_board import JobBoard
+    from softcal.db.queues.line_place import LinePlaces
+    from softcal.db.queues.order_queue import OrderQueue
+    from softcal.db.queues.outbox import Outbox
+    from softcal.db.queues.work_queue import WorkQueue
 
 
 class Registry(
     LotTables,
     LotPages,
-    LineRulesTable,
     NetworkReleases,
     CalibrationTables,
     AdaptationTables,
@@ -83,35 +81,35 @@ class Registry(
     def work_queue(self) -> WorkQueue:
         """The durable work items of this registry's lots."""
         # Here and below: whoever lists units has no use for queues and boards.
-        from softcal.db.work_queue import WorkQueue
+        from softcal.db.queues.work_queue import WorkQueue
 
         return WorkQueue(self.database, self.settings.clock)
 
     @property
     def order_queue(self) -> OrderQueue:
         """The orders to this registry's stations, their runs and heartbeats."""
-        from softcal.db.order_queue import OrderQueue
+        from softcal.db.queues.order_queue import OrderQueue
 
         return OrderQueue(self.database, self.settings.clock)
 
     @property
     def line_places(self) -> LinePlaces:
         """What stands at each line: the unit that waits for its run, the last sentence, the badge."""
-        from softcal.db.line_place import LinePlaces
+        from softcal.db.queues.line_place import LinePlaces
 
-        return LinePlaces(self.database)
+        return LinePlaces(self.database, self.settings.clock)
 
     @property
     def job_board(self) -> JobBoard:
         """Long computations that pages ask for."""
-        from softcal.db.job_board import JobBoard
+        from softcal.db.queues.job_board import JobBoard
 
         return JobBoard(self.database, self.settings.clock)
 
     @property
     def outbox(self) -> Outbox:
         """How far each destination outside is in the audit trail."""
-        from softcal.db.outbox import Outbox
+        from softcal.db.queues.outbox import Outbox
 
         return Outbox(self.database, self.settings.clock)
 
@@ -127,8 +125,7 @@ class Registry(
     ) -> None:
         """Put what changes no table (an export, an override of the station's gate) into the audit trail."""
         with self.database.writing() as connection:
-            at, who = self.settings.clock(), self._actor(actor)
-            history.append(connection, self.origin, at, who, action, entity, key, after=values, reason=reason)
+            self._tell(connection, action, entity, key, actor, after=values, reason=reason)
 
     def events(self, entity: str, key: tuple[str | int, ...]) -> list[AuditRow]:
         """Return what the audit trail tells of one entity, in time order, whichever registry wrote it."""
@@ -163,9 +160,9 @@ class Registry(
         on_step: Callable[[str], None] = lambda _: None,
     ) -> list[str]:
         """Check the database, every blob, every row and the audit chain; return one line per fault, none when all is
-        well. `db.maintenance.faults` says what the arguments mean."""
+        well. `db.care.checks.faults` says what the arguments mean."""
         # Only the check pays for what it needs.
-        from softcal.db.maintenance import faults
+        from softcal.db.care.checks import faults
 
         with self.database.reading() as connection:
             return list(faults(connection, is_quick=is_quick, anchors=anchors, on_step=on_step))

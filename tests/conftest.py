@@ -21,7 +21,7 @@ from hypothesis.stateful import RuleBasedStateMachine, run_state_machine_as_test
 from scipy.signal import lfilter
 
 from softcal.core.errors import SoftcalError
-from softcal.db import people
+from softcal.db.access import people
 
 # What is drawn is the same on every run: fresh draws belong to benchmarks.
 settings.register_profile("fixed", derandomize=True, database=None, deadline=None)

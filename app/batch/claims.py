@@ -6,8 +6,8 @@ import threading
 import uuid
 
 from softcal.core.errors import RegistryError
+from softcal.db.queues.work_queue import WorkItem, WorkSet
 from softcal.db.registry import Registry
-from softcal.db.work_queue import WorkItem, WorkSet
 
 LEASE_S = 60.0
 """A process on another machine that died is noticed after this time; one of this machine at once."""

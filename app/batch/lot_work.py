@@ -46,8 +46,8 @@ from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Release, Verdict
 from softcal.core.words.reason import plain
 from softcal.db.entries import UnitStanding
+from softcal.db.queues.work_queue import WorkItem, WorkSet
 from softcal.db.registry import Registry
-from softcal.db.work_queue import WorkItem, WorkSet
 
 CHUNK_S = 1.0
 """Seconds of CPU a chunk should hold. By `benchmarks/batch_chunks.py` a chunk of one unit costs the command twice as

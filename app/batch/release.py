@@ -23,8 +23,8 @@ from softcal.core.unit.uncertainty import ErrorForecast
 from softcal.core.unit.verdict import Limit
 from softcal.core.words.reason import Reason
 from softcal.db.entries import MadeCalibration, RecordingEntry, StoredCalibration, UnitEntry, UnitStanding
-from softcal.db.judged_against import STALE
 from softcal.db.registry import Registry
+from softcal.db.truth.judged_against import STALE
 
 STATEMENT = "lot_release"
 BASE = "base_revision"

@@ -12,8 +12,8 @@ from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.network.network import Network
 from softcal.core.network.training import fit_network
 from softcal.core.recording import LabelledRecording
+from softcal.db.queues.work_queue import WorkItem, WorkSet
 from softcal.db.registry import Registry
-from softcal.db.work_queue import WorkItem, WorkSet
 
 LOOK_EVERY_S = 1.0
 """How often a process that waits for another one's network looks whether it is there."""

@@ -111,7 +111,7 @@ def say_written(url: str) -> None:
     """Say which registry was written to, without its password."""
     from sqlalchemy import make_url
 
-    from softcal.db.database import shown_url
+    from softcal.db.schema.database import shown_url
 
     say(f"written to the registry {shown_url(make_url(url))}")
 

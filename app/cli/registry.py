@@ -203,7 +203,7 @@ def _sync(options: argparse.Namespace) -> int:
 
 
 def _grants(options: argparse.Namespace) -> int:
-    from softcal.db.grants import grant_statements
+    from softcal.db.access.grants import grant_statements
 
     statements = grant_statements(options.line, options.reader, options.manager)
     return _answer(options, "\n".join(statements), {"schema": "softcal.registry.grants/1", "sql": statements})

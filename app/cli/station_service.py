@@ -16,7 +16,7 @@ from softcal.core.orders import Order, OrderKind, Progress, RunState, StationSta
 
 if TYPE_CHECKING:
     from softcal.core.orders import Heartbeat
-    from softcal.db.order_queue import OrderQueue
+    from softcal.db.queues.order_queue import OrderQueue
     from softcal.db.registry import Registry
 
 PATIENCE_S = 10.0
@@ -230,7 +230,7 @@ def run_order(options: argparse.Namespace) -> int:
 def _is_there(queue: "OrderQueue", station: str) -> bool:
     """Return whether a station's service is there: its beat is fresh, or late while its process is seen to live."""
     from softcal.app.line.place import is_alive
-    from softcal.db.order_queue import TAKEN_OVER_AFTER
+    from softcal.db.queues.order_queue import TAKEN_OVER_AFTER
 
     beat = queue.heartbeat(station)
     if beat is None or beat.state is StationState.OFF or is_alive(beat.process) is False:

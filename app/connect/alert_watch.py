@@ -8,7 +8,7 @@ from softcal.app.connect.events import ALERTS, lots_judged_since
 from softcal.app.texts.catalogue import LANGUAGES, instant, text
 from softcal.app.views.alerts import Alert, lot_alerts, plant_alerts
 from softcal.app.views.lot import lot_view
-from softcal.db.outbox import Cursor
+from softcal.db.queues.outbox import Cursor
 from softcal.db.registry import Registry
 
 WATCHER = "softcal connect"

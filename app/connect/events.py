@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 from softcal.core.words.reason import Reason
 from softcal.db.entries import AuditRow
-from softcal.db.outbox import Cursor
+from softcal.db.queues.outbox import Cursor
 from softcal.db.registry import Registry
 
 VERDICT, RAISED, CLEARED, CHANGE = "verdict", "alert.raised", "alert.cleared", "change"

@@ -13,7 +13,7 @@ from typing import Protocol
 from softcal.app.connect.events import RegistryEvent, events_after
 from softcal.app.connect.settings import DestinationSettings
 from softcal.core.errors import SoftcalError
-from softcal.db.outbox import Delivery
+from softcal.db.queues.outbox import Delivery
 from softcal.db.registry import Registry
 
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 900.0

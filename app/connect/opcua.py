@@ -19,8 +19,8 @@ from softcal.app.connect.events import FOR_ALL, events_after, lots_judged_since,
 from softcal.app.connect.settings import OpcUaSettings
 from softcal.app.connect.stations import station_json
 from softcal.core.errors import InputError, SoftcalError
-from softcal.db.outbox import Cursor, cursor_of, cursor_text
-from softcal.db.people import may
+from softcal.db.access.people import may
+from softcal.db.queues.outbox import Cursor, cursor_of, cursor_text
 from softcal.db.registry import Registry
 
 NAMESPACE, APPLICATION = "urn:softcal:registry", "urn:softcal:server"

@@ -22,12 +22,12 @@ from softcal.app.texts.reasons import told
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.orders import RunState
+from softcal.db.access.people import PERMISSIONS, may, permissions
 from softcal.db.entries import User
-from softcal.db.job_board import Job
-from softcal.db.lot_pages import UnitFilter
-from softcal.db.outbox import cursor_of, cursor_text
-from softcal.db.people import PERMISSIONS, may, permissions
+from softcal.db.queues.job_board import Job
+from softcal.db.queues.outbox import cursor_of, cursor_text
 from softcal.db.registry import Registry
+from softcal.db.truth.lot_pages import UnitFilter
 
 MOST = 500
 """Rows of one answer at most."""

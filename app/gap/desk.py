@@ -23,7 +23,7 @@ from softcal.core.recording import Array
 if TYPE_CHECKING:
     from softcal.app.charts.gap import RunView
     from softcal.core.gap.diagnosis import Diagnosis
-    from softcal.db.arrays import Arrays
+    from softcal.db.schema.arrays import Arrays
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
 LARGEST_RUN_BYTES = 50_000_000

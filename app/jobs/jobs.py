@@ -15,7 +15,7 @@ from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.orders import RunState
 from softcal.core.recording import LabelledRecording
 from softcal.core.words.reason import packed, to_kept
-from softcal.db.job_board import Job, JobBoard
+from softcal.db.queues.job_board import Job, JobBoard
 from softcal.db.registry import Registry
 
 BEAT_S = 1.0

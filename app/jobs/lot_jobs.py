@@ -12,7 +12,7 @@ from softcal.app.jobs.outcome import Outcome, Teller
 from softcal.app.jobs.process import DEMO
 from softcal.core.errors import InputError
 from softcal.core.network.config import EpochReport
-from softcal.db.job_board import Job
+from softcal.db.queues.job_board import Job
 from softcal.db.registry import Registry
 
 KEPT_S = 24 * 3600.0

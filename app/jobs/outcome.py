@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from softcal.db.job_board import JobBoard
+from softcal.db.queues.job_board import JobBoard
 
 if TYPE_CHECKING:
-    from softcal.db.arrays import Arrays
+    from softcal.db.schema.arrays import Arrays
 
 REPORT_S = 0.4
 """Between two reports; each is one transaction."""

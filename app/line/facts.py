@@ -12,9 +12,9 @@ from softcal.core.quality.known_loads import KnownLoad, asked_loads, next_step
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.verdict import Verdict
 from softcal.db.entries import RunEntry, UnitStanding
-from softcal.db.network_release import NetworkState
-from softcal.db.order_queue import SILENT_AFTER
+from softcal.db.queues.order_queue import SILENT_AFTER
 from softcal.db.registry import Registry
+from softcal.db.truth.network_release import NetworkState
 
 NEWEST_RUNS = 40
 HUNG_AFTER = timedelta(seconds=15)

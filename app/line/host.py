@@ -16,7 +16,7 @@ from softcal.core.errors import InputError, RegistryError, SoftcalError
 from softcal.core.orders import Heartbeat, Order, OrderKind, Progress, RunState, StationState
 from softcal.core.quality.known_loads import ordered_load
 from softcal.core.words.reason import Reason, reason
-from softcal.db.order_queue import TAKEN_OVER_AFTER, OrderQueue
+from softcal.db.queues.order_queue import TAKEN_OVER_AFTER, OrderQueue
 from softcal.station.at_rest import RestReading
 from softcal.station.recording import StationRecording
 from softcal.station.service import StationService

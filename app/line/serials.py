@@ -6,8 +6,8 @@ from collections.abc import Set
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.quality.line_rules import LineRules
-from softcal.db.lot_pages import UnitFilter
 from softcal.db.registry import Registry
+from softcal.db.truth.lot_pages import UnitFilter
 
 
 def is_unheard_of(registry: Registry, lot: Lot, rules: LineRules, serial: str, pressed: Set[str]) -> bool:

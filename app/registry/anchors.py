@@ -6,9 +6,9 @@ from pathlib import Path
 
 from softcal.app.bootstrap import data_folder
 from softcal.core.errors import InputError, RegistryError, SoftcalError
-from softcal.db.database import open_database
 from softcal.db.entries import Anchor, Heads
 from softcal.db.registry import Registry
+from softcal.db.schema.database import open_database
 
 NAME = "audit-heads.jsonl"
 SCHEMA = "softcal.audit-heads/1"
@@ -68,7 +68,7 @@ def _heads(value: dict[str, dict[str, tuple[int, str]]]) -> Heads:
 
 
 def _heads_of_backup(path: Path) -> Heads:
-    from softcal.db import history
+    from softcal.db.truth import history
 
     database = open_database(f"sqlite:///{path}", create=False)
     try:

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from softcal.app.registry.anchors import read_anchor, remember, remembered
 from softcal.core.errors import RegistryError
-from softcal.db.backup import back_up, restore
+from softcal.db.care.backup import back_up, restore
+from softcal.db.care.maintenance import migrate
+from softcal.db.care.sync import SyncReport, synchronise
 from softcal.db.connection import open_registry
-from softcal.db.database import Database, open_database, schema_of
 from softcal.db.entries import Heads
-from softcal.db.maintenance import migrate
 from softcal.db.registry import Registry
-from softcal.db.sync import SyncReport, synchronise
-from softcal.db.tables import SCHEMA
+from softcal.db.schema.database import Database, open_database, schema_of
+from softcal.db.schema.tables import SCHEMA
 
 
 @dataclass(frozen=True)

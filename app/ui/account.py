@@ -16,8 +16,8 @@ from softcal.app.ui.pins import Pauses, is_code, new_code
 from softcal.app.ui.registry_of_server import registry
 from softcal.core.errors import InputError
 from softcal.core.words.reason import Reason, reason
+from softcal.db.access.people import PERMISSIONS, ROLES, may
 from softcal.db.entries import User
-from softcal.db.people import PERMISSIONS, ROLES, may
 
 SHIFT = timedelta(hours=10)
 """A sign-in ends after this time, whatever the browser keeps; Streamlit's cookie of a company account lives 30 days."""

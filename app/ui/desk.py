@@ -18,7 +18,7 @@ from softcal.app.ui.browser_memory import recall, remember
 from softcal.app.ui.registry_of_server import registry
 from softcal.core.errors import SoftcalError, printable
 from softcal.core.words.reason import Reason
-from softcal.db.people import may
+from softcal.db.access.people import may
 
 __all__ = [
     "ask_reason",

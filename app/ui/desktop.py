@@ -80,7 +80,7 @@ def serve(options: UiOptions) -> int:
 def _shown(registry: str | None) -> str:
     from sqlalchemy import make_url
 
-    from softcal.db.database import shown_url
+    from softcal.db.schema.database import shown_url
 
     return shown_url(make_url(registry_url(registry)))
 

@@ -27,8 +27,8 @@ from softcal.app.views.common import far_end, limit_said, number, percent
 from softcal.app.views.lot import NEEDS_A_LOOK, LotView
 from softcal.app.views.lot_runs import DESK, YieldAt
 from softcal.db.entries import UnitEntry
-from softcal.db.lot_pages import UnitFilter
 from softcal.db.registry import Registry
+from softcal.db.truth.lot_pages import UnitFilter
 
 BINS = 32
 MOST_ROWS = 40

@@ -9,8 +9,8 @@ import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from softcal.db.access.people import may
 from softcal.db.entries import User
-from softcal.db.people import may
 
 
 @dataclass(frozen=True)

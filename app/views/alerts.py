@@ -7,7 +7,7 @@ from softcal.app.views.common import percent
 from softcal.app.views.lot import LotView
 from softcal.core.orders import Heartbeat, StationState
 from softcal.db.entries import CellCertificate, GoldenRun
-from softcal.db.order_queue import SILENT_AFTER
+from softcal.db.queues.order_queue import SILENT_AFTER
 from softcal.db.registry import Registry
 
 DUE_WITHIN = timedelta(days=30)

@@ -7,8 +7,8 @@ from datetime import datetime
 from typing import Any
 
 from softcal.app.views.common import percent
+from softcal.db.access.people import ROLES
 from softcal.db.entries import AuditRow
-from softcal.db.people import ROLES
 
 Words = Callable[..., str]
 

@@ -10,8 +10,8 @@ from softcal.core.metrics import rmse
 from softcal.core.recording import Array
 from softcal.core.unit.calibration import Calibration
 from softcal.core.unit.method import DecisionConfig
-from softcal.db.lot_pages import UnitErrors
 from softcal.db.registry import Registry
+from softcal.db.truth.lot_pages import UnitErrors
 
 MOST_UNITS = 12
 """So many audited units are drawn, the largest errors first; each is read and estimated anew."""

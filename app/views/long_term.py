@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from softcal.db.adaptation_tables import AdaptedUnit
 from softcal.db.registry import Registry
+from softcal.db.truth.adaptations import AdaptedUnit
 
 
 @dataclass(frozen=True)

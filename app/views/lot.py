@@ -18,8 +18,8 @@ from softcal.core.recording import Array
 from softcal.core.unit.verdict import VERDICTS, Limit
 from softcal.core.words.reason import Reason
 from softcal.db.entries import RunEntry, UnitEntry
-from softcal.db.lot_pages import UnitErrors, UnitFilter
 from softcal.db.registry import Registry
+from softcal.db.truth.lot_pages import UnitErrors, UnitFilter
 
 LOOKS = 12
 """So many units that need a look are listed; the table below them has all."""

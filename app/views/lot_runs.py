@@ -7,7 +7,7 @@ from datetime import UTC, date
 
 from softcal.core.quality.yields import GOOD, Share
 from softcal.db.entries import RunEntry
-from softcal.db.order_queue import Pressed
+from softcal.db.queues.order_queue import Pressed
 from softcal.db.registry import Registry
 
 DESK = ""

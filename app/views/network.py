@@ -6,8 +6,8 @@ from datetime import datetime
 from typing import Any
 
 from softcal.core.errors import InputError
-from softcal.db.network_release import NetworkState
 from softcal.db.registry import Registry
+from softcal.db.truth.network_release import NetworkState
 
 MOST_LAYERS, WIDEST = 6, 512
 

@@ -55,7 +55,7 @@ def fit_network(
     reference_mean, reference_scale = float(reference.mean()), float(reference.std())
     validation = validation_blocks(len(inputs), config.validation_share)
     # Windows that share samples with a validating one would let it be learnt by heart.
-    training = ~_near(validation, TAPS)
+    training = np.convolve(validation, np.ones(2 * TAPS + 1), mode="same") < 0.5
     x = ((inputs - output_mean) / output_scale).astype(np.float32)
     y = ((reference - reference_mean) / reference_scale).astype(np.float32)[:, None]
     # torch takes seconds and 100 MB to load: only who trains pays.
@@ -64,16 +64,8 @@ def fit_network(
     members = train_members(x, y, training, validation, config, reference_scale, on_epoch)
     weights, biases = merge_members([layers for layers, _ in members])
     unlabelled = source.unlabelled
-    network = Network(
-        weights,
-        biases,
-        output_mean,
-        output_scale,
-        reference_mean,
-        reference_scale,
-        unlabelled.output_unit,
-        source.reference_unit,
-    )
+    scales = (output_mean, output_scale, reference_mean, reference_scale)
+    network = Network(weights, biases, *scales, unlabelled.output_unit, source.reference_unit)
     error = network.evaluate(inputs[validation]) - reference[validation]
     rmse = float(np.sqrt(np.mean(error**2)))
     # Both scales: the held-out blocks may lie where the load hardly moves, and the mean is then a good estimate.
@@ -154,7 +146,3 @@ def merge_members(members: list[list[tuple[Array, Array]]]) -> tuple[tuple[Array
         weights.append(joined)
         biases.append(np.mean([b for _, b in layers], axis=0) if last else np.concatenate([b for _, b in layers]))
     return tuple(weights), tuple(biases)
-
-
-def _near(mask: Mask, guard: int) -> Mask:
-    return np.convolve(mask, np.ones(2 * guard + 1), mode="same") > 0.5

@@ -83,25 +83,19 @@ class _Training:
         epoch = 0
         for epoch in range(1, self._config.max_epochs + 1):
             train = self._epoch()
-            error = self._validation_rmse()
+            with torch.no_grad():
+                error = float(torch.nn.functional.mse_loss(self._forward(self._vx), self._vy) ** 0.5)
             if error < best:
                 best, best_epoch, plateau, kept = error, epoch, 0, self._state()
             else:
                 plateau += 1
                 # Three smaller rates are tried before training stops.
                 if plateau % max(1, self._config.patience // 3) == 0:
-                    self._halve_rate()
+                    for group in self._optimiser.param_groups:
+                        group["lr"] /= 2
             if on_epoch is not None:
-                on_epoch(
-                    EpochReport(
-                        self._member,
-                        epoch,
-                        self._config.max_epochs,
-                        train * self._scale,
-                        error * self._scale,
-                        best * self._scale,
-                    )
-                )
+                errors = (train * self._scale, error * self._scale, best * self._scale)
+                on_epoch(EpochReport(self._member, epoch, self._config.max_epochs, *errors))
             if epoch - best_epoch >= self._config.patience:
                 break
         return kept, epoch
@@ -123,14 +117,6 @@ class _Training:
             # The last batch of an epoch is smaller; a plain mean over batches would weigh it too much.
             total += float(loss.detach()) * len(rows)
         return float((total / len(self._x)) ** 0.5)
-
-    def _validation_rmse(self) -> float:
-        with torch.no_grad():
-            return float(torch.nn.functional.mse_loss(self._forward(self._vx), self._vy) ** 0.5)
-
-    def _halve_rate(self) -> None:
-        for group in self._optimiser.param_groups:
-            group["lr"] /= 2
 
     def _state(self) -> Layers:
         return [(w.detach().numpy().astype(np.float64), b.detach().numpy().astype(np.float64)) for w, b in self._layers]

@@ -12,21 +12,6 @@ from softcal.core.errors import InputError
 from softcal.core.recording import Array
 
 
-def upper_bound(scores: Array, risk: float) -> float:
-    """Return the bound that the score of one more unit exceeds with probability `risk` at most.
-
-    It is the ceil((1 - risk)(k + 1))-th smallest of k scores (Vovk, Gammerman and Shafer 2005; Lei et al. 2018),
-    infinite where k is too small for the risk.
-
-    Args:
-        scores: (k,) of the audited units, finite or infinite, none NaN.
-        risk: between 0 and 1.
-    """
-    ordered = np.sort(_checked(scores, risk))
-    rank = _rank(len(ordered), risk)
-    return float("inf") if rank > len(ordered) else float(ordered[rank - 1])
-
-
 def least_risk(count: int) -> float:
     """Return the smallest risk for which `count` audited units give a finite bound: 1 / (k + 1)."""
     return 1 / (count + 1)
@@ -39,13 +24,16 @@ def least_units(risk: float) -> int:
 
 
 def share_beyond(count: int, risk: float, confidence: float) -> float:
-    """Return the share of all units beyond `upper_bound` that is not exceeded with this confidence.
+    """Return the share of all units beyond the conformal bound that is not exceeded with this confidence.
 
-    The risk of `upper_bound` is an average over audits that might have been drawn. For the audits that were drawn, the
-    share beyond the r-th smallest of k is Beta(k - r + 1, r) for continuous scores (Wilks 1941); this is its quantile.
+    The bound is the r-th smallest of k scores of audited units, r = ceil((1 - risk)(k + 1)): one more unit exceeds it
+    with probability `risk` at most (Vovk, Gammerman and Shafer 2005; Lei et al. 2018), on average over audits that
+    might have been drawn. For the audits that were drawn, the share beyond the r-th smallest of k is
+    Beta(k - r + 1, r) for continuous scores (Wilks 1941); this is its quantile. 1 where k is too small for the risk.
     """
     _check_share("confidence", confidence)
-    rank = _rank(count, risk)
+    # A thousandth of a millionth: (1 - 0.1) * 10 must not be rounded up to 10.
+    rank = max(int(np.ceil((1 - risk) * (count + 1) - 1e-9)), 1)
     return 1.0 if rank > count else float(betaincinv(count - rank + 1, rank, confidence))
 
 
@@ -72,18 +60,6 @@ def pooled_scale(groups: Sequence[Array], coverage: float, has_unseen: bool = Fa
     # Cumulative sums round: without the margin an exact share would take one sample too many.
     reached = np.searchsorted(np.cumsum(weight[order]), coverage - 1e-12)
     return float("inf") if reached == len(order) else float(scores[order][reached])
-
-
-def _rank(count: int, risk: float) -> int:
-    # A thousandth of a millionth: (1 - 0.1) * 10 must not be rounded up to 10.
-    return max(int(np.ceil((1 - risk) * (count + 1) - 1e-9)), 1)
-
-
-def _checked(scores: Array, risk: float) -> Array:
-    _check_share("risk", risk)
-    if np.isnan(scores).any():
-        raise InputError("a score of an audited unit is not a number; every audited unit needs a measured error")
-    return np.asarray(scores, np.float64)
 
 
 def _check_share(name: str, value: float) -> None:

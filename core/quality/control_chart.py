@@ -1,12 +1,12 @@
 """Control charts of single values and process capability (NIST/SEMATECH e-Handbook, 6.1.6 and 6.3.2.2)."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtri
 
 from softcal.core.errors import InputError
 from softcal.core.recording import Array
@@ -77,7 +77,14 @@ class ControlChart:
     @cached_property
     def signals(self) -> tuple[ChartSignal, ...]:
         """Every point that breaks one of Nelson's eight rules, in time order."""
-        return tuple(sorted(_signals(self.values, self.centre, self.sigma), key=lambda s: (s.index, s.rule)))
+        if self.sigma == 0:
+            return ()
+        found, z = [], (self.values - self.centre) / self.sigma
+        for number, (text, length, find) in enumerate(RULES, 1):
+            if len(z) >= length:
+                at = np.flatnonzero(find(np.lib.stride_tricks.sliding_window_view(z, length)))
+                found += [ChartSignal(int(k) + length - 1, number, str(text)) for k in at]
+        return tuple(sorted(found, key=lambda signal: (signal.index, signal.rule)))
 
     @property
     def instabilities(self) -> tuple[ChartSignal, ...]:
@@ -150,7 +157,7 @@ def capability(chart: ControlChart, minimum: float | None, maximum: float | None
     if chart.sigma == 0 or overall == 0:
         raise InputError(Reason("chart.flat"))
     cpk = _nearest(mean, chart.sigma, minimum, maximum)
-    half = float(stats.norm.ppf(0.975)) * np.sqrt(1 / (9 * count) + cpk**2 / (2 * (count - 1)))
+    half = float(ndtri(0.975)) * np.sqrt(1 / (9 * count) + cpk**2 / (2 * (count - 1)))
     width = maximum - minimum if minimum is not None and maximum is not None else None
     return Capability(
         cp=None if width is None else width / (6 * chart.sigma),
@@ -167,16 +174,6 @@ def _nearest(mean: float, sigma: float, minimum: float | None, maximum: float | 
     distances = [maximum - mean] if maximum is not None else []
     distances += [mean - minimum] if minimum is not None else []
     return min(distances) / (3 * sigma)
-
-
-def _signals(values: Array, centre: float, sigma: float) -> Iterator[ChartSignal]:
-    if sigma == 0:
-        return
-    z = (values - centre) / sigma
-    for number, (text, length, find) in enumerate(RULES, 1):
-        if len(z) >= length:
-            found = find(np.lib.stride_tricks.sliding_window_view(z, length))
-            yield from (ChartSignal(int(k) + length - 1, number, str(text)) for k in np.flatnonzero(found))
 
 
 def _same_side(windows: Array, beyond: float, count: int) -> Flags:

@@ -132,7 +132,9 @@ def may_run(facts: StationFacts, kind: OrderKind = OrderKind.UNIT) -> Gate:
     """
     if kind in (OrderKind.CHECK, OrderKind.LOAD):
         return Gate()
-    conditions = [*(_cell_conditions(facts) if facts.has_cell else []), _homing(facts.rig)]
+    certificate = _certificate(facts) if facts.has_cell and facts.needs_certificate else []
+    cell = [*certificate, _warm_up(facts), _zero(facts)] if facts.has_cell else []
+    conditions = [*cell, _homing(facts.rig)]
     if kind is not OrderKind.GOLDEN and facts.needs_golden:
         conditions.append(_golden(facts))
     has_override = facts.override is not None and facts.now <= facts.override.until
@@ -161,25 +163,14 @@ def quarantined(
     return tuple(serial for serial, at in sorted(pressed, key=lambda unit: unit[1]) if since < at <= now)
 
 
-def _cell_conditions(facts: StationFacts) -> list[Condition]:
-    certificate = _certificate(facts) if facts.needs_certificate else []
-    return [*certificate, _warm_up(facts), _zero(facts)]
-
-
 def _certificate(facts: StationFacts) -> list[Condition]:
     certificate = facts.certificate
+    name = Reason("gate.name.certificate")
     if certificate is None:
-        says = Reason("gate.no_certificate")
-        return [Condition(Reason("gate.name.certificate"), False, says)]
-    if facts.now.date() > certificate.valid_until:
-        says = reason("gate.ended", number=certificate.number, day=str(certificate.valid_until))
-        in_date = Condition(Reason("gate.name.certificate"), False, says)
-    else:
-        in_date = Condition(
-            Reason("gate.name.certificate"),
-            True,
-            reason("gate.valid", number=certificate.number, day=str(certificate.valid_until)),
-        )
+        return [Condition(name, False, Reason("gate.no_certificate"))]
+    is_valid = facts.now.date() <= certificate.valid_until
+    code = "gate.valid" if is_valid else "gate.ended"
+    in_date = Condition(name, is_valid, reason(code, number=certificate.number, day=str(certificate.valid_until)))
     reaches = reason("gate.reaches", force_N=facts.largest_force_N, most_N=certificate.capacity_N)
     if facts.largest_force_N > certificate.capacity_N:
         return [in_date, Condition(Reason("gate.name.force_range"), False, reason("gate.too_far", reaches=reaches))]
@@ -187,44 +178,34 @@ def _certificate(facts: StationFacts) -> list[Condition]:
 
 
 def _warm_up(facts: StationFacts) -> Condition:
-    left = facts.warm_up - facts.rig.powered
+    name, left = Reason("gate.name.warm_up"), facts.warm_up - facts.rig.powered
     if left > timedelta(0):
         # Rounded up: "0 more min" beside a closed gate would be a riddle.
-        minutes = -(-int(left.total_seconds()) // 60)
-        return Condition(Reason("gate.name.warm_up"), False, reason("gate.warms", minutes=minutes))
-    return Condition(
-        Reason("gate.name.warm_up"), True, reason("gate.warm", minutes=int(facts.rig.powered.total_seconds()) // 60)
-    )
+        return Condition(name, False, reason("gate.warms", minutes=-(-int(left.total_seconds()) // 60)))
+    return Condition(name, True, reason("gate.warm", minutes=int(facts.rig.powered.total_seconds()) // 60))
 
 
 def _zero(facts: StationFacts) -> Condition:
-    limit_N, moved_N = facts.zero_return_limit_N, facts.rig.zero_return_N
-    if facts.rig.zero_fault or abs(moved_N) > limit_N:
-        what = (
-            Reason.of(facts.rig.zero_fault)
-            if facts.rig.zero_fault
-            else reason("gate.zero_moved", moved_N=moved_N, limit_N=limit_N)
-        )
-        return Condition(Reason("gate.name.zero_return"), False, reason("gate.zero_fault", why=what))
-    return Condition(Reason("gate.name.zero_return"), True, reason("gate.zero", moved_N=moved_N, limit_N=limit_N))
+    name, fault = Reason("gate.name.zero_return"), facts.rig.zero_fault
+    moved = {"moved_N": facts.rig.zero_return_N, "limit_N": facts.zero_return_limit_N}
+    if fault or abs(facts.rig.zero_return_N) > facts.zero_return_limit_N:
+        why = Reason.of(fault) if fault else reason("gate.zero_moved", **moved)
+        return Condition(name, False, reason("gate.zero_fault", why=why))
+    return Condition(name, True, reason("gate.zero", **moved))
 
 
 def _homing(rig: RigFacts) -> Condition:
+    name = Reason("gate.name.homing")
     if rig.homing_fault:
-        says = reason("gate.homing_fault", why=Reason.of(rig.homing_fault))
-        return Condition(Reason("gate.name.homing"), False, says)
-    return Condition(Reason("gate.name.homing"), True, Reason("gate.homed") if rig.is_homed else Reason("gate.homes"))
+        return Condition(name, False, reason("gate.homing_fault", why=Reason.of(rig.homing_fault)))
+    return Condition(name, True, Reason("gate.homed") if rig.is_homed else Reason("gate.homes"))
 
 
 def _golden(facts: StationFacts) -> Condition:
-    golden = facts.golden
+    name, golden = Reason("gate.name.golden"), facts.golden
     if golden is None or golden.at < facts.shift_began:
-        return Condition(Reason("gate.name.golden"), False, Reason("gate.no_golden"))
+        return Condition(name, False, Reason("gate.no_golden"))
     if not golden.is_in_control:
-        says = reason("gate.golden_bad", serial=golden.serial)
-        return Condition(Reason("gate.name.golden"), False, says)
-    return Condition(
-        Reason("gate.name.golden"),
-        True,
-        reason("gate.golden", serial=golden.serial, at=golden.at.isoformat(timespec="seconds")),
-    )
+        return Condition(name, False, reason("gate.golden_bad", serial=golden.serial))
+    at = golden.at.isoformat(timespec="seconds")
+    return Condition(name, True, reason("gate.golden", serial=golden.serial, at=at))

@@ -1,6 +1,6 @@
 """The decision on the units of a lot that nobody measured: qualification, bound, a judgement a unit, one statement."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -145,33 +145,18 @@ def release_lot(
         common: what the audited units misread alike, taken off all maps of the lot.
     """
     found = release(forecasts, qualification.audits, limit, promise, least, days) if qualification.is_given else None
-    told = [
-        _promised(forecasts, found, qualification, limit, promise),
-        *_seen(seen),
-        *_told_days(days or {}, limit.unit),
-        *_common(common, limit.unit),
-        *([reason("release.doubts", serials=", ".join(doubts))] if doubts else []),
-    ]
-    told_in_one = several(told)
-    return LotRelease(
-        qualification, limit, promise, forecasts, found, widening, told_in_one, seen, days or {}, doubts or {}, common
-    )
-
-
-def _seen(seen: SeenGains | None) -> Iterator[Reason]:
+    statement = [_promised(forecasts, found, qualification, limit, promise)]
     if seen is not None:
-        yield reason("release.gains", centre=seen.centre, spread=seen.spread)
-
-
-def _common(common: CommonMisreading | None, unit: str) -> Iterator[Reason]:
-    if common is not None:
-        line = common.line
-        yield reason("release.common", gain=line.gain, zero=line.zero, unit=unit, audits=common.audits)
-
-
-def _told_days(days: Mapping[str, float], unit: str) -> Iterator[Reason]:
+        statement.append(reason("release.gains", centre=seen.centre, spread=seen.spread))
     if days:
-        yield reason("release.days", day=max(days.values()), unit=unit)
+        statement.append(reason("release.days", day=max(days.values()), unit=limit.unit))
+    if common is not None:
+        gain, zero = common.line.gain, common.line.zero
+        statement.append(reason("release.common", gain=gain, zero=zero, unit=limit.unit, audits=common.audits))
+    if doubts:
+        statement.append(reason("release.doubts", serials=", ".join(doubts)))
+    said, days, doubts = several(statement), days or {}, doubts or {}
+    return LotRelease(qualification, limit, promise, forecasts, found, widening, said, seen, days, doubts, common)
 
 
 def _promised(

@@ -22,12 +22,10 @@ def promise_rows(
         promise: asked for.
     """
     counts = sorted({3, ReleaseConfig.least_audits, audits_wanted(promise), 10, 20, audits_by_count(promise)})
-    return [_row(count, promise) for count in counts if units is None or count < units]
-
-
-def _row(count: int, promise: Promise) -> list[object]:
-    margin = tolerance_factor(count, count - 1, promise)
-    share = failing_share(count, 0, promise.confidence)
-    by_count = share <= promise.risk
-    word = "by counting alone" if by_count else "by margin" if count >= audits_wanted(promise) else "none"
-    return [f"{count} audits", f"{least_risk(count):.1%}", f"{share:.1%}", f"{margin:.2f} SD", word]
+    rows: list[list[object]] = []
+    for count in (count for count in counts if units is None or count < units):
+        margin, share = tolerance_factor(count, count - 1, promise), failing_share(count, 0, promise.confidence)
+        by_margin = "by margin" if count >= audits_wanted(promise) else "none"
+        word = "by counting alone" if share <= promise.risk else by_margin
+        rows.append([f"{count} audits", f"{least_risk(count):.1%}", f"{share:.1%}", f"{margin:.2f} SD", word])
+    return rows

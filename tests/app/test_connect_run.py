@@ -29,9 +29,9 @@ from softcal.app.connect.settings import ConnectSettings, OpcUaSettings, read_se
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
 from softcal.core.words.reason import plain
+from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
-from softcal.db.sync import synchronise
 
 pytestmark = pytest.mark.usefixtures("own_data")
 SOFTCAL = str(Path(sys.executable).with_name("softcal"))

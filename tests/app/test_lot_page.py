@@ -22,7 +22,7 @@ from softcal.core.orders import Order, OrderKind, Progress, RunState
 from softcal.core.unit.verdict import Verdict
 from softcal.db.connection import open_registry
 from softcal.db.entries import RunEntry
-from softcal.db.order_queue import Pressed
+from softcal.db.queues.order_queue import Pressed
 
 DAY = timedelta(days=1)
 MONDAY = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)

@@ -31,11 +31,11 @@ from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import Verdict
 from softcal.core.words.reason import plain
-from softcal.db.backup import back_up, restore
+from softcal.db.care.backup import back_up, restore
+from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
-from softcal.db.registry_base import RegistrySettings
-from softcal.db.sync import synchronise
+from softcal.db.truth.registry_base import RegistrySettings
 
 pytestmark = pytest.mark.long
 

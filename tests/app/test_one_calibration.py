@@ -25,9 +25,9 @@ from softcal.core.quality.line_rules import LineRules
 from softcal.core.unit.calibrate import UnitProblem
 from softcal.core.unit.method import Method
 from softcal.core.unit.verdict import stated_limit
+from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
-from softcal.db.sync import synchronise
 from softcal.station.at_rest import RestReading
 from softcal.station.recording import Alignment, StationRecording
 

@@ -27,8 +27,8 @@ from softcal.core.errors import InputError
 from softcal.core.quality.lot_standing import Way
 from softcal.db.connection import open_registry
 from softcal.db.entries import GoldenRun
-from softcal.db.lot_pages import UnitFilter
 from softcal.db.registry import Registry
+from softcal.db.truth.lot_pages import UnitFilter
 
 LOT, UNITS, STEPS = "large", 14, 9
 SMALL = ("--hidden", "16,8", "--no-own")

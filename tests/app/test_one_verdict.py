@@ -48,8 +48,8 @@ from softcal.core.unit.verdict import (
 from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 from softcal.db.entries import MadeCalibration
-from softcal.db.lot_pages import UnitFilter
 from softcal.db.registry import Registry
+from softcal.db.truth.lot_pages import UnitFilter
 
 DRAWS = 200
 DCC = {"dcc": "https://ptb.de/dcc"}

@@ -8,10 +8,10 @@ import pytest
 from softcal.app.cli.main import main
 from softcal.app.registry.maintenance import upgrade
 from softcal.core.errors import RegistryError
-from softcal.db.backup import back_up, restore
+from softcal.db.care.backup import back_up, restore
+from softcal.db.care.maintenance import migrate
 from softcal.db.connection import open_registry
-from softcal.db.database import open_database
-from softcal.db.maintenance import migrate
+from softcal.db.schema.database import open_database
 
 
 @pytest.mark.parametrize("name", ["lot.toml", "source/A0.csv"])

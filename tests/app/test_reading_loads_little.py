@@ -61,7 +61,7 @@ def test_listing_loads_no_other_command_and_no_queue(calibrated):
     found = loaded("registry", "list", "--registry", calibrated["url"])
     commands = {name for name in found if name.startswith("softcal.app.cli.")}
     assert not {"softcal.app.cli.batch", "softcal.app.cli.gap", "softcal.app.cli.station"} & commands
-    assert not {f"softcal.db.{name}" for name in ("job_board", "order_queue", "outbox", "work_queue")} & found
+    assert not {f"softcal.db.queues.{name}" for name in ("job_board", "order_queue", "outbox", "work_queue")} & found
 
 
 def test_a_batch_does_not_load_what_no_map_needs(calibrated, trained_lot):

@@ -12,8 +12,8 @@ from sqlalchemy import create_engine, text
 from sqlalchemy.exc import OperationalError
 
 from softcal.app.cli.main import main
+from softcal.db.access.grants import grant_statements
 from softcal.db.connection import open_registry
-from softcal.db.grants import grant_statements
 
 pytestmark = pytest.mark.long
 

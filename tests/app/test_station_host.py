@@ -18,7 +18,7 @@ from softcal.core.orders import Heartbeat, Order, OrderKind, RunState, StationSt
 from softcal.core.profiles import ramps
 from softcal.core.quality.gate import Gate
 from softcal.db.connection import open_registry
-from softcal.db.order_queue import OrderQueue
+from softcal.db.queues.order_queue import OrderQueue
 from softcal.station.bench import Bench, open_simulated_bench
 from softcal.station.service import Hooks, StationService
 

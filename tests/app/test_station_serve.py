@@ -16,7 +16,7 @@ from softcal.core.orders import Order, OrderKind, RunState, StationState
 from softcal.core.words.reason import reason
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
-from softcal.db.tables import heartbeats
+from softcal.db.schema.tables import heartbeats
 
 SMALL = NetworkConfig(hidden=(12, 6), max_epochs=12)
 SHORT = {"speed": 1000.0, "source_s": 30.0, "unit_s": 12.0, "network": SMALL}

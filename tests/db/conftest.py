@@ -21,7 +21,7 @@ from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
 from softcal.db.registry import Registry
-from softcal.db.tables import metadata
+from softcal.db.schema.tables import metadata
 
 ADMIN_URL = os.environ.get("SOFTCAL_TEST_POSTGRESQL", "postgresql+psycopg://postgres@127.0.0.1:5432/postgres")
 NO_SERVER = f"no PostgreSQL at {ADMIN_URL.rpartition('@')[2]}; set SOFTCAL_TEST_POSTGRESQL"

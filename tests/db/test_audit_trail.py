@@ -12,10 +12,10 @@ from sqlalchemy.pool import NullPool
 from softcal.core.errors import RegistryError
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.words.reason import plain
-from softcal.db.arrays import get_arrays, parts_of, put_arrays
+from softcal.db.care.sync import synchronise
 from softcal.db.entries import CellCertificate, GoldenRun
-from softcal.db.sync import synchronise
-from softcal.db.tables import APPEND_ONLY, audit, blobs, calibrations, metadata, units
+from softcal.db.schema.arrays import get_arrays, parts_of, put_arrays
+from softcal.db.schema.tables import APPEND_ONLY, audit, blobs, calibrations, metadata, units
 
 
 @pytest.fixture

@@ -5,9 +5,9 @@ import threading
 import pytest
 
 from softcal.core.errors import RegistryError
-from softcal.db.backup import back_up, restore
+from softcal.db.care.backup import back_up, restore
 from softcal.db.connection import open_registry
-from softcal.db.work_queue import WorkSet
+from softcal.db.queues.work_queue import WorkSet
 
 
 @pytest.fixture

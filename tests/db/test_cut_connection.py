@@ -5,12 +5,12 @@ from sqlalchemy import text
 
 from softcal.app.cli.main import main
 from softcal.core.errors import RegistryError
-from softcal.db import database as database_module
-from softcal.db import history
 from softcal.db.connection import open_registry
-from softcal.db.database import ConnectionCut
+from softcal.db.queues.work_queue import WorkQueue, WorkSet
 from softcal.db.registry import Registry
-from softcal.db.work_queue import WorkQueue, WorkSet
+from softcal.db.schema import database as database_module
+from softcal.db.schema.database import ConnectionCut
+from softcal.db.truth import history
 
 pytestmark = pytest.mark.parametrize("registry_url", ["postgresql"], indirect=True)
 

@@ -11,12 +11,12 @@ from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.words.reason import plain
+from softcal.db.access.grants import grant_statements
 from softcal.db.connection import open_registry
 from softcal.db.entries import CellCertificate
-from softcal.db.grants import grant_statements
+from softcal.db.queues.work_queue import WorkSet
 from softcal.db.registry import Registry
-from softcal.db.tables import metadata
-from softcal.db.work_queue import WorkSet
+from softcal.db.schema.tables import metadata
 
 
 @pytest.fixture

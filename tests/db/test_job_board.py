@@ -7,7 +7,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.orders import RunState
-from softcal.db.job_board import SILENT_AFTER, START_WITHIN, JobBoard
+from softcal.db.queues.job_board import SILENT_AFTER, START_WITHIN, JobBoard
 
 NOW = datetime(2026, 5, 4, tzinfo=UTC)
 

@@ -9,7 +9,7 @@ from softcal.core.errors import InputError
 from softcal.core.quality.line_rules import LineRules
 from softcal.core.words.reason import plain
 from softcal.db.entries import GoldenRun
-from softcal.db.lot_pages import UnitFilter
+from softcal.db.truth.lot_pages import UnitFilter
 
 
 @pytest.fixture

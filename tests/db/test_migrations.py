@@ -13,10 +13,10 @@ from sqlalchemy import Date, DateTime, LargeBinary, MetaData, insert, select, te
 
 from softcal.app.registry.maintenance import upgrade
 from softcal.core.errors import RegistryError
+from softcal.db.care.maintenance import MIGRATIONS, migrate
 from softcal.db.connection import open_registry
-from softcal.db.database import open_database
-from softcal.db.maintenance import MIGRATIONS, migrate
-from softcal.db.tables import SCHEMA, metadata, registry_info
+from softcal.db.schema.database import open_database
+from softcal.db.schema.tables import SCHEMA, metadata, registry_info
 
 SCRIPTS = ScriptDirectory(str(MIGRATIONS), version_locations=[str(MIGRATIONS)])
 RELEASED = sorted(Path(__file__).with_name("released").glob("*.json"))

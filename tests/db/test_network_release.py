@@ -4,7 +4,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.network.network import Network
-from softcal.db.network_release import DRAFT, RELEASED, WITHDRAWN
+from softcal.db.truth.network_release import DRAFT, RELEASED, WITHDRAWN
 
 
 @pytest.fixture

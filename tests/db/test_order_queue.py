@@ -6,7 +6,7 @@ import pytest
 
 from softcal.core.errors import InputError
 from softcal.core.orders import Condition, Heartbeat, Order, OrderKind, Progress, RunState, Signal, StationState
-from softcal.db.order_queue import SILENT_AFTER, TAKEN_OVER_AFTER, OrderQueue
+from softcal.db.queues.order_queue import SILENT_AFTER, TAKEN_OVER_AFTER, OrderQueue
 
 NOW = datetime(2026, 5, 4, tzinfo=UTC)
 

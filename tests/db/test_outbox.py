@@ -5,9 +5,9 @@ from datetime import UTC, datetime
 import pytest
 
 from softcal.core.errors import InputError
+from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
-from softcal.db.outbox import cursor_of, cursor_text
-from softcal.db.sync import synchronise
+from softcal.db.queues.outbox import cursor_of, cursor_text
 
 
 def ids(rows):

@@ -6,10 +6,10 @@ import pytest
 from sqlalchemy import select
 
 from softcal.core.errors import InputError
+from softcal.db.access.people import LOCKED_FOR, MOST_FAILURES, PERMISSIONS, may
 from softcal.db.connection import open_registry
-from softcal.db.people import LOCKED_FOR, MOST_FAILURES, PERMISSIONS, may
-from softcal.db.registry_base import RegistrySettings
-from softcal.db.tables import users
+from softcal.db.schema.tables import users
+from softcal.db.truth.registry_base import RegistrySettings
 
 
 def test_the_right_pin_gives_the_person_and_the_role(registry):

@@ -10,7 +10,7 @@ from softcal.core.lot import Lot
 from softcal.core.recording import OutputRecording
 from softcal.core.words.reason import plain
 from softcal.db.connection import open_registry
-from softcal.db.registry_base import RegistrySettings
+from softcal.db.truth.registry_base import RegistrySettings
 
 
 def test_a_lot_comes_back_as_it_was_given(registry):

@@ -33,13 +33,13 @@ from softcal.core.network.network import Network
 from softcal.core.recording import OutputRecording
 from softcal.core.unit.calibration import CalibrationRecord
 from softcal.core.words.reason import plain
-from softcal.db import history, in_use
-from softcal.db.backup import back_up, restore
+from softcal.db.care.backup import back_up, restore
+from softcal.db.care.maintenance import migrate
 from softcal.db.connection import open_registry
-from softcal.db.database import open_database
-from softcal.db.maintenance import migrate
 from softcal.db.registry import Registry
-from softcal.db.tables import audit
+from softcal.db.schema.database import open_database
+from softcal.db.schema.tables import audit
+from softcal.db.truth import history, in_use
 
 pytestmark = pytest.mark.long
 

@@ -10,10 +10,10 @@ from sqlalchemy import event, text
 
 from softcal.core.lot import Lot
 from softcal.core.words.reason import plain
-from softcal.db.lot_pages import UnitFilter
+from softcal.db.queues.work_queue import WorkSet
 from softcal.db.registry import Registry
-from softcal.db.tables import calibrations, in_use
-from softcal.db.work_queue import WorkSet
+from softcal.db.schema.tables import calibrations, in_use
+from softcal.db.truth.lot_pages import UnitFilter
 
 pytestmark = pytest.mark.long
 

@@ -7,12 +7,12 @@ from sqlalchemy import text
 
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.lot import Lot
-from softcal.db import sync
-from softcal.db.backup import back_up, restore
+from softcal.db.care import sync
+from softcal.db.care.backup import back_up, restore
+from softcal.db.care.sync import synchronise
 from softcal.db.connection import open_registry
-from softcal.db.lot_pages import UnitFilter
-from softcal.db.registry_base import RegistrySettings
-from softcal.db.sync import synchronise
+from softcal.db.truth.lot_pages import UnitFilter
+from softcal.db.truth.registry_base import RegistrySettings
 
 
 @pytest.fixture

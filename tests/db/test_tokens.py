@@ -7,9 +7,9 @@ import pytest
 from sqlalchemy import select, update
 
 from softcal.core.errors import InputError, RegistryError
-from softcal.db.backup import back_up, restore
+from softcal.db.care.backup import back_up, restore
 from softcal.db.connection import open_registry
-from softcal.db.tables import tokens
+from softcal.db.schema.tables import tokens
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from softcal.db.work_queue import MOST_ATTEMPTS, WorkQueue, WorkSet
+from softcal.db.queues.work_queue import MOST_ATTEMPTS, WorkQueue, WorkSet
 
 WORK = WorkSet("L1", "a" * 64)
 

@@ -36,12 +36,13 @@ AT_A_TERMINAL = {
     "core/unit/knowledge.py": "where a number of the method comes from",
     "core/use/method.py": "where a number of the method comes from",
     "core/twin/record.py": "twins a command keeps as files",
-    "db/sync.py": "registries that a command exchanges",
-    "db/tokens.py": "tokens, which a command makes and withdraws",
+    "db/care/sync.py": "registries that a command exchanges",
+    "db/access/tokens.py": "tokens, which a command makes and withdraws",
     "db/connection.py": "to whoever keeps the registry: it cannot be opened",
-    "db/database.py": "to whoever keeps the registry: it cannot be opened",
-    "db/tables.py": "to whoever keeps the registry: it is damaged",
-    "db/registry_base.py": "to whoever keeps the registry: it is damaged",
+    "db/schema/database.py": "to whoever keeps the registry: it cannot be opened",
+    "db/schema/file_system.py": "to whoever keeps the registry: it cannot be opened",
+    "db/schema/tables.py": "to whoever keeps the registry: it is damaged",
+    "db/truth/registry_base.py": "to whoever keeps the registry: it is damaged",
 }
 """File or folder → why no person at a page is told so."""
 

@@ -18,7 +18,7 @@ from softcal.app.ui.desk import ask_reason, errors_in_words, registry, words
 from softcal.app.ui.panels import go_to, lot_heading, numbers, table, units_of
 from softcal.app.views.common import number
 from softcal.core.quality.audit_plan import AuditConfig
-from softcal.db.people import may
+from softcal.db.access.people import may
 
 ASKED, UPLOAD = "audit-asked", "audit"
 ACTION = "set_up"

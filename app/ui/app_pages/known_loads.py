@@ -19,7 +19,7 @@ from softcal.core.lot import Lot
 from softcal.core.maps.anchors import check_loads
 from softcal.core.maps.interface import Anchors
 from softcal.core.unit.method import Method
-from softcal.db.people import may
+from softcal.db.access.people import may
 
 ASKED, UPLOAD, DONE = "known-loads-asked", "known-loads", "known-loads-done"
 ACTION = "set_up"

@@ -17,7 +17,7 @@ from softcal.app.ui.line_memory import kept_runs, lot_at_line, refusal, remember
 from softcal.app.ui.panels import go_to
 from softcal.app.views.line import COMMAND_OF_KEY, KEYS, LineView, away_view, line_view, note_said
 from softcal.core.errors import InputError, RegistryError
-from softcal.db.people import may
+from softcal.db.access.people import may
 
 BUSY_S, IDLE_S = 0.5, 1.0
 """Between two looks: during a run, and else; an idle screen looks too, since another one may have started a run."""

@@ -14,8 +14,8 @@ from softcal.app.ui.panels import heading, table
 from softcal.app.views.common import number
 from softcal.app.views.station import golden_units
 from softcal.core.orders import OrderKind
+from softcal.db.access.people import may
 from softcal.db.entries import CellCertificate
-from softcal.db.people import may
 
 
 def render() -> None:

@@ -8,8 +8,8 @@ from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
 from softcal.app.ui.pins import check_pin
 from softcal.core.errors import InputError
+from softcal.db.access.people import ROLES
 from softcal.db.entries import User
-from softcal.db.people import ROLES
 
 NEW = User("", "operator", True, 0)
 

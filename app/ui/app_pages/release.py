@@ -20,7 +20,7 @@ from softcal.app.ui.panels import lot_heading, numbers, table, units_of
 from softcal.app.views.common import number
 from softcal.core.quality.lot_release import LotRelease
 from softcal.core.quality.lot_standing import LotStanding, UnitInLot, Way
-from softcal.db.people import may
+from softcal.db.access.people import may
 
 USUAL_FORMATS = ("json", "pdf")
 MOST_ROWS = 200

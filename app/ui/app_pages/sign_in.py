@@ -21,7 +21,7 @@ from softcal.app.ui.desk import choose_language, in_words, registry, words
 from softcal.app.ui.panels import go_to
 from softcal.app.ui.pins import check_pin
 from softcal.core.errors import InputError
-from softcal.db.people import may
+from softcal.db.access.people import may
 
 
 def render() -> None:

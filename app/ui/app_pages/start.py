@@ -8,7 +8,7 @@ from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.desk import errors_in_words, registry, words
 from softcal.app.ui.panels import go_to, heading
 from softcal.core.orders import RunState
-from softcal.db.people import may
+from softcal.db.access.people import may
 
 UNITS = 4
 """Units of the demo: enough to see a lot, few enough to wait for."""

@@ -14,7 +14,7 @@ from softcal.app.ui.desk import ask_reason, errors_in_words, in_words, instant, 
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
 from softcal.core.orders import OrderKind
-from softcal.db.people import may
+from softcal.db.access.people import may
 
 RUNS = 25
 POLL_S = 2.0

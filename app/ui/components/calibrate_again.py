@@ -7,7 +7,7 @@ from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.desk import registry, words
 from softcal.core.orders import RunState
-from softcal.db.people import may
+from softcal.db.access.people import may
 
 SEEN = "calibrate-seen"
 

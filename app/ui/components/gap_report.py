@@ -33,8 +33,8 @@ from softcal.app.views.gap import (
     residual_rows,
     why_next,
 )
-from softcal.db.job_board import Job
-from softcal.db.people import may
+from softcal.db.access.people import may
+from softcal.db.queues.job_board import Job
 
 ICONS = {
     "no_gap": "check_circle",

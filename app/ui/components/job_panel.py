@@ -8,7 +8,7 @@ import streamlit as st
 from softcal.app.texts.reasons import phrase
 from softcal.app.ui.desk import errors_in_words, in_words, registry, words
 from softcal.core.orders import RunState
-from softcal.db.job_board import Job
+from softcal.db.queues.job_board import Job
 
 POLL_S = 1.0
 Live = Callable[[Job], None]

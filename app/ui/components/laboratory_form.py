@@ -20,8 +20,8 @@ from softcal.app.export.certificates.laboratory import (
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.desk import in_words, registry, words
 from softcal.core.errors import InputError
+from softcal.db.access.people import may
 from softcal.db.entries import CellCertificate
-from softcal.db.people import may
 
 PARTS = {"laboratory": Party, "customer": Party, "person": Person}
 

@@ -17,8 +17,8 @@ from softcal.core.lot import Lot
 from softcal.core.maps.catalogue import FAMILIES
 from softcal.core.maps.config import DEFAULT
 from softcal.core.network.config import NetworkConfig
-from softcal.db.job_board import Job
-from softcal.db.people import may
+from softcal.db.access.people import may
+from softcal.db.queues.job_board import Job
 
 USUAL = NetworkConfig()
 MOST_UNITS = 200

@@ -10,7 +10,7 @@ from softcal.app.views.common import number
 from softcal.app.views.network import NetworkRow
 from softcal.core.errors import InputError
 from softcal.core.lot import Lot
-from softcal.db.network_release import RELEASED
+from softcal.db.truth.network_release import RELEASED
 
 DONE = "network-decided"
 

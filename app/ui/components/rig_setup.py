@@ -11,7 +11,7 @@ from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.desk import in_words, registry, words
 from softcal.app.ui.panels import table
 from softcal.core.words.reason import Reason
-from softcal.db.people import may
+from softcal.db.access.people import may
 from softcal.station.link import available_ports
 
 RIGS = ("ports", "file", "simulated")

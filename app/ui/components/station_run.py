@@ -11,7 +11,7 @@ from softcal.app.ui.desk import errors_in_words, in_words, registry, words
 from softcal.app.views.common import phase_said
 from softcal.core.errors import InputError
 from softcal.core.orders import Order, OrderKind, Progress, RunState
-from softcal.db.people import may
+from softcal.db.access.people import may
 
 POLL_S = 0.7
 SIMULATED, AWAITED = "simulated-1", "station-awaited"

@@ -13,7 +13,7 @@ from softcal.app.ui.panels import go_to, table_to_choose
 from softcal.core.lot import Lot
 from softcal.core.unit.verdict import VERDICTS
 from softcal.db.entries import UnitEntry
-from softcal.db.lot_pages import UnitFilter
+from softcal.db.truth.lot_pages import UnitFilter
 
 SIZE = 50
 WORDS = (*reversed(VERDICTS), "none")

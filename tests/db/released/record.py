@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sqlalchemy import MetaData, select
 
-from softcal.db.database import open_database
+from softcal.db.schema.database import open_database
 
 
 def _plain(value: object) -> object:

@@ -1,0 +1,191 @@
+"""How large the product is and how its parts hang together, counted in the source alone.
+
+    python benchmarks/size.py                    this working copy
+    python benchmarks/size.py --against HEAD~20  a commit and this working copy side by side
+
+Prints a row a measure. Nothing is imported and nothing is run; a commit is read by `git archive`.
+"""
+
+import argparse
+import ast
+import io
+import subprocess
+import tarfile
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("core", "db", "station", "app")
+ONE_LINE = 100
+SMALL_MODULE = 25
+FITTED = "core/unit/calibrate.py"
+DECLARED = ("setting", "table")
+"""Functions of `core.settings` that declare a number of a method with its origin."""
+
+Rows = dict[str, str]
+Arrows = dict[str, set[str]]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--against", metavar="REF", help="a commit to print before this working copy")
+    ref = parser.parse_args().against
+    columns = [measured(ROOT)]
+    if ref is not None:
+        with tempfile.TemporaryDirectory() as folder:
+            archive = subprocess.run(["git", "archive", ref], cwd=ROOT, check=True, capture_output=True).stdout
+            tarfile.open(fileobj=io.BytesIO(archive)).extractall(folder, filter="data")
+            columns.insert(0, measured(Path(folder)))
+    for name, now in columns[-1].items():
+        print(f"{name:58}" + " → ".join(f"{column.get(name, '-'):>24}" for column in columns[:-1] + [{name: now}]))
+
+
+def measured(root: Path) -> Rows:
+    """Return every measure of a checkout by its name."""
+    paths = {package: sorted((root / package).rglob("*.py")) for package in PACKAGES}
+    trees = {
+        path.relative_to(root).as_posix(): ast.parse(path.read_text("utf-8"))
+        for files in paths.values()
+        for path in files
+    }
+    texts = {package: [*files, *sorted((root / package).rglob("*.toml"))] for package, files in paths.items()}
+    rows = {f"lines of {package}, every begun 100 characters one": str(counted(texts[package])) for package in PACKAGES}
+    all_texts = [path for files in texts.values() for path in files]
+    rows["lines of the product, every begun 100 characters one"] = str(counted(all_texts))
+    rows["lines of the product as they stand"] = str(sum(len(lines_of(path)) for path in all_texts))
+    rows |= functions(trees)
+    modules = [path for files in paths.values() for path in files if path.name != "__init__.py"]
+    rows["modules"] = str(len(modules))
+    rows[f"modules under {SMALL_MODULE} lines"] = str(sum(len(lines_of(path)) < SMALL_MODULE for path in modules))
+    rows[f"modules that {FITTED} imports"] = str(len({module for module, _ in imported(trees[FITTED])}))
+    rows |= numbers({name: tree for name, tree in trees.items() if name.startswith(("core/", "station/"))})
+    for package in PACKAGES:
+        rows[f"{package}: rooms, floors, arrows, back arrows, circles"] = shape(package, trees)
+    tests = sorted((root / "tests").rglob("*.py"))
+    rows["lines of tests, every begun 100 characters one"] = str(counted(tests))
+    rows["benchmark files"] = str(len(list((root / "benchmarks").glob("*.py"))))
+    return rows
+
+
+def lines_of(path: Path) -> list[str]:
+    return path.read_text("utf-8").splitlines()
+
+
+def counted(paths: Iterable[Path]) -> int:
+    """Return lines of files as if none could be longer than 100 characters: a long line hides no code."""
+    return sum(max(1, -(-len(line) // ONE_LINE)) for path in paths for line in lines_of(path))
+
+
+def functions(trees: Mapping[str, ast.Module]) -> Rows:
+    """Return how many functions there are, and how many of the private ones their module calls at one place only."""
+    total = private = once = 0
+    for tree in trees.values():
+        called = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
+        calls = Counter(node.id if isinstance(node, ast.Name) else getattr(node, "attr", "") for node in called)
+        names = [node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+        hidden = [name for name in names if name.startswith("_") and not name.startswith("__")]
+        total, private = total + len(names), private + len(hidden)
+        once += sum(calls[name] == 1 for name in hidden)
+    return {
+        "functions": str(total),
+        "private functions": f"{private} ({private / total:.0%})",
+        "private functions called once": f"{once} ({once / private:.0%})",
+    }
+
+
+def imported(tree: ast.Module) -> set[tuple[str, str]]:
+    """Return module and name of everything that is imported from the product, wherever in a module."""
+    return {
+        (node.module, alias.name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("softcal.")
+        for alias in node.names
+    }
+
+
+def numbers(trees: Mapping[str, ast.Module]) -> Rows:
+    """Return how many numbers were chosen: those declared with an origin in a method, and constants of modules."""
+    methods = [tree for name, tree in trees.items() if name != "core/settings.py"]
+    calls = [node for tree in methods for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    declared = sum(isinstance(call.func, ast.Name) and call.func.id in DECLARED for call in calls)
+    constants = sum(is_given_number(node) for tree in trees.values() for node in tree.body)
+    return {
+        "numbers that decide: fields of methods": str(declared),
+        "numbers that decide: constants of core and station": str(constants),
+    }
+
+
+def is_given_number(node: ast.stmt) -> bool:
+    """Whether a statement gives a name a number, or something made of numbers alone."""
+    if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+        return False
+    constants = [part.value for part in ast.walk(node.value) if isinstance(part, ast.Constant)]
+    is_number = [isinstance(value, int | float) and not isinstance(value, bool) for value in constants]
+    return bool(is_number) and all(is_number)
+
+
+def shape(package: str, trees: Mapping[str, ast.Module]) -> str:
+    """Return the rooms of a package (its folders, and its modules beside them) and how they import one another."""
+    arrows: Arrows = {}
+    homes = {}
+    for name, tree in trees.items():
+        parts = name.removesuffix(".py").split("/")
+        if parts[0] == package and (len(parts) > 2 or tree.body) and parts[1] != "__init__":
+            homes[name] = parts[1]
+            arrows.setdefault(parts[1], set())
+    for name, home in homes.items():
+        for module, what in imported(trees[name]):
+            _, other_package, room, *_ = f"{module}.{what}".split(".")
+            if other_package == package and room in arrows and room != home:
+                arrows[home].add(room)
+    circles = [circle for circle in components(arrows) if len(circle) > 1]
+    floor_of: dict[frozenset[str], int] = {}
+    for circle in components(arrows):
+        below = [floor_of[other] for other in floor_of if any(arrows[room] & other for room in circle)]
+        floor_of[circle] = 1 + max(below, default=0)
+    back = sum(closing(circle, arrows) for circle in circles)
+    count = sum(map(len, arrows.values()))
+    return f"{len(arrows)}, {max(floor_of.values())}, {count}, {back}, {len(circles)}"
+
+
+def components(arrows: Arrows) -> list[frozenset[str]]:
+    """Return groups of rooms that reach one another (Tarjan 1972), those that the others stand on first."""
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found: list[frozenset[str]] = []
+
+    def visit(room: str) -> None:
+        index[room] = low[room] = len(index)
+        stack.append(room)
+        for other in sorted(arrows[room]):
+            if other not in index:
+                visit(other)
+            if other in stack:
+                low[room] = min(low[room], low[other])
+        if low[room] == index[room]:
+            group = stack[stack.index(room) :]
+            del stack[stack.index(room) :]
+            found.append(frozenset(group))
+
+    for room in sorted(arrows):
+        if room not in index:
+            visit(room)
+    return found
+
+
+def closing(circle: frozenset[str], arrows: Arrows) -> int:
+    """Return how many arrows of a circle point back when its rooms stand in a good order (Eades and others 1993)."""
+    order: list[str] = []
+    left = set(circle)
+    while left:
+        room = max(sorted(left), key=lambda room: len(arrows[room] & left) - sum(room in arrows[o] for o in left))
+        order.append(room)
+        left.remove(room)
+    return sum(order.index(other) < order.index(room) for room in circle for other in arrows[room] & circle)
+
+
+if __name__ == "__main__":
+    main()

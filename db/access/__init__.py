@@ -1,0 +1,1 @@
+"""Who may do what: people with PINs, programs with tokens, roles of the database."""

@@ -1,0 +1,57 @@
+"""Least privilege on PostgreSQL: what a line, a manager and readers may do with the tables, as SQL to run.
+
+The owner of the tables alone can upgrade them and drop the triggers; nobody who calibrates should be the owner.
+"""
+
+import re
+
+from softcal.core.errors import InputError
+from softcal.db.schema.tables import APPEND_ONLY, metadata
+
+CHANGING = {
+    "users": "UPDATE (failures, locked_until)",
+    "work_items": "INSERT, UPDATE, DELETE",
+    "orders": "INSERT, UPDATE",
+    "heartbeats": "INSERT, UPDATE",
+    "run_signals": "INSERT, DELETE",
+    "jobs": "INSERT, UPDATE",
+    "line_places": "INSERT, UPDATE",
+    "deliveries": "INSERT, UPDATE",
+}
+"""Tables whose rows change at the line, and how. Of people it may count wrong PINs and pause, nothing else."""
+
+DECIDED_ELSEWHERE = ("limits", "line_rules", "certificates", "network_releases")
+"""What the line goes by and must not set: its account reads it, the managing one adds to it."""
+
+ROLE = re.compile(r"[a-z_][a-z0-9_]{0,62}")
+
+
+def grant_statements(line: str, reader: str, manager: str) -> list[str]:
+    """Return the SQL that gives each role what it needs, and nothing else.
+
+    Args:
+        line: calibrates and adds to the history; cannot change people, limits, rules, certificates or history.
+        reader: reads everything but the PINs.
+        manager: what the line may, and people, limits, rules and certificates: for the desk's `softcal ui`.
+
+    Raises:
+        InputError: a name that is no plain PostgreSQL role.
+    """
+    for role in (line, reader, manager):
+        if not ROLE.fullmatch(role):
+            raise InputError(f"role {role!r}: lower-case letters, digits and '_' are allowed")
+    names = ["alembic_version", *(table.name for table in metadata.sorted_tables)]
+    # PINs are hashed, yet a hash of four digits is soon guessed: readers do not see them.
+    grown = [name for name in APPEND_ONLY if name not in DECIDED_ELSEWHERE]
+    shown = [name for name in names if name not in ("users", "tokens")]
+    return [
+        f"REVOKE ALL ON {', '.join(names)} FROM PUBLIC, {line}, {manager}, {reader};",
+        f"REVOKE UPDATE (failures, locked_until) ON users FROM {line}, {manager};",
+        f"GRANT SELECT ON {', '.join(names)} TO {line}, {manager};",
+        f"GRANT SELECT ON {', '.join(shown)} TO {reader};",
+        f"GRANT INSERT ON {', '.join(grown)} TO {line};",
+        f"GRANT INSERT ON {', '.join(APPEND_ONLY)} TO {manager};",
+        *(f"GRANT {rights} ON {name} TO {line}, {manager};" for name, rights in CHANGING.items()),
+        f"GRANT INSERT, UPDATE ON users, tokens TO {manager};",
+        f"GRANT USAGE ON SEQUENCE work_items_id_seq TO {line}, {manager};",
+    ]

@@ -1,0 +1,164 @@
+"""Who may do what: people with a role and a PIN. PINs are kept as Argon2id hashes and never leave this module."""
+
+import hashlib
+from datetime import timedelta
+from functools import cache
+from typing import TYPE_CHECKING
+
+from sqlalchemy import Connection, RowMapping, func, insert, select, update
+
+from softcal.core.errors import InputError
+from softcal.core.words.reason import Reason
+from softcal.db.entries import User
+from softcal.db.schema.tables import users
+from softcal.db.truth.registry_base import RegistryBase
+
+if TYPE_CHECKING:
+    from argon2 import PasswordHasher
+
+ROLES = ("operator", "engineer", "quality")
+SHORTEST_PIN = 4
+MOST_FAILURES = 5
+LOCKED_FOR = timedelta(minutes=5)
+"""A four-digit PIN would fall to 10,000 guesses; after five wrong ones there is a pause."""
+
+PERMISSIONS = {
+    "operator": frozenset({"calibrate", "look"}),
+    "engineer": frozenset({"calibrate", "look", "set_limit", "rollback", "override", "set_up", "release"}),
+    "quality": frozenset({"look", "set_limit", "rollback", "override", "people", "audit", "release"}),
+}
+
+
+@cache
+def _hasher() -> "PasswordHasher":
+    # Only who signs in or sets a PIN pays for it.
+    from argon2 import PasswordHasher
+
+    return PasswordHasher()
+
+
+@cache
+def _nobody() -> str:
+    """Return a hash that no PIN has; made once, and not at import: a quarter of a second on a slow machine."""
+    return _hasher().hash("nobody has this PIN")
+
+
+class People(RegistryBase):
+    """The part of the registry that knows people."""
+
+    def set_user(
+        self,
+        name: str,
+        role: str,
+        pin: str | None = None,
+        *,
+        actor: str,
+        reason: str = "",
+        is_active: bool = True,
+        version: int = 0,
+    ) -> User:
+        """Add a person (version 0), or change the version that was looked at.
+
+        Args:
+            pin: digits, at least four; None keeps the one there is.
+
+        Raises:
+            InputError: no such role, a PIN too short, or somebody else changed the person since `version`.
+        """
+        if not name.strip():
+            raise InputError(Reason("account.no_name"))
+        if role not in ROLES:
+            raise InputError(Reason("account.role", {"role": repr(role), "known": ", ".join(ROLES)}))
+        if pin is not None and (len(pin) < SHORTEST_PIN or not pin.isdigit()):
+            raise InputError(Reason("account.pin_short", {"digits": SHORTEST_PIN}))
+        with self.database.writing() as connection:
+            known = _row(connection, name)
+            found = known["version"] if known else 0
+            if found != version:
+                raise InputError(Reason("account.changed", {"name": repr(name), "found": found, "version": version}))
+            if known is None and pin is None:
+                raise InputError(Reason("account.needs_pin", {"name": repr(name)}))
+            values = {"name": name, "role": role, "is_active": is_active, "version": version + 1}
+            values |= {"failures": 0, "locked_until": None, "changed_at": self.settings.clock()}
+            if pin is not None:
+                values["pin_hash"] = _hasher().hash(pin)
+            statement = insert(users) if known is None else update(users).where(users.c.name == name)
+            connection.execute(statement.values(**values))
+            before = people_as_told(known) if known else None
+            kept = connection.execute(select(users).where(users.c.name == name)).mappings().one()
+            told = {"before": before, "after": people_as_told(kept)}
+            self._tell(connection, "set_user", "users", (name,), actor, reason=reason, **told)
+            return user_of(connection, kept)
+
+    def users(self) -> list[User]:
+        """Return everybody by name."""
+        with self.database.reading() as connection:
+            return [user_of(connection, row) for row in self.database.rows(select(users).order_by(users.c.name))]
+
+    def sign_in(self, name: str, pin: str) -> User:
+        """Return the person when the PIN is right.
+
+        Raises:
+            InputError: wrong name or PIN (it does not say which), not active, or a pause after wrong ones.
+        """
+        with self.database.writing() as connection:
+            row = _row(connection, name)
+            now = self.settings.clock()
+            is_locked = row is not None and row["locked_until"] is not None and row["locked_until"] > now
+            # The hash is checked even for an unknown name, so that the time it takes says nothing.
+            is_right = _is_pin(row["pin_hash"] if row else _nobody(), pin)
+            if row is not None and not is_locked:
+                failures = 0 if is_right else row["failures"] + 1
+                pause = now + LOCKED_FOR if failures >= MOST_FAILURES else None
+                values = {"failures": 0 if pause else failures, "locked_until": pause}
+                connection.execute(update(users).where(users.c.name == name).values(**values))
+                if pause:
+                    self._tell(connection, "lock", "users", (name,), name, after={"until": pause})
+            user = None if row is None else user_of(connection, row)
+        if is_locked:
+            raise InputError(Reason("account.locked", {"minutes": LOCKED_FOR.seconds // 60}))
+        if user is None or not is_right:
+            raise InputError(Reason("account.wrong_pin"))
+        if not user.is_active:
+            raise InputError(Reason("account.inactive"))
+        return user
+
+
+def permissions(user: User) -> frozenset[str]:
+    """Return what a person may do: what the role allows, and everything while nobody else has an account.
+
+    Who decides about people could give themselves a second account, so that this gives no right that was not there.
+    """
+    if not user.is_active:
+        return frozenset()
+    return frozenset().union(*PERMISSIONS.values()) if user.is_alone else PERMISSIONS[user.role]
+
+
+def may(user: User, action: str) -> bool:
+    """Whether a person may do an action of `PERMISSIONS`."""
+    return action in permissions(user)
+
+
+def user_of(connection: Connection, row: RowMapping) -> User:
+    """Return the person of a row that has name, role, is_active and version."""
+    is_alone = "people" in PERMISSIONS[row["role"]] and connection.scalar(select(func.count()).select_from(users)) == 1
+    return User(row["name"], row["role"], row["is_active"], row["version"], is_alone)
+
+
+def people_as_told(row: RowMapping) -> dict[str, object]:
+    """Return a person as the audit trail tells of one: the hash of the PIN only as a hash of its own."""
+    told = {name: row[name] for name in ("name", "role", "is_active", "version")}
+    return told | {"pin_sha256": hashlib.sha256(row["pin_hash"].encode()).hexdigest()}
+
+
+def _is_pin(stored: str, pin: str) -> bool:
+    from argon2.exceptions import InvalidHashError, VerificationError
+
+    try:
+        return _hasher().verify(stored, pin)
+    except (VerificationError, InvalidHashError):
+        return False
+
+
+def _row(connection: Connection, name: str) -> RowMapping | None:
+    return connection.execute(select(users).where(users.c.name == name)).mappings().first()

@@ -1,0 +1,120 @@
+"""Backup and restore of a registry while it is in use. A backup is one SQLite file, whichever database it came from."""
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+from sqlalchemy import Connection, Select, delete, insert, select
+
+from softcal.core.errors import RegistryError
+from softcal.db.care.checks import faults
+from softcal.db.care.maintenance import Adoption, migrate
+from softcal.db.schema.database import Database, check_schema, open_database, schema_of
+from softcal.db.schema.tables import SCHEMA, heartbeats, metadata, registry_info, tokens, work_items
+from softcal.db.truth import history
+from softcal.db.truth.registry_base import RegistrySettings
+
+ROWS_AT_ONCE = 200
+PASSING = (work_items, heartbeats, tokens)
+"""Work under way and signs of life: they tell of programs that run here, and would be false elsewhere. A token that was
+withdrawn since the backup must not come to life again."""
+
+
+def back_up(database: Database, path: Path) -> None:
+    """Write one consistent state of the registry into a new SQLite file, whole or not at all.
+
+    Raises:
+        RegistryError: the file exists, or cannot be written.
+    """
+    if path.exists():
+        raise RegistryError(f"backup {path} exists; give a new name: a backup is never overwritten")
+    if not path.absolute().parent.is_dir():
+        raise RegistryError(f"backup {path}: the folder {path.absolute().parent} does not exist")
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.unlink(missing_ok=True)
+        # SQLite keeps the mode of a file that is there and empty.
+        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
+        _write_copy(database, part)
+        with part.open("rb+") as file:
+            os.fsync(file.fileno())
+        part.rename(path)
+    except OSError as error:
+        raise RegistryError(f"backup {path} cannot be written: {error.strerror}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def restore(path: Path, url: str) -> None:
+    """Fill an empty database from a backup, after checking every byte of it.
+
+    The restored registry writes a chain of its own in the audit trail from here on, so that it can be told from any
+    other copy of the same backup.
+
+    Raises:
+        RegistryError: the backup is missing, damaged or too new, or the target holds a registry already.
+    """
+    if not path.is_file():
+        raise RegistryError(f"backup {path}: there is no such file")
+    with tempfile.TemporaryDirectory(prefix="softcal-restore-") as folder:
+        # The copy may be upgraded and gets files beside it; the backup itself stays as it is.
+        source = open_database(f"sqlite:///{shutil.copy(path, Path(folder) / 'backup.db')}")
+        try:
+            _check_backup(source, path)
+            _fill(source, open_database(url))
+        finally:
+            source.close()
+
+
+def _write_copy(database: Database, part: Path) -> None:
+    if database.is_sqlite:
+        with database.outside_transactions() as connection:
+            connection.execute("VACUUM INTO ?", (str(part),))
+        return
+    copy = open_database(f"sqlite:///{part}")
+    try:
+        with database.reading() as source, copy.writing() as target:
+            migrate(copy)
+            target.execute(delete(registry_info))
+            _copy_tables(source, target, keep_origin=True)
+    finally:
+        copy.close()
+
+
+def _check_backup(source: Database, path: Path) -> None:
+    schema = schema_of(source)
+    if schema is None:
+        raise RegistryError(f"backup {path} is empty; nothing was restored")
+    if schema < SCHEMA:
+        schema = migrate(source)
+    check_schema(source, schema)
+    with source.reading() as connection:
+        found = list(faults(connection))
+    if found:
+        raise RegistryError(f"backup {path} is damaged, nothing was restored: {found[0]} ({len(found)} faults in all)")
+
+
+def _fill(source: Database, target: Database) -> None:
+    try:
+        with source.reading() as rows, target.writing() as connection:
+            if schema_of(target) is not None:
+                raise RegistryError(f"registry {target.name} is not empty; restore into a new one")
+            migrate(target)
+            connection.execute(delete(registry_info).where(registry_info.c.key.not_in(["origin", "origin_sha256"])))
+            _copy_tables(rows, connection, keep_origin=False)
+            heads = {origin: list(history.head(rows, origin)) for origin in history.origins(rows)}
+            Adoption(target, RegistrySettings()).state_restored(heads)
+    finally:
+        target.close()
+
+
+def _copy_tables(source: Connection, target: Connection, *, keep_origin: bool) -> None:
+    for table in metadata.sorted_tables:
+        query: Select[tuple[object, ...]] = select(table)
+        if table in PASSING:
+            continue
+        if table is registry_info and not keep_origin:
+            query = query.where(registry_info.c.key.not_in(["origin", "origin_sha256"]))
+        for rows in source.execute(query, execution_options={"yield_per": ROWS_AT_ONCE}).mappings().partitions():
+            target.execute(insert(table), [dict(row) for row in rows])

@@ -1,0 +1,321 @@
+"""Is a registry whole: pages, indices, references, tables, triggers, rows, blobs and the links of its audit trail."""
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from sqlalchemy import Boolean, Connection, Date, and_, func, inspect, select, text, type_coerce
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.types import NullType
+
+from softcal.core.errors import RegistryError
+from softcal.db.access.people import people_as_told
+from softcal.db.access.tokens import token_as_told
+from softcal.db.entries import Anchor
+from softcal.db.schema import append_only
+from softcal.db.schema.arrays import ARRAY, ARRAYS, parts_of
+from softcal.db.schema.tables import (
+    APPEND_ONLY,
+    AUDITED,
+    CanonicalJson,
+    UtcTime,
+    audit,
+    blobs,
+    canonical_json,
+    metadata,
+    registry_info,
+    tokens,
+    users,
+)
+from softcal.db.truth import history
+
+ROWS_OF_QUICK = 200
+IN_WORDS = (UtcTime, CanonicalJson, Boolean, Date)
+"""Types that a database may keep in more than one form."""
+
+TOLD_OF_PEOPLE = ("set_user", "state")
+
+BLOB_KINDS = (ARRAYS, ARRAY, "document", "job")
+KINDS_OF = {"certificates": ("document",)}
+"""Kind of the blobs that a table's rows name; all others name arrays."""
+
+
+def faults(
+    connection: Connection,
+    *,
+    is_quick: bool = False,
+    anchors: Sequence[Anchor] = (),
+    on_step: Callable[[str], None] = lambda _: None,
+) -> Iterator[str]:
+    """Give one line for every page, row, blob, trigger or link of the audit chain that is not what was written.
+
+    Args:
+        is_quick: leave out what reads every page and every blob.
+        anchors: what was written down of the chains elsewhere.
+        on_step: told what is checked next.
+    """
+    for name, check in _checks(connection, is_quick, anchors):
+        on_step(name)
+        try:
+            # A query that fails ends a transaction of PostgreSQL; the checks after it go on in what is left.
+            with connection.begin_nested():
+                found = list(check)
+            yield from found
+        except (ValueError, TypeError, KeyError, RegistryError, DBAPIError) as error:
+            # A damaged value may not even be read: that is what was to be found out.
+            cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
+            yield f"{name}: cannot be read: {(str(cause).splitlines() or [type(cause).__name__])[0][:160]}"
+
+
+def _checks(connection: Connection, is_quick: bool, anchors: Sequence[Anchor]) -> Iterator[tuple[str, Iterator[str]]]:
+    info = registry_info.c
+    origin = str(connection.execute(select(info.value).where(info.key == "origin")).scalar_one_or_none())
+    if not is_quick:
+        yield "pages and indices", page_faults(connection)
+        yield "tables", schema_faults(connection)
+    yield "foreign tables", alien_tables(connection)
+    yield "triggers", trigger_faults(connection)
+    yield "origin", origin_faults(connection)
+    yield "people", people_faults(connection, origin)
+    yield "tokens", token_faults(connection)
+    for anchor in anchors:
+        yield "what was written down elsewhere", anchor_faults(connection, anchor.heads, anchor.where)
+    if is_quick:
+        yield "rows", count_faults(connection)
+        yield "audit trail", newest_faults(connection)
+        return
+    yield "references", reference_faults(connection)
+    yield "audit trail", history.chain_faults(history.rows(connection))
+    yield "rows", _row_faults(connection)
+    yield "values", form_faults(connection)
+    yield "recordings, networks and maps", _blob_faults(connection)
+
+
+def _row_faults(connection: Connection) -> Iterator[str]:
+    # Two registries may have registered the same thing: the row is the one or the other.
+    told: dict[tuple[str, str], set[str]] = {}
+    for entry in history.rows(connection):
+        if entry.entity in AUDITED and entry.after is not None:
+            told.setdefault((entry.entity, entry.key), set()).add(hashlib.sha256(entry.after.encode()).hexdigest())
+    for name in AUDITED:
+        table = metadata.tables[name]
+        for row in connection.execute(select(table), execution_options={"yield_per": 1000}).mappings():
+            key = canonical_json(history.row_key(table, dict(row)))
+            expected = told.pop((name, key), None)
+            if expected is None:
+                yield f"{name} {key}: was put in without an entry in the audit trail"
+            elif expected.isdisjoint(
+                hashlib.sha256(form.encode()).hexdigest() for form in history.forms(table, dict(row))
+            ):
+                yield f"{name} {key}: was changed after it was written"
+    for name, key in told:
+        yield f"{name} {key}: is in the audit trail but was removed"
+
+
+def _blob_faults(connection: Connection) -> Iterator[str]:
+    stored, parts = dict[str, str](), dict[str, str]()
+    for row in connection.execute(select(blobs), execution_options={"yield_per": 50}):
+        stored[row.sha256] = row.kind
+        if row.size != len(row.data) or row.kind not in BLOB_KINDS:
+            yield f"blob {row.sha256[:12]}: its size or kind was changed"
+        if hashlib.sha256(row.data).hexdigest() != row.sha256:
+            yield f"blob {row.sha256[:12]}: its bytes were changed"
+        elif row.kind == ARRAYS:
+            try:
+                parts |= dict.fromkeys(parts_of(row.data).values(), row.sha256)
+            except RegistryError as error:
+                yield f"blob {row.sha256[:12]}: {error}"
+    for part, sha256 in parts.items():
+        if part not in stored:
+            yield f"blob {part[:12]} of blob {sha256[:12]}: is missing"
+        elif stored[part] != ARRAY:
+            yield f"blob {part[:12]}: its size or kind was changed"
+    for table in (table for table in metadata.sorted_tables if "blob_sha256" in table.columns):
+        for sha256 in connection.execute(select(table.c.blob_sha256)).scalars():
+            if sha256 is not None and sha256 not in stored:
+                yield f"blob {sha256[:12]} of {table.name}: is missing"
+            elif sha256 is not None and stored[sha256] not in KINDS_OF.get(table.name, (ARRAYS,)):
+                yield f"blob {sha256[:12]}: its size or kind was changed"
+
+
+def page_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every damaged page, and for every index that does not agree with its table."""
+    if connection.dialect.name == "sqlite":
+        for (line,) in connection.exec_driver_sql("PRAGMA integrity_check(100)").all():
+            if line != "ok":
+                yield f"database: {line}"
+        return
+    known = connection.execute(text("SELECT 1 FROM pg_extension WHERE extname = 'amcheck'")).first()
+    if known is None:
+        return
+    indices = text(
+        "SELECT c.oid, c.relname FROM pg_index i JOIN pg_class c ON c.oid = i.indexrelid JOIN pg_am a ON a.oid = "
+        "c.relam JOIN pg_namespace n ON n.oid = c.relnamespace WHERE a.amname = 'btree' AND n.nspname = 'public'"
+    )
+    for oid, name in connection.execute(indices).all():
+        try:
+            with connection.begin_nested():
+                connection.execute(text("SELECT bt_index_check(CAST(:oid AS regclass), true)"), {"oid": oid})
+        except DBAPIError as error:
+            yield f"index {name}: {str(error.orig).splitlines()[0]}"
+
+
+def reference_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every table with rows that refer to rows which are not there."""
+    for table in metadata.sorted_tables:
+        for constraint in table.foreign_key_constraints:
+            parent = constraint.referred_table.alias()
+            pairs = [(element.parent, parent.c[element.column.name]) for element in constraint.elements]
+            is_there = select(pairs[0][1]).where(*(child == column for child, column in pairs)).correlate(table)
+            is_set = and_(*(child.is_not(None) for child, _ in pairs))
+            lost = select(func.count()).select_from(table).where(is_set, ~is_there.exists())
+            count = connection.execute(lost).scalar_one()
+            if count:
+                yield f"{table.name}: {count} rows refer to {constraint.referred_table.name} that are not there"
+
+
+def form_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every value in other words than softcal's: it reads as the same and is sorted as another.
+
+    Times, JSON and truth values are kept as text and numbers that Python reads in more than one form.
+    """
+    dialect = connection.dialect
+    for table in (*(metadata.tables[name] for name in AUDITED), audit, users):
+        read = [column for column in table.columns if isinstance(column.type, IN_WORDS)]
+        key = list(table.primary_key.columns)
+        writers = [column.type.dialect_impl(dialect).bind_processor(dialect) for column in read]
+        in_order = {"yield_per": 1000}
+        stored = select(*key, *(type_coerce(column, NullType()) for column in read)).order_by(*key)
+        values = connection.execute(select(*read).order_by(*key), execution_options=in_order)
+        for row, found in zip(connection.execute(stored, execution_options=in_order), values, strict=True):
+            for column, kept, write, value in zip(read, row[len(key) :], writers, found, strict=True):
+                if kept != (value if write is None else write(value)):
+                    named = history.row_key(table, {part.name: row[k] for k, part in enumerate(key)})
+                    shown = f"{column.name} is not as softcal writes it: {str(kept)[:60]!r}"
+                    yield f"{table.name} {canonical_json(named)}: {shown}"
+
+
+def schema_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for everything in the schema that is not as the migrations make it."""
+    # Alembic takes half a second to import: only the whole check pays.
+    from alembic.autogenerate import compare_metadata
+    from alembic.runtime.migration import MigrationContext
+
+    for difference in compare_metadata(MigrationContext.configure(connection), metadata):
+        what = difference if isinstance(difference, tuple) else difference[0]
+        yield f"schema: {' '.join(str(part) for part in what[:3])[:160]} is not as this version makes it"
+
+
+def trigger_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every table whose rows can be changed because its triggers are gone, off, or others."""
+    found = _sqlite_triggers(connection) if connection.dialect.name == "sqlite" else _postgresql_triggers(connection)
+    for table in APPEND_ONLY:
+        wanted = append_only.triggers_of(table, connection.dialect.name)
+        for name, definition in wanted.items():
+            if name not in found:
+                yield f"trigger {name}: is gone; rows of {table} can be changed"
+            elif found.pop(name) != definition:
+                yield f"trigger {name}: is not the one that was made; rows of {table} can be changed"
+    for name in found:
+        yield f"trigger {name}: was put in; softcal made no such trigger"
+
+
+def _sqlite_triggers(connection: Connection) -> dict[str, str]:
+    rows = connection.exec_driver_sql("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'").all()
+    return {name: " ".join(str(sql).split()) for name, sql in rows}
+
+
+def _postgresql_triggers(connection: Connection) -> dict[str, str]:
+    query = text(
+        "SELECT t.tgname, c.relname || ' ' || p.proname || ' ' || t.tgtype || ' ' || "
+        "CAST(t.tgenabled AS text) || ' ' || "
+        "md5(regexp_replace(p.prosrc, '\\s+', ' ', 'g')) FROM pg_trigger t JOIN pg_class c ON c.oid = t.tgrelid "
+        "JOIN pg_proc p ON p.oid = t.tgfoid JOIN pg_namespace n ON n.oid = c.relnamespace "
+        "WHERE NOT t.tgisinternal AND n.nspname = 'public'"
+    )
+    return {name: definition for name, definition in connection.execute(query)}
+
+
+def origin_faults(connection: Connection) -> Iterator[str]:
+    """Give a line where the name under which this registry writes its chain was changed."""
+    info = {key: value for key, value in connection.execute(select(registry_info.c.key, registry_info.c.value))}
+    if info.get("origin_sha256") != origin_sha256(str(info.get("origin"))):
+        yield f"registry_info: origin {info.get('origin')!r} is not the one this registry was made with"
+    for key in sorted(info.keys() - {"origin", "origin_sha256"}):
+        yield f"registry_info: {key!r} was put in; softcal keeps no such fact"
+
+
+def origin_sha256(origin: str) -> str:
+    """Return what stands beside the origin, so that a change of it alone is seen."""
+    return hashlib.sha256(f"origin {origin}".encode()).hexdigest()
+
+
+def people_faults(connection: Connection, origin: str) -> Iterator[str]:
+    """Give a line for every person whose row is not what the audit trail of this registry told of last."""
+    query = select(audit.c.key, audit.c.after).where(audit.c.entity == "users", audit.c.origin == origin)
+    query = query.where(audit.c.action.in_(TOLD_OF_PEOPLE)).order_by(audit.c.seq)
+    told = {key: after for key, after in connection.execute(query)}
+    rows = connection.execute(select(users)).mappings()
+    here = {canonical_json((row["name"],)): canonical_json(people_as_told(row)) for row in rows}
+    yield from _untold("users", here, told, "role, PIN or rights")
+    for key in told.keys() - here.keys():
+        yield f"users {key}: is in the audit trail but was removed"
+
+
+def token_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every token whose row is not what the audit trail told of last."""
+    query = select(audit.c.key, audit.c.after).where(audit.c.entity == "tokens").order_by(audit.c.at, audit.c.seq)
+    told = {key: after for key, after in connection.execute(query)}
+    rows = connection.execute(select(tokens)).mappings()
+    here = {canonical_json((row["token_id"],)): canonical_json(history.plain(token_as_told(row))) for row in rows}
+    yield from _untold("tokens", here, told, "account, purpose, end or secret")
+
+
+def _untold(table: str, here: Mapping[str, str], told: Mapping[str, str | None], facts: str) -> Iterator[str]:
+    for key, row in here.items():
+        if told.get(key) is None:
+            yield f"{table} {key}: was put in without an entry in the audit trail"
+        elif told[key] != row:
+            yield f"{table} {key}: {facts} were changed behind the audit trail"
+
+
+def count_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every table with more rows than the audit trail tells of, or fewer where one chain is all."""
+    is_alone = len(history.origins(connection)) == 1
+    query = select(audit.c.entity, func.count()).where(audit.c.entity.in_(AUDITED)).group_by(audit.c.entity)
+    told = {entity: count for entity, count in connection.execute(query)}
+    for name in AUDITED:
+        rows = connection.execute(select(func.count()).select_from(metadata.tables[name])).scalar_one()
+        if rows > told.get(name, 0) or (is_alone and rows < told.get(name, 0)):
+            yield f"{name}: {rows} rows, and the audit trail tells of {told.get(name, 0)}"
+
+
+def newest_faults(connection: Connection) -> Iterator[str]:
+    """Give a line for every fault of a chain among its newest rows."""
+    for origin in history.origins(connection):
+        seq, _ = history.head(connection, origin)
+        first = max(0, seq - ROWS_OF_QUICK)
+        rows = list(history.rows(connection, origin, first))
+        yield from history.chain_faults(iter(rows), first, rows[0].prev_hash if first and rows else history.FIRST_HASH)
+
+
+def anchor_faults(connection: Connection, heads: dict[str, tuple[int, str]], where: str) -> Iterator[str]:
+    """Give a line for every chain that does not hold the row which was its last when it was written down elsewhere.
+
+    Args:
+        heads: number and hash of the last row of each chain.
+        where: when and where they were written down.
+    """
+    for origin, (seq, sha256) in heads.items():
+        query = select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq)
+        found = connection.execute(query).scalar_one_or_none()
+        if found != sha256:
+            what = "is gone" if found is None else "is another one"
+            yield f"audit {origin} row {seq}: {what} than was written down {where}; the trail was cut or rewritten"
+
+
+def alien_tables(connection: Connection) -> Iterator[str]:
+    """Give a line for every table that softcal did not make: a view or table beside its own may shadow one."""
+    known = {table.name for table in metadata.sorted_tables} | {"alembic_version"}
+    for name in (*inspect(connection).get_table_names(), *inspect(connection).get_view_names()):
+        if name not in known:
+            yield f"table {name}: was put in; softcal made no such table"

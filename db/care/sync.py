@@ -1,0 +1,182 @@
+"""Bring two registries together, both ways: a station's SQLite file and the PostgreSQL of the line.
+
+The audit trail is the list of what to send: a registry gets, per chain, the rows behind the last one it has, together
+with what they tell of. Each chunk is one transaction, so that a broken line loses nothing, and sending twice changes
+nothing. Work items, orders and people stay where they are.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import date, datetime, timedelta
+from typing import Any
+
+from sqlalchemy import Connection, Date, Table, and_, func, insert, select
+
+from softcal.core.errors import InputError, RegistryError
+from softcal.db.entries import AuditRow
+from softcal.db.schema.arrays import copy_blob
+from softcal.db.schema.found import forget
+from softcal.db.schema.tables import AUDITED, UtcTime, audit, blobs, limits, metadata
+from softcal.db.truth import history
+from softcal.db.truth.in_use import conflict_line, conflicts_of
+from softcal.db.truth.registry_base import RegistryBase
+
+ROWS_AT_ONCE = 200
+CLOCKS_AGREE = timedelta(minutes=2)
+Named = tuple[object, ...]
+"""Table and primary key of a row."""
+
+FACTS_OF_A_LOT = ("source", "sample_rate_Hz", "sensor_model", "reference_quantity", "reference_unit", "output_unit")
+
+
+@dataclass(frozen=True)
+class SyncReport:
+    """What a synchronisation did.
+
+    Args:
+        sent, received: rows of the audit trail that went to the other registry and came from there.
+        conflicts: what two registries did to the same thing; both results are kept, and a person has to decide.
+        clocks: registries whose clocks do not agree with this computer's; their order of events is not to be trusted.
+    """
+
+    sent: int
+    received: int
+    conflicts: tuple[str, ...]
+    clocks: tuple[str, ...] = ()
+
+
+def synchronise(here: RegistryBase, there: RegistryBase) -> SyncReport:
+    """Send what `there` does not have, take what `here` does not have.
+
+    Raises:
+        InputError: both are the same registry, or copies of one file that were both written to.
+        RegistryError: a chain is damaged or a connection broke; what came over before is kept, run it again.
+    """
+    if here.origin == there.origin:
+        raise InputError(
+            "both registries are one and the same, or one is a plain copy of the other's file; "
+            "make copies with `softcal registry backup` and `restore`"
+        )
+    sent, received = _send(here, there), _send(there, here)
+    return SyncReport(sent, received, tuple(conflicts(here)), tuple(_clocks(here, there)))
+
+
+def conflicts(registry: RegistryBase) -> list[str]:
+    """Return one line for everything that two registries did differently: calibrations, limits, facts of a lot."""
+    with registry.database.reading() as connection:
+        used = [conflict_line(connection, lot_id, serial) for lot_id, serial in conflicts_of(connection)]
+        version = (limits.c.lot_id, limits.c.version)
+        doubles = select(*version).group_by(*version).having(func.count() > 1).order_by(*version)
+        twice = [
+            f"lot {lot_id!r} limit version {number} was set by two registries; the newer one holds"
+            for lot_id, number in connection.execute(doubles)
+        ]
+        return [*used, *twice, *_differing_lots(connection)]
+
+
+def _clocks(here: RegistryBase, there: RegistryBase) -> Iterator[str]:
+    """Give a line for every clock that does not agree: of a server now, of a registry by the newest row it wrote."""
+    now = here.settings.clock()
+    for side in (here, there):
+        if not side.database.is_sqlite:
+            with side.database.reading() as connection:
+                server: datetime = connection.execute(select(func.clock_timestamp())).scalar_one()
+            if abs(server - now) > CLOCKS_AGREE:
+                yield f"the clock of this computer and the server's of {side.database.name} are {server - now} apart"
+    with here.database.reading() as connection:
+        for origin in history.origins(connection):
+            newest = select(audit.c.at).where(audit.c.origin == origin).order_by(audit.c.seq.desc()).limit(1)
+            at: datetime = connection.execute(newest).scalar_one()
+            if at - now > CLOCKS_AGREE:
+                yield (
+                    f"registry {origin} wrote its newest row at {at:%Y-%m-%d %H:%M:%S} UTC, {at - now} ahead of this "
+                    "computer's clock; set that station's clock, and do not trust which of two results is the newer"
+                )
+
+
+def _send(source: RegistryBase, target: RegistryBase) -> int:
+    sent = 0
+    known: set[Named] = set()
+    with source.database.reading() as connection:
+        chains = history.origins(connection)
+    for origin in chains:
+        while chunk := _missing(source, target, origin):
+            with source.database.reading() as rows, target.database.writing() as connection:
+                for entry in chunk:
+                    if entry.entity in AUDITED:
+                        table = metadata.tables[entry.entity]
+                        key = zip(table.primary_key.columns, json.loads(entry.key), strict=True)
+                        values = {column.name: _typed(column.type, value) for column, value in key}
+                        _copy(rows, connection, table, values, known)
+                connection.execute(insert(audit), [vars(entry) for entry in chunk])
+                forget(connection)
+            sent += len(chunk)
+    return sent
+
+
+def _missing(source: RegistryBase, target: RegistryBase, origin: str) -> list[AuditRow]:
+    """Return the next rows of a chain that the target lacks, after checking that they continue what it has."""
+    with target.database.reading() as connection:
+        seq, sha256 = history.head(connection, origin)
+    with source.database.reading() as connection:
+        newest, _ = history.head(connection, origin)
+        if newest < seq:
+            return []
+        if seq:
+            query = select(audit.c.hash).where(audit.c.origin == origin, audit.c.seq == seq)
+            if connection.execute(query).scalar_one_or_none() != sha256:
+                raise InputError(
+                    f"the history of registry {origin} parts at row {seq}: two copies of one file were both written "
+                    "to; bring one of them in with `softcal registry restore`"
+                )
+        rows = list(history.rows(connection, origin, seq, ROWS_AT_ONCE))
+    for entry in rows:
+        if entry.prev_hash != sha256 or entry.hash != history.row_hash(entry):
+            raise RegistryError(f"audit {origin} row {entry.seq} is damaged; run `softcal registry verify` there")
+        sha256 = entry.hash
+    return rows
+
+
+def _copy(source: Connection, target: Connection, table: Table, key: dict[str, Any], known: set[Named]) -> None:
+    """Copy a row and, before it, whatever it refers to, unless the target has it already.
+
+    Args:
+        known: rows the target has; a network that ten thousand maps refer to is looked up once.
+    """
+    named = (table.name, *key.values())
+    if named in known:
+        return
+    known.add(named)
+    where = and_(*(table.c[name] == value for name, value in key.items()))
+    if target.execute(select(table.primary_key.columns[0]).where(where)).first() is not None:
+        return
+    row = source.execute(select(table).where(where)).mappings().first()
+    if row is None:
+        raise RegistryError(f"{table.name} {list(key.values())} is missing; run `softcal registry verify` there")
+    for constraint in table.foreign_key_constraints:
+        parent = {element.column.name: row[element.parent.name] for element in constraint.elements}
+        if None in parent.values():
+            continue
+        if constraint.referred_table is blobs:
+            copy_blob(source, target, parent["sha256"])
+        else:
+            _copy(source, target, constraint.referred_table, parent, known)
+    target.execute(insert(table), dict(row))
+
+
+def _typed(kind: object, value: Any) -> Any:
+    if isinstance(kind, UtcTime):
+        return datetime.fromisoformat(value)
+    return date.fromisoformat(value) if isinstance(kind, Date) else value
+
+
+def _differing_lots(connection: Connection) -> Iterator[str]:
+    told: dict[str, set[str]] = {}
+    query = select(audit.c.key, audit.c.after).where(audit.c.entity == "lots")
+    for key, after in connection.execute(query):
+        facts = json.loads(after)
+        told.setdefault(key, set()).add(json.dumps([facts[name] for name in FACTS_OF_A_LOT]))
+    for key, versions in sorted(told.items()):
+        if len(versions) > 1:
+            yield f"lot {json.loads(key)[0]!r} was registered with other facts elsewhere; give one of them another id"

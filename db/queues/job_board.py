@@ -1,0 +1,177 @@
+"""Long computations that a page asks for and another process does: request, progress and result as one row each.
+
+The page writes the request and reads how far it is; the process that computes need not know the page, nor outlive it.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import RowMapping, Select, insert, select, update
+
+from softcal.core.errors import InputError
+from softcal.core.orders import RunState
+from softcal.db.schema.arrays import get_arrays, put_arrays
+from softcal.db.schema.database import OncePerCut
+from softcal.db.schema.tables import jobs
+
+if TYPE_CHECKING:
+    from softcal.db.schema.arrays import Arrays
+
+SILENT_AFTER = timedelta(seconds=15)
+"""A running job whose process gave no sign of life for longer is dead."""
+
+START_WITHIN = timedelta(seconds=90)
+"""A process that has not taken its job after this time never will; imports take seconds on a busy machine."""
+
+BRIEF = [jobs.c[name] for name in ("job_id", "kind", "request", "actor", "created", "state", "fraction", "message",
+                                   "is_cancel_wanted", "beaten_at")]  # fmt: skip
+OPEN = (RunState.QUEUED, RunState.RUNNING)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One computation.
+
+    Args:
+        job_id: unique text.
+        kind: what is computed, a name the worker knows.
+        request: JSON values it is computed from.
+        actor: who asked.
+        created: when, UTC.
+        state: queued, running, done, error or cancelled.
+        fraction: 0 ... 1.
+        message: what happens now; on an error one line that says what to do.
+        is_cancel_wanted: somebody asked to stop it.
+        beaten_at: last sign of life of its process, UTC.
+        trace: live values for a chart, by name; empty in lists.
+        result: JSON values; empty until it is done, and in lists.
+        blob_sha256: its arrays, where it made some.
+    """
+
+    job_id: str
+    kind: str
+    request: Mapping[str, Any]
+    actor: str
+    created: datetime
+    state: RunState
+    fraction: float
+    message: str
+    is_cancel_wanted: bool
+    beaten_at: datetime
+    trace: Mapping[str, Any]
+    result: Mapping[str, Any]
+    blob_sha256: str | None = None
+
+    def is_lost(self, now: datetime) -> bool:
+        """Whether its process has died, or was never there."""
+        patience = START_WITHIN if self.state is RunState.QUEUED else SILENT_AFTER
+        return self.state.is_active and now - self.beaten_at > patience
+
+
+class JobBoard(OncePerCut):
+    """The jobs of a registry. Every call is one short transaction."""
+
+    def place(self, kind: str, request: Mapping[str, Any], actor: str, job_id: str | None = None) -> str:
+        """Ask for a computation and return its id.
+
+        Args:
+            job_id: 32 characters of whoever asks: asking twice makes one job; None makes an id.
+        """
+        now, job_id = self._clock(), job_id or uuid.uuid4().hex
+        values = {"job_id": job_id, "kind": kind, "request": dict(request), "actor": actor, "created": now}
+        fresh = {"state": RunState.QUEUED, "fraction": 0.0, "message": "", "trace": {}, "result": {}}
+        with self.database.writing(in_turn=False) as connection:
+            if connection.execute(select(jobs.c.job_id).where(jobs.c.job_id == job_id)).first() is None:
+                connection.execute(insert(jobs).values(**values, **fresh, is_cancel_wanted=False, beaten_at=now))
+        return job_id
+
+    def take(self, job_id: str) -> Job:
+        """Mark a queued job running and return it.
+
+        Raises:
+            InputError: there is no such job, or it was taken or cancelled already.
+        """
+        with self.database.writing(in_turn=False) as connection:
+            running = {"state": RunState.RUNNING, "beaten_at": self._clock()}
+            queued = update(jobs).where(jobs.c.job_id == job_id, jobs.c.state == RunState.QUEUED)
+            if not connection.execute(queued.values(**running)).rowcount:
+                raise InputError(f"job {job_id!r} is not waiting to be done")
+        return self.job(job_id)
+
+    def report(self, job_id: str, fraction: float, message: str, trace: Mapping[str, Any] | None = None) -> None:
+        """Write how far a job is. One that is over stays as it ended."""
+        values = {"fraction": fraction, "message": message} | ({} if trace is None else {"trace": dict(trace)})
+        self._change(job_id, values)
+
+    def beat(self, job_id: str) -> bool:
+        """Give a sign of life; return whether somebody wants the job stopped."""
+        self._change(job_id, {})
+        return any(self.database.values(select(jobs.c.is_cancel_wanted).where(jobs.c.job_id == job_id)))
+
+    def end(
+        self,
+        job_id: str,
+        state: RunState,
+        message: str,
+        result: Mapping[str, Any] | None = None,
+        arrays: Arrays | None = None,
+    ) -> None:
+        """Write how a job ended, once."""
+        with self.database.writing(in_turn=False) as connection:
+            blob = None if arrays is None else put_arrays(connection, arrays)
+            values = {"state": state, "message": message, "result": dict(result or {}), "blob_sha256": blob}
+            done = {"fraction": 1.0} if state is RunState.DONE else {}
+            self._change(job_id, values | done)
+
+    def cancel(self, job_id: str) -> None:
+        """Ask for a stop; a job that nobody has taken, or whose process has died, ends at once."""
+        job = self.job(job_id)
+        if job.state is RunState.QUEUED or job.is_lost(self._clock()):
+            self.end(job_id, RunState.CANCELLED, "cancelled")
+        else:
+            self._change(job_id, {"is_cancel_wanted": True}, is_beat=False)
+
+    def job(self, job_id: str) -> Job:
+        """Return one job with its trace and result.
+
+        Raises:
+            InputError: there is none of this id.
+        """
+        found = self.find(job_id)
+        if found is None:
+            raise InputError(f"job {job_id!r} is not in the registry")
+        return found
+
+    def find(self, job_id: str) -> Job | None:
+        """Return one job with its trace and result, None where there is none of this id."""
+        row = self.database.row(select(jobs).where(jobs.c.job_id == job_id))
+        return None if row is None else _job(row)
+
+    def jobs(self, kind: str | None = None, count: int = 20) -> list[Job]:
+        """Return the newest jobs, newest first, without traces and results."""
+        query: Select[Any] = select(*BRIEF).order_by(jobs.c.created.desc(), jobs.c.job_id).limit(count)
+        query = query if kind is None else query.where(jobs.c.kind == kind)
+        return [_job(row) for row in self.database.rows(query)]
+
+    def arrays(self, job: Job) -> Arrays:
+        """Return the arrays a job left; none where it made none."""
+        if job.blob_sha256 is None:
+            return {}
+        with self.database.reading() as connection:
+            return get_arrays(connection, job.blob_sha256)
+
+    def _change(self, job_id: str, values: Mapping[str, Any], *, is_beat: bool = True) -> None:
+        beat = {"beaten_at": self._clock()} if is_beat else {}
+        open_job = update(jobs).where(jobs.c.job_id == job_id, jobs.c.state.in_(OPEN))
+        with self.database.writing(in_turn=False) as connection:
+            connection.execute(open_job.values(**values, **beat))
+
+
+def _job(row: RowMapping) -> Job:
+    facts = {"trace": {}, "result": {}} | dict(row)
+    return Job(**facts | {"state": RunState(row["state"])})

@@ -1,0 +1,135 @@
+"""How far each destination outside is in the audit trail: what was sent is behind its cursor, all else waits.
+
+The audit trail itself is the outbox: an event cannot be lost that is written in the transaction of its change.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+
+from sqlalchemy import insert, or_, select, update
+
+from softcal.core.errors import InputError
+from softcal.db.entries import AuditRow
+from softcal.db.schema.database import OncePerCut
+from softcal.db.schema.tables import deliveries
+from softcal.db.truth import history
+
+Cursor = Mapping[str, int]
+"""Number of the last row taken of each chain of the audit trail, by the registry that wrote it."""
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """Where a destination stands.
+
+    Args:
+        destination: its name.
+        cursor: the last rows it has.
+        delivered: events it got since it is known.
+        failures: tries in a row that failed.
+        not_before: the next try waits until then; None does not wait.
+        error: why the last try failed; "" after one that did not.
+        changed_at: UTC.
+        holder: the process that serves it; None where none does.
+        held_until: from then on another process may take it.
+    """
+
+    destination: str
+    cursor: Cursor
+    delivered: int
+    failures: int
+    not_before: datetime | None
+    error: str
+    changed_at: datetime
+    holder: str | None
+    held_until: datetime | None
+
+
+class Outbox(OncePerCut):
+    """The destinations of a registry's events. Every call is one short transaction."""
+
+    def end(self) -> dict[str, int]:
+        """Return the cursor behind everything there is."""
+        with self.database.reading() as connection:
+            return {origin: history.head(connection, origin)[0] for origin in history.origins(connection)}
+
+    def after(self, cursor: Cursor, count: int) -> list[AuditRow]:
+        """Return the next rows behind a cursor, in the order of their chains and, between chains, of time."""
+        with self.database.reading() as connection:
+            return history.after(connection, cursor, count)
+
+    def begin(self, destination: str, cursor: Cursor) -> Delivery:
+        """Return where a destination stands; one that is new begins behind `cursor`."""
+        fresh = {"delivered": 0, "failures": 0, "not_before": None, "error": "", "changed_at": self._clock()}
+        with self.database.writing(in_turn=False) as connection:
+            known = select(deliveries).where(deliveries.c.destination == destination)
+            if connection.execute(known).first() is None:
+                connection.execute(insert(deliveries).values(destination=destination, cursor=dict(cursor), **fresh))
+            return Delivery(**connection.execute(known).mappings().one())
+
+    def hold(self, destination: str, holder: str, now: datetime, until: datetime) -> Delivery | None:
+        """Take a destination for one process, or keep it; None where another one holds it.
+
+        Args:
+            holder: names the process; no other one has that name.
+            now: a hold that ended before is free.
+            until: how long it is held, unless it is held again or released.
+        """
+        c = deliveries.c
+        is_free = or_(c.holder.is_(None), c.holder == holder, c.held_until <= now)
+        mine = c.destination == destination
+        with self.database.writing(in_turn=False) as connection:
+            taken = connection.execute(update(deliveries).where(mine, is_free).values(holder=holder, held_until=until))
+            if not taken.rowcount:
+                return None
+            return Delivery(**connection.execute(select(deliveries).where(mine)).mappings().one())
+
+    def release(self, holder: str) -> None:
+        """Give back every destination that a process holds."""
+        with self.database.writing(in_turn=False) as connection:
+            free = {"holder": None, "held_until": None}
+            connection.execute(update(deliveries).where(deliveries.c.holder == holder).values(**free))
+
+    def moved(self, destination: str, cursor: Cursor, delivered: int, holder: str | None = None) -> None:
+        """Write that a destination has everything up to a cursor, `delivered` events of it sent now.
+
+        Args:
+            holder: where it is given and no longer holds the destination, nothing is written: the cursor of who
+                holds it now may be further.
+        """
+        values = {"cursor": dict(cursor), "delivered": deliveries.c.delivered + delivered}
+        self._change(destination, values | {"failures": 0, "not_before": None, "error": ""}, holder)
+
+    def failed(self, destination: str, error: str, not_before: datetime, holder: str | None = None) -> None:
+        """Write that a try failed, and when the next one is due; `holder` as in `moved`."""
+        values = {"failures": deliveries.c.failures + 1, "error": error, "not_before": not_before}
+        self._change(destination, values, holder)
+
+    def deliveries(self) -> list[Delivery]:
+        """Return all destinations by name."""
+        return [Delivery(**row) for row in self.database.rows(select(deliveries).order_by(deliveries.c.destination))]
+
+    def _change(self, destination: str, values: Mapping[str, object], holder: str | None) -> None:
+        mine = update(deliveries).where(deliveries.c.destination == destination)
+        if holder is not None:
+            mine = mine.where(deliveries.c.holder == holder)
+        with self.database.writing(in_turn=False) as connection:
+            connection.execute(mine.values(**values, changed_at=self._clock()))
+
+
+def cursor_text(cursor: Cursor) -> str:
+    """Return a cursor as programs keep it: `ORIGIN:SEQ` with dots between."""
+    return ".".join(f"{origin}:{seq}" for origin, seq in sorted(cursor.items()))
+
+
+def cursor_of(text: str) -> dict[str, int]:
+    """Return the cursor a program gave back; "" is the beginning.
+
+    Raises:
+        InputError: softcal gave no such cursor.
+    """
+    pairs = [part.partition(":") for part in text.split(".")] if text else []
+    if not all(origin.isalnum() and seq.isascii() and seq.isdigit() and len(seq) < 10 for origin, _, seq in pairs):
+        raise InputError(f"cursor {text[:60]!r}: give what the last answer named `next`, or nothing for the beginning")
+    return {origin: int(seq) for origin, _, seq in pairs}

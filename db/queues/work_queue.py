@@ -1,0 +1,194 @@
+"""Durable work items of a lot: claimed under a lease, gone when they are done, handed out again when a worker dies.
+
+A queue and no record: what became of the work stands elsewhere, and nothing here is believed to be a result. A worker
+that is killed loses nothing: its lease runs out and the item goes to the next one. An item is named by its lot, kind,
+serial and input hash, so that asking twice for the same work makes one item. Items that are asked for together, under
+the same settings, are one set; a claimant takes items of its own set only.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import Any
+
+from sqlalchemy import Connection, Select, and_, delete, func, or_, select, text, update
+
+from softcal.db.schema.database import OncePerCut, parts
+from softcal.db.schema.tables import work_items
+
+MOST_ATTEMPTS = 3
+"""An item whose workers died this often is failed: it would take down the next worker, too."""
+
+LONGEST_LEASE = timedelta(hours=1)
+STATES = ("queued", "claimed", "failed")
+COUNTED = {"preserve_rowcount": True}
+FREE = {"state": "queued", "owner": None, "lease_until": None}
+
+
+@dataclass(frozen=True)
+class WorkSet:
+    """Items that are asked for together.
+
+    Args:
+        lot_id: the lot whose units they are.
+        name: hash of the settings that all of them share.
+        kind: what is to be done with each.
+    """
+
+    lot_id: str
+    name: str
+    kind: str = "calibrate"
+
+
+@dataclass(frozen=True)
+class WorkItem:
+    """An item of a set.
+
+    Args:
+        attempts: claims so far.
+    """
+
+    id: int
+    serial: str
+    input_sha256: str
+    attempts: int
+
+
+class WorkQueue(OncePerCut):
+    """The work items of a registry. Every call is one short transaction, or part of the one it is called in."""
+
+    def enqueue(self, work: WorkSet, inputs: Mapping[str, str]) -> int:
+        """Queue what is not queued or claimed yet and return how many items are new.
+
+        An item that failed before is queued again, and attempts are counted anew: asking is a decision to retry. Sets
+        of the lot that nobody works at any more are forgotten. Each few hundred items are a transaction of their own,
+        so that other writers wait for milliseconds only.
+
+        Args:
+            inputs: input hash of every serial.
+        """
+        now, c = self._clock(), work_items.c
+        named = {"lot_id": work.lot_id, "kind": work.kind, "work_set": work.name}
+        fresh = {**named, **FREE, "attempts": 0, "changed_at": now}
+        rows = [{**fresh, "serial": serial, "input_sha256": sha256} for serial, sha256 in inputs.items()]
+        others = (c.lot_id == work.lot_id, c.kind == work.kind, c.work_set != work.name)
+        alive = select(c.work_set).where(*others, c.state == "claimed", c.lease_until >= now)
+        with self.database.writing() as connection:
+            connection.execute(delete(work_items).where(*others, c.work_set.not_in(alive)))
+        new = 0
+        for part in parts(rows):
+            with self.database.writing() as connection:
+                new += connection.execute(self._insert_new(), part, execution_options=COUNTED).rowcount
+                serials = c.serial.in_([row["serial"] for row in part])
+                failed = update(work_items).where(*_of(work), c.state == "failed", serials)
+                new += connection.execute(failed.values(**FREE, attempts=0, changed_at=now)).rowcount
+                tried = update(work_items).where(*_of(work), c.state == "queued", c.attempts > 0, serials)
+                connection.execute(tried.values(attempts=0))
+        return new
+
+    def claim(self, owner: str, work: WorkSet, count: int, lease_s: float) -> list[WorkItem]:
+        """Take up to `count` items that nobody works on; they are this owner's until the lease runs out.
+
+        Claimants never wait for one another: rows another one is just taking are passed over.
+        """
+        now, c = self._clock(), work_items.c
+        with self.database.writing(in_turn=False) as connection:
+            if not self.database.is_sqlite:
+                # PostgreSQL's default is a spinning disk's: it would rather read the items of all lots in a row.
+                connection.execute(text("SET LOCAL random_page_cost = 1.1"))
+            taken = self._free(connection, work, count, c.state == "queued")
+            if len(taken) < count:
+                # No lease runs for so long: it was written by a clock that is ahead, or by nobody.
+                is_no_lease = or_(c.lease_until.is_(None), c.lease_until > now + LONGEST_LEASE)
+                expired = and_(c.state == "claimed", or_(c.lease_until < now, is_no_lease))
+                taken += self._free(connection, work, count - len(taken), expired)
+            given_up = [item.id for item in taken if item.attempts >= MOST_ATTEMPTS]
+            mine = [item for item in taken if item.attempts < MOST_ATTEMPTS]
+            if given_up:
+                failed = {**FREE, "state": "failed"}
+                connection.execute(update(work_items).where(c.id.in_(given_up)).values(**failed, changed_at=now))
+            if mine:
+                held = {"state": "claimed", "owner": owner, "lease_until": now + timedelta(seconds=lease_s)}
+                rows = update(work_items).where(c.id.in_([item.id for item in mine]))
+                connection.execute(rows.values(**held, changed_at=now, attempts=c.attempts + 1))
+        return [WorkItem(item.id, item.serial, item.input_sha256, item.attempts + 1) for item in mine]
+
+    def extend(self, owner: str, lease_s: float) -> int:
+        """Push the lease of all of one's items further out; return how many are still one's own."""
+        now, c = self._clock(), work_items.c
+        mine = select(c.id).where(c.owner == owner, c.state == "claimed").with_for_update(skip_locked=True)
+        with self.database.writing(in_turn=False) as connection:
+            ids = connection.execute(mine).scalars().all()
+            for part in parts(ids):
+                rows = update(work_items).where(c.id.in_(part))
+                connection.execute(rows.values(lease_until=now + timedelta(seconds=lease_s), changed_at=now))
+        return len(ids)
+
+    def held(self, owner: str, item_ids: Iterable[int]) -> set[int]:
+        """Return which items are still one's own; inside a transaction nobody can take them before it ends."""
+        c = work_items.c
+        mine = select(c.id).where(c.id.in_(list(item_ids)), c.owner == owner, c.state == "claimed")
+        with self.database.writing(in_turn=False) as connection:
+            return set(connection.execute(mine.order_by(c.id).with_for_update()).scalars())
+
+    def finish(self, owner: str, item_ids: Sequence[int]) -> bool:
+        """Take done items out. False: a lease ran out and an item is another one's by now; drop its result."""
+        c = work_items.c
+        mine = delete(work_items).where(c.id.in_(item_ids), c.owner == owner, c.state == "claimed")
+        with self.database.writing(in_turn=False) as connection:
+            return connection.execute(mine).rowcount == len(item_ids)
+
+    def give_back(self, owner: str) -> int:
+        """Queue all items of an owner that stops in order; the attempt does not count."""
+        return self._free_again(owner, attempts=work_items.c.attempts - 1)
+
+    def take_back(self, owner: str) -> int:
+        """Queue all items of an owner that is known to be dead, without waiting for its lease."""
+        return self._free_again(owner)
+
+    def owners(self, work: WorkSet) -> list[str]:
+        """Return who holds items of a work."""
+        owner = work_items.c.owner
+        query = select(owner).where(*_of(work), work_items.c.state == "claimed").distinct().order_by(owner)
+        return self.database.values(query)
+
+    def given_up(self, work: WorkSet) -> list[WorkItem]:
+        """Return the items of a set whose workers died too often."""
+        c = work_items.c
+        query = select(c.id, c.serial, c.input_sha256, c.attempts).where(*_of(work), c.state == "failed")
+        return [WorkItem(*row.values()) for row in self.database.rows(query.order_by(c.id))]
+
+    def counts(self, lot_id: str | None = None, work: WorkSet | None = None) -> dict[str, int]:
+        """Return how many items are queued, claimed and failed: of a work, of a lot, or of all."""
+        c = work_items.c
+        query: Select[Any] = select(c.state, func.count().label("items")).group_by(c.state)
+        query = query if lot_id is None else query.where(c.lot_id == lot_id)
+        query = query if work is None else query.where(*_of(work))
+        return dict.fromkeys(STATES, 0) | {row["state"]: row["items"] for row in self.database.rows(query)}
+
+    def _insert_new(self) -> Any:
+        # A dialect takes a tenth of a second to load: who only reads needs neither.
+        if self.database.is_sqlite:
+            from sqlalchemy.dialects.sqlite import insert as on_sqlite
+
+            return on_sqlite(work_items).on_conflict_do_nothing()
+        from sqlalchemy.dialects.postgresql import insert
+
+        return insert(work_items).on_conflict_do_nothing()
+
+    def _free(self, connection: Connection, work: WorkSet, count: int, condition: Any) -> list[WorkItem]:
+        c = work_items.c
+        query = select(c.id, c.serial, c.input_sha256, c.attempts).where(*_of(work), condition)
+        rows = connection.execute(query.order_by(c.id).limit(count).with_for_update(skip_locked=True))
+        return [WorkItem(*row) for row in rows]
+
+    def _free_again(self, owner: str, **more: Any) -> int:
+        c = work_items.c
+        mine = update(work_items).where(c.owner == owner, c.state == "claimed")
+        with self.database.writing(in_turn=False) as connection:
+            return connection.execute(mine.values(**FREE, **more, changed_at=self._clock())).rowcount
+
+
+def _of(work: WorkSet) -> tuple[Any, ...]:
+    c = work_items.c
+    return c.lot_id == work.lot_id, c.kind == work.kind, c.work_set == work.name

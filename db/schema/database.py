@@ -1,0 +1,384 @@
+"""The database behind a registry URL: checks before opening, settings of SQLite and PostgreSQL, transactions.
+
+Nothing is opened at import. No message of this module contains a password.
+"""
+
+import random
+import sqlite3
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import datetime
+from functools import wraps
+from pathlib import Path
+from types import FunctionType
+from typing import Any, TypeVar, cast
+
+from sqlalchemy import URL, Connection, Engine, Executable, RowMapping, create_engine, event, inspect, make_url, text
+from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError
+from sqlalchemy.pool import StaticPool
+
+from softcal.core.errors import RegistryError
+from softcal.db.schema.file_system import prepare_file
+from softcal.db.schema.found import forget
+from softcal.db.schema.tables import SCHEMA
+
+SQLITE_WAIT_S = 60
+"""How long a writer waits for its turn before the registry counts as locked."""
+
+LOOK_EVERY_S = (0.001, 0.005)
+IN_MEMORY = (None, "", ":memory:")
+STATEMENT_TIMEOUT = "120s"
+AGAIN_AFTER_S = 0.5
+"""How long to wait before what was cut is done once more: the server may just be ending all connections."""
+
+WRITER_LOCK = 1_900_178
+"""Key of the PostgreSQL advisory lock that puts writers of the audit chain in a row."""
+
+VALUES_AT_ONCE = 500
+
+Answer = TypeVar("Answer")
+Part = TypeVar("Part")
+
+
+class ConnectionCut(RegistryError):
+    """The connection to the server broke.
+
+    Args:
+        is_undone: nothing of the transaction was kept; False where it broke while it was being kept.
+    """
+
+    def __init__(self, message: str, is_undone: bool) -> None:
+        super().__init__(message)
+        self.is_undone = is_undone
+        self.was_repeated = False
+
+
+class _Joined(threading.local):
+    """The transactions of a thread that what it does next belongs to."""
+
+    reader: Connection | None = None
+    writer: Connection | None = None
+
+
+class Database:
+    """An open database: short read transactions, and write transactions that come one after another.
+
+    A transaction of this thread is joined by every read inside it, a write transaction by every write, too: several
+    steps are seen, kept or lost together.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        self.on_first_write: Callable[[], None] | None = None
+        """Called once, after the first write transaction was kept."""
+        self._thread = _Joined()
+
+    @property
+    def _joined(self) -> Connection | None:
+        return self._thread.writer or self._thread.reader
+
+    @property
+    def is_sqlite(self) -> bool:
+        return self.engine.dialect.name == "sqlite"
+
+    @property
+    def is_in_memory(self) -> bool:
+        """Whether it is an SQLite database of this process alone, with one connection for all of it."""
+        return self.is_sqlite and self.path is None
+
+    @property
+    def name(self) -> str:
+        """The URL without its password, wherever in it that stands."""
+        return shown_url(self.engine.url)
+
+    @property
+    def path(self) -> Path | None:
+        """The SQLite file; None in memory and on a server."""
+        database = self.engine.url.database
+        return Path(database) if self.is_sqlite and database not in IN_MEMORY else None
+
+    @contextmanager
+    def reading(self) -> Iterator[Connection]:
+        """Give a connection that sees one consistent state."""
+        if self._joined is not None:
+            yield self._joined
+            return
+        with self._errors_in_words(), self.engine.connect() as connection:
+            if not self.is_sqlite:
+                connection.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
+            with connection.begin(), self._joinable("reader", connection):
+                yield connection
+
+    def rows(self, query: Executable) -> Sequence[RowMapping]:
+        """Return what a query gives."""
+        with self.reading() as connection:
+            return connection.execute(query).mappings().all()
+
+    def row(self, query: Executable) -> RowMapping | None:
+        """Return the first row a query gives."""
+        with self.reading() as connection:
+            return connection.execute(query).mappings().first()
+
+    def values(self, query: Executable) -> list[Any]:
+        """Return the first column of what a query gives."""
+        with self.reading() as connection:
+            return list(connection.execute(query).scalars())
+
+    @contextmanager
+    def writing(self, *, in_turn: bool = True) -> Iterator[Connection]:
+        """Give a connection whose changes are committed when the block ends well, and are gone when it raises.
+
+        Args:
+            in_turn: one writer at a time, as the audit chain needs it. SQLite allows nothing else; PostgreSQL lets
+                writers with `in_turn=False` (work queue, heartbeats) go side by side.
+        """
+        if self._thread.writer is not None:
+            yield self._thread.writer
+            return
+        with self._errors_in_words() as phase, self.engine.connect() as connection:
+            connection.execution_options(softcal_writes=True)
+            with connection.begin(), self._joinable("writer", connection):
+                if in_turn and not self.is_sqlite:
+                    connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": WRITER_LOCK})
+                yield connection
+                # What follows is the commit: of a connection cut from here on nobody knows what was kept.
+                phase["is_committing"] = True
+        told, self.on_first_write = self.on_first_write, None
+        if told is not None:
+            told()
+
+    def once_more(self, action: Callable[[], Answer], *, is_repeatable: bool = False) -> Answer:
+        """Do whole transactions, and do them once more where their connection was cut.
+
+        Inside a transaction that goes on around it an action is done once: what came before it is lost, too.
+
+        Args:
+            is_repeatable: doing it twice changes nothing; otherwise it is repeated only where nothing was kept.
+        """
+        if self._joined is not None:
+            return action()
+        try:
+            return action()
+        except ConnectionCut as cut:
+            if cut.was_repeated or not (cut.is_undone or is_repeatable):
+                raise
+        time.sleep(AGAIN_AFTER_S)
+        try:
+            return action()
+        except ConnectionCut as cut:
+            cut.was_repeated = True
+            raise
+
+    @contextmanager
+    def outside_transactions(self) -> Iterator[sqlite3.Connection]:
+        """Give the bare SQLite connection, for what SQLite does outside transactions only."""
+        with self._errors_in_words():
+            pooled = self.engine.raw_connection()
+            try:
+                yield cast(sqlite3.Connection, pooled.driver_connection)
+            finally:
+                pooled.close()
+
+    def close(self) -> None:
+        """Close every connection. A transaction that is open is rolled back."""
+        self.engine.dispose()
+
+    @contextmanager
+    def _joinable(self, role: str, connection: Connection) -> Iterator[None]:
+        setattr(self._thread, role, connection)
+        try:
+            yield
+        finally:
+            setattr(self._thread, role, None)
+
+    @contextmanager
+    def _errors_in_words(self) -> Iterator[dict[str, bool]]:
+        phase = {"is_committing": False}
+        try:
+            yield phase
+        except (SQLAlchemyError, sqlite3.Error) as error:
+            cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
+            lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
+            what = without_password(lines[0] if lines else type(cause).__name__, self.engine.url)
+            if phase["is_committing"] and not self.is_sqlite and isinstance(error, OperationalError):
+                raise ConnectionCut(
+                    f"registry {self.name}: {what}; this happened while the change was being kept: look whether it "
+                    "is there before you repeat it",
+                    is_undone=False,
+                ) from error
+            if isinstance(error, DBAPIError) and error.connection_invalidated:
+                cut = f"registry {self.name}: {what}; nothing was changed; run it again when the server answers"
+                raise ConnectionCut(cut, is_undone=True) from error
+            if "permission denied" in what:
+                what += "; the database account may not do this, ask who manages the registry to do it"
+            raise RegistryError(f"registry {self.name}: {what}; nothing was changed") from error
+
+
+def parts(values: Sequence[Part]) -> Iterator[Sequence[Part]]:
+    """Cut values into as many as both databases take in one statement."""
+    yield from (values[start : start + VALUES_AT_ONCE] for start in range(0, len(values), VALUES_AT_ONCE))
+
+
+class OncePerCut:
+    """Gives every public method a second try where its connection was cut; each is whole transactions.
+
+    A method that makes several transactions repeats those that were kept: they must change nothing the second time.
+    """
+
+    def __init__(self, database: Database, clock: Callable[[], datetime]) -> None:
+        self.database, self._clock = database, clock
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name, method in list(vars(cls).items()):
+            if isinstance(method, FunctionType) and not name.startswith("_"):
+                setattr(cls, name, _once_more(method))
+
+
+def _once_more(method: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(method)
+    def done(self: OncePerCut, *arguments: Any, **options: Any) -> Any:
+        return self.database.once_more(lambda: method(self, *arguments, **options))
+
+    return done
+
+
+def open_database(url: str, *, create: bool = True) -> Database:
+    """Connect to an SQLite file, `sqlite://` (in memory) or PostgreSQL, without looking at what is inside.
+
+    Args:
+        create: an SQLite file that does not exist is made.
+
+    Raises:
+        RegistryError: the URL is wrong, the folder is missing or on a network share, the file is no database, or the
+            server does not answer.
+    """
+    try:
+        parsed = make_url(url)
+    # A port that is no number is a plain ValueError.
+    except (ArgumentError, ValueError) as error:
+        raise RegistryError(
+            "the registry URL cannot be read; expected sqlite:///FILE or postgresql://USER@HOST/DATABASE"
+        ) from error
+    if parsed.drivername in ("sqlite", "sqlite+pysqlite"):
+        database = Database(_sqlite_engine(parsed, create))
+    elif parsed.drivername in ("postgresql", "postgresql+psycopg"):
+        database = Database(_postgresql_engine(parsed.set(drivername="postgresql+psycopg")))
+    else:
+        raise RegistryError(f"registry URL of kind {parsed.drivername!r}; sqlite and postgresql are supported")
+    try:
+        with database.reading() as connection:
+            connection.execute(text("SELECT 1"))
+    except RegistryError:
+        database.close()
+        raise
+    return database
+
+
+def schema_of(database: Database) -> str | None:
+    """Return the schema revision of a registry, or None where the database is empty.
+
+    Raises:
+        RegistryError: the database holds tables of something else.
+    """
+    with database.reading() as connection:
+        tables = inspect(connection).get_table_names()
+        if not tables:
+            return None
+        if "alembic_version" not in tables or "registry_info" not in tables:
+            raise RegistryError(f"registry {database.name}: this is a database of something else; give another URL")
+        return str(connection.execute(text("SELECT version_num FROM alembic_version")).scalar_one())
+
+
+def check_schema(database: Database, schema: str) -> None:
+    """Refuse a registry that this version cannot use as it is."""
+    if schema < SCHEMA:
+        raise RegistryError(
+            f"registry {database.name} has schema {schema}, this version needs {SCHEMA}; "
+            "run `softcal registry upgrade` (it makes a backup first)"
+        )
+    if schema > SCHEMA:
+        raise RegistryError(
+            f"registry {database.name} has schema {schema}, newer than {SCHEMA} of this version; update softcal"
+        )
+
+
+def _sqlite_engine(url: URL, create: bool) -> Engine:
+    if url.database in IN_MEMORY:
+        engine = create_engine(url, poolclass=StaticPool, connect_args={"check_same_thread": False})
+    else:
+        prepare_file(Path(str(url.database)), create)
+        engine = create_engine(url, connect_args={"timeout": SQLITE_WAIT_S, "check_same_thread": False})
+    event.listen(engine, "connect", _set_up_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
+    event.listen(engine, "rollback_savepoint", forget)
+    return engine
+
+
+def _set_up_sqlite(connection: sqlite3.Connection, record: object) -> None:
+    # Without this Python starts transactions by itself, deferred, and "database is locked" comes at once.
+    connection.isolation_level = None
+    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={SQLITE_WAIT_S * 1000}"):
+        connection.execute(f"PRAGMA {pragma}")
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    if not connection.get_execution_options().get("softcal_writes", False):
+        connection.exec_driver_sql("BEGIN")
+        return
+    # SQLite's own waiting slows down to a look every 100 ms, so that of many writers one may starve; looking at short
+    # random intervals gives each the same chance.
+    bare = cast(sqlite3.Connection, connection.connection.driver_connection)
+    deadline_s = time.monotonic() + SQLITE_WAIT_S
+    bare.execute("PRAGMA busy_timeout = 0")
+    try:
+        while True:
+            try:
+                bare.execute("BEGIN IMMEDIATE")
+                return
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or time.monotonic() > deadline_s:
+                    raise
+            time.sleep(random.uniform(*LOOK_EVERY_S))
+    finally:
+        bare.execute(f"PRAGMA busy_timeout = {SQLITE_WAIT_S * 1000}")
+
+
+def _postgresql_engine(url: URL) -> Engine:
+    try:
+        engine = create_engine(
+            url, pool_pre_ping=True, pool_size=5, connect_args={"application_name": "softcal", "connect_timeout": 10}
+        )
+    except ModuleNotFoundError as error:
+        raise RegistryError("PostgreSQL needs psycopg; run: pip install 'softcal[postgresql]'") from error
+    event.listen(engine, "connect", _set_up_postgresql)
+    event.listen(engine, "rollback_savepoint", forget)
+    return engine
+
+
+def _set_up_postgresql(connection: object, record: object) -> None:
+    cursor = connection.cursor()  # type: ignore[attr-defined]
+    cursor.execute(f"SET statement_timeout = '{STATEMENT_TIMEOUT}'")
+    cursor.execute("SET timezone = 'UTC'")
+    cursor.close()
+    connection.commit()  # type: ignore[attr-defined]
+
+
+SECRET_KEYS = ("password", "passfile", "sslpassword")
+
+
+def shown_url(url: URL) -> str:
+    """Return a URL as text without its password, which may stand among its options, too."""
+    hidden = {key: "***" for key in url.query if key.lower() in SECRET_KEYS}
+    return url.update_query_dict(hidden).render_as_string(hide_password=True)
+
+
+def without_password(text: str, url: URL) -> str:
+    """Return what a driver said without the password, should it have quoted its connection."""
+    secrets = [url.password, *(url.query.get(key) for key in SECRET_KEYS)]
+    for secret in secrets:
+        if isinstance(secret, str) and secret:
+            text = text.replace(secret, "***")
+    return text

@@ -1,0 +1,108 @@
+"""The course of long-term adaptation: every map a unit in use got, from which stream, with its evidence."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Select, Text, func, select, type_coerce
+
+from softcal.core.errors import InputError
+from softcal.db.schema.tables import adaptations, calibrations
+from softcal.db.truth.registry_base import RegistryBase, of_row
+
+Entry = Mapping[str, Any]
+NEEDED = ("stream", "sample")
+
+
+@dataclass(frozen=True)
+class AdaptedUnit:
+    """A unit in use and the newest step of its adaptation.
+
+    Args:
+        steps: how many steps the registry holds of it, on all streams, without states to resume from.
+        entry: the newest step.
+    """
+
+    serial: str
+    stream: str
+    made_at: datetime
+    steps: int
+    entry: Entry
+
+
+class AdaptationTables(RegistryBase):
+    """The part of the registry that knows adaptations."""
+
+    def add_adaptations(self, serial: str, revision: int, entries: Sequence[Entry], actor: str | None = None) -> int:
+        """Store steps, all or none of them, and return the number of the last one (1, 2, ... per serial).
+
+        Args:
+            revision: the calibration the adaptation started from.
+            entries: JSON values with at least `stream` (its name) and `sample` (the row the step belongs to).
+
+        Raises:
+            InputError: the serial has no such revision.
+        """
+        with self.database.writing() as connection:
+            c = calibrations.c
+            known = select(c.serial).where(c.serial == serial, c.revision == revision).limit(1)
+            if connection.execute(known).first() is None:
+                raise InputError(f"serial {serial!r} has no revision {revision} to adapt")
+            query = select(func.max(adaptations.c.number)).where(
+                adaptations.c.serial == serial, adaptations.c.origin == self.origin
+            )
+            number = int(connection.execute(query).scalar_one() or 0)
+            for entry in entries:
+                number += 1
+                values = {
+                    "serial": serial,
+                    "number": number,
+                    "origin": self.origin,
+                    "revision": revision,
+                    **{name: entry[name] for name in NEEDED},
+                    "made_at": self.settings.clock(),
+                    "entry": dict(entry),
+                }
+                self._store(connection, adaptations, values, "adapt", actor)
+            return number
+
+    def last_adaptation(self, serial: str, revision: int, stream: str) -> Entry | None:
+        """Return the newest step of a stream, to go on after a stop; None where it has not begun."""
+        return next(iter(self.database.values(_newest_first(serial, revision, stream).limit(1))), None)
+
+    def last_checkpoint(self, serial: str, revision: int, stream: str) -> Entry | None:
+        """Return the newest step of a stream that holds a `state` to go on from; None where there is none."""
+        with self.database.reading() as connection:
+            newest = connection.execute(_newest_first(serial, revision, stream)).scalars()
+            return next((entry for entry in newest if "state" in entry), None)
+
+    def adaptations(self, serial: str, stream: str | None = None) -> list[Entry]:
+        """Return the steps of a serial, of one stream or of all, in the order they were made."""
+        c = adaptations.c
+        query: Select[Any] = select(c.entry).where(c.serial == serial).order_by(c.made_at, c.origin, c.number)
+        return self.database.values(query if stream is None else query.where(c.stream == stream))
+
+    def adapted_units(self) -> list[AdaptedUnit]:
+        """Return the units in use with their newest step, the one adapted last first; a checkpoint is no step."""
+        a = adaptations.c
+        is_step = type_coerce(a.entry, Text).not_like('%"event":"checkpoint"%')
+        order = (a.made_at.desc(), a.sample.desc(), a.number.desc())
+        rank = func.row_number().over(partition_by=a.serial, order_by=order).label("rank")
+        steps = func.count().over(partition_by=a.serial).label("steps")
+        ranked = select(a.serial, a.stream, a.made_at, a.entry, rank, steps).where(is_step).subquery()
+        newest = select(ranked).where(ranked.c.rank == 1).order_by(ranked.c.made_at.desc(), ranked.c.serial)
+        return [of_row(AdaptedUnit, row) for row in self.database.rows(newest)]
+
+    def streams(self, serial: str) -> list[str]:
+        """Return the streams a unit was followed on, the newest first."""
+        a = adaptations.c
+        newest = func.max(a.made_at)
+        query = select(a.stream).where(a.serial == serial).group_by(a.stream).order_by(newest.desc(), a.stream)
+        return self.database.values(query)
+
+
+def _newest_first(serial: str, revision: int, stream: str) -> Select[Any]:
+    c = adaptations.c
+    query = select(c.entry).where(c.serial == serial, c.revision == revision, c.stream == stream)
+    return query.order_by(c.sample.desc(), c.made_at.desc(), c.number.desc())

@@ -1,0 +1,292 @@
+"""Calibrations with their full history per serial: revisions, rollbacks and refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import Connection, RowMapping, bindparam, func, select
+
+from softcal.core.errors import InputError
+from softcal.core.words.reason import Reason, to_kept
+from softcal.db.entries import StoredCalibration
+from softcal.db.schema.arrays import get_arrays, put_arrays
+from softcal.db.schema.found import found_in
+from softcal.db.schema.tables import calibrations, networks, refusals
+from softcal.db.truth import history
+from softcal.db.truth.in_use import NEWEST_FIRST, InUseTable, heads_of, lots_of, names_several, newest_of_unit
+from softcal.db.truth.lot_pages import standing_units
+from softcal.db.truth.records import PLAIN_FIELDS, record_of
+from softcal.db.truth.registry_base import damaged, of_row
+
+if TYPE_CHECKING:
+    from softcal.core.unit.calibration import CalibrationRecord
+
+KNOWN_NETWORK = select(networks.c.id).where(networks.c.id == bindparam("network"))
+LAST_REVISION = select(
+    func.max(calibrations.c.revision).label("revision"), func.max(calibrations.c.made_at).label("made_at")
+).where(calibrations.c.serial == bindparam("unit"))
+
+
+ASKING = ("batch", "line")
+"""Who asks for what an input gives; all others decide about what there is."""
+
+
+class CalibrationTables(InUseTable):
+    """The part of the registry that knows calibrations."""
+
+    def add_calibration(
+        self,
+        lot_id: str,
+        record: CalibrationRecord,
+        actor: str | None = None,
+        reason: str = "",
+        *,
+        decided_by: str = "line",
+        work_sha256: str | None = None,
+    ) -> int:
+        """Store a calibration as the next revision of its serial, put it into use in its lot and return the revision.
+
+        Args:
+            decided_by: who puts it into use. A batch and the line ask for what their input gives; what others decide
+            (release, trim) stays until another input is asked for.
+            work_sha256: hash of the files and settings it answers, to be found again without reading the files.
+
+        Raises:
+            InputError: the lot or the network is not registered.
+        """
+        with self.database.writing() as connection:
+            self._lot_row(connection, lot_id)
+            stored, network = found_in(connection).networks, record.network_id
+            if network not in stored:
+                if connection.execute(KNOWN_NETWORK, {"network": network}).first() is None:
+                    raise InputError(f"network {network[:12]} is not in the registry; add it before its maps")
+                stored.add(network)
+            self._add_unit(connection, lot_id, record.serial, "target", actor)
+            values = {field: getattr(record, field) for field in PLAIN_FIELDS} | {
+                "lot_id": lot_id,
+                "settings": dict(record.settings),
+                "reasons": [to_kept(why) for why in record.reasons],
+                "evidence": dict(record.evidence),
+                "blob_sha256": put_arrays(connection, record.arrays),
+                "rolled_back_to": None,
+            }
+            asked = record.input_sha256 if decided_by in ASKING else None
+            told = {"decided_by": decided_by, "work_sha256": work_sha256, "input_sha256": asked}
+            return self._add_revision(connection, values, told, "calibrate", actor, reason)
+
+    def decide(self, stored: StoredCalibration, decided_by: str, *, actor: str | None = None, reason: str = "") -> None:
+        """Put a calibration that was made before into use, until another input is asked for."""
+        with self.database.writing() as connection:
+            named = {"revision": stored.revision, "made_by": stored.origin}
+            self._state(connection, stored.lot_id, stored.serial, named, {"decided_by": decided_by}, actor, reason)
+
+    def rollback(
+        self,
+        serial: str,
+        to: int,
+        *,
+        reason: str,
+        actor: str | None = None,
+        lot_id: str | None = None,
+        origin: str | None = None,
+    ) -> int:
+        """Bring an older revision back into use, as a new revision that repeats it; return the new one.
+
+        It is also how a person decides between two registries that put different maps into use.
+
+        Args:
+            lot_id: lot of the unit; needed where the serial stands in several.
+            origin: registry that made the revision; needed where two made one of this number.
+
+        Raises:
+            InputError: no reason, no such serial or revision, more than one that fits, or it is the one in use.
+        """
+        if not reason.strip():
+            raise InputError("a rollback needs a reason; nothing was changed")
+        with self.database.writing() as connection:
+            lot = self._only_lot(connection, serial, lot_id)
+            old = self._revision_row(connection, lot, serial, to, origin)
+            heads = heads_of(connection, lot, serial)
+            before = None
+            if heads and not names_several(connection, heads):
+                used = self._revision_row(connection, lot, serial, heads[0]["revision"], heads[0]["made_by"])
+                if (old["map_sha256"], old["blob_sha256"]) == (used["map_sha256"], used["blob_sha256"]):
+                    raise InputError(f"revision {to} of {serial} is the one in use; nothing was changed")
+                before = {"revision": used["revision"], "map_sha256": used["map_sha256"]}
+            told = {"decided_by": "rollback"}
+            again = {**old, "rolled_back_to": to}
+            return self._add_revision(connection, again, told, "rollback", actor, reason, before)
+
+    def find_calibration(
+        self, serial: str, input_sha256: str, *, lot_id: str | None = None
+    ) -> StoredCalibration | None:
+        """Return the newest calibration of a serial made from this input, or None: the work is still to be done."""
+        c = calibrations.c
+        query = select(calibrations).where(c.serial == serial, c.input_sha256 == input_sha256)
+        query = query if lot_id is None else query.where(c.lot_id == lot_id)
+        with self.database.reading() as connection:
+            row = connection.execute(query.order_by(*NEWEST_FIRST).limit(1)).mappings().first()
+            return None if row is None else self._stored(connection, row)
+
+    def known_inputs(self, lot_id: str, serials: Sequence[str]) -> dict[str, frozenset[str]]:
+        """Return the input hashes from which units of a lot have calibrations, by serial; few serials at a time."""
+        c = calibrations.c
+        query = select(c.serial, c.input_sha256).where(c.lot_id == lot_id, c.serial.in_(serials))
+        known: dict[str, set[str]] = {}
+        with self.database.reading() as connection:
+            for serial, sha256 in connection.execute(query):
+                known.setdefault(serial, set()).add(sha256)
+        return {serial: frozenset(hashes) for serial, hashes in known.items()}
+
+    def calibration(
+        self, serial: str, revision: int | None = None, *, lot_id: str | None = None, origin: str | None = None
+    ) -> StoredCalibration:
+        """Return the calibration of a unit in use, or one revision of its history.
+
+        Args:
+            lot_id: lot of the unit; needed where the serial stands in several.
+            origin: registry that made the revision; needed where two made one of this number.
+
+        Raises:
+            InputError: the serial or the revision is not in the registry, it is not clear which one is meant, or two
+                registries put different maps into use.
+        """
+        with self.database.reading() as connection:
+            lot = self._only_lot(connection, serial, lot_id)
+            if revision is None:
+                statement = self._in_use(connection, lot, serial)
+                if statement is None:
+                    raise InputError(f"serial {serial!r} has no calibration in lot {lot!r}")
+                try:
+                    row = self._revision_row(connection, lot, serial, statement["revision"], statement["made_by"])
+                except InputError as error:
+                    raise damaged(f"unit {serial} of lot {lot}: the calibration in use was not found") from error
+            else:
+                row = self._revision_row(connection, lot, serial, revision, origin)
+            return self._stored(connection, row)
+
+    def history(self, serial: str, lot_id: str | None = None) -> list[StoredCalibration]:
+        """Return every revision of a serial, of one lot or of all, oldest first; a unit that got no map yet has none.
+
+        Raises:
+            InputError: the serial is not in the registry.
+        """
+        query = select(calibrations).where(calibrations.c.serial == serial).order_by(*NEWEST_FIRST)
+        with self.database.reading() as connection:
+            self._known_serial(connection, serial)
+            rows = connection.execute(query).mappings().all()
+            revisions = {row["revision"] for row in rows}
+            newest = max(revisions, default=0)
+            # A damaged index hides rows without a word.
+            if len(revisions) != newest:
+                raise damaged(f"serial {serial}: a revision before {newest} was not found")
+            names = {*history.origins(connection), *(row["origin"] for row in rows)}
+            self._check_hidden(connection, calibrations, [(serial, newest + 1, name) for name in sorted(names)])
+            for row in rows:
+                self._check_row(connection, calibrations, row)
+            return [self._stored(connection, row) for row in reversed(rows) if lot_id in (None, row["lot_id"])]
+
+    def add_refusal(
+        self,
+        lot_id: str,
+        serial: str,
+        verdict: str,
+        reasons: tuple[Reason, ...],
+        *,
+        actor: str | None = None,
+        work_sha256: str | None = None,
+    ) -> None:
+        """Register that a unit got no map (`UnitRefused`, unreadable recording); its verdict is fail or retest.
+
+        The verdict and reasons the unit has already are not written again.
+
+        Args:
+            work_sha256: hash of the files and settings it answers; None: asking again may end otherwise.
+        """
+        with self.database.writing() as connection:
+            self._lot_row(connection, lot_id)
+            self._add_unit(connection, lot_id, serial, "target", actor)
+            ((unit, _),) = standing_units(connection, lot_id, [serial])
+            answered = self.decided_works(lot_id, [serial]).get(serial)
+            if (unit.verdict, unit.reasons, answered) == (verdict, reasons, work_sha256):
+                return
+            values = {
+                "lot_id": lot_id,
+                "serial": serial,
+                "made_at": self._after(newest_of_unit(connection, lot_id, serial)),
+                "origin": self.origin,
+                "actor": self._actor(actor),
+                "verdict": verdict,
+                "reasons": [to_kept(why) for why in reasons],
+                "work_sha256": work_sha256,
+            }
+            self._store(connection, refusals, values, "refuse", actor)
+
+    def _add_revision(
+        self,
+        connection: Connection,
+        values: Mapping[str, Any],
+        told: Mapping[str, Any],
+        action: str,
+        actor: str | None,
+        reason: str,
+        before: Mapping[str, object] | None = None,
+    ) -> int:
+        lot_id, serial = values["lot_id"], values["serial"]
+        newest = connection.execute(LAST_REVISION, {"unit": serial}).one()
+        times = (newest.made_at, newest_of_unit(connection, lot_id, serial))
+        revision = (newest.revision or 0) + 1
+        new: dict[str, Any] = {
+            "revision": revision,
+            "origin": self.origin,
+            "made_at": self._after(max((at for at in times if at is not None), default=None)),
+            "actor": self._actor(actor),
+            "reason": reason,
+        }
+        self._store(connection, calibrations, {**values, **new}, action, actor, reason, before)
+        named = {"revision": revision, "made_by": self.origin}
+        self._state(connection, lot_id, serial, named, told, actor, reason, new["made_at"])
+        return int(revision)
+
+    def _only_lot(self, connection: Connection, serial: str, lot_id: str | None) -> str:
+        """Return the lot of a serial; a serial that stands in several has to be asked for with its lot."""
+        self._known_serial(connection, serial)
+        lots = lots_of(connection, serial)
+        if lot_id is None and len(lots) > 1:
+            raise InputError(f"serial {serial!r} stands in the lots {', '.join(map(repr, lots))}; say which lot")
+        if lot_id is not None and lot_id not in lots:
+            self._lot_row(connection, lot_id)
+            raise InputError(f"serial {serial!r} is not in lot {lot_id!r}; it is in {', '.join(map(repr, lots))}")
+        return lots[0] if lot_id is None else lot_id
+
+    def _revision_row(
+        self, connection: Connection, lot_id: str, serial: str, revision: int, origin: str | None
+    ) -> RowMapping:
+        c = calibrations.c
+        query = select(calibrations).where(c.lot_id == lot_id, c.serial == serial, c.revision == revision)
+        query = query if origin is None else query.where(c.origin == origin)
+        rows = connection.execute(query.order_by(c.origin)).mappings().all()
+        if not rows:
+            by = "" if origin is None else f" of registry {origin}"
+            raise InputError(f"serial {serial!r} has no revision {revision}{by} in lot {lot_id!r}")
+        if len(rows) > 1:
+            names = ", ".join(f"{row['origin']} ({row['made_at']:%Y-%m-%d %H:%M:%S} UTC)" for row in rows)
+            raise InputError(
+                f"revision {revision} of serial {serial!r} was made by the registries {names}; say which origin"
+            )
+        self._check_row(connection, calibrations, rows[0])
+        return rows[0]
+
+    def _stored(self, connection: Connection, row: RowMapping) -> StoredCalibration:
+        heads = heads_of(connection, row["lot_id"], row["serial"])
+        is_conflict = names_several(connection, heads)
+        named = {(head["revision"], head["made_by"]) for head in (heads if is_conflict else heads[:1])}
+        is_named = (row["revision"], row["origin"]) in named
+        return of_row(
+            StoredCalibration,
+            row,
+            record=record_of(row, get_arrays(connection, row["blob_sha256"]), row["settings"]),
+            is_current=is_named and not is_conflict,
+            is_conflict=is_named and is_conflict,
+        )

@@ -1,0 +1,191 @@
+"""The audit trail: append-only rows chained by hashes, one chain per registry that wrote them.
+
+hash = SHA-256 of the canonical JSON of every field and of the hash before it, so that a row that was edited, removed
+or put in between is found (after Schneier and Kelsey 1999, Secure audit logs, section 3).
+"""
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import date, datetime
+from heapq import merge
+from itertools import islice
+
+from sqlalchemy import Connection, Table, bindparam, insert, select
+
+from softcal.core.errors import RegistryError
+from softcal.db.entries import AuditRow
+from softcal.db.schema.database import parts
+from softcal.db.schema.found import found_in
+from softcal.db.schema.tables import LATER_COLUMNS, TOLD_BY_HASH, audit, canonical_json
+
+FIRST_HASH = "0" * 64
+Values = Mapping[str, object]
+NEWEST = (
+    select(audit.c.seq, audit.c.hash).where(audit.c.origin == bindparam("chain")).order_by(audit.c.seq.desc()).limit(1)
+)
+"""Built once, as every write needs it: building a statement takes longer than running it."""
+
+INSERT = insert(audit)
+
+
+def append(
+    connection: Connection,
+    origin: str,
+    at: datetime,
+    actor: str,
+    action: str,
+    entity: str,
+    key: tuple[str | int, ...],
+    *,
+    after: Values | None,
+    before: Values | None = None,
+    reason: str = "",
+) -> AuditRow:
+    """Write the next row of the chain of `origin`, in the transaction of the change it tells of."""
+    heads = found_in(connection).heads
+    seq, prev_hash = heads[origin] if origin in heads else head(connection, origin)
+    row = AuditRow(
+        origin=origin,
+        seq=seq + 1,
+        at=at,
+        actor=actor,
+        action=action,
+        entity=entity,
+        key=canonical_json(key),
+        before=None if before is None else canonical_json(plain(before)),
+        after=None if after is None else canonical_json(plain(after)),
+        reason=reason,
+        prev_hash=prev_hash,
+        hash="",
+    )
+    row = row.with_hash(row_hash(row))
+    connection.execute(INSERT, vars(row))
+    heads[origin] = row.seq, row.hash
+    return row
+
+
+def row_hash(row: AuditRow) -> str:
+    """Return the hash a row must have."""
+    fields = {name: value for name, value in vars(row).items() if name != "hash"}
+    return hashlib.sha256(canonical_json(plain(fields)).encode()).hexdigest()
+
+
+def origins(connection: Connection) -> list[str]:
+    """Return the registries whose chains are here."""
+    # One look into the index per registry; DISTINCT would read the whole trail.
+    found: list[str] = []
+    query = select(audit.c.origin).order_by(audit.c.origin).limit(1)
+    name = connection.execute(query).scalar_one_or_none()
+    while name is not None:
+        found.append(name)
+        name = connection.execute(query.where(audit.c.origin > name)).scalar_one_or_none()
+    return found
+
+
+def of_entities(connection: Connection, entity: str, keys: Sequence[tuple[str | int, ...]]) -> list[AuditRow]:
+    """Return the rows of entities of one kind from every chain, in time order; nothing else is read."""
+    found: list[AuditRow] = []
+    for part in parts(keys):
+        query = select(audit).where(audit.c.entity == entity, audit.c.key.in_([canonical_json(key) for key in part]))
+        found += [AuditRow(**row._mapping) for row in connection.execute(query)]
+    return sorted(found, key=lambda row: (row.at, row.origin, row.seq))
+
+
+def rows(
+    connection: Connection, origin: str | None = None, after_seq: int = 0, count: int | None = None
+) -> Iterator[AuditRow]:
+    """Give the rows of one chain, or of all chains one after another, oldest first."""
+    query = select(audit).where(audit.c.seq > after_seq).order_by(audit.c.origin, audit.c.seq).limit(count)
+    if origin is not None:
+        query = query.where(audit.c.origin == origin)
+    for row in connection.execute(query, execution_options={"yield_per": 1000}):
+        yield AuditRow(**row._mapping)
+
+
+def after(connection: Connection, cursor: Mapping[str, int], count: int) -> list[AuditRow]:
+    """Return up to `count` rows behind a cursor; the order of each chain is kept, between chains the older is first.
+
+    Args:
+        cursor: number of the last row already taken of each chain; a chain it does not name begins at its first row.
+    """
+    chains = [list(rows(connection, origin, cursor.get(origin, 0), count)) for origin in origins(connection)]
+    # A clock that was set back must not put a row before the one it follows.
+    return list(islice(merge(*chains, key=lambda row: row.at), count))
+
+
+def of_kind(connection: Connection, entity: str) -> list[AuditRow]:
+    """Return the rows of all entities of one kind from every chain, in time order."""
+    query = select(audit).where(audit.c.entity == entity).order_by(audit.c.at, audit.c.origin, audit.c.seq)
+    return [AuditRow(**row._mapping) for row in connection.execute(query)]
+
+
+def newest(connection: Connection, count: int) -> list[AuditRow]:
+    """Return the newest rows of all chains by time, the newest first, without reading the others."""
+    found: list[AuditRow] = []
+    for origin in origins(connection):
+        query = select(audit).where(audit.c.origin == origin).order_by(audit.c.seq.desc()).limit(count)
+        found += [AuditRow(**row._mapping) for row in connection.execute(query)]
+    return sorted(found, key=lambda row: (row.at, row.origin, row.seq), reverse=True)[:count]
+
+
+def chain_faults(trail: Iterator[AuditRow], after_seq: int = 0, after_hash: str = FIRST_HASH) -> Iterator[str]:
+    """Give one line for every row that does not fit its chain.
+
+    Args:
+        after_seq, after_hash: the row before the first one, where a chain is not read from its beginning.
+    """
+    origin, seq, prev_hash = "", after_seq, after_hash
+    for row in trail:
+        if row.origin != origin:
+            origin, seq, prev_hash = row.origin, after_seq, after_hash
+        if row.seq != seq + 1:
+            yield f"audit {origin}: rows {seq + 1} to {row.seq - 1} are missing"
+        elif row.prev_hash != prev_hash:
+            yield f"audit {origin} row {row.seq}: does not follow row {seq}"
+        if row.hash != row_hash(row):
+            yield f"audit {origin} row {row.seq}: was changed after it was written"
+        seq, prev_hash = row.seq, row.hash
+
+
+def head(connection: Connection, origin: str) -> tuple[int, str]:
+    """Return number and hash of the newest row of a chain."""
+    newest = connection.execute(NEWEST, {"chain": origin}).first()
+    return (0, FIRST_HASH) if newest is None else (newest.seq, newest.hash)
+
+
+def row_key(table: Table, values: Values) -> tuple[str | int, ...]:
+    """Return the primary key of a row as the audit trail writes it."""
+    key = [_plain(values[column.name]) for column in table.primary_key]
+    return tuple(part if isinstance(part, int) else str(part) for part in key)
+
+
+def told(table: Table, values: Values) -> dict[str, object]:
+    """Return a row as the audit trail tells it."""
+    hashed = TOLD_BY_HASH.get(table.name, ())
+    return {
+        name: hashlib.sha256(canonical_json(value).encode()).hexdigest() if name in hashed else value
+        for name, value in plain(values).items()
+    }
+
+
+def forms(table: Table, values: Values) -> set[str]:
+    """Return the texts by which the audit trail may tell of a row: as it is, or as before later columns came."""
+    now = told(table, values)
+    later = [name for name in LATER_COLUMNS.get(table.name, ()) if now[name] is None]
+    older = {name: value for name, value in now.items() if name not in later}
+    return {canonical_json(form) for form in (now, older)}
+
+
+def plain(values: Values) -> dict[str, object]:
+    """Return JSON values: instants and days as ISO text, the rest as it is."""
+    return {name: _plain(value) for name, value in values.items()}
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, datetime):
+        return value.isoformat(timespec="microseconds")
+    if isinstance(value, date):
+        return value.isoformat()
+    if isinstance(value, bytes):
+        raise RegistryError("bytes belong into a blob, not into the audit trail")
+    return value

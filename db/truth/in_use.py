@@ -1,0 +1,313 @@
+"""Which calibration a unit uses: statements that follow one another, made by a batch, a line, a person or an upgrade.
+
+A unit is a serial of a lot. The newest statement holds. Two registries that were apart may both have made one; where
+they name different maps nobody can say which is right, and a person has to.
+"""
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    RowMapping,
+    Select,
+    Table,
+    Text,
+    and_,
+    bindparam,
+    func,
+    or_,
+    select,
+    type_coerce,
+)
+
+from softcal.core.errors import InputError
+from softcal.db.schema.database import parts
+from softcal.db.schema.found import found_in
+from softcal.db.schema.tables import calibrations, in_use, limits, lots, refusals, units
+from softcal.db.truth import history
+from softcal.db.truth.judged_against import LimitInForce
+from softcal.db.truth.registry_base import RegistryBase, damaged
+
+NEWEST_STATEMENT = (in_use.c.made_at.desc(), in_use.c.number.desc(), in_use.c.origin.desc())
+OF_STATEMENT = and_(
+    calibrations.c.serial == in_use.c.serial,
+    calibrations.c.revision == in_use.c.revision,
+    calibrations.c.origin == in_use.c.made_by,
+)
+NEWEST_FIRST = (calibrations.c.made_at.desc(), calibrations.c.revision.desc(), calibrations.c.origin.desc())
+"""No registry writes a revision older than the one it follows. Which one is in use is not told by this order."""
+
+
+def _of_unit(table: Table, *columns: Any) -> Select[Any]:
+    return select(*columns).where(table.c.lot_id == bindparam("lot"), table.c.serial == bindparam("unit"))
+
+
+STATEMENTS = _of_unit(in_use, in_use).order_by(*NEWEST_STATEMENT)
+LAST_STATEMENT = _of_unit(in_use, func.max(in_use.c.made_at))
+LAST_REFUSAL = _of_unit(refusals, func.max(refusals.c.made_at))
+LAST_NUMBER = _of_unit(in_use, func.max(in_use.c.number)).where(in_use.c.origin == bindparam("registry"))
+"""Built once, as every unit of a batch needs them: building a statement takes longer than running it."""
+
+
+class InUseTable(RegistryBase):
+    """The part of the registry that knows which calibration is in use."""
+
+    def put_in_use(
+        self,
+        lot_id: str,
+        serial: str,
+        input_sha256: str,
+        decided_by: str,
+        *,
+        work_sha256: str | None = None,
+        actor: str | None = None,
+    ) -> bool:
+        """Put the calibration that was made from an input into use again; False where there is none.
+
+        What a person decided since the same input was decided last stays: nothing new was asked. A conflict stays, too.
+
+        Args:
+            decided_by: who decides: batch or line.
+            work_sha256: hash of the files and settings that ask, to be found again without reading the files.
+        """
+        c = calibrations.c
+        with self.database.writing() as connection:
+            query = select(calibrations).where(c.lot_id == lot_id, c.serial == serial, c.input_sha256 == input_sha256)
+            made = connection.execute(query.order_by(*NEWEST_FIRST).limit(1)).mappings().first()
+            if made is None:
+                return False
+            heads = heads_of(connection, lot_id, serial)
+            if names_several(connection, heads):
+                return True
+            refused = newest_refusal(connection, lot_id, serial)
+            last = STATEMENTS.where(in_use.c.input_sha256.is_not(None)).limit(1)
+            asked = connection.execute(last, {"lot": lot_id, "unit": serial}).mappings().first()
+            is_asked_again = (
+                asked is not None
+                and asked["input_sha256"] == input_sha256
+                and (refused is None or refused < asked["made_at"])
+            )
+            if is_asked_again and work_sha256 in (None, asked and asked["work_sha256"]):
+                return True
+            again = {"revision": made["revision"], "made_by": made["origin"]}
+            named = dict(heads[0]) if is_asked_again else again
+            told = {"work_sha256": work_sha256, "input_sha256": input_sha256, "decided_by": decided_by}
+            self._state(connection, lot_id, serial, named, told, actor, "the same input again")
+            return True
+
+    def decided_works(self, lot_id: str, serials: Sequence[str]) -> dict[str, str]:
+        """Return the work that each unit's newest result answers, by serial; units without such a result are left out.
+
+        A refusal that may pass (a worker that died, a disk that was away) answers no work.
+        """
+        newest: dict[str, tuple[datetime, str | None]] = {}
+        for part in parts(serials):
+            u, r = in_use.c, refusals.c
+            asked = select(u.serial, u.made_at, u.work_sha256).where(u.lot_id == lot_id, u.serial.in_(part))
+            refused = select(r.serial, r.made_at, r.work_sha256).where(r.lot_id == lot_id, r.serial.in_(part))
+            with self.database.reading() as connection:
+                for query in (asked.where(u.input_sha256.is_not(None)), refused):
+                    for serial, made_at, work in connection.execute(query):
+                        if serial not in newest or made_at > newest[serial][0]:
+                            newest[serial] = made_at, work
+        return {serial: work for serial, (_, work) in newest.items() if work is not None}
+
+    def inputs_of_works(self, lot_id: str, works: Mapping[str, str]) -> dict[str, str]:
+        """Return the input from which each work was once calibrated, by serial.
+
+        Args:
+            works: hash of the work by serial.
+        """
+        u = in_use.c
+        found = {}
+        for part in parts(list(works)):
+            query = select(u.serial, u.work_sha256, u.input_sha256).where(u.lot_id == lot_id, u.serial.in_(part))
+            with self.database.reading() as connection:
+                for serial, work, input_sha256 in connection.execute(query.where(u.work_sha256.is_not(None))):
+                    if works[serial] == work:
+                        found[serial] = input_sha256
+        return found
+
+    def passed_once(self, lot_id: str) -> frozenset[str]:
+        """Return the serials of a lot for which a calibration that passed was in use, now or before."""
+        query = select(in_use.c.serial).distinct().join(calibrations, OF_STATEMENT)
+        query = query.where(in_use.c.lot_id == lot_id, calibrations.c.verdict == "pass")
+        with self.database.reading() as connection:
+            return frozenset(connection.execute(query).scalars())
+
+    def lots_of(self, serial: str) -> list[str]:
+        """Return the lots a serial stands in."""
+        with self.database.reading() as connection:
+            return lots_of(connection, serial)
+
+    def _in_use(self, connection: Connection, lot_id: str, serial: str) -> RowMapping | None:
+        """Return the newest statement of a unit, or None before the first.
+
+        Raises:
+            InputError: two registries put different maps into use.
+            RegistryError: the audit trail tells of a statement that was not found: an older one would hold.
+        """
+        heads = heads_of(connection, lot_id, serial)
+        # A damaged index hides rows without a word; the audit trail is found by another one.
+        u = in_use.c
+        query = select(u.origin, func.max(u.number), func.count()).where(u.lot_id == lot_id, u.serial == serial)
+        last = {origin: (number, count) for origin, number, count in connection.execute(query.group_by(u.origin))}
+        if any(number != count for number, count in last.values()):
+            raise damaged(f"unit {serial} of lot {lot_id}: a statement of what is in use was not found")
+        names = sorted({*history.origins(connection), *last})
+        following = [(lot_id, serial, name, last.get(name, (0, 0))[0] + 1) for name in names]
+        self._check_hidden(connection, in_use, following)
+        for head in heads:
+            self._check_row(connection, in_use, head)
+        if names_several(connection, heads):
+            raise InputError(conflict_line(connection, lot_id, serial))
+        return heads[0] if heads else None
+
+    def _state(
+        self,
+        connection: Connection,
+        lot_id: str,
+        serial: str,
+        named: Mapping[str, Any],
+        told: Mapping[str, Any],
+        actor: str | None,
+        reason: str,
+        made_at: datetime | None = None,
+    ) -> None:
+        """Write a statement behind every one that nothing follows yet, so that no conflict is left.
+
+        Args:
+            named: `revision` and `made_by` of the calibration.
+            told: `decided_by`, and the work and input that asked for it.
+            made_at: its time where the calibration was made just now.
+        """
+        is_first = (in_use.name, lot_id, serial) in found_in(connection).without
+        heads = [] if is_first else heads_of(connection, lot_id, serial)
+        at = made_at or self._after(newest_of_unit(connection, lot_id, serial))
+        mine = {"lot": lot_id, "unit": serial, "registry": self.origin}
+        number = 0 if is_first else connection.execute(LAST_NUMBER, mine).scalar_one() or 0
+        for head in (*heads,) or (None,):
+            number += 1
+            values = {
+                "lot_id": lot_id,
+                "serial": serial,
+                "origin": self.origin,
+                "number": number,
+                "revision": named["revision"],
+                "made_by": named["made_by"],
+                "follows_origin": head and head["origin"],
+                "follows_number": head and head["number"],
+                "work_sha256": None,
+                "input_sha256": None,
+                **told,
+                "made_at": at,
+                "actor": self._actor(actor),
+                "reason": reason,
+            }
+            before = None if head is None else {name: head[name] for name in ("revision", "made_by")}
+            self._store(connection, in_use, values, "put_in_use", actor, reason, before)
+
+
+def heads_of(connection: Connection, lot_id: str, serial: str) -> list[RowMapping]:
+    """Return the statements of a unit that nothing follows, the newest first; more than one after a parted history."""
+    rows = connection.execute(STATEMENTS, {"lot": lot_id, "unit": serial}).mappings().all()
+    followed = {(row["follows_origin"], row["follows_number"]) for row in rows}
+    return [row for row in rows if (row["origin"], row["number"]) not in followed]
+
+
+def names_several(connection: Connection, heads: Sequence[RowMapping]) -> bool:
+    """Whether statements name calibrations that differ; the same map with the same verdict made twice is one."""
+    if len({(head["revision"], head["made_by"]) for head in heads}) < 2:
+        return False
+    c = calibrations.c
+    found = set()
+    for head in heads:
+        is_named = (c.serial == head["serial"], c.revision == head["revision"], c.origin == head["made_by"])
+        found.add(tuple(connection.execute(select(c.blob_sha256, c.verdict).where(*is_named)).one()))
+    return len(found) > 1
+
+
+def conflicts_of(
+    connection: Connection, lot_id: str | None = None, serials: Sequence[str] | None = None
+) -> list[tuple[str, str]]:
+    """Return lot and serial of the units for which registries put different maps into use.
+
+    Args:
+        lot_id, serials: of this lot, of these units only.
+    """
+    if len(history.origins(connection)) < 2:
+        return []
+    u, follower = in_use.c, in_use.alias()
+    is_followed = select(follower.c.number).where(
+        follower.c.lot_id == u.lot_id,
+        follower.c.serial == u.serial,
+        follower.c.follows_origin == u.origin,
+        follower.c.follows_number == u.number,
+    )
+    differ = or_(
+        func.min(calibrations.c.blob_sha256) != func.max(calibrations.c.blob_sha256),
+        func.min(calibrations.c.verdict) != func.max(calibrations.c.verdict),
+    )
+    query = select(u.lot_id, u.serial).select_from(in_use).join(calibrations, OF_STATEMENT)
+    query = query.where(~is_followed.correlate(in_use).exists()).group_by(u.lot_id, u.serial).having(differ)
+    query = query if lot_id is None else query.where(u.lot_id == lot_id)
+    query = query if serials is None else query.where(u.serial.in_(serials))
+    return [(lot, name) for lot, name in connection.execute(query.order_by(u.lot_id, u.serial))]
+
+
+def limit_in_force(connection: Connection, lot_id: str) -> LimitInForce:
+    """Return the newest limit of a lot."""
+    of_lot = select(limits.c.rmse).where(limits.c.lot_id == lot_id)
+    newest = of_lot.order_by(limits.c.made_at.desc(), limits.c.origin.desc()).limit(1)
+    unit = select(lots.c.reference_unit).where(lots.c.id == lot_id)
+    return LimitInForce(connection.execute(newest).scalar(), connection.execute(unit).scalar() or "")
+
+
+def conflict_line(connection: Connection, lot_id: str, serial: str) -> str:
+    """Return what a person has to decide, and how."""
+    sides = [
+        f"revision {head['revision']} of registry {head['made_by']} ({head['decided_by']}, "
+        f"{head['made_at']:%Y-%m-%d %H:%M:%S} UTC)"
+        for head in heads_of(connection, lot_id, serial)
+    ]
+    return (
+        f"unit {serial} of lot {lot_id}: two registries put different maps into use: {', '.join(sides)}; decide "
+        "by a rollback to one of them, with the reason"
+    )
+
+
+def lots_of(connection: Connection, serial: str) -> list[str]:
+    """Return the lots a serial stands in."""
+    query = select(units.c.lot_id).where(units.c.serial == serial).order_by(units.c.lot_id)
+    return list(connection.execute(query).scalars())
+
+
+def newest_refusal(connection: Connection, lot_id: str, serial: str) -> datetime | None:
+    """Return when a unit was refused last."""
+    if (refusals.name, lot_id, serial) in found_in(connection).without:
+        return None
+    made_at: datetime | None = connection.execute(LAST_REFUSAL, {"lot": lot_id, "unit": serial}).scalar_one()
+    return made_at
+
+
+def newest_of_unit(connection: Connection, lot_id: str, serial: str) -> datetime | None:
+    """Return the time of the newest statement or refusal of a unit."""
+    stated: datetime | None = None
+    if (in_use.name, lot_id, serial) not in found_in(connection).without:
+        stated = connection.execute(LAST_STATEMENT, {"lot": lot_id, "unit": serial}).scalar_one()
+    times = [at for at in (stated, newest_refusal(connection, lot_id, serial)) if at is not None]
+    return max(times, default=None)
+
+
+def of_this_method() -> ColumnElement[bool]:
+    """Return whether a calibration was made with the method of this version, as SQL.
+
+    The settings are canonical JSON text: the hash of today's method stands in it or it does not.
+    """
+    # Whoever lists units needs none of the method's numbers.
+    from softcal.core.unit.method import Method
+
+    return type_coerce(calibrations.c.settings, Text).contains(f'"method_id":"{Method().id}"')

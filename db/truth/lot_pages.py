@@ -1,0 +1,314 @@
+"""Where the units of a lot stand: the calibration in use, a newer refusal, or what a person has to decide.
+
+One question in SQL says it for a unit, for a sorted and filtered page of a lot of any size, for counts and for reports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    RowMapping,
+    Subquery,
+    Table,
+    Text,
+    and_,
+    case,
+    func,
+    or_,
+    select,
+    tuple_,
+    type_coerce,
+)
+
+from softcal.core.errors import InputError
+from softcal.core.words.reason import DOUBT, Reason, plain
+from softcal.db.entries import UNDECIDED, MadeCalibration, UnitEntry, UnitStanding
+from softcal.db.schema.database import parts
+from softcal.db.schema.tables import calibrations, in_use, refusals, units
+from softcal.db.truth import history
+from softcal.db.truth.in_use import OF_STATEMENT, conflict_line, conflicts_of, limit_in_force, of_this_method
+from softcal.db.truth.judged_against import LimitInForce
+from softcal.db.truth.records import PLAIN_FIELDS, record_of
+from softcal.db.truth.registry_base import RegistryBase, damaged, of_row
+
+ERRORS = ("predicted_rmse", "before_rmse", "after_rmse", "own_rmse")
+SORTABLE = ("serial", "verdict", "made_at", "family", *ERRORS)
+LATER_STATEMENT = ("made_at", "number", "origin")
+MADE_FIELDS = ("revision", "family", "map_sha256", *ERRORS)
+
+MOST_SERIALS = 30_000
+"""A question takes no more values than that in SQLite (32,766 since 3.32)."""
+
+
+@cache
+def _severities() -> dict[str, int]:
+    """Return verdicts, the worst first, with how they sort."""
+    # Only who sorts or counts verdicts waits for the numerics behind them.
+    from softcal.core.unit.verdict import Verdict
+
+    return {str(verdict): -verdict.severity for verdict in sorted(Verdict, key=lambda v: -v.severity)}
+
+
+@dataclass(frozen=True)
+class UnitFilter:
+    """Which units of a lot, in which order.
+
+    Args:
+        verdicts: of these only; empty takes all, `none` those without a result.
+        text: serials that hold this text, in any case.
+        sort: one of `SORTABLE`, or `severity`: the worst verdict first, then the largest predicted error.
+        is_descending: largest first; units without a value stand last either way.
+        serials: of these units only; None takes all.
+    """
+
+    verdicts: tuple[str, ...] = ()
+    text: str = ""
+    sort: str = "serial"
+    is_descending: bool = False
+    serials: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.sort not in (*SORTABLE, "severity"):
+            raise InputError(f"units cannot be sorted by {self.sort!r}; known: severity, {', '.join(SORTABLE)}")
+        if len(self.serials or ()) > MOST_SERIALS:
+            raise InputError(f"{len(self.serials or ())} units at once; choose fewer than {MOST_SERIALS}, by days")
+
+
+@dataclass(frozen=True)
+class UnitPage:
+    """One page of units and how many the filter lets through in all."""
+
+    units: tuple[UnitEntry, ...]
+    total: int
+
+
+class UnitErrors(NamedTuple):
+    """The errors of one unit's newest map in the reference unit, None where they were not found, and its verdict.
+
+    Of an audit that is set aside, whose errors may be another unit's, there are none.
+    """
+
+    serial: str
+    verdict: str
+    predicted_rmse: float | None
+    before_rmse: float | None
+    after_rmse: float | None
+    own_rmse: float | None
+
+
+class LotPages(RegistryBase):
+    """The part of the registry that answers for a whole lot without reading all of it."""
+
+    def unit_page(self, lot_id: str, wanted: UnitFilter, page: int = 1, size: int = 50) -> UnitPage:
+        """Return one page (1, 2, ...) of a lot's target units with their newest result.
+
+        Raises:
+            InputError: the lot is not in the registry.
+        """
+        with self.database.reading() as connection:
+            self._lot_row(connection, lot_id)
+            standing = Standing.of(connection, lot_id)
+            table = standing.table(role="target")
+            condition, order = _condition(table, wanted), _order(table, wanted)
+            query = select(table).where(condition).order_by(*order).limit(size).offset((page - 1) * size)
+            total = connection.execute(select(func.count()).select_from(table).where(condition)).scalar_one()
+            entries = [standing.entry(connection, row) for row in connection.execute(query).mappings().all()]
+        return UnitPage(tuple(entries), int(total))
+
+    def standings(self, lot_id: str, serials: Sequence[str]) -> dict[str, UnitStanding]:
+        """Return where units of a lot stand, as a report needs it: the calibration in use, or a newer refusal.
+
+        A unit with a conflict is to be decided by a person: its verdict is retest. So is that of one judged against
+        another limit than the one in force.
+        """
+        found: dict[str, UnitStanding] = {}
+        c = calibrations.c
+        columns = [*(c[name] for name in PLAIN_FIELDS), c.revision, c.settings, c.reasons, c.evidence]
+        for part in parts(serials):
+            in_lot = and_(in_use.c.lot_id == lot_id, in_use.c.serial.in_(part))
+            query = select(*columns).select_from(in_use).join(calibrations, OF_STATEMENT)
+            query = query.where(in_lot, _is_newest(in_use, LATER_STATEMENT))
+            with self.database.reading() as connection:
+                rows = {row["serial"]: row for row in connection.execute(query).mappings()}
+                for unit, is_made in standing_units(connection, lot_id, part):
+                    if unit.verdict is not None and unit.made_at is not None:
+                        made, row = None, rows.get(unit.serial)
+                        if is_made and row is not None:
+                            made = MadeCalibration.of(record_of(row, {}, row["settings"]), row["revision"])
+                        stated = (unit.verdict, unit.reasons, unit.made_at)
+                        found[unit.serial] = UnitStanding(unit.serial, *stated, made)
+        return found
+
+    def find_serials(self, text: str, count: int = 50) -> list[str]:
+        """Return serials of target units with a result that hold a text in any case; those that begin with it first."""
+        has_result = or_(
+            *(
+                select(table.c.serial)
+                .where(table.c.lot_id == units.c.lot_id, table.c.serial == units.c.serial)
+                .exists()
+                for table in (calibrations, refusals)
+            )
+        )
+        query = select(units.c.serial).distinct().where(units.c.role == "target", has_result)
+        order: list[ColumnElement[Any]] = [units.c.serial]
+        if text:
+            # Without a text the index of the serials gives the first ones, and nothing else is read.
+            name = func.lower(units.c.serial)
+            query = query.where(name.contains(text.lower(), autoescape=True))
+            begins = case((name.startswith(text.lower(), autoescape=True), 0), else_=1)
+            query, order = query.add_columns(begins), [begins, *order]
+        with self.database.reading() as connection:
+            return [str(row[0]) for row in connection.execute(query.order_by(*order).limit(count))]
+
+    def verdict_counts(self, lot_id: str) -> dict[str, int]:
+        """Return a lot's target units by the verdict of their newest result; `none` counts those without."""
+        with self.database.reading() as connection:
+            self._lot_row(connection, lot_id)
+            table = Standing.of(connection, lot_id).table(role="target")
+            verdict = func.coalesce(table.c.verdict, "none")
+            found = {str(v): int(n) for v, n in connection.execute(select(verdict, func.count()).group_by(verdict))}
+        return {name: found.get(name, 0) for name in (*_severities(), "none")}
+
+    def lot_errors(self, lot_id: str) -> list[UnitErrors]:
+        """Return the errors of every target unit with a map, by serial."""
+        with self.database.reading() as connection:
+            self._lot_row(connection, lot_id)
+            table = Standing.of(connection, lot_id).table(role="target")
+            measured = {name: case((table.c.is_doubted, None), else_=table.c[name]) for name in ERRORS[1:]}
+            query = select(table.c.revision, table.c.serial, table.c.verdict, table.c[ERRORS[0]], *measured.values())
+            # Asked for in SQL, "with a map" makes PostgreSQL read the calibrations of all lots.
+            rows = connection.execute(query.order_by(table.c.serial))
+            return [UnitErrors(*row) for revision, *row in rows if revision is not None]
+
+    def change_marker(self, lot_id: str) -> str:
+        """Return text that changes whenever a unit, result, limit, rule, network, release or check is added.
+
+        A cheap key for what was computed from a lot: every change ends a chain of the audit trail with another row.
+        """
+        with self.database.reading() as connection:
+            heads = [history.head(connection, origin) for origin in history.origins(connection)]
+        return "|".join([lot_id, *(sha256 for _, sha256 in heads)])
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How the units of a lot are asked for.
+
+    Args:
+        undecided: units for which two registries put different maps into use.
+        limit: of the lot; a verdict against another one does not stand.
+    """
+
+    lot_id: str
+    undecided: Sequence[str]
+    limit: LimitInForce
+
+    @classmethod
+    def of(cls, connection: Connection, lot_id: str, serials: Sequence[str] | None = None) -> Standing:
+        """Return how a lot, or some of its units, are asked for now."""
+        undecided = [serial for _, serial in conflicts_of(connection, lot_id, serials)]
+        return cls(lot_id, undecided, limit_in_force(connection, lot_id))
+
+    def table(self, serials: Sequence[str] | None = None, role: str | None = None) -> Subquery:
+        """Return every unit beside its map in use and its newest verdict, which may be a later refusal's.
+
+        "Nothing newer exists" is found through the index of the table; a window function over all rows is not, and its
+        join with the units would take the square of their number.
+
+        Args:
+            serials, role: of these units only.
+        """
+        c, u, r = calibrations, in_use, refusals
+        is_refused = and_(r.c.made_at.is_not(None), or_(u.c.made_at.is_(None), r.c.made_at > u.c.made_at))
+        is_open = units.c.serial.in_(self.undecided)
+        is_stated = and_(u.c.made_at.is_not(None), ~is_refused)
+        is_unjudged = and_(is_stated, ~is_open, self.limit.is_other_in_sql())
+        is_undecided = and_(is_stated, or_(is_open, is_unjudged))
+        columns: dict[str, ColumnElement[Any]] = {
+            "verdict": case((is_refused, r.c.verdict), (is_undecided, UNDECIDED), else_=c.c.verdict),
+            "reasons": case((is_refused, r.c.reasons), else_=c.c.reasons),
+            "made_at": case((is_refused, r.c.made_at), else_=u.c.made_at),
+            **{name: case((is_open, None), else_=c.c[name]) for name in MADE_FIELDS},
+            "is_stale": and_(u.c.made_at.is_not(None), ~is_open, ~of_this_method()),
+            "is_conflict": is_open,
+            # What is left out of an entry.
+            "is_made": and_(is_stated, ~is_undecided),
+            "is_refused": is_refused,
+            "is_doubted": type_coerce(c.c.reasons, Text).contains(f'"code":"{DOUBT}'),
+            "evidence": case((is_unjudged, c.c.evidence), else_=None),
+        }
+        joined = (
+            units.outerjoin(u, and_(_is_of_unit(u), _is_newest(u, LATER_STATEMENT)))
+            .outerjoin(c, OF_STATEMENT)
+            .outerjoin(r, and_(_is_of_unit(r), _is_newest(r, ("made_at", "origin"))))
+        )
+        query = select(units.c.lot_id, units.c.serial, units.c.role, *(c.label(name) for name, c in columns.items()))
+        query = query.select_from(joined).where(units.c.lot_id == self.lot_id)
+        query = query if role is None else query.where(units.c.role == role)
+        return (query if serials is None else query.where(units.c.serial.in_(serials))).subquery("standing")
+
+    def entry(self, connection: Connection, row: RowMapping) -> UnitEntry:
+        """Return the unit of a row of the table."""
+        serial = row["serial"]
+        if row["is_stale"] is None:
+            raise damaged(f"unit {serial} of lot {self.lot_id}: the calibration in use was not found")
+        if row["is_conflict"] and not row["is_refused"]:
+            reasons: tuple[Reason, ...] = (plain(conflict_line(connection, self.lot_id, serial)),)
+        elif row["evidence"] is not None:
+            reasons = (self.limit.why(row["evidence"]),)
+        else:
+            reasons = tuple(map(Reason.of, row["reasons"] or ()))
+        return of_row(UnitEntry, row, reasons=reasons)
+
+
+def standing_units(
+    connection: Connection, lot_id: str, serials: Sequence[str] | None = None
+) -> list[tuple[UnitEntry, bool]]:
+    """Return units of a lot by serial, each with whether its verdict is that of its calibration in use."""
+    standing = Standing.of(connection, lot_id, serials)
+    rows = connection.execute(select(table := standing.table(serials)).order_by(table.c.serial)).mappings().all()
+    known = {row["serial"] for row in rows}
+    # A damaged index hides rows without a word.
+    for results in (in_use, refusals):
+        query = select(results.c.serial).where(results.c.lot_id == lot_id).distinct()
+        found = query if serials is None else query.where(results.c.serial.in_(serials))
+        if lost := sorted({*connection.execute(found).scalars()} - known):
+            raise damaged(f"unit {lost[0]} of lot {lot_id} has a result and was not found itself")
+    return [(standing.entry(connection, row), bool(row["is_made"])) for row in rows]
+
+
+def _is_of_unit(table: Table) -> ColumnElement[bool]:
+    return and_(table.c.lot_id == units.c.lot_id, table.c.serial == units.c.serial)
+
+
+def _is_newest(table: Table, names: Sequence[str]) -> ColumnElement[bool]:
+    other = table.alias()
+    is_same = and_(other.c.lot_id == table.c.lot_id, other.c.serial == table.c.serial)
+    is_newer = tuple_(*(other.c[name] for name in names)) > tuple_(*(table.c[name] for name in names))
+    return ~select(other.c.serial).where(is_same, is_newer).correlate(table).exists()
+
+
+def _condition(table: Subquery, wanted: UnitFilter) -> ColumnElement[bool]:
+    parts: list[ColumnElement[bool]] = []
+    if wanted.verdicts:
+        parts.append(func.coalesce(table.c.verdict, "none").in_(wanted.verdicts))
+    if wanted.text:
+        parts.append(func.lower(table.c.serial).contains(wanted.text.lower(), autoescape=True))
+    if wanted.serials is not None:
+        parts.append(table.c.serial.in_(wanted.serials))
+    return and_(True, *parts)
+
+
+def _order(table: Subquery, wanted: UnitFilter) -> list[ColumnElement[Any]]:
+    if wanted.sort == "severity":
+        severity = case(_severities(), value=table.c.verdict, else_=1)
+        return [severity, table.c.predicted_rmse.desc().nulls_last(), table.c.serial]
+    column = table.c[wanted.sort]
+    first = (column.desc() if wanted.is_descending else column.asc()).nulls_last()
+    return [first, table.c.serial]

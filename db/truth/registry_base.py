@@ -1,0 +1,158 @@
+"""What every part of the registry stands on: the database, who writes by which clock, and rows that leave a trace."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
+from datetime import UTC, datetime, timedelta
+from functools import cache
+from typing import Any, TypeVar
+
+from sqlalchemy import Connection, Insert, RowMapping, Table, bindparam, insert, select
+
+from softcal.core.errors import InputError, RegistryError
+from softcal.core.words.reason import reason
+from softcal.db.schema.database import Database, OncePerCut
+from softcal.db.schema.found import found_in
+from softcal.db.schema.tables import audit, canonical_json, in_use, lots, recordings, refusals, registry_info, units
+from softcal.db.truth import history
+
+Entry = TypeVar("Entry")
+TICK = timedelta(microseconds=1)
+KNOWN_LOT = select(lots).where(lots.c.id == bindparam("lot"))
+KNOWN_UNIT = select(units.c.role).where(units.c.lot_id == bindparam("lot"), units.c.serial == bindparam("unit"))
+OF_UNITS = frozenset(table.name for table in (recordings, in_use, refusals))
+"""Tables whose rows belong to a unit of a lot: of one that was not registered there can be none."""
+
+
+def utc_now() -> datetime:
+    """Return the machine's time in UTC."""
+    return datetime.now(UTC)
+
+
+@dataclass(frozen=True)
+class RegistrySettings:
+    """Who writes, and by which clock.
+
+    Args:
+        actor: who stands in the audit trail where a call names nobody.
+        clock: the time of every row.
+    """
+
+    actor: str = "softcal"
+    clock: Callable[[], datetime] = utc_now
+
+
+def damaged(what: str) -> RegistryError:
+    """Return the error for what softcal has never written."""
+    return RegistryError(f"{what}; the registry is damaged; run `softcal registry verify` and go back to a backup")
+
+
+class RegistryBase(OncePerCut):
+    """An open database with its origin: the name under which this registry writes its audit trail."""
+
+    def __init__(self, database: Database, settings: RegistrySettings) -> None:
+        self.database = database
+        self.settings = settings
+        with database.reading() as connection:
+            query = select(registry_info.c.value).where(registry_info.c.key == "origin")
+            self.origin = str(connection.execute(query).scalar_one())
+
+    def _store(
+        self,
+        connection: Connection,
+        table: Table,
+        values: Mapping[str, Any],
+        action: str,
+        actor: str | None,
+        reason: str = "",
+        before: Mapping[str, object] | None = None,
+    ) -> None:
+        """Insert one row together with the row of the audit trail that tells of it."""
+        connection.execute(_insert_into(table), dict(values))
+        if table.name in OF_UNITS:
+            found_in(connection).without.discard((table.name, values["lot_id"], values["serial"]))
+        key, after = history.row_key(table, values), history.told(table, values)
+        self._tell(connection, action, table.name, key, actor, after=after, before=before, reason=reason)
+
+    def _tell(
+        self,
+        connection: Connection,
+        action: str,
+        entity: str,
+        key: tuple[str | int, ...],
+        actor: str | None = None,
+        **told: Any,
+    ) -> None:
+        """Write a row of the audit trail, by this registry's clock; `told` is what `history.append` takes by name."""
+        at, who = self.settings.clock(), self._actor(actor)
+        history.append(connection, self.origin, at, who, action, entity, key, **told)
+
+    def _check_row(self, connection: Connection, table: Table, row: RowMapping) -> None:
+        """Raise `RegistryError` where a row is not what the audit trail tells of it: nobody may go on with it."""
+        values = {column.name: row[column.name] for column in table.columns}
+        key = canonical_json(history.row_key(table, values))
+        query = select(audit.c.after).where(audit.c.entity == table.name, audit.c.key == key)
+        told = connection.execute(query).scalars().all()
+        if not history.forms(table, values) & {after for after in told if after is not None}:
+            raise RegistryError(
+                f"{table.name} {key} is not what the audit trail tells of it: it was damaged or changed; run "
+                "`softcal registry verify` and go back to a backup"
+            )
+
+    def _check_hidden(self, connection: Connection, table: Table, keys: Iterable[tuple[str | int, ...]]) -> None:
+        """Raise `RegistryError` where the audit trail tells of a row that was not found: an index hides it."""
+        wanted = [canonical_json(key) for key in keys]
+        query = select(audit.c.key).where(audit.c.entity == table.name, audit.c.key.in_(wanted)).limit(1)
+        hidden = connection.execute(query).scalar_one_or_none()
+        if hidden is not None:
+            raise damaged(f"{table.name} {hidden} was not found")
+
+    def _actor(self, actor: str | None) -> str:
+        return actor or self.settings.actor
+
+    def _after(self, previous: datetime | None) -> datetime:
+        """Return the time now, but never before what it follows: a clock set back must not reorder the history."""
+        now = self.settings.clock()
+        return now if previous is None else max(now, previous + TICK)
+
+    def _lot_row(self, connection: Connection, lot_id: str) -> RowMapping:
+        # A chunk of a batch asks for each of its units, and nobody can change a lot while a transaction goes on.
+        checked = found_in(connection).lots
+        if lot_id not in checked:
+            row = connection.execute(KNOWN_LOT, {"lot": lot_id}).mappings().first()
+            if row is None:
+                known = connection.execute(select(lots.c.id).order_by(lots.c.id).limit(6)).scalars().all()
+                raise InputError(reason("name.no_such_lot", lot=repr(lot_id), known=_some(known)))
+            self._check_row(connection, lots, row)
+            checked[lot_id] = row
+        return checked[lot_id]
+
+    def _add_unit(self, connection: Connection, lot_id: str, serial: str, role: str, actor: str | None) -> None:
+        found = found_in(connection)
+        if (lot_id, serial) in found.units:
+            return
+        if connection.execute(KNOWN_UNIT, {"lot": lot_id, "unit": serial}).first() is None:
+            values = {"lot_id": lot_id, "serial": serial, "role": role, "added_at": self.settings.clock()}
+            self._store(connection, units, values, "add", actor)
+            found.without.update((table, lot_id, serial) for table in OF_UNITS)
+        found.units.add((lot_id, serial))
+
+    def _known_serial(self, connection: Connection, serial: str) -> None:
+        if connection.execute(select(units.c.serial).where(units.c.serial == serial).limit(1)).first() is None:
+            known = connection.execute(select(units.c.serial).distinct().order_by(units.c.serial).limit(6)).scalars()
+            raise InputError(reason("name.no_such_serial", serial=repr(serial), known=_some(known.all())))
+
+
+def of_row(kind: type[Entry], row: RowMapping, **others: Any) -> Entry:
+    """Return a value with the columns of a row that it has fields for, and with others."""
+    names = (one.name for one in fields(kind) if one.name in row)  # type: ignore[arg-type]
+    return kind(**{name: row[name] for name in names} | others)
+
+
+@cache
+def _insert_into(table: Table) -> Insert:
+    return insert(table)
+
+
+def _some(names: Any) -> str:
+    listed = ", ".join(names[:5]) or "nothing yet"
+    return f"{listed}, ..." if len(names) > 5 else listed
