@@ -17,16 +17,16 @@ from itertools import chain
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from softcal.app.batch.calibrating import Refusal
+from softcal.app.batch.calibrating import Known, LotFacts, Refusal
 from softcal.app.batch.claims import Claims
 from softcal.app.batch.engine import EngineChoice, WorkerLost, run_all
 from softcal.app.batch.guard import PassingRefusal, each_alone
+from softcal.app.batch.known import KeptFacts, keep_result
 from softcal.app.batch.report import UnitResult
 from softcal.app.batch.unit_work import (
     Chunk,
     ChunkOutcome,
     FileContent,
-    Known,
     SharedWork,
     UnitOutcome,
     UnitTask,
@@ -36,10 +36,10 @@ from softcal.app.batch.unit_work import (
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.regular import read_regular
 from softcal.app.logs import note
-from softcal.app.registry.audits import audit_of, newest_audits
-from softcal.app.registry.known_loads import known_loads, values
+from softcal.app.registry.known_loads import values
 from softcal.core.errors import InputError, RegistryError
 from softcal.core.identity import content_sha256
+from softcal.core.lot import Lot
 from softcal.core.maps.interface import Anchors
 from softcal.core.network.config import EpochReport, NetworkConfig
 from softcal.core.unit.method import Method
@@ -115,25 +115,23 @@ class LotWork:
     """The units of one lot on their way through queue, engine and registry.
 
     Args:
-        golden: golden runs that the registry knows recordings to belong to, by serial and recording.
+        facts: what the lot's units are calibrated with.
+        kept: what the registry has about each of them.
     """
 
     def __init__(
         self,
         folder: LotFolder,
         registry: Registry,
-        shared: SharedWork,
+        facts: LotFacts,
+        kept: KeptFacts,
         config: BatchConfig,
         watch: Watch,
-        golden: Mapping[str, Mapping[str, str]],
     ) -> None:
-        self._folder, self._registry, self._shared = folder, registry, shared
+        self._folder, self._registry, self._facts, self._known = folder, registry, facts, kept
         self._config, self._watch = config, watch
         self._lot_id = folder.lot.id
-        self._work = WorkSet(self._lot_id, _settings_sha256(shared, config.refit))
-        self._loads_kept = _kept_loads(registry, folder, config)
-        self._golden_kept = golden
-        self._audits_kept = newest_audits(registry, self._lot_id)
+        self._work = WorkSet(self._lot_id, _settings_sha256(folder.lot, facts, config.refit))
         self._works: dict[str, str] = {}
         self._new: set[str] = set()
         self._ended: set[str] = set()
@@ -199,7 +197,8 @@ class LotWork:
             time.sleep(LOOK_EVERY_S if held["claimed"] else 0.0)
             return
         work = partial(each_alone, work_on, self._config.unit_limit_s)
-        for answer in run_all(self._config.engine, work, self._shared, chain([first], chunks), Chunk.split):
+        shared = SharedWork(self._folder.lot, self._facts)
+        for answer in run_all(self._config.engine, work, shared, chain([first], chunks), Chunk.split):
             outcome = _passing(lost(answer.item)) if isinstance(answer, WorkerLost) else answer
             for result in self._keep(claims, outcome):
                 self._watch.on_unit(result)
@@ -229,15 +228,15 @@ class LotWork:
 
     def _work_sha256(self, serial: str, recording: FileContent, audit: FileContent | None) -> str:
         """Return the hash of all that the unit's result depends on: much faster than parsing the recordings."""
-        anchors = self._config.anchors.get(serial)
+        anchors, kept = self._config.anchors.get(serial), self._known
         loads: object = None if anchors is None else [anchors.output.tolist(), anchors.reference.tolist()]
-        if anchors is None and serial in self._loads_kept:
-            loads = {sha256: values(kept) for sha256, kept in self._loads_kept[serial].items()}
+        if anchors is None and serial in kept.loads:
+            loads = {sha256: values(one) for sha256, one in kept.loads[serial].items()}
         files = [file and [file.path.suffix, hashlib.sha256(file.content).hexdigest()] for file in (recording, audit)]
-        golden = self._golden_kept.get(serial)
+        golden = None if self._facts.bridge else kept.golden.get(serial)
         beside: dict[str, object] = {} if golden is None else {"golden": golden}
-        if (kept := self._audits_kept.get(serial)) is not None and audit is None:
-            beside["audit"] = kept.sha256
+        if audit is None and serial in kept.audits:
+            beside["audit"] = kept.audits[serial].sha256
         return content_sha256({}, {"set": self._work.name, "files": files, "anchors": loads, **beside})
 
     def _chunks(self, claims: Claims) -> Iterator[Chunk]:
@@ -269,13 +268,8 @@ class LotWork:
                 continue
             # The file may be another one by now than it was when the work was asked for.
             self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
-            anchors = self._config.anchors.get(item.serial)
-            done = known.get(item.serial, frozenset())
-            kept, golden = self._loads_kept.get(item.serial, {}), self._golden_kept.get(item.serial, {})
-            measured = audit_of(self._registry, self._audits_kept.get(item.serial))
-            yield UnitTask(
-                item.id, item.serial, recording, audit, anchors, done, kept=kept, golden=golden, kept_audit=measured
-            )
+            facts = self._known.of(item.serial, self._config.anchors.get(item.serial))
+            yield UnitTask(item.id, item.serial, recording, audit, facts, known.get(item.serial, frozenset()))
 
     def _keep(self, claims: Claims, outcome: ChunkOutcome) -> list[UnitResult]:
         """Register what is still this batch's own, and close its items, in one transaction."""
@@ -310,33 +304,18 @@ class LotWork:
             self._new.add(unit.serial)
 
     def _register_whole(self, unit: UnitOutcome) -> None:
-        registry, lot_id, result = self._registry, self._lot_id, unit.result
-        told = {"actor": self._config.actor, "work_sha256": self._works.get(unit.serial)}
+        registry, result, work = self._registry, unit.result, self._works.get(unit.serial)
         for recording, kind in ((unit.recording, "unit"), (unit.audit, "audit")):
             if recording is not None:
-                registry.add_recording(lot_id, recording, kind, actor=self._config.actor)
-        if isinstance(result, Known):
-            if not registry.put_in_use(lot_id, unit.serial, result.input_sha256, "batch", **told):
-                raise InputError(f"{unit.serial}: its calibration vanished from the registry; run `registry verify`")
-            return
-        self._new.add(unit.serial)
-        if isinstance(result, Refusal):
-            if isinstance(result, PassingRefusal):
-                told["work_sha256"] = None
-                note("unit_failed", lot=lot_id, serial=unit.serial, reason=str(result.reason), trace=result.trace)
-            registry.add_refusal(lot_id, unit.serial, str(result.verdict), (result.reason,), **told)
-            return
-        registry.add_calibration(lot_id, result, reason="batch", decided_by="batch", **told)
-
-
-def _kept_loads(registry: Registry, folder: LotFolder, config: BatchConfig) -> Mapping[str, Mapping[str, Anchors]]:
-    """Return what the registry has of known loads, by serial and recording; what lies beside the files outranks it."""
-    found: dict[str, dict[str, Anchors]] = {}
-    if folder.lot.id in registry.lot_ids():
-        serials = folder.unit_paths.keys() - config.anchors.keys()
-        for sha256, one in known_loads(registry, folder.lot.id, serials).items():
-            found.setdefault(one.serial, {})[sha256] = one.loads
-    return found
+                registry.add_recording(self._lot_id, recording, kind, actor=self._config.actor)
+        if isinstance(result, PassingRefusal):
+            work = None
+            facts = {"lot": self._lot_id, "serial": unit.serial, "reason": str(result.reason)}
+            note("unit_failed", trace=result.trace, **facts)
+        told = {"actor": self._config.actor, "reason": "batch", "work_sha256": work}
+        keep_result(registry, self._lot_id, unit.serial, result, "batch", **told)
+        if not isinstance(result, Known):
+            self._new.add(unit.serial)
 
 
 def _passing(outcome: ChunkOutcome) -> ChunkOutcome:
@@ -349,20 +328,19 @@ def _passing(outcome: ChunkOutcome) -> ChunkOutcome:
     return replace(outcome, units=tuple(units))
 
 
-def _settings_sha256(shared: SharedWork, is_refit: bool) -> str:
+def _settings_sha256(lot: Lot, facts: LotFacts, is_refit: bool) -> str:
     """Return the hash of all that a result depends on beside the unit's own files."""
+    networks = [model.network.id for model in facts.sources]
     settings = {
-        "lot": {name: value for name, value in shared.lot.settings().items() if name != "limit_rmse"},
-        "network": [model.network.id for model in shared.sources]
-        if len(shared.sources) > 1
-        else shared.source.network.id,
-        "method": shared.source.method.id,
-        "own": None if shared.own is None else asdict(shared.own),
-        "limit": None if shared.limit is None else shared.limit.to_json(),
-        "line": None if shared.line is None else shared.line.to_json(),
-        **({} if shared.reference is None else {"reference": shared.reference.to_json()}),
-        **({} if shared.bridge is None else {"golden": shared.bridge.sha256}),
-        **({"rules": sorted(shared.rules)} if shared.rules else {}),
+        "lot": {name: value for name, value in lot.settings().items() if name != "limit_rmse"},
+        "network": networks if len(networks) > 1 else networks[0],
+        "method": facts.source.method.id,
+        "own": None if facts.own is None else asdict(facts.own),
+        "limit": None if facts.limit is None else facts.limit.to_json(),
+        "line": None if facts.line is None else facts.line.to_json(),
+        **({} if facts.reference is None else {"reference": facts.reference.to_json()}),
+        **({} if facts.bridge is None else {"golden": facts.bridge.sha256}),
+        **({"rules": sorted(facts.rules)} if facts.rules else {}),
         # A newer version may read what an older one refused.
         "version": version("softcal"),
         "refit": uuid.uuid4().hex if is_refit else None,
