@@ -194,8 +194,8 @@ def fit_map(
         raise InputError(f"target output is in {target.output_unit}, the source's in {model.network.output_unit}")
     limit = stated_limit(network.reference_unit, limit_rmse)
     known = UnitFacts(_anchors(anchors), audit=None if audit is None else audit.labelled)
-    calibration = calibrate(*LotFacts((model,), limit).problems(target.unlabelled, known))
-    return Unit(model.network, calibration, target.unlabelled.sample_rate_Hz)
+    (problem,) = LotFacts((model,), limit).problems(target.unlabelled, known)
+    return Unit(model.network, calibrate(problem), target.unlabelled.sample_rate_Hz)
 
 
 def _anchors(known: Any) -> Anchors | None:

@@ -1,7 +1,6 @@
 """Calibrate a whole lot without a screen: train or reuse f, fit every unit, verdicts, registry; resumable."""
 
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 
 from softcal.app.batch.audit import update_lot
@@ -9,7 +8,7 @@ from softcal.app.batch.judging import judge_leaning
 from softcal.app.batch.known import KeptFacts, lot_facts, state_line, state_sources
 from softcal.app.batch.lot_work import BatchConfig, LotWork, Watch
 from softcal.app.batch.release import judge_lot
-from softcal.app.batch.report import BatchReport, UnitResult
+from softcal.app.batch.report import BatchReport
 from softcal.app.batch.train import train_or_find
 from softcal.app.files.lot_folder import LotFolder
 from softcal.app.files.recording_file import naming
@@ -51,23 +50,14 @@ def run_batch(folder: LotFolder, registry: Registry, config: BatchConfig, watch:
     facts = replace(facts, bridge=bridge, bridges=bridges_over(registry, models[0], kept.golden_runs))
     watch.on_start(len(folder.unit_paths))
     work = LotWork(folder, registry, facts, kept, config, watch)
-    results = work.results()
-    _keep_loads(registry, lot.id, config, results)
-    _keep_golden(registry, lot.id, run, config, results)
+    work.run()
+    _keep_beside(registry, work, folder, run, config)
     decided = judge_lot(registry, folder.lot.id, config.actor)
     audit = update_lot(registry, folder.lot.id, config.actor)
     judge_leaning(registry, folder.lot.id, config.actor)
     judged = work.told(list(folder.unit_paths))
     ordered = tuple(judged[serial] for serial in folder.unit_paths)
     return BatchReport(folder.lot.id, trained, ordered, time.perf_counter() - start_s, audit, config.release, decided)
-
-
-def _keep_loads(registry: Registry, lot_id: str, config: BatchConfig, results: Mapping[str, UnitResult]) -> None:
-    """Keep the known loads that lay beside the files, so that whoever calibrates those recordings again has them."""
-    made = [serial for serial in config.anchors if serial in results and results[serial].made is not None]
-    records = {serial: registry.calibration(serial, lot_id=lot_id).record for serial in made}
-    loads = {record.recording_sha256: (serial, config.anchors[serial]) for serial, record in records.items()}
-    keep_loads(registry, lot_id, loads, "file", actor=config.actor)
 
 
 Golden = OutputRecording | LabelledRecording | None
@@ -80,13 +70,13 @@ def _bridge(folder: LotFolder, model: SourceModel, run: Golden) -> Bridge | None
         return make_bridge(model, run)
 
 
-def _keep_golden(
-    registry: Registry, lot_id: str, run: Golden, config: BatchConfig, results: Mapping[str, UnitResult]
-) -> None:
-    """Keep the golden run that lay beside the files, so that whoever calibrates those recordings again has it."""
-    if not isinstance(run, LabelledRecording):
-        return
-    sha256 = registry.add_recording(lot_id, run, "audit", actor=config.actor)
-    made = [serial for serial, result in results.items() if result.made is not None]
-    of = {registry.calibration(serial, lot_id=lot_id).record.recording_sha256: (serial, sha256) for serial in made}
-    keep_golden_of(registry, lot_id, of, actor=config.actor)
+def _keep_beside(registry: Registry, work: LotWork, folder: LotFolder, run: Golden, config: BatchConfig) -> None:
+    """Keep known loads and the golden run that lay beside the files: whoever calibrates those recordings has them."""
+    lot_id, actor = folder.lot.id, config.actor
+    of = work.recordings([serial for serial in folder.unit_paths if serial in config.anchors])
+    loads = {sha256: (serial, config.anchors[serial]) for serial, sha256 in of.items()}
+    keep_loads(registry, lot_id, loads, "file", actor=actor)
+    if isinstance(run, LabelledRecording):
+        golden = registry.add_recording(lot_id, run, "audit", actor=actor)
+        pressed = {sha256: (serial, golden) for serial, sha256 in work.recordings(list(folder.unit_paths)).items()}
+        keep_golden_of(registry, lot_id, pressed, actor=actor)

@@ -135,5 +135,4 @@ def keep_result(
         if not registry.put_in_use(lot_id, serial, result.input_sha256, by, **asked):
             raise InputError(f"{serial}: its calibration vanished from the registry; run `registry verify`")
     else:
-        told = {"actor": actor, "reason": reason, "work_sha256": work_sha256}
-        registry.add_calibration(lot_id, result, decided_by=by, **told)
+        registry.add_calibration(lot_id, result, actor, reason, decided_by=by, work_sha256=work_sha256)

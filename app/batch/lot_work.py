@@ -9,6 +9,7 @@ import hashlib
 import math
 import time
 import uuid
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -55,6 +56,9 @@ much as one of four or more, and a batch that is killed repeats no more than the
 
 NO_RESULT = "the registry has no result of it; have the registry verified"
 FIRST_CHUNK, LARGEST_CHUNK = 4, 128
+HELD_BYTES = 64_000_000
+"""Files are read ahead until they are so many bytes, so that each is read once and a large lot needs no more memory."""
+
 LOOK_EVERY_S = 1.0
 """How often a batch that waits for units of others looks whether they are done."""
 
@@ -86,6 +90,10 @@ class BatchConfig:
     anchors: Mapping[str, Anchors] = field(default_factory=dict)
     unit_limit_s: float = 900.0
     actor: str | None = None
+
+
+Files = tuple[FileContent, FileContent | None]
+"""Recording of a unit, and its audit."""
 
 
 def _silent(_: object) -> None:
@@ -132,39 +140,52 @@ class LotWork:
         self._config, self._watch = config, watch
         self._lot_id = folder.lot.id
         self._work = WorkSet(self._lot_id, _settings_sha256(folder.lot, facts, config.refit))
+        self._unread = deque(folder.unit_paths)
+        self._held: dict[str, Files] = {}
         self._works: dict[str, str] = {}
+        self._recordings: dict[str, str] = {}
         self._new: set[str] = set()
         self._ended: set[str] = set()
         self._unit_s: float | None = None
 
-    def results(self) -> dict[str, UnitResult]:
-        """Return the result of every unit, whoever made it."""
-        self._works = dict(self._readable())
+    def run(self) -> None:
+        """Work until every unit has a result, whoever made it."""
         with Claims(self._registry, self._work) as claims:
             claims.take_back_from_dead()
-            claims.queue.enqueue(self._work, self._undecided())
             self._tell_done(claims)
             while not self._is_done(claims):
                 self._work_off(claims)
-        return self.told(list(self._folder.unit_paths))
 
-    def _readable(self) -> Iterator[tuple[str, str]]:
-        """Give serial and hash of the work of each unit; what cannot be read is that unit's result."""
-        for serial in self._folder.unit_paths:
+    def _look_further(self, claims: Claims) -> None:
+        """Read the next files, ask for what is to be done with them, and hold them until their turn comes."""
+        self._held.clear()
+        works, size = dict[str, str](), 0
+        while self._unread and size < HELD_BYTES:
+            serial = self._unread.popleft()
+            if serial in self._works:
+                continue
             try:
-                recording, audit = self._contents(serial)
+                files = self._contents(serial)
             except InputError as error:
                 self._refuse(serial, f"recording not readable: {error}")
                 continue
-            yield serial, self._work_sha256(serial, recording, audit)
+            self._held[serial] = files
+            works[serial] = self._work_sha256(serial, *files)
+            size += sum(len(file.content) for file in files if file is not None)
+        self._works |= works
+        undecided = self._undecided(list(works))
+        self._held = {serial: self._held[serial] for serial in undecided}
+        claims.queue.enqueue(self._work, undecided)
+        self._tell_done(claims)
 
-    def _undecided(self) -> dict[str, str]:
-        """Return the work of the units whose newest result in the registry answers something else.
+    def _undecided(self, serials: Sequence[str]) -> dict[str, str]:
+        """Return the work of those of the units whose newest result in the registry answers something else.
 
-        Where the same work was calibrated before, that calibration is put into use again without reading the files.
+        Where the same work was calibrated before, that calibration is put into use again without working on the files.
         """
-        decided = self._registry.decided_works(self._lot_id, list(self._works))
-        left = {s: work for s, work in self._works.items() if s not in self._ended and decided.get(s) != work}
+        asked = {serial: self._works[serial] for serial in serials if serial not in self._ended}
+        decided = self._registry.decided_works(self._lot_id, list(asked))
+        left = {serial: work for serial, work in asked.items() if decided.get(serial) != work}
         for serial, input_sha256 in self._registry.inputs_of_works(self._lot_id, left).items():
             told = {"work_sha256": left[serial], "actor": self._config.actor}
             if self._registry.put_in_use(self._lot_id, serial, input_sha256, "batch", **told):
@@ -182,6 +203,13 @@ class LotWork:
         standings = self._registry.standings(self._lot_id, serials)
         return {s: self._result(s, standings.get(s)) for s in serials}
 
+    def recordings(self, serials: Sequence[str]) -> dict[str, str]:
+        """Return the hash of the recording that each unit was calibrated from; one without a calibration has none."""
+        left = [serial for serial in serials if serial not in self._recordings]
+        made = [serial for serial, result in self.told(left).items() if result.made is not None]
+        stored = {s: self._registry.calibration(s, lot_id=self._lot_id).record.recording_sha256 for s in made}
+        return stored | {serial: self._recordings[serial] for serial in serials if serial in self._recordings}
+
     def _result(self, serial: str, standing: UnitStanding | None) -> UnitResult:
         if standing is None:
             return UnitResult(serial, Verdict.RETEST, (plain(NO_RESULT),), is_new=False)
@@ -192,9 +220,9 @@ class LotWork:
         chunks = self._chunks(claims)
         first = next(chunks, None)
         if first is None:
-            held = claims.queue.counts(work=self._work)
-            self._watch.on_wait(held["claimed"])
-            time.sleep(LOOK_EVERY_S if held["claimed"] else 0.0)
+            if held := claims.queue.counts(work=self._work)["claimed"]:
+                self._watch.on_wait(held)
+                time.sleep(LOOK_EVERY_S)
             return
         work = partial(each_alone, work_on, self._config.unit_limit_s)
         shared = SharedWork(self._folder.lot, self._facts)
@@ -206,10 +234,10 @@ class LotWork:
 
     def _is_done(self, claims: Claims) -> bool:
         counts = claims.queue.counts(work=self._work)
-        if counts["queued"] + counts["claimed"] > 0:
+        if self._unread or counts["queued"] + counts["claimed"] > 0:
             return False
         # A batch with other settings forgets what nobody was working at just then, and rows of a queue can be lost.
-        undecided = self._undecided()
+        undecided = self._undecided(list(self._works))
         for item in claims.queue.given_up(self._work):
             if undecided.pop(item.serial, None) is not None:
                 self._refuse(item.serial, "not calibrated: the programs that worked on it died; run the batch again")
@@ -217,9 +245,10 @@ class LotWork:
 
     def _tell_done(self, claims: Claims) -> None:
         counts = claims.queue.counts(work=self._work)
-        self._watch.on_done(max(0, len(self._folder.unit_paths) - counts["queued"] - counts["claimed"]))
+        left = len(self._unread) + counts["queued"] + counts["claimed"]
+        self._watch.on_done(max(0, len(self._folder.unit_paths) - left))
 
-    def _contents(self, serial: str) -> tuple[FileContent, FileContent | None]:
+    def _contents(self, serial: str) -> Files:
         """Read the files of a unit as they lie there."""
         path, audit_path = self._folder.unit_paths[serial], self._folder.audit_paths.get(serial)
         recording = FileContent(path, read_regular(path, self._folder.root))
@@ -240,7 +269,10 @@ class LotWork:
         return content_sha256({}, {"set": self._work.name, "files": files, "anchors": loads, **beside})
 
     def _chunks(self, claims: Claims) -> Iterator[Chunk]:
-        while items := claims.take(self._chunk_size()):
+        while (items := claims.take(self._chunk_size())) or self._unread:
+            if not items:
+                self._look_further(claims)
+                continue
             mine = [item for item in items if item.serial in self._folder.unit_paths]
             for item in items:
                 if item not in mine:
@@ -261,13 +293,15 @@ class LotWork:
         known = {} if self._config.refit else self._registry.known_inputs(self._lot_id, serials)
         for item in items:
             try:
-                recording, audit = self._contents(item.serial)
+                held = self._held.pop(item.serial, None)
+                recording, audit = held or self._contents(item.serial)
             except InputError as error:
                 self._works.pop(item.serial, None)
                 yield UnitTask(item.id, item.serial, None, problem=str(error))
                 continue
-            # The file may be another one by now than it was when the work was asked for.
-            self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
+            if held is None:
+                # Asked for by another batch, or tried again: the file may be another one by now than it was then.
+                self._works[item.serial] = self._work_sha256(item.serial, recording, audit)
             facts = self._known.of(item.serial, self._config.anchors.get(item.serial))
             yield UnitTask(item.id, item.serial, recording, audit, facts, known.get(item.serial, frozenset()))
 
@@ -312,8 +346,10 @@ class LotWork:
             work = None
             facts = {"lot": self._lot_id, "serial": unit.serial, "reason": str(result.reason)}
             note("unit_failed", trace=result.trace, **facts)
-        told = {"actor": self._config.actor, "reason": "batch", "work_sha256": work}
-        keep_result(registry, self._lot_id, unit.serial, result, "batch", **told)
+        told = registry, self._lot_id, unit.serial, result, "batch"
+        keep_result(*told, actor=self._config.actor, reason="batch", work_sha256=work)
+        if unit.recording is not None and not isinstance(result, Refusal):
+            self._recordings[unit.serial] = unit.recording.sha256
         if not isinstance(result, Known):
             self._new.add(unit.serial)
 

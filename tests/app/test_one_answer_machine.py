@@ -154,7 +154,9 @@ class OneAnswerMachine(RuleBasedStateMachine):
 
         undecided = [serial for serial in files if self.is_to_be_worked_on(side, serial)]
         with mock.patch.object(lot_work, "work_on", counting):
-            told = self.work(folder, side, BatchConfig(), Watch()).results()
+            work = self.work(folder, side, BatchConfig(), Watch())
+            work.run()
+            told = work.told(list(paths))
         assert set(undecided) <= set(worked)
         # A batch that was broken off leaves work in the queue that nobody may need any more.
         assert side in self.broken_off or sorted(worked) == sorted(undecided)
@@ -206,7 +208,7 @@ class OneAnswerMachine(RuleBasedStateMachine):
         # What was asked for by the same file before is put into use before anything is queued.
         asked_before = [s for s in files if any(e.work == number and e.asked == number for e in self.seen[side][s])]
         with mock.patch.object(lot_work, "work_on", fake_work), contextlib.suppress(KeyboardInterrupt):
-            self.work(folder, side, BatchConfig(chunk=1), Watch(on_unit=end)).results()
+            self.work(folder, side, BatchConfig(chunk=1), Watch(on_unit=end)).run()
         for serial in (*asked_before, *kept):
             self.answered(side, serial)
 

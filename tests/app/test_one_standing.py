@@ -21,7 +21,7 @@ from softcal.app.line.facts import Screen, read_line
 from softcal.app.registry.limit import lot_limit
 from softcal.app.registry.quality import lot_yields
 from softcal.app.texts.catalogue import text
-from softcal.app.views.audits import audit_rows_of
+from softcal.app.views.audited import audit_rows_of
 from softcal.app.views.lot import lot_view
 from softcal.app.views.wall import wall_view
 from softcal.core.errors import InputError

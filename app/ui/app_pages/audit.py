@@ -1,21 +1,21 @@
 """The audit of a lot: draw the units to check with the load cell, bring their recordings, see what they say."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import streamlit as st
 
 from softcal.app.batch.audit import LotAudit, draw_plan, lot_audit
 from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audits, target_serials
+from softcal.app.batch.judging import confirm
 from softcal.app.files.spreadsheet import csv_text
 from softcal.app.jobs.process import start_job
 from softcal.app.texts.reasons import said
 from softcal.app.ui.account import actor, permit, person
-from softcal.app.ui.components.audit_plan import plan_rows
-from softcal.app.ui.components.audits_panel import audits_panel
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
-from softcal.app.ui.desk import ask_reason, errors_in_words, registry, words
+from softcal.app.ui.desk import ask_reason, errors_in_words, instant, registry, words
 from softcal.app.ui.panels import go_to, lot_heading, numbers, table, units_of
+from softcal.app.views.audited import AuditedRow, audit_rows_of
 from softcal.app.views.common import number
 from softcal.core.quality.audit_plan import AuditConfig
 from softcal.db.people import may
@@ -151,3 +151,67 @@ def _take(lot_id: str, looked: Sequence[AuditFile]) -> None:
     st.session_state[ASKED] = start_job(registry(), "calibrate", {"lot": lot_id}, actor())
     forget_files(UPLOAD)
     st.rerun()
+
+
+Words = Callable[..., str]
+
+
+def plan_rows(audit: LotAudit, unit: str, words: Words) -> list[dict[str, str]]:
+    """Return one row a unit of the plan: why it was drawn, what was forecast and measured, and what that says.
+
+    Args:
+        unit: of the errors.
+    """
+    return [
+        {
+            words("column.serial"): serial,
+            words("audit.why"): words(f"audit.why.{'doubtful' if serial in audit.plan.doubtful else 'random'}"),
+            words("release.forecast"): number(audit.forecasts[serial], unit),
+            words("release.measured"): number(audit.measured.get(serial), unit),
+            words("audit.result"): words(f"audit.result.{_result(audit, serial)}"),
+        }
+        for serial in audit.plan.serials
+    ]
+
+
+def _result(audit: LotAudit, serial: str) -> str:
+    if serial not in audit.measured:
+        return "open"
+    return "within" if audit.measured[serial] <= audit.limit.maximum_rmse else "beyond"
+
+
+MOST_ROWS = 200
+
+
+def audits_panel(lot_id: str) -> None:
+    """Draw the audited units; nothing where none was."""
+    say, unit = words(), registry().lot(lot_id).reference_unit
+    rows = audit_rows_of(registry(), lot_id)
+    if not rows:
+        return
+    st.markdown(f"## {say('audit.units')}")
+    table([_audited_row(row, unit) for row in rows[:MOST_ROWS]])
+    for row in rows:
+        if row.doubt is not None:
+            _doubt(lot_id, row)
+
+
+def _audited_row(row: AuditedRow, unit: str) -> dict[str, object]:
+    say = words()
+    return {
+        say("column.serial"): row.serial,
+        say("release.forecast"): number(row.forecast_rmse, unit),
+        say("release.measured"): number(row.measured_rmse, unit),
+        say("column.verdict"): say(f"verdict.{row.verdict}"),
+        say("audit.brought"): instant(row.brought_at),
+    }
+
+
+def _doubt(lot_id: str, row: AuditedRow) -> None:
+    say = words()
+    with st.container(border=True):
+        st.warning(said(row.doubt, say) if row.doubt else "", title=row.serial, icon=":material/rule:")
+        reason = ask_reason(f"confirm-{row.serial}", say("audit.confirm", serial=row.serial), "release")
+    if reason is not None:
+        confirm(registry(), lot_id, row.serial, reason=reason, actor=actor())
+        st.rerun()

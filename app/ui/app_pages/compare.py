@@ -2,8 +2,7 @@
 
 import streamlit as st
 
-from softcal.app.charts.compare import maps_together, predicted_over_load
-from softcal.app.charts.lots import errors_of_lots
+from softcal.app.charts.compare import errors_of_lots, maps_together, predicted_over_load
 from softcal.app.texts.reasons import all_said
 from softcal.app.ui.desk import colours, empty, errors_in_words, instant, registry, show_figure, verdict_badge, words
 from softcal.app.ui.first_paint import rest_may_follow
