@@ -110,7 +110,13 @@ def audit_rows(audit: LotAudit) -> list[list[object]]:
     for serial in audit.plan.serials:
         why = "largest predicted error" if serial in audit.plan.doubtful else "random"
         measured = audit.measured.get(serial)
-        word = "to be measured" if measured is None else "within" if _holds(audit, serial) else "misses the limit"
+        word = (
+            "to be measured"
+            if measured is None
+            else "within"
+            if (audit.measured[serial] <= audit.limit.maximum_rmse)
+            else "misses the limit"
+        )
         rows.append([serial, why, audit.forecasts[serial], measured, word])
     return rows
 
@@ -126,14 +132,14 @@ def audit_line(audit: LotAudit) -> str:
     return f"audit: lot {audit.statement.word}: {audit.statement.text}"
 
 
-def _holds(audit: LotAudit, serial: str) -> bool:
-    return audit.measured[serial] <= audit.limit.maximum_rmse
-
-
 def _standing(registry: Registry, lot_id: str, facts: Mapping[str, object]) -> LotAudit:
     settings = json.loads(json.dumps(facts))
     plan, limit = AuditPlan.from_settings(settings["plan"]), Limit.of(settings["limit"])
-    errors = {unit.serial: unit.after_rmse for unit in _targets(registry, lot_id) if not _is_doubted(unit)}
+    errors = {
+        unit.serial: unit.after_rmse
+        for unit in _targets(registry, lot_id)
+        if not any(why.code.startswith(DOUBT) for why in unit.reasons)
+    }
     measured = {s: float(e) for s in plan.serials if (e := errors.get(s)) is not None}
     is_complete = len(measured) == len(plan.serials)
     statement = judge_lot(plan, settings["forecasts"], measured, limit) if is_complete else None
@@ -142,10 +148,6 @@ def _standing(registry: Registry, lot_id: str, facts: Mapping[str, object]) -> L
 
 def _targets(registry: Registry, lot_id: str) -> list[UnitEntry]:
     return [unit for unit in registry.units(lot_id) if unit.role == "target"]
-
-
-def _is_doubted(unit: UnitEntry) -> bool:
-    return any(why.code.startswith(DOUBT) for why in unit.reasons)
 
 
 def _accepted(registry: Registry, lot_id: str) -> dict[str, float]:

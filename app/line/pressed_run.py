@@ -181,7 +181,17 @@ class RunKeeper:
     def _keep_source(self, order: Order, recording: StationRecording, tell: Tell, done: Progress) -> Progress:
         def on_epoch(report: EpochReport) -> None:
             fraction = report.epoch / report.max_epochs
-            tell(Progress(order.order_id, RunState.RUNNING, TRAINING, fraction, message=(_epoch_line(report),)))
+            tell(
+                Progress(
+                    order.order_id,
+                    RunState.RUNNING,
+                    TRAINING,
+                    fraction,
+                    message=(
+                        reason("run.epoch", epoch=report.epoch, most=report.max_epochs, error=report.validation_rmse),
+                    ),
+                )
+            )
 
         tell(Progress(order.order_id, RunState.RUNNING, TRAINING))
         source = recording.labelled_recording()
@@ -239,7 +249,3 @@ def _units(order: Order, recording: StationRecording) -> list[OutputRecording]:
     if channels == 1:
         return [recording.output_recording(0, order.serial)]
     return [recording.output_recording(channel, numbered(order.serial, channel)) for channel in range(channels)]
-
-
-def _epoch_line(report: EpochReport) -> Reason:
-    return reason("run.epoch", epoch=report.epoch, most=report.max_epochs, error=report.validation_rmse)

@@ -13,7 +13,7 @@ from softcal.app.texts.reasons import said
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
-from softcal.app.ui.desk import ask_reason, errors_in_words, instant, registry, words
+from softcal.app.ui.desk import ask_reason, instant, registry, words
 from softcal.app.ui.panels import go_to, lot_heading, numbers, table, units_of
 from softcal.app.views.audited import AuditedRow, audit_rows_of
 from softcal.app.views.common import number
@@ -25,22 +25,20 @@ ACTION = "set_up"
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        lot_id = lot_heading("audit", registry().lot_ids())
-        if lot_id is None:
-            return
-        if not units_of(lot_id):
-            return
-        st.markdown(say("audit.what"))
-        audit = lot_audit(registry(), lot_id)
-        if audit is None:
-            _draw(lot_id)
-        else:
-            _stands(audit, lot_id)
-        audits_panel(lot_id)
-        _upload(lot_id)
+    lot_id = lot_heading("audit", registry().lot_ids())
+    if lot_id is None:
+        return
+    if not units_of(lot_id):
+        return
+    st.markdown(say("audit.what"))
+    audit = lot_audit(registry(), lot_id)
+    if audit is None:
+        _draw(lot_id)
+    else:
+        _stands(audit, lot_id)
+    audits_panel(lot_id)
+    _upload(lot_id)
 
 
 def _draw(lot_id: str) -> None:
@@ -70,7 +68,7 @@ def _stands(audit: LotAudit, lot_id: str) -> None:
         (
             (say("audit.measured"), f"{len(audit.measured)} / {len(audit.plan.serials)}", None),
             (say("lot.limit"), number(audit.limit.maximum_rmse, unit), None),
-            (say("audit.says"), _verdict(audit), None),
+            (say("audit.says"), ("–" if audit.statement is None else words()(f"verdict.{audit.statement.word}")), None),
         )
     )
     if audit.statement is not None:
@@ -96,10 +94,6 @@ def _stands(audit: LotAudit, lot_id: str) -> None:
         if reason is not None:
             draw_plan(registry(), lot_id, config, reason=reason, actor=actor())
             st.rerun()
-
-
-def _verdict(audit: LotAudit) -> str:
-    return "–" if audit.statement is None else words()(f"verdict.{audit.statement.word}")
 
 
 def _upload(lot_id: str) -> None:

@@ -26,7 +26,6 @@ IS_BUSY = "line-is-busy"
 
 
 def render() -> None:
-    """Draw the page."""
     st.html(line_card.style() + line_card.theme(colours()))
     is_busy = bool(st.session_state.get(IS_BUSY))
     st.fragment(_screen, run_every=BUSY_S if is_busy else IDLE_S)()

@@ -10,7 +10,7 @@ from softcal.app.charts.station import golden_figure
 from softcal.app.line.cell_certificate import certificate_from
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.station_run import choose_station, place
-from softcal.app.ui.desk import colours, empty, errors_in_words, in_words, registry, show_figure, words
+from softcal.app.ui.desk import colours, empty, in_words, registry, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import heading, table
 from softcal.app.views.common import number
@@ -22,22 +22,20 @@ from softcal.db.people import may
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        heading("load_cells")
-        if done := st.session_state.pop("cells-done", ""):
-            st.success(done, icon=":material/check:")
-        found = registry().certificates()
-        if found:
-            table([_row(entry) for entry in reversed(found)])
-        else:
-            empty(say("cells.none"), say("cells.none.how"))
-        if may(person(), "set_up"):
-            certificate_form()
-        st.header(say("golden.title"))
-        if rest_may_follow():
-            _golden()
+    heading("load_cells")
+    if done := st.session_state.pop("cells-done", ""):
+        st.success(done, icon=":material/check:")
+    found = registry().certificates()
+    if found:
+        table([_row(entry) for entry in reversed(found)])
+    else:
+        empty(say("cells.none"), say("cells.none.how"))
+    if may(person(), "set_up"):
+        certificate_form()
+    st.header(say("golden.title"))
+    if rest_may_follow():
+        _golden()
 
 
 def _row(entry: CellCertificate) -> dict[str, object]:

@@ -14,7 +14,7 @@ from softcal.app.ui.components.looks import looks
 from softcal.app.ui.components.lot_filter import chosen_lot_view
 from softcal.app.ui.components.process_panel import capability_panel, control_panel, reasons_panel, yield_panel
 from softcal.app.ui.components.unit_table import unit_table
-from softcal.app.ui.desk import colours, empty, errors_in_words, language, registry, words, zone
+from softcal.app.ui.desk import colours, empty, language, registry, words, zone
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import figure_under, headline, lot_heading, numbers
 from softcal.app.views.alerts import alerts
@@ -26,31 +26,29 @@ from softcal.db.people import may
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        lot_id = lot_heading("lot", registry().lot_ids())
-        if lot_id is None:
-            return
-        first = st.container()
-        calibrate_again(lot_id)
-        view = chosen_lot_view(lot_id)
-        if not view.judged:
-            empty(say("empty.units"), say("empty.units.how"))
-            return
-        with first:
-            share = view.yields.first_pass
-            headline(say("lot.headline", share=percent(share.value), good=share.count, of=share.of))
-        alerts_panel(view)
-        _numbers(view)
-        if not rest_may_follow():
-            return
-        _figures(view)
-        audited_panel(view)
-        looks(view)
-        st.header(say("lot.table"))
-        unit_table(view.lot, view.chosen)
-        lot_report(view)
+    lot_id = lot_heading("lot", registry().lot_ids())
+    if lot_id is None:
+        return
+    first = st.container()
+    calibrate_again(lot_id)
+    view = chosen_lot_view(lot_id)
+    if not view.judged:
+        empty(say("empty.units"), say("empty.units.how"))
+        return
+    with first:
+        share = view.yields.first_pass
+        headline(say("lot.headline", share=percent(share.value), good=share.count, of=share.of))
+    alerts_panel(view)
+    _numbers(view)
+    if not rest_may_follow():
+        return
+    _figures(view)
+    audited_panel(view)
+    looks(view)
+    st.header(say("lot.table"))
+    unit_table(view.lot, view.chosen)
+    lot_report(view)
 
 
 def _numbers(view: LotView) -> None:

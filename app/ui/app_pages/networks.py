@@ -6,7 +6,7 @@ import streamlit as st
 
 from softcal.app.ui.account import actor
 from softcal.app.ui.components.network_panels import comparison, training
-from softcal.app.ui.desk import ask_reason, empty, errors_in_words, in_words, instant, registry, words
+from softcal.app.ui.desk import ask_reason, empty, in_words, instant, registry, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import headline, lot_heading, table, told
 from softcal.app.views.common import number
@@ -17,27 +17,25 @@ from softcal.db.network_release import RELEASED
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        lots = {lot.id: lot for lot in registry().lots()}
-        lot_id = lot_heading("networks", list(lots))
-        if lot_id is None:
-            return
-        lot = lots[lot_id]
-        rows = network_rows(registry(), lot.id)
-        if rows:
-            headline(_said(rows, lot.reference_unit))
-        else:
-            empty(say("networks.none"), say("networks.none.how"))
-        if not rest_may_follow():
-            return
-        if rows:
-            table(told([_row(row, lot.reference_unit) for row in rows]))
-            release(lot, rows)
-        training(lot)
-        if rows:
-            comparison(lot, rows)
+    lots = {lot.id: lot for lot in registry().lots()}
+    lot_id = lot_heading("networks", list(lots))
+    if lot_id is None:
+        return
+    lot = lots[lot_id]
+    rows = network_rows(registry(), lot.id)
+    if rows:
+        headline(_said(rows, lot.reference_unit))
+    else:
+        empty(say("networks.none"), say("networks.none.how"))
+    if not rest_may_follow():
+        return
+    if rows:
+        table(told([_row(row, lot.reference_unit) for row in rows]))
+        release(lot, rows)
+    training(lot)
+    if rows:
+        comparison(lot, rows)
 
 
 def _said(rows: list[NetworkRow], unit: str) -> str:

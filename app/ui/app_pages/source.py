@@ -7,7 +7,7 @@ from softcal.app.charts import unit as charts_unit
 from softcal.app.jobs.jobs import newest_source
 from softcal.app.ui.account import actor, permit
 from softcal.app.ui.components.station_run import choose_station, newest_run, place, run_panel
-from softcal.app.ui.desk import choose, colours, errors_in_words, in_words, instant, registry, show_figure, words
+from softcal.app.ui.desk import choose, colours, in_words, instant, registry, show_figure, words
 from softcal.app.ui.first_paint import rest_may_follow
 from softcal.app.ui.panels import go_to, heading, numbers
 from softcal.app.views.network import network_rows
@@ -18,23 +18,21 @@ from softcal.core.orders import OrderKind
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        heading("source")
-        st.caption(say("source.how"))
-        with _step(1):
-            lot = choose_or_add_lot()
-        if lot is None:
-            return
-        with _step(2):
-            _press(lot)
-        if not registry().recordings(lot.id, kind="source"):
-            return
-        with _step(3):
-            _look(lot)
-        with _step(4):
-            _network(lot)
+    heading("source")
+    st.caption(say("source.how"))
+    with _step(1):
+        lot = choose_or_add_lot()
+    if lot is None:
+        return
+    with _step(2):
+        _press(lot)
+    if not registry().recordings(lot.id, kind="source"):
+        return
+    with _step(3):
+        _look(lot)
+    with _step(4):
+        _network(lot)
 
 
 def _step(number: int) -> st.delta_generator.DeltaGenerator:

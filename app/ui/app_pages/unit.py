@@ -20,7 +20,6 @@ from softcal.app.ui.desk import (
     choose,
     colours,
     empty,
-    errors_in_words,
     in_full,
     in_words,
     registry,
@@ -44,23 +43,21 @@ TITLES = {
 
 
 def render() -> None:
-    """Draw the page."""
     say = words()
-    with errors_in_words():
-        with heading("unit"):
-            serial = choose_unit()
-        if serial is None:
-            empty(say("empty.units"), say("empty.units.how"))
-            return
-        if done := st.session_state.pop("unit-done", ""):
-            st.success(done, icon=":material/check:")
-        lots = registry().lots_of(serial)
-        lot_id = choose(say("choose.lot"), lots, "lot") if len(lots) > 1 else lots[0]
-        history = registry().history(serial, lot_id)
-        if not history:
-            _refused(serial, lot_id)
-            return
-        _revision(serial, history)
+    with heading("unit"):
+        serial = choose_unit()
+    if serial is None:
+        empty(say("empty.units"), say("empty.units.how"))
+        return
+    if done := st.session_state.pop("unit-done", ""):
+        st.success(done, icon=":material/check:")
+    lots = registry().lots_of(serial)
+    lot_id = choose(say("choose.lot"), lots, "lot") if len(lots) > 1 else lots[0]
+    history = registry().history(serial, lot_id)
+    if not history:
+        _refused(serial, lot_id)
+        return
+    _revision(serial, history)
 
 
 def _refused(serial: str, lot_id: str | None) -> None:

@@ -21,15 +21,13 @@ EVERY_S = 3.0
 
 
 def render() -> None:
-    """Draw the page."""
     st.html(line_card.style() + line_card.theme(colours()) + wall_board.style())
-    with errors_in_words():
-        lot_id = lot_heading("wall", registry().lot_ids())
-        if lot_id is None:
-            return
-        if not units_of(lot_id):
-            return
-        _board(lot_id)
+    lot_id = lot_heading("wall", registry().lot_ids())
+    if lot_id is None:
+        return
+    if not units_of(lot_id):
+        return
+    _board(lot_id)
 
 
 @st.fragment(run_every=EVERY_S)
