@@ -6,7 +6,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import Words, styled
+from softcal.app.charts.style import styled
+from softcal.app.texts.reasons import Words
 from softcal.app.views.lot import LotView
 from softcal.app.views.unit import UnitView
 

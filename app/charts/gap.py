@@ -9,8 +9,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import FONTS
-from softcal.app.charts.style import Words
-from softcal.app.texts.reasons import said
+from softcal.app.texts.reasons import Words, said
 from softcal.app.views.gap import channel_name, effect_name, pressed_name, ranked
 from softcal.core.recording import Array, Indices
 from softcal.core.words.reason import Reason

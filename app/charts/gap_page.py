@@ -15,8 +15,7 @@ from softcal.app.charts.gap import (
     trace_figure,
 )
 from softcal.app.charts.page import document, figures, section, table
-from softcal.app.charts.style import Words
-from softcal.app.texts.reasons import phrase
+from softcal.app.texts.reasons import Words, phrase
 from softcal.app.views.gap import (
     LIKELY,
     begun,

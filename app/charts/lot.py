@@ -8,8 +8,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from softcal.app.charts.palette import Palette
-from softcal.app.charts.style import HEIGHT, Words, coloured, level_line, limit_line, nice_step, styled, whole_numbers
-from softcal.app.texts.reasons import plainly
+from softcal.app.charts.style import HEIGHT, coloured, level_line, limit_line, nice_step, styled, whole_numbers
+from softcal.app.texts.reasons import Words, plainly
 from softcal.app.views.common import far_end
 from softcal.app.views.lot import LotView, ProcessView
 from softcal.app.views.lot_runs import DESK, YieldAt

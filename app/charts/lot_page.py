@@ -1,4 +1,4 @@
-"""One page per lot: verdicts, errors, the process, why units did not pass, every unit."""
+"""The report of a lot as a page to take along."""
 
 from collections.abc import Sequence
 from html import escape
@@ -6,10 +6,9 @@ from html import escape
 from softcal.app.charts.lot import audit_scores, control_chart_figure, predicted_errors, reasons_pareto
 from softcal.app.charts.page import document, figures, section, table
 from softcal.app.charts.palette import palette
-from softcal.app.charts.style import Words
-from softcal.app.texts.reasons import all_said
-from softcal.app.views.common import limit_said, number, percent
+from softcal.app.texts.reasons import Words
 from softcal.app.views.lot import LotView
+from softcal.app.views.lot_report import ReportPart, report_facts, report_parts
 from softcal.db.entries import UnitEntry
 
 STYLE = """p { margin: 4px 0; color: #55606c; }
@@ -27,49 +26,29 @@ def lot_page(view: LotView, units: Sequence[UnitEntry], words: Words, made: str)
         words: the texts of one language.
         made: when and with what it was made, in words.
     """
-    colours, unit = palette(None), view.lot.reference_unit
-    drawn = [(words("lot.distribution"), predicted_errors(view, colours, words))]
-    if view.audited:
-        drawn.append((words("lot.scores"), audit_scores(view, colours, words)))
-    if view.process.chart is not None:
-        drawn.append((words("lot.process"), control_chart_figure(view.process, unit, colours, words)))
-    if view.reasons:
-        drawn.append((words("lot.reasons"), reasons_pareto(view, colours, words)))
-    facts = "".join(
-        f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in _facts(view, words)
-    )
-    head = (
-        f"<header><h1>{escape(view.lot.id)}</h1><p>{escape(view.lot.sensor_model)}</p><dl>{facts}</dl>"
-        f"<p>{escape(made)}</p></header>"
-    )
-    errors = [f"{words(f'column.{name}')} [{unit}]" for name in ("predicted", "before", "after", "own")]
-    header = [words("column.serial"), words("column.verdict"), *errors, words("column.family"), words("column.reasons")]
-    rows = table(header, ([escape(cell) for cell in _row(entry, words)] for entry in units))
-    sections = [section(title, figures(figure)) for title, figure in drawn]
-    return document(f"softcal: {view.lot.id}", [head, *sections, section(words("lot.table"), rows)], STYLE)
-
-
-def _facts(view: LotView, words: Words) -> list[tuple[str, str]]:
-    unit = view.lot.reference_unit
-    counts = [(words(f"verdict.{word}"), str(count)) for word, count in view.counts.items() if count]
-    return [
-        (words("lot.units"), f"{view.judged} / {view.total}"),
-        *counts,
-        (words("lot.first_pass"), percent(view.yields.first_pass.value)),
-        (words("lot.yield"), percent(view.yields.last_pass.value)),
-        (words("lot.predicted"), number(view.median_predicted, unit)),
-        (words("lot.limit"), limit_said(view.limit, words)),
-        (words("lot.audited"), str(len(view.audited))),
+    facts = report_facts(view, words)
+    told = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts)
+    head = f"<header><h1>{escape(view.lot.id)}</h1><dl>{told}</dl><p>{escape(made)}</p></header>"
+    parts = [
+        section(part.title, _picture(part, view, words) or _table(part))
+        for part in report_parts(view, units, words("lot.table"), words)
     ]
+    return document(f"softcal: {view.lot.id}", [head, *parts], STYLE)
 
 
-def _row(entry: UnitEntry, words: Words) -> list[str]:
-    errors = (entry.predicted_rmse, entry.before_rmse, entry.after_rmse, entry.own_rmse)
-    verdict = words(f"verdict.{entry.verdict or 'none'}")
-    return [
-        entry.serial,
-        verdict,
-        *(number(value) if value is not None else "–" for value in errors),
-        entry.family or "–",
-        all_said(entry.reasons, words),
-    ]
+def _picture(part: ReportPart, view: LotView, words: Words) -> str:
+    colours = palette(None)
+    match part.picture:
+        case "errors":
+            return figures(predicted_errors(view, colours, words))
+        case "process":
+            return figures(control_chart_figure(view.process, view.lot.reference_unit, colours, words))
+        case "reasons":
+            return figures(reasons_pareto(view, colours, words))
+        case "scores":
+            return figures(audit_scores(view, colours, words))
+    return ""
+
+
+def _table(part: ReportPart) -> str:
+    return table(part.header, ([escape(cell) for cell in row] for row in part.rows))

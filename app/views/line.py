@@ -5,14 +5,12 @@ from dataclasses import dataclass
 from functools import partial
 
 from softcal.app.line.facts import SHOWN_RUNS, LineFacts, LineRun, standing_of
-from softcal.app.texts.reasons import plainly, said
+from softcal.app.texts.reasons import Words, plainly, said
 from softcal.app.views.common import number, phase_said
 from softcal.core.orders import Condition, OrderKind, RunState, Signal
 from softcal.core.quality.known_loads import KnownLoad, asked_loads
 from softcal.core.words.reason import Reason, plain, root_of
 from softcal.db.entries import RunEntry, UnitStanding
-
-Words = Callable[..., str]
 
 MOST_SENTENCES = 3
 KEYS = {"START": "F2", "OK": "F4", "CANCEL": "F6", "STOP": "F8"}

@@ -1,6 +1,6 @@
 """The audit of a lot: draw the units to check with the load cell, bring their recordings, see what they say."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import streamlit as st
 
@@ -9,7 +9,7 @@ from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audit
 from softcal.app.batch.judging import confirm
 from softcal.app.files.spreadsheet import csv_text
 from softcal.app.jobs.process import start_job
-from softcal.app.texts.reasons import said
+from softcal.app.texts.reasons import Words, said
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
@@ -145,9 +145,6 @@ def _take(lot_id: str, looked: Sequence[AuditFile]) -> None:
     st.session_state[ASKED] = start_job(registry(), "calibrate", {"lot": lot_id}, actor())
     forget_files(UPLOAD)
     st.rerun()
-
-
-Words = Callable[..., str]
 
 
 def plan_rows(audit: LotAudit, unit: str, words: Words) -> list[dict[str, str]]:
