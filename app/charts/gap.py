@@ -8,13 +8,13 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from softcal.app.charts.palette import FONTS
+from softcal.app.charts.palette import FONTS, LIGHT
 from softcal.app.texts.reasons import Words, said
 from softcal.app.views.gap import channel_name, effect_name, pressed_name, ranked
 from softcal.core.recording import Array, Indices
 from softcal.core.words.reason import Reason
 
-BEFORE, AFTER, INK, GRID = "#9aa5b1", "#0b5cad", "#1c2733", "#e4e8ec"
+BEFORE, AFTER, FLOOR = LIGHT.source, LIGHT.mapped, LIGHT.line
 CHANNELS = {"output_V": "output", "force_N": "force"}
 """Columns that are drawn, with the name a report has for them."""
 
@@ -66,7 +66,7 @@ def _styled(figure: go.Figure, height: int, left: int = 60, **layout: Any) -> go
         template="plotly_white",
         height=height,
         margin={"l": left, "r": 20, "t": 44, "b": 44},
-        font={"family": FONTS, "size": 13, "color": INK},
+        font={"family": FONTS, "size": 13, "color": LIGHT.text},
         **layout,
     )
     return figure
@@ -162,7 +162,7 @@ def gain_figure(report: Mapping[str, Any], say: Words) -> go.Figure:
             x=values,
             y=[say(f"gap.figure.{of}") for of in ("base", "causes", "floor")],
             orientation="h",
-            marker_color=[BEFORE, AFTER, GRID],
+            marker_color=[BEFORE, AFTER, FLOOR],
             text=[f"{value:.3g} {unit}" for value in values],
             textposition="outside",
             cliponaxis=False,
@@ -188,7 +188,7 @@ def hidden_figure(report: Mapping[str, Any], say: Words) -> go.Figure | None:
         x=shares,
         y=[effect_name(name, say) for name in names],
         orientation="h",
-        marker_color=["#c4441c" if share >= 0.8 else BEFORE for share in shares],
+        marker_color=[LIGHT.limit if share >= 0.8 else BEFORE for share in shares],
         hovertemplate=f"%{{y}}: {say('gap.figure.hidden.one', share='%{x:.0%}')}<extra></extra>",
     )
     figure = go.Figure(bars)

@@ -272,7 +272,8 @@ class _Card:
 
     @property
     def code(self) -> tuple[str, ...]:
-        return (self.words("line.code", code=self.run[1].code),) if self.run and self.run[1].code else ()
+        code = self.run[1].code if self.run and not self.state.is_busy else ""
+        return (self.words("line.code", code=code),) if code else ()
 
     @property
     def news(self) -> tuple[str, ...]:
@@ -318,7 +319,7 @@ def _do_mend(card: _Card) -> str:
 
 
 def _say_why(card: _Card) -> tuple[str, ...]:
-    return (*card.in_short, *card.changed, *(() if card.state.is_busy else card.code))
+    return (*card.in_short, *card.changed, *card.code)
 
 
 def _say_what_is_missing(card: _Card) -> tuple[str, ...]:
@@ -328,8 +329,7 @@ def _say_what_is_missing(card: _Card) -> tuple[str, ...]:
 
 def _say_what_stopped(card: _Card) -> tuple[str, ...]:
     reasons = card.facts.heartbeat.reasons if card.facts.heartbeat else ()
-    code = (card.words("line.code", code=card.run[1].code),) if card.run else ()
-    return (*(said(why, card.words) for why in reasons), *code)
+    return (*(said(why, card.words) for why in reasons), *card.code)
 
 
 def _say_what_will_lack(card: _Card) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from softcal.app.batch.audit_files import AuditFile, look_at_audits, store_audit
 from softcal.app.batch.judging import confirm
 from softcal.app.files.spreadsheet import csv_text
 from softcal.app.jobs.process import start_job
-from softcal.app.texts.reasons import Words, said
+from softcal.app.texts.reasons import said
 from softcal.app.ui.account import actor, permit, person
 from softcal.app.ui.components.job_panel import job_panel, newest_job
 from softcal.app.ui.components.lot_upload import choose_columns, dropped_files, first_readable, forget_files
@@ -76,7 +76,16 @@ def _stands(audit: LotAudit, lot_id: str) -> None:
             "audit.statement", upper=audit.statement.nonconforming_upper, ratio=f"{audit.statement.error_ratio:.2g}"
         )
         st.markdown(told)
-    rows = plan_rows(audit, unit, say)
+    rows = [
+        {
+            say("column.serial"): serial,
+            say("audit.why"): say(f"audit.why.{why}"),
+            say("release.forecast"): number(forecast, unit),
+            say("release.measured"): number(measured, unit),
+            say("audit.result"): say(f"audit.result.{result}"),
+        }
+        for serial, why, forecast, measured, result in audit.rows
+    ]
     table(rows)
     st.download_button(
         say("audit.list"),
@@ -145,30 +154,6 @@ def _take(lot_id: str, looked: Sequence[AuditFile]) -> None:
     st.session_state[ASKED] = start_job(registry(), "calibrate", {"lot": lot_id}, actor())
     forget_files(UPLOAD)
     st.rerun()
-
-
-def plan_rows(audit: LotAudit, unit: str, words: Words) -> list[dict[str, str]]:
-    """Return one row a unit of the plan: why it was drawn, what was forecast and measured, and what that says.
-
-    Args:
-        unit: of the errors.
-    """
-    return [
-        {
-            words("column.serial"): serial,
-            words("audit.why"): words(f"audit.why.{'doubtful' if serial in audit.plan.doubtful else 'random'}"),
-            words("release.forecast"): number(audit.forecasts[serial], unit),
-            words("release.measured"): number(audit.measured.get(serial), unit),
-            words("audit.result"): words(f"audit.result.{_result(audit, serial)}"),
-        }
-        for serial in audit.plan.serials
-    ]
-
-
-def _result(audit: LotAudit, serial: str) -> str:
-    if serial not in audit.measured:
-        return "open"
-    return "within" if audit.measured[serial] <= audit.limit.maximum_rmse else "beyond"
 
 
 MOST_ROWS = 200
